@@ -49,7 +49,7 @@ from .devices_csv import DeviceRow, device_rows
 from .journal.journal import KEEP_BOUNDS, SIZE_BOUNDS, Journal
 from .outputs.exclusive import shared
 from .outputs.kinds import KINDS, made, output_keys
-from .outputs.output import Labelled, Output
+from .outputs.output import Described, Output
 from .outputs.secret_file import SecretFile
 
 __all__ = ["DEVICE", "FILE", "FleetFile", "FleetFileError", "load"]
@@ -140,7 +140,7 @@ class _Reader:
         self._maps: dict[FilePath, RegisterMap] = {}
         self._origins: list[_Origin] = []
         self._defaults: dict[str, Any] = {}
-        self._labels: dict[str, Mapping[str, str]] = {}
+        self._devices: dict[str, DeviceConfig] = {}
 
     def parse(self, text: str) -> FleetFile:
         """Return the contents of a text in TOML."""
@@ -150,7 +150,7 @@ class _Reader:
         if not devices:
             raise WrongValue("device", "must hold at least one table: [[device]]")
         self._check(devices)
-        self._labels = {each.name: each.labels for each in devices}
+        self._devices = {each.name: each for each in devices}
         outputs = self._outputs(given.get("output", {}))
         return FleetFile(devices, outputs, self._journal(given))
 
@@ -241,8 +241,8 @@ class _Reader:
             if isinstance(keys.get("path"), str) and keys["path"] != "-":
                 keys["path"] = str(self._folder / keys["path"])
             output = made(kind, keys)
-            if isinstance(output, Labelled):
-                output.label(self._labels)
+            if isinstance(output, Described):
+                output.describe(self._devices)
             return keys, output
 
     def _secrets(self, given: Mapping[str, Any]) -> dict[str, Any]:

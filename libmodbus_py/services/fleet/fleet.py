@@ -22,7 +22,7 @@ from .journal.journal import Journal
 from .journal.place import JournalPlace
 from .line import FleetLine, MayAsk
 from .outputs.exclusive import check_exclusive
-from .outputs.output import Commanded, Described, Labelled, Output
+from .outputs.output import Commanded, Described, Output
 from .outputs.pump import Pump
 from .poller import DeviceState, Poller, Reads
 from .readings import Reading
@@ -174,7 +174,7 @@ class Fleet:
     async def _start(self) -> None:
         if self._loop is not None:
             raise RuntimeError("this fleet is already polling; make another one")
-        self._label(self._devices)
+        self._describe(self._devices)
         places = await self._places()
         self._loop = asyncio.get_running_loop()
         self._wall = time.time() - self._loop.time()
@@ -203,16 +203,13 @@ class Fleet:
         }
         return dict(zip(kept, await self._journal.open([*kept.values()]), strict=True))
 
-    def _label(self, devices: Mapping[str, DeviceConfig]) -> None:
-        """Pass labels and maps to the outputs; raise ValueError if a device lacks a label."""
-        labels = {each.name: each.labels for each in devices.values()}
+    def _describe(self, devices: Mapping[str, DeviceConfig]) -> None:
+        """Pass the devices to the outputs; raise ValueError if one lacks a label."""
         for output in self._outputs:
-            if isinstance(output, Labelled):
-                output.label(labels)
             if isinstance(output, Described):
                 output.describe(devices)
         if self._journal is not None:
-            self._journal.describe(labels)
+            self._journal.describe({name: each.labels for name, each in devices.items()})
 
     async def _stop(self) -> None:
         if self._timer is not None:
@@ -275,9 +272,9 @@ class Fleet:
         before = self._devices
         if self._loop is not None:
             try:
-                self._label(after)
+                self._describe(after)
             except ValueError:
-                self._label(before)
+                self._describe(before)
                 raise
         self._devices = after
         if self._loop is None:

@@ -9,6 +9,7 @@ from typing import Any
 
 from ...tools.page.table_source import Older
 from ...tools.page.tables import Column, PageTable, ValuesTable, cell_text
+from .config import DeviceConfig
 from .fleet import Fleet
 from .poller import DeviceState, Poller
 from .readings import Reading
@@ -34,7 +35,7 @@ class PageOutput:
         self.values: ValuesTable = ValuesTable(self._answered_at)
         self._is_new = True
 
-    def label(self, labels: Mapping[str, Mapping[str, str]]) -> None:
+    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Note that the fleet has other devices from now on."""
         self._is_new = True
 

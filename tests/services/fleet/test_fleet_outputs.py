@@ -257,15 +257,15 @@ def test_a_pipe_that_nobody_reads_stops_nobody_and_leaves_nothing(tmp_path: Path
     run(until(lambda: threading.active_count() <= threads))
 
 
-class Labelled(Odd):
-    """An output that wants to know labels."""
+class Described(Odd):
+    """An output that wants to know the devices."""
 
-    def label(self, labels: Any) -> None:
-        self.labels = dict(labels)
+    def describe(self, devices: Any) -> None:
+        self.labels = {name: each.labels for name, each in devices.items()}
 
 
 def test_outputs_are_told_the_labels_of_devices_and_those_of_one_name_are_told_apart() -> None:
-    outputs = [Labelled(), Odd(), Odd()]
+    outputs = [Described(), Odd(), Odd()]
 
     async def scenario() -> None:
         async with Peer() as peer:

@@ -34,15 +34,12 @@ def reading(device: str) -> Reading:
 
 
 def label(output: Any, labels: Mapping[str, Mapping[str, str]]) -> None:
-    if hasattr(output, "label"):
-        output.label(labels)
-    else:
-        output.describe(
-            {
-                name: DeviceConfig(name, "tcp://127.0.0.1", POINTS, labels=each)
-                for name, each in labels.items()
-            }
-        )
+    output.describe(
+        {
+            name: DeviceConfig(name, "tcp://127.0.0.1", POINTS, labels=each)
+            for name, each in labels.items()
+        }
+    )
 
 
 def written(output: Any, path: Path, *devices: str) -> str:
@@ -58,7 +55,7 @@ def written(output: Any, path: Path, *devices: str) -> str:
 def test_json_holds_them(tmp_path: Path) -> None:
     path = tmp_path / "lines"
     output = JsonOutput(str(path))
-    output.label(LABELS)
+    label(output, LABELS)
     north, south, other = map(json.loads, written(output, path, *LABELS, "other").splitlines())
     assert north["labels"] == ODD
     assert "labels" not in south
@@ -68,7 +65,7 @@ def test_json_holds_them(tmp_path: Path) -> None:
 def test_csv_has_a_column_for_each_that_is_named(tmp_path: Path) -> None:
     path = tmp_path / "rows"
     output = CsvOutput(str(path), labels=["line", "place", "site"])
-    output.label(LABELS)
+    label(output, LABELS)
     head, *rows = csv.reader(written(output, path, *LABELS, "other").splitlines(), strict=True)
     assert head[-4:] == ["reason", "line", "place", "site"]
     assert [row[-3:] for row in rows] == [["ü", "", ODD["site"]], ["", "", ""], ["", "", ""]]
@@ -77,7 +74,7 @@ def test_csv_has_a_column_for_each_that_is_named(tmp_path: Path) -> None:
 
 def test_a_message_of_nats_holds_them_once() -> None:
     output = Stream(None, {})
-    output.label(LABELS)
+    label(output, LABELS)
     two = [reading("north"), reading("north")._replace(name="flow"), reading("south")]
     north, south = (
         json.loads(data) for _, _, data in _messages(two, 10_000, output._labels.by_device)

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py import Fleet, Server
+from libmodbus_py import DeviceConfig, Fleet, Server
 from libmodbus_py.fleet import FleetFileError, load
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.topics import Topic
-from tests.services.fleet.brokers import Broker, hearing, publish, run
+from tests.services.fleet.brokers import Broker, heard_of, hearing, publish, run
 from tests.services.fleet.fleets import meter, simulated, until
 from tests.support.cases import each_case
 
@@ -117,6 +117,33 @@ def test_a_device_without_the_label_is_not_added() -> None:
                 await Fleet([meter("a", url)], outputs=[output]).run(once=True)
 
     asyncio.run(go())
+
+
+def test_a_changed_label_leaves_no_value_at_the_former_topic(broker: Broker) -> None:
+    """A new subscriber would take it for good."""
+
+    async def go() -> None:
+        async with Server({1: simulated()}).serving("tcp://127.0.0.1:0") as served:
+            output = Mqtt(
+                broker.url, topic=TEMPLATE, status="", device_status="states/{label.site}/{device}"
+            )
+
+            def north(site: str) -> DeviceConfig:
+                return meter("north", served.urls[0], labels={"site": site})
+
+            async with Fleet([north("Halle")], outputs=[output]) as fleet:
+                async with hearing(broker, "plant/#") as heard:
+                    await until(lambda: heard_of(heard, "plant/Halle/north/power"))
+                    fleet.replace([north("Hof")])
+                    await until(lambda: heard_of(heard, "plant/Hof/north/power"))
+                async with hearing(broker, "plant/Halle/#", "states/Halle/#") as heard:
+                    await until(lambda: len(heard) >= 4)
+                    kept = {topic: payload for topic, payload, _ in heard}
+                assert kept.pop("states/Halle/north") == "offline"
+                assert {each["quality"] for each in kept.values()} == {"offline"}
+                assert {each["value"] for each in kept.values()} == {None}
+
+    run(go())
 
 
 def test_readings_and_commands_go_by_the_labels(broker: Broker) -> None:

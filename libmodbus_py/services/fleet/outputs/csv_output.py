@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from ....protocol.mistakes import WrongType, WrongValue
 from ....tools.files.csv_text import csv_rows
 from ..buffer import MOST_KEPT
+from ..config import DeviceConfig
 from ..readings import Reading
 from .forms import COLUMNS, as_csv
 from .labels import Labels
@@ -48,9 +49,9 @@ class CsvOutput(TextFile):
         self._empty = ("",) * len(columns)
         self._labels = Labels(lambda device, each: tuple(each.get(key, "") for key in columns))
 
-    def label(self, labels: Mapping[str, Mapping[str, str]]) -> None:
-        """Set the labels of devices."""
-        self._labels.set(labels)
+    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
+        """Set the devices of the readings."""
+        self._labels.set(devices)
 
     def _rows(self, readings: Sequence[Reading]) -> bytes:
         return as_csv(readings, self._labels.by_device, self._empty)

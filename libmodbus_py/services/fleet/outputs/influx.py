@@ -94,9 +94,9 @@ class Influx:
                     raise WrongValue(key, "cannot be used with url")
             self._sink = InfluxServer(self._protocol.lines, url, **of_servers)  # type: ignore[arg-type]
             place = "/".join(each for each in (organization, bucket, database) if each)
-            self.exclusive: tuple[str, ...] = (
-                f"the measurement {measurement!r} in {place!r} of {self.name}",
-            )
+            used = f"the measurement {measurement!r} in {place!r} of {self.name}"
+            self.exclusive: tuple[str, ...] = (used,)
+            self.identity: str = f"{self.name} {place} {measurement}"
             return
         needless = [name for name, value in of_servers.items() if value is not None]
         if needless:
@@ -106,6 +106,7 @@ class Influx:
             "influx", self.path, self._protocol.lines, b"", buffer, rotate, keep
         )
         self.exclusive = file.exclusive
+        self.identity = file.identity
 
     @property
     def name(self) -> str:
@@ -115,11 +116,6 @@ class Influx:
     def is_live(self) -> bool:
         """True if readings of earlier runs are not wanted."""
         return getattr(self._sink, "is_live", False)
-
-    @property
-    def identity(self) -> str:
-        """The name of its place in a journal."""
-        return getattr(self._sink, "identity", self.name)
 
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Set the devices of the readings."""

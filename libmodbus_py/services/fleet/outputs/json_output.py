@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from ..buffer import MOST_KEPT
+from ..config import DeviceConfig
 from ..readings import Reading
 from .forms import as_json, labels_text
 from .labels import Labels
@@ -44,9 +45,9 @@ class JsonOutput(TextFile):
         super().__init__("json", path, self._lines, b"", buffer, rotate, keep)
         self._labels = Labels(lambda device, labels: labels_text(labels))
 
-    def label(self, labels: Mapping[str, Mapping[str, str]]) -> None:
-        """Set the labels of devices."""
-        self._labels.set(labels)
+    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
+        """Set the devices of the readings."""
+        self._labels.set(devices)
 
     def _lines(self, readings: Sequence[Reading]) -> bytes:
         return as_json(readings, self._labels.by_device)

@@ -7,6 +7,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Generic, TypeVar
 
+from ..config import DeviceConfig
+
 __all__ = ["Labels"]
 
 Form = TypeVar("Form")
@@ -29,8 +31,8 @@ class Labels(Generic[Form]):
         self._now: dict[str, Form] = {}
         self.by_device: dict[str, Form] = {}
 
-    def set(self, labels: Mapping[str, Mapping[str, str]]) -> None:
-        """Set the labels of all devices, by the names of the devices."""
+    def set(self, devices: Mapping[str, DeviceConfig]) -> None:
+        """Take the labels of all devices."""
         before = self._now
-        self._now = {name: self._form(name, each) for name, each in labels.items()}
+        self._now = {name: self._form(name, each.labels) for name, each in devices.items()}
         self.by_device = {**before, **self._now}

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from ..config import DeviceConfig
 from ..readings import Reading
 
 __all__ = ["KeptReadings", "LastValues"]
@@ -41,11 +42,11 @@ class LastValues:
     def __init__(self) -> None:
         self.statistics: KeptReadings = KeptReadings()
 
-    def label(self, labels: Mapping[str, Mapping[str, str]]) -> None:
+    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Set the labels of devices, and forget the readings of all other devices."""
         kept = self.statistics
-        kept.labels = dict(labels)
-        kept.by_name = {key: each for key, each in kept.by_name.items() if key[0] in labels}
+        kept.labels = {name: each.labels for name, each in devices.items()}
+        kept.by_name = {key: each for key, each in kept.by_name.items() if key[0] in devices}
 
     async def open(self) -> None:
         """Do nothing: there is no connection."""

@@ -59,7 +59,7 @@ class LineProtocol:
 
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Set the devices of the readings, by their names."""
-        self._heads.set({name: each.labels for name, each in devices.items()})
+        self._heads.set(devices)
         self._texts = {
             name: frozenset(point for point in each.map if each.map[point].states is not None)
             for name, each in devices.items()

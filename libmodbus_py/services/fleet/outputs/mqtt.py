@@ -23,6 +23,7 @@ from ....security.renewed import Renewed
 from ...tasks import end_tasks, finish
 from ..buffer import MOST_KEPT
 from ..commands import Commands, encoded, wanted_of
+from ..config import DeviceConfig
 from ..readings import Reading
 from .device_states import DeviceStates
 from .forms import payload
@@ -147,6 +148,9 @@ class Mqtt:
         self._client: aiomqtt.Client | None = None
         # The last reading of each point, if the broker retains it.
         self._retained: dict[tuple[str, str], Reading] = {}
+        # The topics at which it does, of points; and of the states of devices.
+        self._topics: dict[tuple[str, str], str] = {}
+        self._state_topics: dict[str, str] = {}
         # Connections in a row that were lost while these were published again; the one that was
         # being published alone; and how often the connection was lost at each.
         self._lost_again = 0
@@ -155,16 +159,21 @@ class Mqtt:
         self._listening: asyncio.Task[None] | None = None
         self._sending: set[asyncio.Task[None]] = set()
 
-    def label(self, labels: Mapping[str, Mapping[str, str]]) -> None:
+    @property
+    def identity(self) -> str:
+        """The name of its place in a journal."""
+        return f"{self.name} {self._topic.template}"
+
+    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
         """
-        Set the labels of devices.
+        Set the devices of the readings.
 
         Raises:
             ValueError: a device lacks a label that a topic holds; nothing changes then.
         """
         for topic in filter(None, (self._topic, self._device_status)):
-            topic.check(labels)
-        self._labels.set(labels)
+            topic.check(devices)
+        self._labels.set(devices)
 
     def attach(self, commands: Commands) -> None:
         """Set the object that carries out commands."""
@@ -217,12 +226,15 @@ class Mqtt:
         assert client is not None
         with _as_connection_error():
             await self._while_connected(self._publish_all(client, readings))
-            changed = self._states.changed(readings) if self._device_status else {}
+            changed = self._changed_states(readings)
             await self._while_connected(self._publish_states(client, changed))
         self._states.note(changed, readings)
+        for name in self._state_topics.keys() - self._states.told.keys():
+            del self._state_topics[name]
         for each in readings if self._retain else ():
             if each.quality == "offline":
                 self._retained.pop((each.device, each.name), None)
+                self._topics.pop((each.device, each.name), None)
             else:
                 self._retained[each.device, each.name] = each
 
@@ -261,10 +273,27 @@ class Mqtt:
         else:
             logger.error("%s: %s of %s is not published again", self.name, key[1], key[0])
 
+    def _changed_states(self, readings: Sequence[Reading]) -> dict[str, bool]:
+        """Return the states of devices that are to be published, some of them at another topic."""
+        if self._device_status is None:
+            return {}
+        changed = self._states.changed(readings)
+        for name in {each.device for each in readings} & self._states.told.keys():
+            if self._state_topic(name) != self._state_topics.get(name):
+                changed.setdefault(name, self._states.told[name])
+        return changed
+
+    def _state_topic(self, device: str) -> str:
+        assert self._device_status is not None
+        return self._device_status.of(self._labels.by_device.get(device, {}), device=device)
+
     async def _publish_states(self, client: aiomqtt.Client, states: Mapping[str, bool]) -> None:
         for name, answers in list(states.items()):
-            assert self._device_status is not None
-            topic = self._device_status.of(self._labels.by_device.get(name, {}), device=name)
+            topic = self._state_topic(name)
+            former = self._state_topics.get(name, topic)
+            if former != topic:  # a label has changed
+                await client.publish(former, OFFLINE, 1, True)
+            self._state_topics[name] = topic
             await client.publish(topic, ONLINE if answers else OFFLINE, 1, True)
 
     async def _while_connected(self, publishing: Coroutine[Any, Any, None]) -> None:
@@ -282,6 +311,21 @@ class Mqtt:
     async def _publish(self, client: aiomqtt.Client, reading: Reading) -> None:
         labels = self._labels.by_device.get(reading.device, {})
         topic = self._topic.of(labels, device=reading.device, name=reading.name)
+        if self._retain:
+            await self._leave(client, reading, topic)
+        await self._publish_at(client, topic, reading)
+
+    async def _leave(self, client: aiomqtt.Client, reading: Reading, topic: str) -> None:
+        """Take back the value at the former topic of a point, if a label has changed."""
+        key = reading.device, reading.name
+        former = self._topics.get(key, topic)
+        if former != topic:
+            gone = reading._replace(value=None, quality="offline", reason="")
+            await self._publish_at(client, former, gone)
+        self._topics[key] = topic
+
+    async def _publish_at(self, client: aiomqtt.Client, topic: str, reading: Reading) -> None:
+        labels = self._labels.by_device.get(reading.device, {})
         text = JSON.encode(payload(reading, labels))
         await client.publish(topic, text.encode(), self._qos, self._retain)
 

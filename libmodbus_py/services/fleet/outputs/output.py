@@ -11,7 +11,7 @@ from ..commands import Commands
 from ..config import DeviceConfig
 from ..readings import Reading
 
-__all__ = ["Commanded", "Described", "Labelled", "Output", "OutputError", "ReadingsRefused"]
+__all__ = ["Commanded", "Described", "Output", "OutputError", "ReadingsRefused"]
 
 
 class OutputError(Exception):
@@ -87,27 +87,16 @@ class Commanded(Protocol):
 
 
 @runtime_checkable
-class Labelled(Protocol):
-    """An output that also uses the labels of devices."""
+class Described(Protocol):
+    """An output that also uses the maps or the labels of devices."""
 
-    def label(self, labels: Mapping[str, Mapping[str, str]]) -> None:
+    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
         """
-        Set the labels of devices, by the names of the devices.
+        Set the devices of the readings, by their names.
 
         It is called before `Output.open`, and when the devices of the fleet change.
 
         Raises:
             ValueError: a device lacks a label that this output needs; nothing changes then.
-        """
-        ...
-
-
-@runtime_checkable
-class Described(Protocol):
-    """An output that also uses the maps and labels of devices."""
-
-    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
-        """
-        Set the devices, by their names; called as `Labelled.label`.
         """
         ...

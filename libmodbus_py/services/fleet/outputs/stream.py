@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ....protocol.json_text import JSON
 from ...engine.buckets import TIMEOUT, keep_stream
 from ...engine.errors import EngineError, explained
+from ..config import DeviceConfig
 from ..readings import Reading
 from .forms import NO_LABELS, payload
 from .labels import Labels
@@ -53,9 +54,9 @@ class Stream:
         self._limits = {**LIMITS, **limits}
         self._labels = Labels(lambda device, labels: dict(labels))
 
-    def label(self, labels: Mapping[str, Mapping[str, str]]) -> None:
-        """Set the labels of devices."""
-        self._labels.set(labels)
+    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
+        """Set the devices of the readings."""
+        self._labels.set(devices)
 
     async def open(self) -> None:
         assert self._client is not None

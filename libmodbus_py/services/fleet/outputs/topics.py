@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping
 
 from ....protocol.mistakes import WrongType, WrongValue
+from ..config import DeviceConfig
 from ..levels import Levels
 
 __all__ = ["Topic", "plain_topic"]
@@ -65,16 +66,16 @@ class Topic:
             )
         )
 
-    def check(self, labels: Mapping[str, Mapping[str, str]]) -> None:
+    def check(self, devices: Mapping[str, DeviceConfig]) -> None:
         """
         Check that each device has the labels of this topic.
 
         Raises:
             ValueError: a device lacks one.
         """
-        for device, each in labels.items():
+        for device, each in devices.items():
             for name in self._labels:
-                if not each.get(name):
+                if not each.labels.get(name):
                     reason = f"{{label.{name}}}: the device {device!r} has no label {name!r}"
                     raise WrongValue.about(self._key, reason)
 
