@@ -57,8 +57,8 @@ NO_DELAY = (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 # which it is lost so many times more is forgotten.
 MOST_LOSSES = 3
 
-# Publishes with QoS 1 that wait for their acknowledgement together. A broker whose sockets delay
-# small packets acknowledges the second and later ones of them 40 ms late.
+# Publishes that are sent together, and with QoS 1 wait for their acknowledgement. A broker whose
+# sockets delay small packets acknowledges the second and later ones of them 40 ms late.
 TOGETHER = 100
 
 # The most received messages that wait; paho drops further ones.
@@ -239,9 +239,11 @@ class Mqtt:
                 self._retained[each.device, each.name] = each
 
     async def _publish_all(self, client: aiomqtt.Client, readings: Sequence[Reading]) -> None:
-        step = TOGETHER if self._qos else 1
-        for at in range(0, len(readings), step):
-            await _all([self._publish(client, each) for each in readings[at : at + step]])
+        if self._retain and self._topic.labels:  # which may have changed
+            for each in readings:
+                await self._leave(client, each)
+        for at in range(0, len(readings), TOGETHER):
+            await _all([self._publish(client, each) for each in readings[at : at + TOGETHER]])
         if readings and not self._qos:
             # The broker acknowledges no publish, but this, which comes behind them, and changes
             # nothing: a connection that it ended because of one of them is noticed here.
@@ -309,15 +311,15 @@ class Mqtt:
         task.result()
 
     async def _publish(self, client: aiomqtt.Client, reading: Reading) -> None:
-        labels = self._labels.by_device.get(reading.device, {})
-        topic = self._topic.of(labels, device=reading.device, name=reading.name)
-        if self._retain:
-            await self._leave(client, reading, topic)
-        await self._publish_at(client, topic, reading)
+        await self._publish_at(client, self._topic_of(reading), reading)
 
-    async def _leave(self, client: aiomqtt.Client, reading: Reading, topic: str) -> None:
+    def _topic_of(self, reading: Reading) -> str:
+        labels = self._labels.by_device.get(reading.device, {})
+        return self._topic.of(labels, device=reading.device, name=reading.name)
+
+    async def _leave(self, client: aiomqtt.Client, reading: Reading) -> None:
         """Take back the value at the former topic of a point, if a label has changed."""
-        key = reading.device, reading.name
+        key, topic = (reading.device, reading.name), self._topic_of(reading)
         former = self._topics.get(key, topic)
         if former != topic:
             gone = reading._replace(value=None, quality="offline", reason="")

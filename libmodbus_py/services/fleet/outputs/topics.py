@@ -34,6 +34,7 @@ class Topic:
 
     Attributes:
         template: as given.
+        labels: the names of the labels that it holds.
         filter: the topic filter that matches all topics.
 
     Raises:
@@ -45,11 +46,13 @@ class Topic:
         self._key = key
         self._parts = _PART.split(self.template)
         held = [part[1:-1] for part in self._parts[1::2]]
-        self._labels = [each.removeprefix(_LABEL) for each in held if each.startswith(_LABEL)]
+        self.labels: list[str] = [
+            each.removeprefix(_LABEL) for each in held if each.startswith(_LABEL)
+        ]
         if sorted(each for each in held if not each.startswith(_LABEL)) != sorted(names):
             wanted = " and ".join(f"{{{name}}}" for name in names)
             raise WrongValue(key, f"must hold {wanted} once, not {template!r}")
-        if "" in self._labels:
+        if "" in self.labels:
             raise WrongValue.about(key, f"{{label.}} names no label: {template!r}")
         if set("{}") & set("".join(self._parts[::2])):
             raise WrongValue.about(key, f"a brace belongs to no name: {template!r}")
@@ -74,7 +77,7 @@ class Topic:
             ValueError: a device lacks one.
         """
         for device, each in devices.items():
-            for name in self._labels:
+            for name in self.labels:
                 if not each.labels.get(name):
                     reason = f"{{label.{name}}}: the device {device!r} has no label {name!r}"
                     raise WrongValue.about(self._key, reason)
@@ -83,7 +86,7 @@ class Topic:
         """Return the topic of a device, or of one of its points."""
         held = {
             **names,
-            **{f"{_LABEL}{each}": labels.get(each) or UNKNOWN for each in self._labels},
+            **{f"{_LABEL}{each}": labels.get(each) or UNKNOWN for each in self.labels},
         }
         return "".join(
             part if at % 2 == 0 else _LEVELS.spell(held[part[1:-1]])
