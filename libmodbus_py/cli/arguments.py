@@ -141,17 +141,21 @@ def with_forms(parser: argparse.ArgumentParser, words: Sequence[str]) -> list[st
     """
     Return the words typed, in which no --csv or --json takes the word behind it by mistake.
 
-    The word behind is a file only if its suffix says so.
+    The word behind is a file only if its suffix or its beginning says so; a path below /dev is a
+    serial port.
     """
     forms = _forms(parser)
     pairs = zip(words, [*words[1:], ""], strict=False)
     end = words.index("--") if "--" in words else len(words)
     return [
-        f"{word}="
-        if at < end and word in forms and not following.lower().endswith(SUFFIXES)
-        else word
+        f"{word}=" if at < end and word in forms and not _is_file(following) else word
         for at, (word, following) in enumerate(pairs)
     ]
+
+
+def _is_file(word: str) -> bool:
+    is_path = word.startswith(("/", "./", "../")) and not word.startswith("/dev/")
+    return is_path or word.lower().endswith(SUFFIXES)
 
 
 def _forms(parser: argparse.ArgumentParser) -> set[str]:

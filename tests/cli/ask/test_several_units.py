@@ -106,6 +106,9 @@ def test_output_goes_to_a_new_file(url: str, tmp_path: Path, option: str) -> Non
     other = tmp_path / f"without a suffix{option}"
     assert run("read", url, "hr", 0, f"{option}={other}").code == 0
     assert other.read_text()
+    bare = tmp_path / f"bare{option}"  # a path, which says enough
+    assert run("read", url, option, bare, "hr", 0).code == 0
+    assert bare.read_text()
 
 
 @each_case("option", ["--csv", "--json"])
@@ -115,8 +118,9 @@ def test_words_behind_the_option_are_no_files(url: str, option: str) -> None:
     assert run("read", url, "hr", 0, option).out
 
 
-def test_a_file_that_cannot_be_written(url: str) -> None:
-    done = run("read", url, "hr", 0, "--json=/nowhere/x")
+@each_case("words", [["--json=/nowhere/x"], ["--json", "/nowhere/x"]])
+def test_a_file_that_cannot_be_written(url: str, words: list[str]) -> None:
+    done = run("read", url, "hr", 0, *words)
     assert (done.code, done.err) == (1, "libmodbus-py: /nowhere/x: No such file or directory\n")
 
 
