@@ -180,6 +180,16 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         """True if frames carry transaction ids: any unit may be asked at any time."""
         return self._matching.has_ids
 
+    @property
+    def room(self) -> int:
+        """
+        The most requests to submit together now: `max_in_flight`, or 0 for a while.
+
+        It is 0 while a request that was lost beside others is asked again alone: others that are
+        submitted meanwhile are sent behind it, whatever its answer says about their unit.
+        """
+        return self._conversation.room
+
     def ready_at(self, unit: int) -> float:
         """
         Return when a unit may be asked, in the time of the event loop; 0.0 if at once.

@@ -51,6 +51,8 @@ class Capacity:
         lost: requests that were lost beside others, with their errors; none other is sent
             until one of them was asked alone.
         is_on_trial: True while one of them is in flight, alone.
+        silent: units and functions that gave no answer alone either, and 0 as the function of
+            units that answered nothing since.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class Capacity:
         self.is_growing: bool = self.is_open
         self.lost: list[Lost] = []
         self.is_on_trial: bool = False
+        self.silent: set[tuple[int, int]] = set()
         self._place = place
         self._most_ever = self._most = most
         self._matching = matching
@@ -84,7 +87,11 @@ class Capacity:
             self._slowest = 0.0
 
     def forget(self) -> list[Lost]:
-        """End a trial without a verdict; return the requests that were lost."""
+        """Forget trials, because the connection is left; return the requests that were lost."""
+        self.silent.clear()
+        return self._end_trial()
+
+    def _end_trial(self) -> list[Lost]:
         lost, self.lost = self.lost, []
         self._asked, self.is_on_trial = None, False
         return lost
@@ -127,6 +134,12 @@ class Capacity:
             if self._count >= self.now:
                 self._grow()
 
+    def note_answers(self, replies: list[tuple[Pending, Reply]]) -> None:
+        """Note which of the silent units and functions answer again."""
+        for pending, reply in replies:
+            if isinstance(reply, bytes):
+                self.silent.difference_update(_kinds(pending))
+
     def _grow(self) -> None:
         self._count = self._peak = 0
         self.now = min(2 * self.now, self._most)
@@ -143,6 +156,7 @@ class Capacity:
             or not pending.batch.requests[pending.index].repeatable
             # A write is never sent over a newer one.
             or (pending.function not in READS and self._last_write > pending.order)
+            or not self.silent.isdisjoint(_kinds(pending))
         ):
             return False
         if self._unheeded and not self.lost:
@@ -172,8 +186,10 @@ class Capacity:
         and the other requests that were lost.
         """
         asked = self._asked
-        lost = self.forget()
+        lost = self._end_trial()
         if asked is None or is_refused(reply):
+            if asked is not None and not isinstance(reply, bytes):
+                self.silent.update(_kinds(asked[0]))
             self._fruitless = min(self._fruitless + 1, MOST_DOUBLINGS)
             self._unheeded = (1 << self._fruitless) - 1
             if self.is_growing:  # the number in flight was not the reason
@@ -206,6 +222,11 @@ class Capacity:
                 self._place,
                 self.now,
             )
+
+
+def _kinds(pending: Pending) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return what a request tells about: its unit, and the function of that unit."""
+    return (pending.batch.unit, 0), (pending.batch.unit, pending.function)
 
 
 def is_refused(reply: Reply) -> bool:

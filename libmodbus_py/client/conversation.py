@@ -131,6 +131,11 @@ class Conversation:
         return bool(self._queue or self._repeats or self._capacity.lost)
 
     @property
+    def room(self) -> int:
+        """The most requests in flight; 0 while one is asked alone, or waits for that."""
+        return 0 if self._capacity.lost or self._capacity.is_on_trial else self.limit
+
+    @property
     def is_plain(self) -> bool:
         """True if the next bytes can only be the answer to the next request, and no one waits."""
         return (
@@ -598,6 +603,8 @@ class Conversation:
         if self._capacity.is_growing:
             self._capacity.note_replies(replies, self.in_flight, now)
             self.limit = self._capacity.now
+        if self._capacity.silent:
+            self._capacity.note_answers(replies)
         self.in_flight -= len(replies)
         self._replies += replies
         for pending, reply in replies:

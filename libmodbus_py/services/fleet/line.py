@@ -53,15 +53,14 @@ class FleetLine:
         self.url: str = endpoint.url
         self.pollers: dict[str, Poller] = {}
         gate = None if may_ask is None else partial(may_ask, key)
-        self.client: AsyncClient = AsyncClient(
-            endpoint.url, may_send=gate, on_state=self._note_state
-        )
+        client = AsyncClient(endpoint.url, may_send=gate, on_state=self._note_state)
+        self.client: AsyncClient = client
         self._is_gated = gate is not None
         self._clients: dict[float | None, AsyncClient] = {None: self.client}
         self._loop = asyncio.get_running_loop()
         self._queue: FirstCome[Poller] = FirstCome()
         self._room: WaitingRoom[Poller] = WaitingRoom(
-            lambda: self.client.max_in_flight,
+            lambda: client.room,
             self._queue,
             timeout=lambda poller: self.client_of(poller).timeout,
             ready_at=None if self.client.has_ids else self.client.ready_at,

@@ -147,7 +147,8 @@ class GatewayLine:
 
     def __init__(self, endpoint: Endpoint, options: GatewayOptions) -> None:
         pause = endpoint.client_options.get("max_pause", MAX_PAUSE)
-        self._client = AsyncClient(endpoint.url, max_pause=pause, on_state=self._note_state)
+        client = AsyncClient(endpoint.url, max_pause=pause, on_state=self._note_state)
+        self._client = client
         self._longest_wait = options.longest_wait
         self._loop = asyncio.get_running_loop()
         self.url: str = str(endpoint)
@@ -157,7 +158,7 @@ class GatewayLine:
         self.statistics: LineStatistics = LineStatistics(self.url, self._client.statistics)
         queues = [FairByHost[Forwarded](options.queue, MOST_WAITING) for _ in range(2)]
         self._room: WaitingRoom[Forwarded] = WaitingRoom(
-            lambda: self._client.max_in_flight,
+            lambda: client.room,
             Precedence(queues, _reads_last) if options.writes_first else queues[0],
             timeout=lambda each: self._client.timeout,
             ready_at=self._client.ready_at if self.has_broadcast else None,

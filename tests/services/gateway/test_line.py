@@ -72,8 +72,8 @@ class Plant:
             return
         if unit in self.refusing:
             pdu = bytes([body[0] | 0x80, 2])
-        elif body[0] == 3:
-            pdu = b"\x03\x02" + bytes([unit, len(self.asked)])
+        elif body[0] in (3, 4):
+            pdu = body[:1] + b"\x02" + bytes([unit, len(self.asked) & 0xFF])
         else:
             pdu = body
         answer = rtu(bytes([unit, *pdu]).hex())
