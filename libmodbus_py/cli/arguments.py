@@ -24,21 +24,26 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "URLS", "add_client", "add_client_options", "add_csv", "add_defaults", "add_json",
-    "add_security_options", "add_serial_options", "add_units", "add_url", "add_verbose", "checked",
-    "flag", "given", "read_as", "with_forms",
+    "SCHEMES_OF_URLS", "URLS", "add_client", "add_client_options", "add_csv", "add_defaults",
+    "add_json", "add_security_options", "add_serial_options", "add_units", "add_url", "add_verbose",
+    "checked", "flag", "given", "read_as", "with_forms",
 ]
 # fmt: on
 
 URLS = """\
 URL: tcp://HOST[:502], tls://HOST[:802], udp://HOST[:502], rtu+tcp://HOST:PORT,
-     ascii+tcp://HOST:PORT, rtu+udp://HOST:PORT, rtu:///dev/ttyUSB0, ascii:///dev/ttyUSB0;
-     or just HOST, HOST:PORT or /dev/ttyUSB0.
-     Settings follow a question mark, as in "rtu:///dev/ttyUSB0?baudrate=9600&parity=N" or
-     "tcp://192.0.2.10?unit=7&timeout=2". Their names are those of the options above, with _
-     in place of -. Quote such a URL, because shells interpret &.
-     An option overrides the setting in the URL."""
+     ascii+tcp://HOST:PORT, rtu+udp://HOST:PORT, rtu:///dev/ttyUSB0,
+     ascii:///dev/ttyUSB0; or just HOST, HOST:PORT or /dev/ttyUSB0.
+     Settings follow a question mark, as in "tcp://192.0.2.10?unit=7&timeout=2"
+     or "rtu:///dev/ttyUSB0?baudrate=9600&parity=N". Their names are those of
+     the options above, with _ in place of -. Quote such a URL, because shells
+     interpret &. An option overrides the setting in the URL."""
 """The end of each --help of a client."""
+
+SCHEMES_OF_URLS = """\
+URL: tcp://, rtu+tcp://, ascii+tcp://, udp://, rtu+udp://, tls://, rtu:// or
+     ascii://; or just HOST, HOST:PORT or /dev/ttyUSB0."""
+"""The schemes, for commands that listen."""
 
 SHORT = {"unit": "-u", "baudrate": "-b", "parity": "-p", "data_bits": "-d", "stop_bits": "-s"}
 

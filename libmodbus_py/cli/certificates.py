@@ -28,16 +28,17 @@ examples:
   libmodbus-py certificates papers
   libmodbus-py certificates papers --host plc.example --host 192.0.2.10
   libmodbus-py certificates papers --role Operator --role Engineer --days 30
-  libmodbus-py serve tls://127.0.0.1:1802 --cert papers/server.pem --key papers/server-key.pem \\
-      --ca papers/ca.pem"""
+  libmodbus-py serve tls://127.0.0.1:1802 --ca papers/ca.pem \\
+      --cert papers/server.pem --key papers/server-key.pem"""
 
 
 def add_command(commands: Any) -> None:
     """Add the command to argparse."""
     command = commands.add_parser(
         "certificates",
-        description="Make certificates of an authority, a server, clients with roles and a client"
-        " without one.\nThey are for trials only: the key of the authority is in the same folder.",
+        description="Make certificates of an authority, a server, clients with roles and a client\n"
+        "without one. They are for trials only: the key of the authority is in the same\n"
+        "folder.",
         epilog=EXAMPLES,
         formatter_class=VerbatimHelp,
     )

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import argparse
 import re
+import sys
 from importlib import import_module
 
 from ..version import __version__
-from .help import Help, tell_defaults
-from .output import PROGRAM, harmless
+from .help import Help, VerbatimHelp, coloured, tell_defaults
+from .output import PROGRAM
+from .output import message as printed
 
 TYPE_CHECKING = False  # typing alone takes a twentieth of what --version may
 if TYPE_CHECKING:
@@ -45,6 +47,13 @@ COMMANDS = {
     "demo": ("demo", "show a client and a server talking over three kinds of lines"),
 }
 """Name -> module in this package, and the purpose."""
+
+EXAMPLES = """\
+examples:
+  libmodbus-py serve --example meter
+  libmodbus-py scan /dev/ttyUSB0
+  libmodbus-py read 192.0.2.10 holding 0 10
+  libmodbus-py read /dev/ttyUSB0 -b 9600 -u 7 --map meter.csv --watch"""
 
 
 def parsed(arguments: Sequence[str]) -> argparse.Namespace:
@@ -125,7 +134,8 @@ def whole_parser(filled: Collection[str] = COMMANDS) -> argparse.ArgumentParser:
     parser = _Parser(
         prog=PROGRAM,
         description="Modbus clients, servers and tools, based on libmodbus.",
-        epilog=f"{PROGRAM} COMMAND --help shows the arguments of a command",
+        epilog=f"{PROGRAM} COMMAND --help shows the arguments of a command.\n\n{EXAMPLES}",
+        formatter_class=VerbatimHelp,
     )
     if len(filled) > 1:  # the manual page, which lacks the epilogs of the single commands
         from .arguments import URLS
@@ -147,11 +157,16 @@ class _Parser(argparse.ArgumentParser):
         # The beginning of an option is refused: --count would be taken for --count-from-1.
         super().__init__(**{"formatter_class": Help, "allow_abbrev": False, **options})
         # argparse would take -1e5 and -inf for options.
+        self.color = False  # of newer versions of Python; `coloured` does it in all
         self._negative_number_matcher = re.compile(r"-(\.?[0-9]|inf|nan)", re.IGNORECASE)
 
     def format_help(self) -> str:
         tell_defaults(self)
         return super().format_help()
+
+    def print_help(self, file: Any = None) -> None:
+        stream = file or sys.stdout
+        self._print_message(coloured(self.format_help(), stream), stream)
 
     def _print_message(self, message: str, file: Any = None) -> None:
         # argparse would ignore a full disk.
@@ -170,4 +185,4 @@ class _Parser(argparse.ArgumentParser):
         raise argparse.ArgumentError(action, f"must be one of {known}, not {value!r}{close}")
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{PROGRAM}: {harmless(message)} (see {self.prog} --help)\n")
+        self.exit(2, f"{printed(message)} (see {self.prog} --help)\n")

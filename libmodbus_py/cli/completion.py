@@ -18,10 +18,10 @@ SHELLS = ("bash", "zsh", "fish")
 
 EXAMPLES = """\
 examples:
-  eval "$(libmodbus-py completion bash)"                        # in ~/.bashrc
-  eval "$(libmodbus-py completion zsh)"                         # in ~/.zshrc
-  libmodbus-py completion fish | source                         # in ~/.config/fish/config.fish
-  libmodbus-py completion bash > ~/.local/share/bash-completion/completions/libmodbus-py"""
+  eval "$(libmodbus-py completion bash)"   # in ~/.bashrc
+  eval "$(libmodbus-py completion zsh)"    # in ~/.zshrc
+  libmodbus-py completion fish | source    # in ~/.config/fish/config.fish
+  libmodbus-py completion fish > ~/.config/fish/completions/libmodbus-py.fish"""
 
 
 def add_command(commands: Any) -> None:

@@ -8,13 +8,26 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
+
+from .output import has_styles, styled
 
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
     from collections.abc import Iterable
-    from typing import Any
+    from typing import Any, TextIO
 
-__all__ = ["Help", "VerbatimHelp", "tell_defaults"]
+__all__ = ["Help", "VerbatimHelp", "coloured", "tell_defaults"]
+
+PARTS = (
+    r"(?m)(?P<heading>^usage:|^[a-z][^\n]*:$)"
+    r"|(?P<option>(?<=^  )--?[a-zA-Z](?:(?!  )[^\n])*)"
+    r"|(?P<command>(?<=^    )[a-z][\w-]*(?=  |$))"
+)
+"""The parts of a help text that have a style."""
+
+STYLES = {"heading": "1", "option": "36", "command": "36"}
+"""Bold, and cyan."""
 
 
 class Help(argparse.HelpFormatter):
@@ -50,6 +63,13 @@ class Help(argparse.HelpFormatter):
 
 class VerbatimHelp(Help, argparse.RawDescriptionHelpFormatter):
     """Help whose description and epilog stay as they are."""
+
+
+def coloured(text: str, stream: TextIO) -> str:
+    """Return a help text with bold headings and coloured options, if the stream shows styles."""
+    if not has_styles(stream):
+        return text
+    return re.sub(PARTS, lambda part: styled(part[0], STYLES[part.lastgroup or ""], stream), text)
 
 
 def tell_defaults(parser: argparse.ArgumentParser) -> None:

@@ -12,16 +12,19 @@ import sys
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from typing import Any
+    from typing import Any, TextIO
 
 # fmt: off
 __all__ = [
-    "PROGRAM", "abandon", "complain", "counted", "harmless", "prepare", "print_json", "styled",
-    "written_to",
+    "PROGRAM", "abandon", "complain", "counted", "harmless", "has_styles", "message", "prepare",
+    "print_json", "styled", "written_to",
 ]
 # fmt: on
 
 PROGRAM = "libmodbus-py"
+
+ERROR = "1;31"
+"""Style of the name of the program before an error: bold and red."""
 
 
 def prepare() -> None:
@@ -45,7 +48,12 @@ def abandon() -> None:
 
 def complain(text: str) -> None:
     """Print a message to stderr, after the name of the program."""
-    print(f"{PROGRAM}: {harmless(text)}", file=sys.stderr, flush=True)
+    print(message(text), file=sys.stderr, flush=True)
+
+
+def message(text: str) -> str:
+    """Return a message as stderr shows it: after the name of the program, which may be red."""
+    return f"{styled(f'{PROGRAM}:', ERROR, sys.stderr)} {harmless(text)}"
 
 
 def harmless(text: str) -> str:
@@ -88,15 +96,21 @@ def written_to(path: str | None) -> Iterator[None]:
             raise OSError(error.errno, error.strerror, path) from None
 
 
-def styled(text: str, style: str) -> str:
+def styled(text: str, style: str, stream: TextIO | None = None) -> str:
     """
     Return a text with a style, on a terminal whose user wants styles (https://no-color.org).
 
     Args:
         style: SGR parameters, such as "1" for bold or "31" for red; empty for none.
+        stream: where the text will be written; None for stdout.
     """
-    wanted = style and sys.stdout.isatty() and not os.environ.get("NO_COLOR")
-    return f"\x1b[{style}m{text}\x1b[0m" if wanted else text
+    return f"\x1b[{style}m{text}\x1b[0m" if style and has_styles(stream or sys.stdout) else text
+
+
+def has_styles(stream: TextIO) -> bool:
+    """Return True if a stream is a terminal that shows styles, and its user wants them."""
+    is_plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+    return stream.isatty() and not is_plain
 
 
 def counted(number: int, noun: str) -> str:

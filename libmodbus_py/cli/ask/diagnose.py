@@ -31,9 +31,9 @@ def add_command(commands: Any) -> None:
     """Add the command to argparse."""
     command = commands.add_parser(
         "diagnose",
-        description="Print the exception status (function 7), the counters (8), the event counter"
-        " (11) and\nthe event log (12), as far as the device has them. Nothing in the device"
-        " changes, unless\nSUB-FUNCTION is given and changes something.",
+        description="Print the exception status (function 7), the counters (8), the event\n"
+        "counter (11) and the event log (12), as far as the device has them. Nothing in\n"
+        "the device changes, unless SUB-FUNCTION is given and changes something.",
         epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
     )
     arguments.add_client(command)

@@ -28,9 +28,9 @@ def add_command(commands: Any) -> None:
     """Add the command to argparse."""
     command = commands.add_parser(
         "identify",
-        description="Print the device identification (function 43/14) and the server id"
-        " (function 17).\n"
-        "Devices have one, both or neither; with neither the exit code is 1.",
+        description="Print the device identification (function 43/14) and the server id\n"
+        "(function 17). Devices have one, both or neither; with neither the exit code\n"
+        "is 1.",
         epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
     )
     arguments.add_client(command)

@@ -70,8 +70,8 @@ def _add_check(actions: Any) -> None:
         "check",
         help=about,
         description=f"{about.capitalize()}.",
-        epilog="The exit code is 0 if all files are right, 2 if one contains a mistake, 1 if the"
-        f" device lacks\na point or does not answer.\n\n{_examples('check', arguments.URLS)}",
+        epilog="The exit code is 0 if all files are right, 2 if one contains a mistake, 1 if\n"
+        f"the device lacks a point or does not answer.\n\n{_examples('check', arguments.URLS)}",
         formatter_class=VerbatimHelp,
     )
     check.add_argument(

@@ -19,7 +19,7 @@ __all__ = ["WHAT", "add_command", "add_item_arguments", "names"]
 
 WHAT = """\
 WHAT is one of
-  TABLE ADDRESS  coils, discrete, holding, input, file:N or fifo, and an address from 0
+  TABLE ADDRESS  coils, discrete, holding, input, file:N or fifo; address from 0
   REFERENCE      such as 40123, which is holding register 122
   NAME           a point of the register map that --map gives"""
 
@@ -28,7 +28,7 @@ examples:
   libmodbus-py read 192.0.2.10 holding 0 10 coils 0 8
   libmodbus-py read /dev/ttyUSB0 -b 9600 -p none -u 7 30001 2 --type float32
   libmodbus-py read 192.0.2.10 -u 1-3,17 --map meter.csv voltage current --watch
-  libmodbus-py read 'tcp://192.0.2.10?unit=7&timeout=0.5' ir 0 9 --watch 10 --csv log.csv"""
+  libmodbus-py read 'tcp://192.0.2.10?unit=7&timeout=0.5' ir 0 9 --csv log.csv"""
 
 
 def add_command(commands: Any) -> None:
@@ -37,8 +37,8 @@ def add_command(commands: Any) -> None:
         "read",
         description="Read values of a device, in as few requests as possible.\n\n"
         f"{WHAT}\n"
-        "and may be followed by a number of values (1). Several may follow each other. With --map\n"
-        "and without WHAT, all points of the map are read.",
+        "and may be followed by a number of values (1). Several may follow each other.\n"
+        "With --map and without WHAT, all points of the map are read.",
         epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
     )
     arguments.add_client(command, several=True)

@@ -18,19 +18,18 @@ examples:
   libmodbus-py write 192.0.2.10 holding 0 555 0 100 coils 7 on --verify
   libmodbus-py write /dev/ttyUSB0 -b 9600 40123 3.14 --type float32 --order CDAB
   libmodbus-py write 192.0.2.10 --map meter.csv setpoint 21.5 --dry-run -v
-  libmodbus-py write 'tcp://192.0.2.10?unit=7&timeout=0.5' holding 4 --mask 0xFFF0 0x0005"""
+  libmodbus-py write 'tcp://192.0.2.10?unit=7&timeout=0.5' hr 4 --mask 0xFFF0 5"""
 
 
 def add_command(commands: Any) -> None:
     """Add the command to argparse."""
     command = commands.add_parser(
         "write",
-        description="Write values to a device, one request for each WHAT. All values are"
-        " checked before\n"
-        f"the first request.\n\n{WHAT}\n"
-        "followed by its values. Several may follow each other. Values of coils are 0, 1,"
-        " off, on,\n"
-        "false and true. After -- a text may begin with -; options must be before it.",
+        description="Write values to a device, one request for each WHAT. All values are\n"
+        f"checked before the first request.\n\n{WHAT}\n"
+        "followed by its values. Several may follow each other. Values of coils are\n"
+        "0, 1, off, on, false and true. After -- a text may begin with -; options must\n"
+        "be before it.",
         epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
     )
     arguments.add_client(command)

@@ -30,8 +30,8 @@ def add_command(commands: Any) -> None:
     command = commands.add_parser(
         "ports",
         description="List the serial ports of this machine, and what the system knows of them.\n"
-        "Nothing is sent, and no setting is changed. The name in /dev/serial/by-id stays the\n"
-        "same when ports change their numbers.",
+        "Nothing is sent, and no setting is changed. The name in /dev/serial/by-id stays\n"
+        "the same when ports change their numbers.",
         epilog=f"The exit code is 0, or 1 if there is no serial port.\n\n{EXAMPLES}",
         formatter_class=VerbatimHelp,
     )

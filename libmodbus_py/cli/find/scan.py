@@ -55,14 +55,12 @@ def add_command(commands: Any) -> None:
     """Add the command to argparse."""
     command = commands.add_parser(
         "scan",
-        description="Ask each unit for one register at each setting of the line, and print"
-        " those that answer.\n"
-        "Nothing is written. A baud rate, parity, unit or timeout in the URL limits the"
-        " search to it.\n"
-        "A range such as 192.0.2.0/24 tries each host, and scans those that accept a connection.",
-        epilog="The exit code is 0 if a unit was found, 1 if none was found or the line"
-        " failed, 130 on Ctrl-C."
-        f"\n\n{EXAMPLES}\n\n{arguments.URLS}",
+        description="Ask each unit for one register at each setting of the line, and print those\n"
+        "that answer. Nothing is written. A baud rate, parity, unit or timeout in the\n"
+        "URL limits the search to it. A range such as 192.0.2.0/24 tries each host, and\n"
+        "scans those that accept a connection.",
+        epilog="The exit code is 0 if a unit was found, 1 if none was found or the line failed,\n"
+        f"130 on Ctrl-C.\n\n{EXAMPLES}\n\n{arguments.URLS}",
     )
     arguments.add_url(command)
     arguments.add_units(command, "units to ask, such as 1,5,9-12 (1-247; on networks also 255)")

@@ -45,7 +45,7 @@ ENGINE = "nats://HOST[,nats://HOST...]"
 EXAMPLES = """\
 examples:
   libmodbus-py fleet status --engine nats://192.0.2.1
-  libmodbus-py fleet status --engine nats://192.0.2.1,nats://192.0.2.2,nats://192.0.2.3
+  libmodbus-py fleet status --engine nats://192.0.2.1,nats://192.0.2.2
   libmodbus-py fleet status --engine nats://192.0.2.1 --json
   libmodbus-py fleet status --engine tls://192.0.2.1"""
 
@@ -67,8 +67,8 @@ def add_command(commands: Any) -> None:
         "fleet",
         description="Print the workers that poll a fleet together, and the devices that each"
         " polls.",
-        epilog="The exit code is 0, or 1 if the engine does not answer or no worker polls a part of"
-        f" the fleet.\n\n{EXAMPLES}",
+        epilog="The exit code is 0, or 1 if the engine does not answer or no worker polls a\n"
+        f"part of the fleet.\n\n{EXAMPLES}",
         formatter_class=VerbatimHelp,
     )
     command.add_argument("what", choices=["status"], help="print the status of the fleet")
@@ -99,9 +99,9 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
 def _add_engine(command: Any, *, required: bool) -> None:
     command.add_argument(
         "--engine",
-        metavar=ENGINE,
+        metavar="URLS",
         required=required,
-        help="the NATS servers (with JetStream) through which workers share devices",
+        help=f"the NATS servers (with JetStream) through which workers share devices: {ENGINE}",
     )
 
 

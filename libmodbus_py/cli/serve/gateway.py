@@ -14,7 +14,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ...client.asynchronous import IN_FLIGHT, MAX_PAUSE
-from ...ports.schemes import CLIENT_OPTIONS, SCHEMES, SECURITY_OPTIONS, SERIAL_OPTIONS
+from ...ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
 from ...protocol.logs import HarmlessLogger
 from ...services.gateway import config
 from ...services.gateway.gateway import Gateway
@@ -49,7 +49,7 @@ EXAMPLES = """\
 examples:
   libmodbus-py gateway tcp://0.0.0.0:502 --to rtu:///dev/ttyUSB0
   libmodbus-py gateway 127.0.0.1:1502 --to /dev/ttyUSB0 -b 9600 -p none -u 1-10
-  libmodbus-py gateway tcp://0.0.0.0:502 --to 1-10=tcp://192.0.2.10 --to 11:1=tcp://192.0.2.11
+  libmodbus-py gateway 0.0.0.0:502 --to 1-10=192.0.2.10 --to 11:1=192.0.2.11
   libmodbus-py gateway --config gateway.toml --metrics 127.0.0.1:9400"""
 
 
@@ -58,7 +58,7 @@ def add_command(commands: Any) -> None:
     command = commands.add_parser(
         "gateway",
         description="Forward requests of clients to devices on other lines, and the answers back.",
-        epilog=f"{EXAMPLES}\n\nURL: {', '.join(f'{scheme}://' for scheme in SCHEMES)}\n"
+        epilog=f"{EXAMPLES}\n\n{arguments.SCHEMES_OF_URLS}\n"
         "     The URL of a route can set the options of its requests, as in\n"
         '     --to "1-10=tcp://192.0.2.10?timeout=0.5"; an option overrides all URLs.',
         formatter_class=VerbatimHelp,

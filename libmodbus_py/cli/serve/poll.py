@@ -73,12 +73,12 @@ def add_command(commands: Any) -> None:
     """Add the command to argparse."""
     command = commands.add_parser(
         "poll",
-        description="Poll the devices of a fleet file, and write the readings to the outputs"
-        " of the file.\n"
-        "Without an output, readings are printed as lines of JSON, except on a terminal.",
-        epilog="The exit code is 0, or 1 if a device did not answer --once or --check, an"
-        " output lost\nreadings of --once, a line cannot keep its"
-        f" intervals, or the standard output was closed.\n\n{EXAMPLES}",
+        description="Poll the devices of a fleet file, and write the readings to the outputs of\n"
+        "the file. Without an output, readings are printed as lines of JSON, except on\n"
+        "a terminal.",
+        epilog="The exit code is 0, or 1 if a device did not answer --once or --check, an output\n"
+        "lost readings of --once, a line cannot keep its intervals, or the standard\n"
+        f"output was closed.\n\n{EXAMPLES}",
         formatter_class=VerbatimHelp,
     )
     command.add_argument("file", metavar="FILE", help="fleet file, such as fleet.toml")

@@ -14,7 +14,6 @@ from typing import Any
 
 from ...device.device import Device
 from ...device.mapping import Mapping
-from ...ports.schemes import SCHEMES
 from ...protocol.pdu import RECORDS_PER_FILE
 from ...server.server import Running, Server
 from ...server.units import UNKNOWN_UNIT_POLICIES
@@ -44,10 +43,9 @@ def add_command(commands: Any) -> None:
     """Add the command to argparse."""
     command = commands.add_parser(
         "serve",
-        description="Simulate the devices of a device file or of an example. Without either,"
-        " one device with\n"
-        "all tables and ten files, filled with zeros, answers as every unit.",
-        epilog=f"{EXAMPLES}\n\nURLs: {', '.join(f'{scheme}://' for scheme in SCHEMES)}",
+        description="Simulate the devices of a device file or of an example. Without either, one\n"
+        "device with all tables and ten files, filled with zeros, answers as every unit.",
+        epilog=f"{EXAMPLES}\n\n{arguments.SCHEMES_OF_URLS}",
         formatter_class=VerbatimHelp,
     )
     command.add_argument(
