@@ -60,6 +60,7 @@ BESIDE = {
     "services/engine": ("services/workers",),
     "binding": ("client", "server"),
     "device": ("device", "server"),
+    "protocol": ("protocol", "client", "server"),
 }
 WORLD = "simulation"
 
@@ -74,6 +75,9 @@ BUDGET = 20.0
 
 BROKEN = 100
 """How a process ends that could not import its mutant."""
+
+_CONFTEST = "ImportError while loading conftest"
+"""What pytest says if the package cannot be imported as a whole, though the changed module can."""
 
 LEFT_OUT = "not ctrl_c_at_any_moment"
 """A KeyboardInterrupt within coverage.py leaves its lock taken: the next line waits for ever."""
@@ -161,7 +165,7 @@ class Outcome:
 
 
 @dataclass
-class _Running:
+class Running:
     mutant: Mutant
     tests: dict[str, float]
     pid: int
@@ -185,7 +189,7 @@ class Trial:
     folder: Path
     jobs: int
     budget: float = BUDGET
-    _running: list[_Running] = field(default_factory=list)
+    _running: list[Running] = field(default_factory=list)
     _count: int = 0
 
     def run(self, chosen: Sequence[Mutant]) -> Iterator[Outcome]:
@@ -250,7 +254,7 @@ class Trial:
         pid = os.fork()
         if pid == 0:
             _become(mutant, tests, folder)
-        self._running.append(_Running(mutant, tests, pid, time.monotonic() + limit, folder))
+        self._running.append(Running(mutant, tests, pid, time.monotonic() + limit, folder))
 
     def _ended(self) -> Iterator[Outcome]:
         for running in list(self._running):
@@ -262,7 +266,7 @@ class Trial:
             _kill(running.pid)
             if is_late:
                 os.waitpid(running.pid, 0)
-            yield _judged(running, None if is_late else os.waitstatus_to_exitcode(status))
+            yield judged(running, None if is_late else os.waitstatus_to_exitcode(status))
             shutil.rmtree(running.folder, ignore_errors=True)
 
 
@@ -309,7 +313,7 @@ def _become(mutant: Mutant, tests: dict[str, float], folder: Path) -> None:
         os._exit(code)
 
 
-def _judged(running: _Running, code: int | None) -> Outcome:
+def judged(running: Running, code: int | None) -> Outcome:
     output = (running.folder / "output").read_text(errors="replace")
     failed = re.search(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
     by = failed[1] if failed else ""
@@ -319,7 +323,7 @@ def _judged(running: _Running, code: int | None) -> Outcome:
         kind = "survived"
     elif code == pytest.ExitCode.NO_TESTS_COLLECTED:
         kind = "unreached"
-    elif code == BROKEN:
+    elif code == BROKEN or (code == pytest.ExitCode.USAGE_ERROR and _CONFTEST in output):
         kind = "broken"
     elif by or code < 0:
         kind = "killed"

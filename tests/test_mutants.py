@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from fuzz.covering import Covering, functions
-from fuzz.mutants import DECIDING, chosen, files_beside
+from fuzz.mutants import DECIDING, Running, chosen, files_beside, judged
 from fuzz.mutations import TUNING, mutants
 
 ROOT = Path(__file__).parent.parent
@@ -144,6 +144,15 @@ def test_the_same_seed_draws_the_same() -> None:
 def test_mutants_can_be_drawn_from_each_file_that_decides() -> None:
     for place in DECIDING:
         assert chosen([place], 1, seed=1), place
+
+
+def test_what_keeps_the_package_from_being_imported_is_no_survivor(tmp_path: Path) -> None:
+    (tmp_path / "output").write_text("ImportError while loading conftest 'tests/conftest.py'.\n")
+    (mutant,) = chosen(["protocol/pdu/serial.py"], 1, seed=1)
+    running = Running(mutant, {}, pid=0, until=0.0, folder=tmp_path)
+    assert judged(running, pytest.ExitCode.USAGE_ERROR).kind == "broken"
+    (tmp_path / "output").write_text("ERROR: file or directory not found: tests/nothing.py\n")
+    assert judged(running, pytest.ExitCode.USAGE_ERROR).kind == "unknown"
 
 
 def test_tests_in_folders_of_the_test_folder_are_beside_too() -> None:

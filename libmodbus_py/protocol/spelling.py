@@ -8,6 +8,7 @@ import math
 import re
 import reprlib
 from collections.abc import Callable
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 from .values import ValueType
@@ -27,15 +28,17 @@ def _family(kind: ValueType) -> str:
 # --- shown ---------------------------------------------------------------------------
 
 
-# From as many digits as every value keeps to as many as tell every two values apart (IEEE 754).
-DIGITS = {"float16": range(3, 6), "float32": range(6, 10), "float64": range(15, 18)}
+# As many digits as every value keeps (IEEE 754); up to three more tell every two values apart.
+DIGITS = {"float16": 3, "float32": 6}
 
 
 def _shortest(value: float, kind: ValueType) -> str:
     """The shortest number with the same bits: 3.14, not 3.140000104904175."""
-    if not math.isfinite(value):  # a nan's sign is in its bits, and in no text
+    fewest = DIGITS.get(kind.name)
+    # Python shows the shortest of float64. A nan's sign is in its bits, and in no text.
+    if fewest is None or not math.isfinite(value):
         return str(value)
-    numbers = (float(f"{value:.{digits}g}") for digits in DIGITS[kind.name])
+    numbers = (float(f"{value:.{digits}g}") for digits in count(fewest))
     return str(next(number for number in numbers if kind.encode(number) == kind.encode(value)))
 
 

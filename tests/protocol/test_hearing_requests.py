@@ -204,3 +204,15 @@ def test_what_is_kept_is_bounded() -> None:
         assert framer.pending <= 256
     framer.scan_silence()
     assert framer.scan(READ) + framer.scan_silence() == [ASKED]
+
+
+def test_after_another_request_an_answer_is_awaited_no_more() -> None:
+    """A write and its answer are the same bytes: what was heard before tells which it is."""
+    write = rtu("02 06 0001 0003")
+    asked, answered = Frame(2, write[1:-2]), Overheard(2, write[1:-2])
+    assert heard(write, write) == [asked, answered]
+    assert heard(write, write, write) == [asked, answered, asked]
+    assert heard(write, READ, write) == [asked, ASKED, asked]
+    assert heard(write, READ + write) == [asked, ASKED, asked]
+    other = rtu("03 03 0000 0001")
+    assert heard(write, other, write) == [asked, Frame(3, other[1:-2]), asked]

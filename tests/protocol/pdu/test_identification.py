@@ -189,10 +189,12 @@ class TestIdentification:
         with pytest.raises(StopIteration) as done:
             steps.send(page)
         assert done.value.value == pdu.DeviceIdentification(2, objects_, complete=False)
-        steps = identify("regular")
-        next(steps)
-        with pytest.raises(InvalidResponse, match="promised"):
-            steps.send(page._replace(objects={0: b"a", 1: b"b"}))
+        for missing in (0, 1, 2):
+            steps = identify("regular")
+            next(steps)
+            rest = {number: value for number, value in objects_.items() if number != missing}
+            with pytest.raises(InvalidResponse, match="promised"):
+                steps.send(page._replace(objects=rest))
         short = full[:243]
         with pytest.raises(InvalidResponse, match="243 bytes"):
             request.decode_response(short)
