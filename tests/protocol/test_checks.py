@@ -46,9 +46,9 @@ def test_a_number_stays_what_it_is() -> None:
 
 @each_case("value", [True, "1", None, 1j, Decimal(1)])
 def test_what_is_no_number_has_the_wrong_type(value: Any) -> None:
-    with pytest.raises(TypeError, match="^scale must be a number, not "):
+    with pytest.raises(TypeError, match=r"^scale must be a number, not "):
         number("scale", value, 0, 9)
-    with pytest.raises(TypeError, match="^pause must be a number of seconds, not "):
+    with pytest.raises(TypeError, match=r"^pause must be a number of seconds, not "):
         seconds("pause", value)
 
 

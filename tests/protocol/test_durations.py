@@ -36,7 +36,7 @@ def test_a_duration_has_units_or_none(text: str, seconds: float) -> None:
     assert type(duration_of(text)) is float
 
 
-@each_case("text", ["", "s", "1x", "1h-5m", "1,5s", "1H", "١s", "1h30", "1000000000s"])
+@each_case("text", ["", "s", "1x", "1h-5m", "1,5s", "1H", "\u0661s", "1h30", "1000000000s"])
 def test_any_other_text_is_no_duration(text: str) -> None:
     with pytest.raises(ValueError, match="could not convert"):
         duration_of(text)
