@@ -61,6 +61,8 @@ BESIDE = {
     "binding": ("client", "server"),
     "device": ("device", "server"),
     "protocol": ("protocol", "client", "server"),
+    # A gateway is a server, too, and many tests of servers try both.
+    "services/gateway": ("services/gateway", "server"),
 }
 WORLD = "simulation"
 
@@ -86,7 +88,7 @@ PATIENCE = 600.0
 """Seconds for the tests of one file, without a mutant."""
 
 MEMORY = 4 << 30
-"""Bytes. A mutant that collects for ever ends there."""
+"""Bytes. A mutant that collects for ever ends there, and counts as one that hung."""
 
 
 class _Loader(importlib.machinery.SourceFileLoader):
@@ -317,7 +319,7 @@ def judged(running: Running, code: int | None) -> Outcome:
     output = (running.folder / "output").read_text(errors="replace")
     failed = re.search(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
     by = failed[1] if failed else ""
-    if code is None or "Failed: Timeout (" in output:
+    if code is None or "Failed: Timeout (" in output or "MemoryError" in output:
         kind = "hung"
     elif code == 0:
         kind = "survived"

@@ -79,7 +79,7 @@ def test_values_of_tuning_constants_are_left_alone_and_their_uses_are_not(tmp_pa
         """
 MOST_AT_ONCE = 1 << 8
 FIRST_PAUSE, LONGEST = 0.5, 30.0
-shown = field(repr=False)
+shown = field(repr=False); pairs = zip(a, b, strict=True); warn("old", stacklevel=2)
 if TYPE_CHECKING:
     from pump import Pump
 

@@ -92,14 +92,23 @@ def test_nothing_is_left_that_a_terminal_obeys() -> None:
 
 @contextlib.contextmanager
 def terminal() -> Iterator[Callable[[], str]]:
-    """Make the standard output a terminal; the function returns what it got."""
+    """Make the standard output a terminal; the function ends that, and returns what it got."""
     master, slave = pty.openpty()
     tty.setraw(slave)
     kept = os.dup(1)
     os.dup2(slave, 1)
     os.close(slave)
+
+    def read() -> str:
+        os.dup2(kept, 1)  # nobody has the terminal open any more: its text has an end
+        pieces: list[bytes] = []
+        with contextlib.suppress(OSError):
+            while piece := os.read(master, 1 << 20):
+                pieces.append(piece)
+        return b"".join(pieces).decode()
+
     try:
-        yield lambda: os.read(master, 1 << 20).decode()
+        yield read
     finally:
         os.dup2(kept, 1)
         os.close(kept)

@@ -5,7 +5,7 @@ Units that rest, and answers that are given again: with times from a list.
 from __future__ import annotations
 
 from libmodbus_py.services.gateway.cache import Cache
-from libmodbus_py.services.gateway.silent_units import LONGEST_REST, SilentUnits, UnitState
+from libmodbus_py.services.gateway.silent_units import SilentUnits, UnitState
 
 # --- silent units -----------------------------------------------------------------------------
 
@@ -22,7 +22,7 @@ def test_a_silent_unit_rests_longer_each_time_until_it_answers() -> None:
         units.start_trial(7, 3)
         assert units.state(7, 3, now) is UnitState.RESTING  # one trial is enough
         assert not units.note_silence(7, 3, now)
-        pause = min(2 * pause, LONGEST_REST)
+        pause = min(2 * pause, 30.0)
     assert units.note_answer(7, 3)
     assert units.state(7, 3, now) is UnitState.GOOD
     assert not units.note_answer(7, 3)
