@@ -24,8 +24,10 @@ pytest_plugins = ["tests.support.golden", "tests.support.leaks"]
 
 UNIT = 17
 
-# A shell's background jobs ignore Ctrl-C, and so would the programs that tests start and interrupt.
+# A shell's background jobs ignore Ctrl-C, and what nohup runs ignores SIGHUP; so would the programs
+# that tests start, and end with these signals.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 # A busy machine may take any time for an example. What else holds is as hypothesis has it, which

@@ -16,7 +16,7 @@ from typing import Any
 
 from ..binding.low_level import loaded_version
 from ..client.blocking import AsciiContext, Context, RtuContext, TcpContext
-from ..client.shortcut import KNOWN
+from ..client.plain_answers import KNOWN
 from ..device.device import Device
 from ..device.mapping import Mapping
 from ..protocol import pdu

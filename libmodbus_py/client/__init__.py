@@ -17,8 +17,10 @@ From the caller to the wire:
     blocking_driver    waits by polling, for any thread; forks, Ctrl-C
     asyncio_driver     waits in an event loop, with one reader and one timer
       alarm            one timer, for clients, gateways and fleets
-    shortcut           the short way, when nothing needs deciding
+    shortcut           the short way of blocking clients, when nothing needs deciding
       libmodbus        ... in one call of C
+    lone_request       the short way of asyncio clients
+    plain_answers      answers that may come on both short ways
     conversation       which request may be sent when, and its outcome; no socket, no clock
       capacity         ... how many at once: found out
       matching         ... which answer belongs to which request:

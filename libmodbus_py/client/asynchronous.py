@@ -85,7 +85,9 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         settings = CheckedOptions.of(endpoint, options, max_pause=MAX_PAUSE, may_send=None)
         parts = assembled(endpoint, settings, IN_FLIGHT)
         timeouts = settings.timeouts
-        driver = AsyncioDriver(parts)
+        is_paced = settings.request_spacing or settings.connect_delay
+        is_simple = endpoint.framing != "ascii" and not endpoint.is_serial
+        driver = AsyncioDriver(parts, is_simple and not is_paced and settings.may_send is None)
         super().__init__(parts, settings, driver, timeouts)
         self._matching = parts.matching
         self._life = _Life(self._driver)

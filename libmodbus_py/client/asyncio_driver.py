@@ -25,6 +25,7 @@ from ..protocol.errors import ModbusConnectionError
 from .alarm import Alarm
 from .batch import Batch
 from .conversation import forbidden
+from .lone_request import LoneRequest
 from .options import Parts
 from .reconnecting import FORKED, State
 
@@ -37,14 +38,16 @@ class AsyncioDriver:
 
     Args:
         parts: of the client.
+        is_short: True if requests may be sent without asking `may_send` or keeping a pace.
     """
 
-    def __init__(self, parts: Parts) -> None:
+    def __init__(self, parts: Parts, is_short: bool) -> None:
         self._port = parts.port
         self._conversation = parts.conversation
         self._connection = parts.connection
         self._endpoint = str(parts.endpoint)
         self._notices = parts.notices
+        self._lone = LoneRequest(parts, is_short)
         # Batches that callers wait for, each with what tells its caller.
         self._callers: dict[Batch, Future[None] | Callable[[], object]] = {}
         self._begin_anew()
@@ -150,6 +153,9 @@ class AsyncioDriver:
 
     def _add(self, batch: Batch) -> None:
         conversation, now = self._conversation, self._now()
+        if self._is_reading and self._lone.takes(batch):
+            self._send_alone(batch, now)
+            return
         conversation.add(batch, now)
         if batch.is_done:
             return
@@ -234,6 +240,7 @@ class AsyncioDriver:
         self._callers.clear()
         self._begin_anew()
         gone = ModbusConnectionError(FORKED, errno=errno.EBADF)
+        self._lone.hand_over()
         self._conversation.interrupted(gone, self._now())
 
     def change_timeout(self) -> None:
@@ -269,6 +276,8 @@ class AsyncioDriver:
             if self._is_left:
                 self._interrupt(None)
             self._is_left = True
+            if self._lone.batch is not None and act != self._readable:
+                self._lone.hand_over()
             act(*arguments)
             self._is_left = False
         except BaseException as error:
@@ -285,6 +294,7 @@ class AsyncioDriver:
         self._loop.call_soon(self._enter, self._turn)  # if this does not come to its end either
         error = ModbusConnectionError(f"interrupted: {cause!r}", errno=errno.EINTR)
         error.__cause__ = cause
+        self._lone.hand_over()
         if self._attempt is None:
             self._close_port()
         else:
@@ -353,6 +363,21 @@ class AsyncioDriver:
             self._lose(conversation.broken, by_itself=False)
         self._set_timer()
 
+    def _send_alone(self, batch: Batch, now: float) -> None:
+        """Send a request the short way, which ends as soon as anything else happens."""
+        try:
+            until = self._lone.send(batch, now)
+        except ModbusConnectionError as error:
+            self._lone.hand_over()
+            self._lose(error)
+            return
+        if self._port.has_unsent:
+            self._lone.hand_over()
+            self._follow_port(now)
+        if until < self._alarm.at:
+            assert self._loop is not None
+            self._alarm.set(until, self._loop)
+
     def _send(self, adus: list[bytes], now: float) -> None:
         if not adus:
             return
@@ -397,8 +422,13 @@ class AsyncioDriver:
         try:
             chunks = self._port.receive()
         except ModbusConnectionError as error:
+            self._lone.hand_over()
             self._lose(error)
             return False
+        if self._lone.batch is not None:
+            if self._lone.take(chunks, now):
+                return False
+            self._lone.hand_over()
         adus = conversation.start(now) if conversation.take(chunks, now) else []
         if adus:  # sending also acknowledges received bytes
             self._send(adus, now)

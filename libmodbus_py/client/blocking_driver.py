@@ -19,8 +19,9 @@ from ..ports.waiting import READ, WRITE, Woken, run
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.pdu import Request
 from .batch import Batch, encoded
+from .plain_answers import KNOWN
 from .reconnecting import FORKED, State
-from .shortcut import KNOWN, Shortcut
+from .shortcut import Shortcut
 
 if TYPE_CHECKING:
     from ..ports.waiting import Waker

@@ -78,6 +78,11 @@ class Capacity:
         self._fruitless = self._unheeded = 0
         self._was_told = False
 
+    @property
+    def learns_from_one(self) -> bool:
+        """True if the answer to a request that is sent alone changes something here."""
+        return (self.is_growing and self.now == 1) or bool(self.silent)
+
     def reset(self) -> None:
         """Begin anew on another connection."""
         self.forget()

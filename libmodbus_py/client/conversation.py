@@ -80,6 +80,7 @@ class Conversation:
         limit: how many may be in flight, now.
         in_flight: how many requests are, now.
         alarm: when `tick` must be called; may be too early, never too late.
+        capacity: how many requests the device takes at once.
         is_guarded: True if `may_send` was given: then it is asked before each request.
         broken: why the connection should be closed for a new one, or None.
         is_flooded: True if more bytes came that belong to no request than can be an accident.
@@ -116,7 +117,7 @@ class Conversation:
         self._is_traced = False
         self._has_ids = matching.has_ids
         self._most = limit
-        self._capacity = capacity
+        self.capacity = capacity
         self._queue: deque[Batch] = deque()
         # Requests to send again: when, and which.
         self._repeats: list[tuple[float, Batch, int]] = []
@@ -128,12 +129,12 @@ class Conversation:
     @property
     def is_wanted(self) -> bool:
         """True if a request waits to be sent, or a caller for the connection."""
-        return bool(self._queue or self._repeats or self._capacity.lost)
+        return bool(self._queue or self._repeats or self.capacity.lost)
 
     @property
     def room(self) -> int:
         """The most requests in flight; 0 while one is asked alone, or waits for that."""
-        return 0 if self._capacity.lost or self._capacity.is_on_trial else self.limit
+        return 0 if self.capacity.lost or self.capacity.is_on_trial else self.limit
 
     @property
     def is_plain(self) -> bool:
@@ -166,15 +167,18 @@ class Conversation:
         self._queue.append(batch)
 
     def adopt(self, batch: Batch, adu: bytes, now: float) -> None:
-        """Expect the answer to the only request of a batch, which was already sent as `adu`."""
+        """
+        Expect the answer to the only request of a batch, which was already sent as `adu`.
+
+        The sender has counted it.
+        """
         batch.started = batch.in_flight = 1
         self.in_flight += 1
         self._wake(now + batch.timeouts.timeout)
         self.is_flooded = False
-        self.statistics.requests += 1
         pending = self._matching.start(batch, 0, now, adu)
-        if self._capacity.is_open:
-            self._capacity.note_start(pending, 0)
+        if self.capacity.is_open:
+            self.capacity.note_start(pending, 0)
 
     def abandon(self, batch: Batch, now: float) -> None:
         """Drop a batch; its late answers count as missing until they come."""
@@ -208,7 +212,7 @@ class Conversation:
 
         The other half follows with the next call, so that the server has work meanwhile.
         """
-        if not (self._queue or self._repeats or self._capacity.lost):
+        if not (self._queue or self._repeats or self.capacity.lost):
             return []
         if self.is_guarded and not self.is_allowed():
             self.refuse(forbidden())
@@ -220,9 +224,9 @@ class Conversation:
             return []
         adus: list[bytes] = []
         self._is_traced = self._trace.is_on
-        if self._capacity.lost or self._capacity.is_on_trial:
+        if self.capacity.lost or self.capacity.is_on_trial:
             self._start_trial(adus, now)
-        if not (self._capacity.lost or self._capacity.is_on_trial):
+        if not (self.capacity.lost or self.capacity.is_on_trial):
             if self._repeats:
                 self._start_repeats(adus, now)
             if self._queue and not (adus and self._pace.request_spacing):
@@ -246,7 +250,7 @@ class Conversation:
         is_dead = (
             self._is_socket
             and matching.unanswered >= self._pace.timeouts_before_reconnect
-            and not self._capacity.lost  # what was lost beside others may come alone
+            and not self.capacity.lost  # what was lost beside others may come alone
         )
         # The next answer would be taken into half a frame that no pending request expects.
         has_leftover = matching.rest and self.in_flight == len(self._silent)
@@ -323,8 +327,8 @@ class Conversation:
             self.alarm = deadline
         pending = self._matching.start(batch, index, now)
         batch.used = 0.0
-        if self._capacity.is_open:
-            self._capacity.note_start(pending, self.in_flight)
+        if self.capacity.is_open:
+            self.capacity.note_start(pending, self.in_flight)
         self.in_flight += 1
         if batch.silent and batch.silent[index]:
             self._silent.append((now + self._pace.turnaround, pending))
@@ -365,25 +369,25 @@ class Conversation:
 
     def _start_trial(self, adus: list[bytes], now: float) -> None:
         """Ask alone one of the requests that were lost beside others, once none is in flight."""
-        if self.in_flight or self._replies or (asked := self._capacity.next_trial()) is None:
+        if self.in_flight or self._replies or (asked := self.capacity.next_trial()) is None:
             return
         batch, index = asked[0].batch, asked[0].index
         timeout = batch.timeouts.timeout
-        batch.used = timeout - self._capacity.time_for_trial(timeout)
+        batch.used = timeout - self.capacity.time_for_trial(timeout)
         self.statistics.retries += 1
         adus.append(self._start(batch, index, now))
 
     def _end_trial(self, reply: Reply, now: float) -> None:
         """Ask again what was lost beside others, or fail it, now that one was asked alone."""
-        is_taken, lost = self._capacity.conclude(reply)
-        self.limit = self._capacity.now
+        is_taken, lost = self.capacity.conclude(reply)
+        self.limit = self.capacity.now
         if not is_taken:
             self._fail_lost(lost, now)
             return
         for pending, _ in lost:
             pending.batch.sent[pending.index] = pending.adu
             self._repeats.append((now, pending.batch, pending.index))
-        self._capacity.tell()
+        self.capacity.tell()
 
     def _fail_lost(self, lost: list[Lost], now: float) -> None:
         for pending, error in lost:
@@ -453,8 +457,8 @@ class Conversation:
         finally:
             self._fail_all(error, now)
         if by_itself:  # else it is the same device behind the next one
-            self._capacity.reset()
-            self.limit = self._capacity.now
+            self.capacity.reset()
+            self.limit = self.capacity.now
         # A connection given up as dead took its time, and the next one may be alive.
         if by_itself and self.connection.fruitless >= LOSSES_BEFORE_END:
             self.refuse(error)
@@ -477,7 +481,7 @@ class Conversation:
         for pending in [*self._reset(now), *(pending for pending, _ in self._replies)]:
             self.statistics.note(pending.function, "cancelled")
         self._queue, self._repeats, self._replies = deque(), [], []
-        self._capacity.forget()
+        self.capacity.forget()
         if self.connection.is_open:
             self.connection.lost(error, now, by_itself=False)
         elif self.connection.state is State.CONNECTING:
@@ -501,7 +505,7 @@ class Conversation:
 
     def _fail_all(self, error: ModbusConnectionError, now: float) -> None:
         self._replies += [(pending, alike(error)) for pending in self._reset(now)]
-        lost = self._capacity.forget()
+        lost = self.capacity.forget()
         self.settle(now)
         self._fail_lost(lost, now)
 
@@ -509,7 +513,7 @@ class Conversation:
         """Fail all requests that wait, except those of some batches."""
         queue, self._queue = self._queue, deque()
         repeats, self._repeats = self._repeats, []
-        lost, self._capacity.lost = self._capacity.lost, []
+        lost, self.capacity.lost = self.capacity.lost, []
         repeats += [(0.0, pending.batch, pending.index) for pending, _ in lost]
         for repeat in repeats:
             _, batch, index = repeat
@@ -600,11 +604,11 @@ class Conversation:
         A good answer also frees the place in its batch; after another one, what comes next in
         the batch depends on it.
         """
-        if self._capacity.is_growing:
-            self._capacity.note_replies(replies, self.in_flight, now)
-            self.limit = self._capacity.now
-        if self._capacity.silent:
-            self._capacity.note_answers(replies)
+        if self.capacity.is_growing:
+            self.capacity.note_replies(replies, self.in_flight, now)
+            self.limit = self.capacity.now
+        if self.capacity.silent:
+            self.capacity.note_answers(replies)
         self.in_flight -= len(replies)
         self._replies += replies
         for pending, reply in replies:
@@ -618,7 +622,7 @@ class Conversation:
         replies, self._replies = self._replies, []
         for pending, reply in replies:
             batch = pending.batch
-            if self._capacity.is_on_trial:
+            if self.capacity.is_on_trial:
                 self._end_trial(reply, now)
             if batch.limit == 1 or not _is_good(reply):
                 batch.in_flight -= 1
@@ -692,7 +696,7 @@ class Conversation:
 
     def _ask_again(self, error: ModbusError, pending: Pending, now: float) -> bool:
         """Send a request again that was lost beside others, or one that may be repeated."""
-        if self._capacity.is_open and self._capacity.takes(error, pending):
+        if self.capacity.is_open and self.capacity.takes(error, pending):
             pending.batch.in_flight += 1
             return True
         return self._repeat(error, pending, now)
@@ -722,7 +726,7 @@ class Conversation:
     def _let_go(self, batch: Batch, now: float) -> int:
         """Wait no longer for a batch; return for how many answers it waited."""
         self._repeats = [each for each in self._repeats if each[1] is not batch]
-        self._capacity.drop(batch)
+        self.capacity.drop(batch)
         for due, pending in self._silent:
             if pending.batch is batch:
                 self._wake(due)  # its slot is free only then: the line is still in use

@@ -10,9 +10,9 @@ from ..binding.library import ffi, lib
 from ..ports.port import Port, lost
 from ..ports.waiting import LONGEST
 from ..protocol.errors import ModbusConnectionError
-from ..protocol.framing import crc16
+from ..protocol.framing import pdu_on_line
 
-__all__ = ["NativeCarrier", "pdu_on_line"]
+__all__ = ["NativeCarrier"]
 
 
 class NativeCarrier:
@@ -52,8 +52,3 @@ class NativeCarrier:
     def error(self) -> ModbusConnectionError | None:
         number = self._exchange.error
         return lost(OSError(number, os.strerror(number))) if number else None
-
-
-def pdu_on_line(data: bytes, unit: int) -> bytes:
-    """Return the PDU of one RTU frame of this unit; nothing if the bytes are none."""
-    return data[1:-2] if len(data) > 4 and data[0] == unit and not crc16(data) else b""

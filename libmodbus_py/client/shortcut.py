@@ -13,19 +13,16 @@ from typing import TYPE_CHECKING, Any, Protocol
 from ..ports.port import Port
 from ..ports.waiting import Waker, Woken
 from ..protocol.errors import ModbusConnectionError, ModbusError
-from ..protocol.framing import Frame, Framer, make_framer, mbap
 from ..protocol.pdu import Request
 from .batch import Batch
-from .libmodbus import NativeCarrier, pdu_on_line
+from .libmodbus import NativeCarrier
+from .plain_answers import PlainAnswers
 
 if TYPE_CHECKING:
     from .options import Parts
     from .timeouts import Timeouts
 
-__all__ = ["KNOWN", "Carrier", "Shortcut"]
-
-KNOWN = frozenset(bytes([code]) for code in (1, 2, 3, 4, 5, 6, 15, 16, 17, 22, 23))
-"""The functions that libmodbus has, as their codes stand in a PDU."""
+__all__ = ["Carrier", "Shortcut"]
 
 # Around a PDU on a line, at least: a unit and a CRC.
 LEAST_AROUND = 3
@@ -59,12 +56,11 @@ class Carrier(Protocol):
 class PythonCarrier:
     """See `Carrier`."""
 
-    def __init__(self, port: Port, framer: Framer, waker: Waker) -> None:
+    def __init__(self, port: Port, answers: PlainAnswers, waker: Waker) -> None:
         self.received: list[bytes] = []
         self.error: ModbusConnectionError | None = None
         self._port = port
-        self._encode = framer.encode
-        self._has_header = not framer.has_broadcast
+        self._answers = answers
         self._waker = waker
 
     def carry(self, unit: int, number: int, pdu: bytes, timeout: float, waker: int) -> bytes | None:
@@ -72,7 +68,7 @@ class PythonCarrier:
         if self._port.has_input():
             return None
         try:
-            self._port.send([self._encode(Frame(unit, pdu, number))], self._waker.now())
+            self._port.send([self._answers.frame(unit, number, pdu)], self._waker.now())
             is_sent = self._port.resume_at is None and not self._port.has_unsent
             if is_sent and self._waker.is_ready(timeout):
                 self.received = self._port.receive()
@@ -81,9 +77,7 @@ class PythonCarrier:
         except Woken:  # once more, when the conversation waits
             pass
         data = self.received[0] if len(self.received) == 1 else b""
-        if not self._has_header:
-            return pdu_on_line(data, unit)
-        return data[7:] if len(data) > 7 and data == mbap(number, unit, data[7:]) else b""
+        return self._answers.pdu_in(data, unit, number)
 
 
 class Shortcut:
@@ -97,7 +91,7 @@ class Shortcut:
     """
 
     def __init__(self, parts: Parts, native: bool, waker: Waker) -> None:
-        framer = make_framer(parts.endpoint.framing, "client")
+        self._answers = PlainAnswers(parts)
         self._waker = waker
         self._now = waker.now
         self._port = parts.port
@@ -105,8 +99,7 @@ class Shortcut:
         self._conversation = parts.conversation
         self._matching = parts.matching
         self._statistics = parts.statistics
-        self._encode = framer.encode
-        self._is_line = framer.has_broadcast
+        self._is_line = self._answers.is_line
         # What was sent, and not yet handed over or answered.
         self._sent: tuple[int, int, Request[Any], bytes, Timeouts, float] | None = None
         self._carrier: Carrier
@@ -114,7 +107,7 @@ class Shortcut:
         if native and in_clear and (not self._is_line or parts.port.context is not None):
             self._carrier = NativeCarrier(parts.port)
         else:
-            self._carrier = PythonCarrier(parts.port, framer, waker)
+            self._carrier = PythonCarrier(parts.port, self._answers, waker)
 
     def ask(
         self, unit: int, request: Request[Any], pdu: bytes, timeouts: Timeouts, waker: int
@@ -145,7 +138,7 @@ class Shortcut:
             self._conversation.add(batch, self._now())
             return batch, None
         now = self._now()
-        if answer and (not self._is_line or self._is_own(unit, pdu, answer, since, now)):
+        if answer and (not self._is_line or self._answers.is_own(unit, pdu, answer, since, now)):
             try:
                 outcome = request.decode_response(answer)
             except ModbusError:
@@ -162,12 +155,6 @@ class Shortcut:
             self._conversation.take(self._carrier.received, now)
             self._conversation.settle(now)
         return batch, self._carrier.error
-
-    def _is_own(self, unit: int, pdu: bytes, answer: bytes, since: float, now: float) -> bool:
-        """Return True unless an answer on a line may be that to an earlier request."""
-        if now < self._silence.left_at:
-            return False
-        return self._matching.accepts(unit, pdu, answer, now - since)
 
     def interrupt(self) -> None:
         """Let the conversation know of a request that was sent, and whose caller is gone."""
@@ -190,7 +177,8 @@ class Shortcut:
         assert self._sent is not None
         unit, number, request, pdu, timeouts, since = self._sent
         batch = Batch(unit, [request], timeouts, pdus=[pdu])
-        adu = self._encode(Frame(unit, pdu, number))
+        adu = self._answers.frame(unit, number, pdu)
+        self._statistics.requests += 1
         self._conversation.adopt(batch, adu, since)
         self._sent = None
         return batch
