@@ -7,13 +7,13 @@ Bytes only; no clock. `RtuEitherWay` finds frames by both length rules of `pdu` 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from .framing import Frame, scanner
 from .pauses import ALLOWANCE
 from .pdu import request_length, response_length
-from .scan import AT_END, GOES_ON, MAX_PDU, SILENT, FrameScanner, crc16
+from .scan import AT_END, GOES_ON, MAX_ADU, MIN_ADU, SILENT, FrameScanner, crc16, is_one_adu
 
 __all__ = ["EitherWay", "NoFrame", "RtuEitherWay", "may_be"]
 
@@ -103,26 +103,55 @@ class RtuEitherWay:
         state = SILENT if self._is_quiet else GOES_ON
         asks, asks_at = _look(self._asking, data, 0, fresh, state)
         answers, answers_at = _look(self._answering, data, 0, fresh, state)
+        if self._is_after_silence(data) and _is_for_nobody(data, max(asks, answers)):
+            if is_one_adu(data):
+                return self._found(data, len(data), False, False)
+            if not self._is_quiet:
+                return None
         if start := min(asks_at, answers_at):
             return self._skip(data, start)
         if len(data) > 1 and not data[1] & 0x7F:  # no function (application protocol, 4.1)
-            return self._without_function(data, is_fresh=fresh == 0)
+            return self._skip(data, 1)
         awaited = len(data) > 1 and is_awaited(data[0], data[1] & 0x7F)
         first, second = (answers, asks) if awaited else (asks, answers)
         if first > 0 or (second > 0 and (first == 0 or self._is_quiet)):
             end = first if first > 0 else second
-            return self._found(data, end, asks == end, answers == end)
+            may_ask, may_answer = asks == end, answers == end
+            if end < len(data) and _has_no_length(data[:end]):
+                end = self._end_before_others(data, end)
+            return self._found(data, end, may_ask, may_answer)
         if start := self._later_start(data):
             return self._skip(data, start)
         return self._skip(data, 1) if self._is_over else None
 
-    def _without_function(self, data: bytes, *, is_fresh: bool) -> EitherWay | NoFrame | None:
-        """Take a frame without a function, if it is all between two silences; else skip it."""
-        if not is_fresh or len(data) > MAX_PDU + 3:
-            return self._skip(data, 1)
-        if len(data) >= 4 and not crc16(data):
-            return self._found(data, len(data), False, True)
-        return self._skip(data, 1) if self._is_quiet else None
+    def _is_after_silence(self, data: bytes) -> bool:
+        """Return True if all that waits came between two silences, or since the last one."""
+        return self._fresh[:1] == [0] and not any(0 < at < len(data) for at in self._fresh)
+
+    def _end_before_others(self, data: bytes, end: int) -> int:
+        """
+        Return where a frame without a length ends, which is at `end` or earlier.
+
+        It goes as far as its CRC fits, unless it fits at a place from which frames without a gap
+        go to the silence: the master may wait for less than what separates frames here.
+        """
+        earlier = (at for at in _fits(data, 0, end) if self._goes_on_from(data, at))
+        return next(earlier, end)
+
+    def _goes_on_from(self, data: bytes, start: int) -> bool:
+        """Return True if frames of any kind, without a gap, go from here to the end."""
+        reached, seen = [start], {start}
+        while reached:
+            at = reached.pop()
+            if at == len(data):
+                return True
+            end = self._complete(data, at, at)
+            ends = _fits(data, at, end + 1) if _has_no_length(data[at:end]) else (end,)
+            for each in ends:
+                if each > at and each not in seen:
+                    seen.add(each)
+                    reached.append(each)
+        return False
 
     def _later_start(self, data: bytes) -> int:
         """
@@ -183,3 +212,24 @@ def _look(scan: FrameScanner, data: bytes, at: int, fresh: int, state: int) -> t
     scan.fresh = fresh
     end = scan.next(data, at, state)
     return (end if scan.start == at else 0), scan.start
+
+
+def _is_for_nobody(data: bytes, end: int) -> bool:
+    """
+    Return True if the function at the front is none of a request, and no whole exception is there.
+
+    That is 0 or 80h (application protocol, 4.1), and of 80h and more all but whole exceptions.
+    """
+    if not 1 < len(data) <= MAX_ADU:
+        return False
+    return not data[1] & 0x7F or (data[1] >= 0x80 and end <= 0)
+
+
+def _has_no_length(adu: bytes) -> bool:
+    """Return True if a frame ends with silence, by its function, as a request or a response."""
+    return len(adu) >= MIN_ADU and 0 in (request_length(adu[1:]), response_length(adu[1:]))
+
+
+def _fits(data: bytes, start: int, end: int) -> Iterator[int]:
+    """Yield the places before `end` where the CRC of a frame fits that begins at `start`."""
+    return (at for at in range(start + MIN_ADU, end) if not crc16(data[start:at]))

@@ -8,6 +8,8 @@ What is within a frame is never taken for one:
   answer, and the frame is one that fits one of them.
 * What fits neither is damage up to the next silence. A request in it counts only if it ends with
   that silence.
+* No request has a function of 80h or more. A frame with one that is all between two silences, and
+  whose CRC fits, is an answer of others, whatever its length: no damage, and no request within it.
 * A frame whose function tells no length ends with silence. If its CRC fits at several places and
   the last is not at the silence, nothing tells where it ends, and all is dropped.
 """
@@ -17,15 +19,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Literal, NamedTuple
 
-from .scan import AT_END, GOES_ON, NO_FRAME, SILENT, UNFINISHED, FrameScanner, crc16
+from .scan import (
+    AT_END,
+    GOES_ON,
+    MAX_ADU,
+    NO_FRAME,
+    SILENT,
+    UNFINISHED,
+    FrameScanner,
+    is_one_adu,
+)
 
 __all__ = ["Piece", "RequestSearch"]
-
-# Of a serial line: MAX_PDU with unit and CRC.
-MAX_ADU = 256
-
-# A unit, a function and the CRC.
-MIN_ADU = 4
 
 Kind = Literal["request", "answer", "damage"]
 
@@ -110,9 +115,12 @@ class RequestSearch:
         if asks > 0:
             self._awaited = data[at], data[at + 1]
             return asks, "request"
-        if is_silent and _is_whole_refusal(data, at):
-            self._awaited = None
-            return len(data), "answer"
+        if data[at + 1 : at + 2] >= b"\x80":  # no request, but perhaps a whole frame of others
+            if not is_silent and len(data) - at <= MAX_ADU:
+                return UNFINISHED, "damage"
+            if is_silent and is_one_adu(data[at:]):
+                self._awaited = None
+                return len(data), "answer"
         is_open = UNFINISHED in (asks, NO_FRAME if is_ours else answers)
         return UNFINISHED if is_open else NO_FRAME, "damage"
 
@@ -201,13 +209,3 @@ class RequestSearch:
 
 
 _NOTHING: tuple[int, Kind] = (NO_FRAME, "damage")
-
-
-def _is_whole_refusal(data: bytes, at: int) -> bool:
-    """
-    Return True if all bytes up to the silence are one frame with a function of 80h or more.
-
-    No request has such a function, and one without the code of an exception is no damage either.
-    """
-    frame = data[at : at + MAX_ADU + 1]
-    return MIN_ADU <= len(frame) <= MAX_ADU and frame[1] >= 0x80 and crc16(frame) == 0

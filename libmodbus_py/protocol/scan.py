@@ -20,6 +20,9 @@ except ImportError as error:
 MAX_PDU = 253
 """Bytes of a PDU, function code included (application protocol, section 4.1)."""
 
+# Of a frame: with unit and CRC; and with a function alone.
+MAX_ADU, MIN_ADU = MAX_PDU + 3, 4
+
 GOES_ON: int = lib.GOES_ON
 SILENT: int = lib.SILENT
 AT_END: int = lib.AT_END
@@ -30,8 +33,8 @@ ASK_PYTHON: int = lib.ASK_PYTHON
 
 # fmt: off
 __all__ = [
-    "AT_END", "GOES_ON", "MAX_PDU", "NOT_BUILT", "NO_FRAME", "SILENT", "UNFINISHED",
-    "FrameScanner", "crc16", "lib",
+    "AT_END", "GOES_ON", "MAX_ADU", "MAX_PDU", "MIN_ADU", "NOT_BUILT", "NO_FRAME", "SILENT",
+    "UNFINISHED", "FrameScanner", "crc16", "is_one_adu", "lib",
 ]
 # fmt: on
 
@@ -45,6 +48,11 @@ def crc16(data: bytes | bytearray) -> int:
     """
     crc: int = lib.crc16(data if type(data) is bytes else ffi.from_buffer(data), len(data))
     return crc
+
+
+def is_one_adu(data: bytes) -> bool:
+    """Return True if the bytes are one RTU frame by their CRC, whatever its function says."""
+    return MIN_ADU <= len(data) <= MAX_ADU and not crc16(data)
 
 
 class FrameScanner:

@@ -108,10 +108,12 @@ def test_bytes_that_come_after_a_silence_end_it() -> None:
     assert (ask.start, ask.end) == (0, 8)
 
 
-def test_a_function_of_zero_is_skipped_at_once() -> None:
-    """Whatever stands behind it: there is no such function (application protocol, 4.1)."""
+def test_a_function_of_zero_is_skipped_when_silence_ended_no_frame_with_it() -> None:
+    """There is no such function (application protocol, 4.1)."""
     frames = RtuEitherWay()
     frames.feed(b"\x01\x80" + ASK)
+    assert taken(frames) == []
+    frames.silence()
     *noise, ask = taken(frames)
     assert b"".join(each.data for each in noise if isinstance(each, NoFrame)) == b"\x01\x80"
     assert isinstance(ask, EitherWay)

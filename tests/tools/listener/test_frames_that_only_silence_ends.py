@@ -1,0 +1,65 @@
+"""
+What a listener makes of frames that only silence ends, with others right behind them.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from libmodbus_py.protocol.either_way import RtuEitherWay
+from libmodbus_py.tools.listener.separator import LineFraming, Separator
+from tests.server.test_functions_without_a_request import BODIES, MADE
+from tests.support.talk import rtu
+
+ASK, ANSWER = "02 03 0000 0001", "02 03 02 0001"
+
+
+def kinds(framing: LineFraming, bodies: list[str]) -> list[str]:
+    """Return what the frames are called, with silence between them."""
+    separator, done = Separator(framing), []
+    for number, body in enumerate(bodies):
+        done += separator.feed(MADE[framing](body), number / 10)
+    return [each.kind for each in done + separator.end()]
+
+
+@pytest.mark.parametrize("framing", ["rtu", "ascii"])
+def test_a_good_frame_that_nobody_sends_is_no_damage(framing: LineFraming) -> None:
+    """It is an exception to something that was not asked, or invalid."""
+    for body in ["00", "00 01 02 03", *BODIES]:
+        found = kinds(framing, [ASK, ANSWER, f"02 {body}", ASK, ANSWER])
+        assert found[0] == found[-1] == "answered", body
+        assert found[1:-1] in (["unasked"], ["invalid"]), body
+
+
+def test_a_wrong_crc_is_damage() -> None:
+    separator = Separator("rtu")
+    done = separator.feed(rtu("02 83 02 00")[:-1] + b"\x00", 0.0)
+    assert [each.kind for each in done + separator.end()] == ["damaged"]
+
+
+LOOPBACK = "08 0000 7F2B"
+
+
+@pytest.mark.parametrize("behind", ["4E 03 0000 0001", f"4E {LOOPBACK}", "4E 2B 0E 01 00"])
+def test_a_request_that_comes_before_a_silence_is_told_from_a_loopback(behind: str) -> None:
+    """A loopback ends where its CRC fits, and it may fit at several places."""
+    frames = RtuEitherWay()
+    frames.feed(rtu(f"4D {LOOPBACK}") + rtu(behind))
+    frames.silence()
+    found = [frames.take(lambda unit, function: False) for _ in range(3)]
+    assert [each and (each.start, each.end) for each in found[:2]] == [
+        (0, 8),
+        (8, 8 + len(rtu(behind))),
+    ]
+    assert found[2] is None
+
+
+def test_a_loopback_whose_data_are_a_frame_is_one_frame() -> None:
+    """Up to the silence its CRC fits, and nothing that does is behind the frame in it."""
+    frames = RtuEitherWay()
+    whole = rtu("4D 08 0000" + rtu("01 06 0001 0003").hex())
+    frames.feed(whole)
+    frames.silence()
+    found = frames.take(lambda unit, function: False)
+    assert found is not None
+    assert (found.start, found.end) == (0, len(whole))
