@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import re
 import socket
 import ssl
@@ -196,6 +197,7 @@ class Mqtt:
             max_inflight_messages=TOGETHER,
             tls_context=await asyncio.to_thread(self._context) if self._is_secure else None,
             max_queued_incoming_messages=MOST_MESSAGES,
+            logger=_Debugging(f"{__name__}.client"),  # type: ignore[arg-type]
             socket_options=[NO_DELAY],
         )
         client.pending_calls_threshold = TOGETHER  # it warns of more
@@ -386,6 +388,14 @@ class Mqtt:
             return
         with contextlib.suppress(OSError), _as_connection_error():
             await client.publish(f"{topic}/result", encoded(outcome), self._qos)
+
+
+class _Debugging(HarmlessLogger):
+    """The log of the client: what ends a connection is told by who opens the next one."""
+
+    def log(self, level: int, msg: object, *args: object, **options: Any) -> None:
+        options["stacklevel"] = options.get("stacklevel", 1) + 1
+        super().log(logging.DEBUG, msg, *args, **options)
 
 
 def _let_go(client: aiomqtt.Client) -> None:

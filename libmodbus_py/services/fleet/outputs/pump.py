@@ -109,10 +109,15 @@ class Pump:
         """Write readings until the output fails; return True if the pump is to end."""
         try:
             await self._output.open()
+            self._refusals.note_open()
             while not self.buffer.is_over:
                 await self._write_other()
                 most = 1 if self._doubted else self._most
-                await self._write(await self.buffer.take_polls(most, LONGEST_SILENCE))
+                batch = await self.buffer.take_polls(most, LONGEST_SILENCE)
+                if self._refusals.is_doubtful(batch):
+                    self._doubt(batch)
+                else:
+                    await self._write(batch)
             return True
         except OutputError:
             raise
@@ -162,7 +167,7 @@ class Pump:
         await self.buffer.confirm(batch)
         if batch:
             self._losses = 0
-            self._refusals.clear()
+        self._refusals.note_accepted(batch)
         self._doubted = max(0, self._doubted - 1)
         self.statistics.written += len(batch)
         if self.statistics.trouble:
@@ -175,7 +180,7 @@ class Pump:
         if not batch:
             return
         if self._refusals.is_refused(batch):
-            self._refusals.clear()
+            self._refusals.note_dropped(batch[0].device)
             self._drop(batch, f"others were accepted and these were not, three times: {error}")
             return
         self.buffer.put_back(batch)
@@ -191,6 +196,10 @@ class Pump:
         if self._doubted and batch:
             self._drop(batch, str(error))
             return
+        self._doubt(batch)
+
+    def _doubt(self, batch: list[Reading]) -> None:
+        """Put readings back, to be written poll by poll."""
         self.buffer.put_back(batch)
         self._doubted = len({each.poll for each in batch})
 

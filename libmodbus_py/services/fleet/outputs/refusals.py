@@ -11,8 +11,12 @@ from ..readings import Reading
 
 __all__ = ["Refusals"]
 
-# How often a poll is refused, each time right after another one was accepted, before it is dropped.
+# How often a poll is refused, each time right after another one was accepted, before it is dropped;
+# one of a device whose last poll was dropped is refused once.
 MOST = 3
+
+# The most devices that are known to be refused.
+MOST_KNOWN = 4096
 
 
 class Refusals:
@@ -32,6 +36,36 @@ class Refusals:
         self._count = 0
         self._at = 0
         self._is_compared = False
+        # Devices whose last poll was dropped, and whether this connection accepted anything.
+        self._known: dict[str, None] = {}
+        self._has_accepted = False
+
+    def note_open(self) -> None:
+        """Note another connection."""
+        self._has_accepted = False
+
+    def note_accepted(self, readings: Sequence[Reading]) -> None:
+        """Note readings that were accepted: nothing is suspected then."""
+        if not readings:
+            return
+        self._has_accepted = True
+        self.clear()
+        if self._known:
+            for device in {each.device for each in readings}:
+                self._known.pop(device, None)
+
+    def note_dropped(self, device: str) -> None:
+        """Note a device one of whose polls was dropped."""
+        self.clear()
+        if len(self._known) >= MOST_KNOWN:
+            self._known.clear()
+        self._known[device] = None
+
+    def is_doubtful(self, readings: Sequence[Reading]) -> bool:
+        """Return True for several polls, of which one is likely to be refused."""
+        if not self._known or all(each.device not in self._known for each in readings):
+            return False
+        return any(each.poll != readings[0].poll for each in readings)
 
     def suspect(self, readings: Sequence[Reading]) -> None:
         """Compare this poll, the first that waits, with others before it is sent again."""
@@ -43,6 +77,7 @@ class Refusals:
     def clear(self) -> None:
         """Suspect no poll."""
         self._suspect = None
+        self._count = self._at = 0
 
     async def others(self) -> list[Reading]:
         """
@@ -63,11 +98,15 @@ class Refusals:
     def note_other(self, *, is_accepted: bool) -> None:
         """Note what became of the other poll; if it was lost too, the next time it is another."""
         self._is_compared = is_accepted
+        self._has_accepted |= is_accepted
         if not is_accepted:
             self._at += 1
 
     def is_refused(self, readings: Sequence[Reading]) -> bool:
-        """Note that a poll was not accepted; return True if it is never going to be."""
+        """Note that readings were not accepted; return True if they are never going to be."""
+        if any(each.poll != readings[0].poll for each in readings):
+            return False
+        is_known = readings[0].device in self._known
         if self._suspect == readings[0].poll and self._is_compared:
             self._count += 1
-        return self._count >= MOST
+        return self._count >= (1 if is_known else MOST) or (is_known and self._has_accepted)
