@@ -15,6 +15,7 @@ Commands that ask one device: read, write, identify, diagnose, raw and map.
     items            the words that say what is read or written: tables, references, names
     item_plan        the requests that read items
     formatters       values as lines, cells of CSV and fields of JSON
+    units            several units, asked one after the other
     identify         identify
     diagnose         diagnose
     report           answers to several functions, as identify and diagnose print them

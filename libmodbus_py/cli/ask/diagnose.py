@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from contextlib import closing, suppress
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,7 @@ EXAMPLES = """\
 examples:
   libmodbus-py diagnose /dev/ttyUSB0 -b 9600 -u 7
   libmodbus-py diagnose 192.0.2.10 return-query-data 0x1234
-  libmodbus-py diagnose 192.0.2.10 clear-counters -v
+  libmodbus-py diagnose 192.0.2.10 clear-counters -u 1-9
   libmodbus-py diagnose 'rtu:///dev/ttyUSB0?baudrate=9600&unit=7' 11"""
 
 
@@ -36,7 +36,7 @@ def add_command(commands: Any) -> None:
         "the device changes, unless SUB-FUNCTION is given and changes something.",
         epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
     )
-    arguments.add_client(command)
+    arguments.add_client(command, several=True)
     command.add_argument(
         "sub_function",
         metavar="SUB-FUNCTION",
@@ -56,19 +56,26 @@ def add_command(commands: Any) -> None:
 
 def _diagnose(options: argparse.Namespace) -> int:
     from ...protocol.spelling import number_of
-    from ..connecting import connected
-    from .report import print_report
+    from .report import print_report, report_units
 
-    with closing(connected(options)) as context:
-        if options.sub_function is None:
-            return print_report(context, _questions(context), as_json=options.json)
-        sub = _sub_function(options.sub_function)
-        answer = _answer(context, sub, number_of("data", options.data))
-    if options.json:
-        print_json({_name(sub): answer})
-    else:
-        print(answer)
-    return 0
+    if options.sub_function is None:
+        return report_units(
+            options,
+            lambda context, several: print_report(
+                context, _questions(context), as_json=options.json, several=several
+            ),
+        )
+    sub, data = _sub_function(options.sub_function), number_of("data", options.data)
+
+    def ask(context: Context, several: bool) -> int:
+        answer = _answer(context, sub, data)
+        if options.json:
+            print_json({"unit": context.unit, _name(sub): answer})
+        else:
+            print(f"unit {context.unit}: {answer}" if several else answer, flush=True)
+        return 0
+
+    return report_units(options, ask)
 
 
 def _answer(context: Context, sub: int, data: int) -> int:

@@ -5,13 +5,12 @@ The command identify: device identification and server id (functions 43/14 and 1
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
-from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 from .. import arguments
 
 if TYPE_CHECKING:
+    from ...client.blocking import Context
     from ...protocol.pdu import DeviceIdentification, ServerId
 
 __all__ = ["add_command"]
@@ -19,7 +18,7 @@ __all__ = ["add_command"]
 EXAMPLES = """\
 examples:
   libmodbus-py identify 192.0.2.10
-  libmodbus-py identify /dev/ttyUSB0 -b 9600 -u 7
+  libmodbus-py identify /dev/ttyUSB0 -b 9600 -u 1-9,17
   libmodbus-py identify 192.0.2.10 --level extended --json
   libmodbus-py identify 'tcp://192.0.2.10?unit=7&timeout=0.5' --level 4"""
 
@@ -33,7 +32,7 @@ def add_command(commands: Any) -> None:
         "is 1.",
         epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
     )
-    arguments.add_client(command)
+    arguments.add_client(command, several=True)
     command.add_argument(
         "--level",
         default="regular",
@@ -46,17 +45,19 @@ def add_command(commands: Any) -> None:
 
 def _identify(options: argparse.Namespace) -> int:
     from ...protocol.spelling import number_of
-    from ..connecting import connected
-    from .report import Named, print_report
+    from .report import print_report, report_units
 
     level = options.level
     wanted: str | int = number_of("level", level) if level[:1].isdigit() else level
-    with closing(connected(options)) as context:
-        questions: dict[str, Callable[[], Named]] = {
+
+    def report(context: Context, several: bool) -> int:
+        questions = {
             "identification": lambda: _objects(context.read_device_identification(wanted)),
             "server id": lambda: _server_id(context.report_server_id()),
         }
-        return print_report(context, questions, as_json=options.json)
+        return print_report(context, questions, as_json=options.json, several=several)
+
+    return report_units(options, report)
 
 
 def _objects(identification: DeviceIdentification) -> list[tuple[str, bytes]]:

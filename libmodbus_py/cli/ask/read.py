@@ -138,8 +138,6 @@ def _polls(text: str) -> int:
 
 
 def _read(options: argparse.Namespace) -> int:
-    if options.units:
-        options.unit = options.units[0]
     if options.watch is None and (options.count or options.lasts or options.page):
         options.watch = 1.0
     if options.watch is None:

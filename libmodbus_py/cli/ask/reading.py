@@ -18,7 +18,6 @@ from ...maps.plan_run import PlanRun
 from ...protocol.errors import (
     ExceptionResponse,
     IllegalDataAddress,
-    ModbusConnectionError,
     ModbusError,
 )
 from ..connecting import connected, endpoint_of
@@ -28,8 +27,9 @@ from ..status import Status
 from .formatters import Formatter, ReadResult, aligned, formatter_of
 from .item_plan import Cells, ItemPlan
 from .items import ALL, Item, Words
+from .units import ask_units, client_of, fail, units_of
 
-__all__ = ["Printer", "Reader", "object_of", "read", "readers_of", "reason_of"]
+__all__ = ["Printer", "Reader", "object_of", "read", "readers_of"]
 
 STATUS_AFTER = 1.0
 """Seconds until a status line is shown."""
@@ -44,13 +44,13 @@ class Reader:
         unit: the unit that is asked.
 
     Args:
-        unit: the unit that is asked; None for that of the options or the URL.
+        unit: the unit that is asked.
 
     Raises:
         ValueError: an argument is wrong.
     """
 
-    def __init__(self, options: argparse.Namespace, unit: int | None = None) -> None:
+    def __init__(self, options: argparse.Namespace, unit: int) -> None:
         words = Words(options, options.what)
         items = _items(words)
         # The points that scale others are read, too, if they are not among the items.
@@ -62,7 +62,7 @@ class Reader:
         self._plan = ItemPlan([*items, *sources])
         self._holes = Holes()
         client = endpoint_of(options).client_options
-        self.unit: int = client.get("unit", 1) if unit is None else unit
+        self.unit = unit
         # Few devices take several requests at the same time.
         self._limit: int = client.get("max_in_flight") or 1
 
@@ -77,8 +77,7 @@ class Reader:
             CommandError: the device refused the only item.
         """
         context.connect()
-        if context.unit != self.unit:
-            context = context.for_unit(self.unit)
+        context = client_of(context, self.unit)
         self._status = Status(after=STATUS_AFTER)
         try:
             run = PlanRun(self._plan.plan, self._holes, context.now(), *context.connection)
@@ -135,30 +134,21 @@ def readers_of(options: argparse.Namespace) -> list[Reader]:
     Raises:
         ValueError: an argument is wrong.
     """
-    return [Reader(options, unit) for unit in options.units or [None]]
+    return [Reader(options, unit) for unit in units_of(options)]
 
 
 def read(options: argparse.Namespace) -> int:
     """Read each unit once, and print."""
-    readers = readers_of(options)
-    printer = _printer(options, readers)
-    codes = []
+    readers = {reader.unit: reader for reader in readers_of(options)}
+    printer = _printer(options, [*readers.values()])
     with closing(connected(options)) as context:
-        for reader in readers:
-            codes.append(_read_unit(reader, context, printer, several=len(readers) > 1))
-    return max(codes)
 
+        def ask(unit: int) -> int:
+            results = readers[unit].ask(context)
+            printer.print(unit, results)
+            return _say_failures(results)
 
-def _read_unit(reader: Reader, context: Context, printer: Printer, *, several: bool) -> int:
-    try:
-        results = reader.ask(context)
-    except (ModbusError, CommandError) as error:
-        if not several or isinstance(error, ModbusConnectionError):
-            raise
-        printer.fail(reader.unit, reason_of(error))
-        return 1
-    printer.print(reader.unit, results)
-    return _say_failures(results)
+        return ask_units([*readers], ask, printer.fail)
 
 
 def _printer(options: argparse.Namespace, readers: Sequence[Reader]) -> Printer:
@@ -168,11 +158,6 @@ def _printer(options: argparse.Namespace, readers: Sequence[Reader]) -> Printer:
 
         return CsvPolls(readers[0].formatters, has_unit=several)
     return _JsonOnce() if options.json else _TextOnce(has_unit=several)
-
-
-def reason_of(error: ModbusError | CommandError) -> str:
-    """Return why a unit has no values, and what to try."""
-    return f"{error}{advice(error)}" if isinstance(error, ModbusError) else str(error)
 
 
 class Printer(Protocol):
@@ -188,7 +173,7 @@ class _JsonOnce:
         print_json(object_of(unit, results))
 
     def fail(self, unit: int, reason: str) -> None:
-        print_json({"unit": unit, "error": reason})
+        fail(unit, reason, as_json=True, lacks="values")
 
 
 class _TextOnce:
@@ -204,8 +189,7 @@ class _TextOnce:
             print("\n".join(lines))
 
     def fail(self, unit: int, reason: str) -> None:
-        print(f"unit {unit}: no values", flush=True)
-        complain(reason)
+        fail(unit, reason, as_json=False, lacks="values")
 
 
 def _say_failures(results: Sequence[ReadResult]) -> int:

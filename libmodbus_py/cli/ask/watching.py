@@ -17,8 +17,9 @@ from ..connecting import connected
 from ..failing import CommandError
 from ..serve import page
 from .lines import CsvPolls, JsonPolls, TextPolls
-from .reading import Printer, Reader, object_of, readers_of, reason_of
+from .reading import Printer, Reader, object_of, readers_of
 from .table import TerminalTable
+from .units import reason_of
 
 __all__ = ["watch"]
 

@@ -129,7 +129,7 @@ def test_diagnose_says_that_a_device_refused_to_listen_only(maker: ServerMaker) 
 def test_diagnose_takes_silence_for_consent_to_listen_only(maker: ServerMaker) -> None:
     server = maker(faults={None: [Fault("no_answer")]})
     done = run("diagnose", server.url, "force-listen-only", "7", "--json", "--timeout", "0.1")
-    assert (done.code, done.out) == (0, '{"force listen only": 7}\n')
+    assert (done.code, done.out) == (0, '{"unit": 1, "force listen only": 7}\n')
     assert len(server.transactions) == 1
 
 
