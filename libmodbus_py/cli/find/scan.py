@@ -14,8 +14,15 @@ from ...ports.schemes import PARITIES as WORDS_OF_PARITY
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...protocol.pdu.interface import OBJECT_NAMES
-from ...protocol.spelling import units_of
-from ...tools.scan.places import BAUDRATES, ON_LINES, ON_NETWORKS, PARITIES, STOP_BITS
+from ...tools.scan.places import (
+    BAUDRATES,
+    ON_LINES,
+    ON_NETWORKS,
+    PARITIES,
+    STOP_BITS,
+    USUAL,
+    USUAL_UNITS,
+)
 from ...tools.scan.scan import Found, Progress, Scan, scan
 from ...tools.scan.search import MOST_REQUESTS, Extent, Search, Searching, search
 from .. import arguments
@@ -36,11 +43,11 @@ MOST_SHOWN = 60
 
 
 QUICK = "1-10,17,100,247"
-"""Units that a quick scan asks, besides 255 on networks."""
+"""The usual units, as they are typed."""
 
-QUICK_BAUDRATES = (9600, 19200)
+QUICK_BAUDRATES = tuple(dict.fromkeys(baudrate for baudrate, _ in USUAL))
 
-QUICK_PARITIES = ("N", "E")
+QUICK_PARITIES = tuple(dict.fromkeys(parity for _, parity in USUAL))
 
 
 EXAMPLES = """\
@@ -56,9 +63,9 @@ def add_command(commands: Any) -> None:
     command = commands.add_parser(
         "scan",
         description="Ask each unit for one register at each setting of the line, and print those\n"
-        "that answer. Nothing is written. A baud rate, parity, unit or timeout in the\n"
-        "URL limits the search to it. A range such as 192.0.2.0/24 tries each host, and\n"
-        "scans those that accept a connection.",
+        "that answer; usual settings and units come first. Nothing is written. A baud\n"
+        "rate, parity, unit or timeout in the URL limits the search to it. A range such\n"
+        "as 192.0.2.0/24 tries each host, and scans those that accept a connection.",
         epilog="The exit code is 0 if a unit was found, 1 if none was found or the line failed,\n"
         f"130 on Ctrl-C.\n\n{EXAMPLES}\n\n{arguments.URLS}",
     )
@@ -233,7 +240,7 @@ def _chosen(options: argparse.Namespace, *, is_serial: bool) -> dict[str, Any]:
     chosen = {name: getattr(options, name) for name in ("baudrates", "parities", "units")}
     if not options.quick:
         return chosen
-    units = [*units_of(QUICK), *[255] * (not is_serial)]
+    units = [*USUAL_UNITS, *[255] * (not is_serial)]
     usual: dict[str, Any] = {"units": units}
     if is_serial:
         usual |= {"baudrates": QUICK_BAUDRATES, "parities": QUICK_PARITIES}
@@ -265,9 +272,13 @@ def _search(report: _Report) -> None:
 
 def _estimate(scan: Scan, deep: bool) -> str:
     more = f"; then up to {MOST_REQUESTS} requests to each unit found" if deep else ""
+    first = ""
+    if scan.longest_usual < scan.longest:
+        first = f"; units {QUICK} come first, and take {duration(scan.longest_usual)}"
     return (
         f"{counted(scan.total, 'probe')}, {duration(scan.longest)} at most, and "
-        f"{duration(scan.longest_found)} more for each unit found{more}; Ctrl-C stops the scan"
+        f"{duration(scan.longest_found)} more for each unit found{first}{more}; Ctrl-C stops the"
+        " scan"
     )
 
 

@@ -14,11 +14,24 @@ from ...ports.schemes import SERIAL_DEFAULTS, parity_of
 from ...protocol.checks import integer, seconds
 from ...security.security import Security
 
-__all__ = ["BAUDRATES", "PARITIES", "STOP_BITS", "Place", "listed", "places"]
+# fmt: off
+__all__ = [
+    "BAUDRATES", "ON_LINES", "ON_NETWORKS", "PARITIES", "STOP_BITS", "USUAL", "USUAL_UNITS",
+    "Place", "listed", "places",
+]
+# fmt: on
 
 BAUDRATES = (9600, 19200, 115200)
 
 PARITIES = ("E", "N", "O")
+
+# What most devices are set to when they leave the factory: the specification's 19200 8E1 (serial
+# line, 3.4), and 9600 without parity. Tried before other rates and parities.
+USUAL = ((9600, "N"), (9600, "E"), (19200, "E"), (19200, "N"))
+
+# Units that most devices have. Where a line has several settings, these are asked at all of them
+# before the other units are.
+USUAL_UNITS = (*range(1, 11), 17, 100, 247)
 
 # Serial line, 2.5.1: no parity means two stop bits. A receiver looks at the first one only, so
 # this finds devices with one stop bit as well.
@@ -129,11 +142,19 @@ def places(
     said = endpoint.options
     rates = [said["baudrate"]] if "baudrate" in said else BAUDRATES
     kinds = [said["parity"]] if "parity" in said else PARITIES
-    return [
-        Place(_set(endpoint, rate, parity), timeout, security)
+    settings = [
+        (rate, parity)
         for rate in listed("baudrates", baudrates, rates)
         for parity in dict.fromkeys(map(parity_of, listed("parities", parities, kinds)))
     ]
+    if baudrates is None and parities is None:
+        settings.sort(key=_unusual)
+    return [Place(_set(endpoint, *setting), timeout, security) for setting in settings]
+
+
+def _unusual(setting: tuple[int, str]) -> int:
+    """Return the position of a setting among the usual ones; all others come after them."""
+    return USUAL.index(setting) if setting in USUAL else len(USUAL)
 
 
 def _set(endpoint: Endpoint, baudrate: int, parity: str) -> Endpoint:

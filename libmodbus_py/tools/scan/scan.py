@@ -15,7 +15,7 @@ from ...protocol.checks import integer
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...security.security import Security
-from .places import Place, listed, places
+from .places import USUAL_UNITS, Place, listed, places
 from .probe import LONGEST_SIZE, MOST_PAGES, PROBE_SIZE, Answer, Nothing, Prober
 from .walking import Walk, Walker
 
@@ -98,6 +98,8 @@ class Scan(Walker[Found]):
     Attributes:
         total: the number of probes, if no unit is found.
         longest: seconds that the scan takes at most, if no unit is found.
+        longest_usual: seconds until the usual units were asked at all settings, at most, if no
+            unit is found; `longest` if these are all, or if there is one setting.
         longest_found: seconds that each unit found adds at most.
         notes: other observations, one line each.
         requests: the number of requests sent.
@@ -107,6 +109,7 @@ class Scan(Walker[Found]):
         super().__init__(scanned)
         self.total: int = scanned.total
         self.longest: float = scanned.longest
+        self.longest_usual: float = scanned.longest_usual
         self.longest_found: float = scanned.longest_found
         self.notes: list[str] = scanned.notes
 
@@ -117,38 +120,53 @@ class _PlacesScan(Walk[Found]):
     def __init__(
         self,
         asked_at: list[Place],
-        units: list[int],
+        rounds: list[list[int]],
         on_progress: Callable[[Progress], object] | None,
     ) -> None:
         super().__init__()
         self.notes: list[str] = []
-        self.total: int = len(asked_at) * len(units)
-        self.longest: float = sum(_longest(place, len(units)) for place in asked_at)
+        self.total: int = len(asked_at) * sum(map(len, rounds))
+        longest = [sum(_longest(place, len(units)) for place in asked_at) for units in rounds]
+        self.longest: float = sum(longest)
+        self.longest_usual: float = longest[0]
         self.longest_found: float = max(MORE_ASKED * each.wait(LONGEST_SIZE) for each in asked_at)
-        self._places = asked_at
-        self._units = units
+        self._scans = [_UnitsScan(each, rounds, self._tell, self._skip) for each in asked_at]
+        self._rounds = rounds
         self._on_progress = on_progress
         self._left = self.longest
         self._done = 0
 
     def steps(self) -> Generator[Found, None, None]:
-        refused: list[ModbusConnectionError] = []
-        for place in self._places:
-            try:
-                with self._asking(place) as prober:
-                    units = _UnitsScan(place, prober, self._units, self._tell, self._skip)
-                    yield from units.steps(self.notes)
-            except ModbusConnectionError as error:
-                if self.is_closed:
-                    return
-                # A setting that this port refuses does not affect the others.
-                if not (place.is_serial and error.errno == errno.EINVAL):
-                    raise
-                refused.append(error)
-                self.notes.append(f"{place}: {error}")
-                self._skip(place, len(self._units))
-        if len(refused) == len(self._places):
-            raise refused[0]
+        try:
+            for number in range(len(self._rounds)):
+                # The devices on a line have the same settings, mostly.
+                for scan in sorted(self._scans, key=lambda each: not each.has_found):
+                    yield from self._round(scan, number)
+        finally:
+            for scan in self._scans:
+                self.notes += scan.seen()
+
+    def _round(self, scan: _UnitsScan, number: int) -> Generator[Found, None, None]:
+        """Ask the units of a round at one place."""
+        if self.is_closed:
+            return
+        if scan.is_done:
+            self._skip(scan.place, len(self._rounds[number]))
+            return
+        try:
+            with self._asking(scan.place) as prober:
+                yield from scan.steps(prober, number, self.notes)
+        except ModbusConnectionError as error:
+            if self.is_closed:
+                return
+            # A setting that this port refuses does not affect the others.
+            if not (scan.place.is_serial and error.errno == errno.EINVAL):
+                raise
+            scan.refused = error
+            self.notes.append(f"{scan.place}: {error}")
+            self._skip(scan.place, len(self._rounds[number]))
+            if all(each.refused is not None for each in self._scans):
+                raise
 
     def _tell(self, place: Place, unit: int) -> None:
         if self._on_progress is not None:
@@ -162,19 +180,27 @@ class _PlacesScan(Walk[Found]):
 
 
 class _UnitsScan:
-    """The scan of all units at one place."""
+    """
+    The scan of all units at one place, in one round or several.
+
+    Attributes:
+        place: an endpoint with one setting.
+        refused: raised because the port cannot have this setting.
+        is_done: True if nothing is left to ask here, whatever the rounds still have.
+    """
 
     def __init__(
         self,
         place: Place,
-        prober: Prober,
-        units: list[int],
+        rounds: list[list[int]],
         tell: Callable[[Place, int], None],
         skip: Callable[[Place, int], None],
     ) -> None:
-        self._place = place
-        self._prober = prober
-        self._units = units
+        self.place = place
+        self.refused: ModbusConnectionError | None = None
+        self._is_left = False
+        self._rounds = rounds
+        self._units = [unit for units in rounds for unit in units]
         self._tell = tell
         self._skip = skip
         self._nothing: list[tuple[int, Nothing]] = []
@@ -184,52 +210,65 @@ class _UnitsScan:
         self._alike: list[tuple[int, Answer]] = []
         self._others = 0
 
-    def steps(self, notes: list[str]) -> Generator[Found, None, None]:
-        """Probe the units; other observations are added to the notes, even if the scan is left."""
-        try:
-            yield from self._walk(notes)
-        finally:
-            notes += self._seen()
+    @property
+    def is_done(self) -> bool:
+        return self._is_left or self.refused is not None
 
-    def _walk(self, notes: list[str]) -> Generator[Found, None, None]:
-        for index, unit in enumerate(self._units):
-            self._tell(self._place, unit)
-            answer = self._prober.probe(unit)
+    @property
+    def has_found(self) -> bool:
+        """True if a unit has answered here."""
+        return bool(self._others or self._alike)
+
+    def steps(self, prober: Prober, number: int, notes: list[str]) -> Generator[Found, None, None]:
+        """Probe the units of a round; other observations are added to the notes."""
+        units = self._rounds[number]
+        for index, unit in enumerate(units):
+            self._tell(self.place, unit)
+            answer = prober.probe(unit)
             if isinstance(answer, Nothing):
                 self._nothing.append((unit, answer))
                 if answer.is_never_silent:
                     notes.append(
-                        f"{self._place}: the line is never silent, so units were not probed from "
+                        f"{self.place}: the line is never silent, so units were not probed from "
                         f"unit {unit} on; others send, perhaps at another rate or parity"
                     )
-                    self._skip(self._place, len(self._units) - index - 1)
+                    self._leave(len(units) - index - 1)
                     return
             else:
                 if not self._is_known:
-                    self._learn()
+                    self._learn(prober)
                 if self._usual is not None and self._usual.exception is None:
-                    self._skip(self._place, len(self._units) - index - 1)
+                    self._leave(len(units) - index - 1)
                     self._alike.append((unit, answer))
                     break
                 if self._usual is not None and self._usual.exception == answer.exception:
                     self._alike.append((unit, answer))
                 else:
                     self._others += 1
-                    yield self._found(unit, answer)
-            yield from self._late()
+                    yield self._found(prober, unit, answer)
+            yield from self._late(prober)
+        if number == len(self._rounds) - 1 or self._is_left:
+            yield from self._conclude(prober, notes)
+
+    def _leave(self, left: int) -> None:
+        """Leave out the rest of this round, and all further ones."""
+        self._is_left = True
+        self._skip(self.place, left)
+
+    def _conclude(self, prober: Prober, notes: list[str]) -> Generator[Found, None, None]:
         if self._alike and not self._others:
             unit, answer = self._alike[0]
             notes.append(
-                f"{self._place}: all units are answered alike, including reserved ones: "
+                f"{self.place}: all units are answered alike, including reserved ones: "
                 "the server ignores the unit, and is one device"
             )
-            yield self._found(unit, answer, is_any=True)
+            yield self._found(prober, unit, answer, is_any=True)
 
-    def _learn(self) -> None:
+    def _learn(self, prober: Prober) -> None:
         """Probe two units that cannot exist: only a server that ignores the unit answers."""
         self._is_known = True
         chosen = [unit for unit in RESERVED if unit not in self._units][:2]
-        answers = [self._prober.probe(unit) for unit in chosen]
+        answers = [prober.probe(unit) for unit in chosen]
         if len(answers) < 2:
             return
         first, second = answers
@@ -238,30 +277,31 @@ class _UnitsScan:
         if first.exception == second.exception:
             self._usual = first
 
-    def _late(self) -> Generator[Found, None, None]:
-        for unit, answer in self._prober.late():
+    def _late(self, prober: Prober) -> Generator[Found, None, None]:
+        for unit, answer in prober.late():
             self._latest = max(self._latest, answer.took)
             if unit in self._units:
                 self._nothing = [each for each in self._nothing if each[0] != unit]
                 self._others += 1
                 yield replace(self._made(unit, answer), is_late=True)
 
-    def _found(self, unit: int, answer: Answer, is_any: bool = False) -> Found:
-        server_id = self._prober.server_id(unit)
-        identification = self._prober.identification(unit)
+    def _found(self, prober: Prober, unit: int, answer: Answer, is_any: bool = False) -> Found:
+        server_id = prober.server_id(unit)
+        identification = prober.identification(unit)
         made = self._made(unit, answer)
         return replace(made, is_any=is_any, server_id=server_id, identification=identification)
 
     def _made(self, unit: int, answer: Answer) -> Found:
-        return Found(unit, self._place.url(unit), *answer, **self._place.settings)
+        return Found(unit, self.place.url(unit), *answer, **self.place.settings)
 
     # --- what was seen besides ------------------------------------------------------------
 
-    def _seen(self) -> Iterator[str]:
+    def seen(self) -> Iterator[str]:
+        """Yield other observations, one line each."""
         gateway = [unit for unit, nothing in self._nothing if nothing.is_gateway]
         if gateway:
             yield (
-                f"{self._place}: a gateway reports {len(gateway)} units as absent "
+                f"{self.place}: a gateway reports {len(gateway)} units as absent "
                 "(exception 10 or 11); they are not counted as found"
             )
         noise = [each for each in self._nothing if each[1].is_noise]
@@ -269,17 +309,17 @@ class _UnitsScan:
             unit, nothing = noise[0]
             hint = "; a device may use another rate or parity, or others send"
             yield (
-                f"{self._place}: {len(noise)} of the probes brought bytes that are no response"
-                f"{hint * self._place.is_serial} (unit {unit}: {nothing.error.args[0]})"
+                f"{self.place}: {len(noise)} of the probes brought bytes that are no response"
+                f"{hint * self.place.is_serial} (unit {unit}: {nothing.error.args[0]})"
             )
         if self._latest:
             yield (
-                f"{self._place}: responses came late, after up to {self._latest:.2g} s; "
+                f"{self.place}: responses came late, after up to {self._latest:.2g} s; "
                 "a longer timeout may find more"
             )
         if self._alike and self._others:
             yield (
-                f"{self._place}: {len(self._alike)} units are answered like units that cannot "
+                f"{self.place}: {len(self._alike)} units are answered like units that cannot "
                 f"exist (exception {self._alike[0][1].exception}); they are not counted as found"
             )
 
@@ -314,10 +354,14 @@ def scan(
     10 and 11, with which gateways report an absent unit. Units that answer are sent functions 17
     and 43/14. Nothing is sent before the result is iterated.
 
+    If no units are given and the line may have several settings, usual units are asked first, at
+    all settings; then the others, beginning with the settings at which a unit has answered.
+
     Args:
         url: as for a client. Its baud rate, parity, unit and timeout are used unless the
             arguments below give others.
-        baudrates: for serial ports; 9600, 19200 and 115200.
+        baudrates: for serial ports; 9600, 19200 and 115200. Unless they or parities are given,
+            usual combinations are tried first, such as 9600 8N1 and 19200 8E1.
         parities: for serial ports; "E", "N" and "O". Stop bits are those of the URL, otherwise
             2 without parity and 1 with parity, which finds devices of either kind.
         units: 0..255; 1..247, and 255 on tcp, tls and udp. Not 0 where it is a broadcast.
@@ -337,7 +381,10 @@ def scan(
     usual = _usual_units(asked_at[0])
     lowest = int(asked_at[0].has_broadcast)
     chosen = [integer("units", unit, lowest, 255) for unit in listed("units", units, usual)]
-    return Scan(_PlacesScan(asked_at, chosen, on_progress))
+    rounds = [chosen]
+    if units is None and len(asked_at) > 1 and len(usual) > len(USUAL_UNITS):
+        rounds = [[*USUAL_UNITS], [unit for unit in usual if unit not in USUAL_UNITS]]
+    return Scan(_PlacesScan(asked_at, rounds, on_progress))
 
 
 def _usual_units(place: Place) -> list[int]:

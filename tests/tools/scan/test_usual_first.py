@@ -1,0 +1,132 @@
+"""
+The order of a full scan of a line: usual settings and units first.
+"""
+
+from __future__ import annotations
+
+import signal
+
+from libmodbus_py import Device, Mapping
+from libmodbus_py.scan import scan
+from libmodbus_py.tools.scan.places import USUAL_UNITS
+from libmodbus_py.tools.scan.scan import Progress
+from tests.support.commands import Started
+from tests.support.peers import until
+from tests.tools.scan.serial_bus import Bus, Member, of
+from tests.tools.scan.simulated_bus import SimulatedBus, simulated
+
+TIMEOUT = 0.05
+
+
+def device() -> Device:
+    return Device(Mapping(holding_registers=1))
+
+
+def probed(bus: SimulatedBus) -> list[tuple[int, int]]:
+    """Return (baudrate, unit) of each probe, without identification."""
+    return [(baudrate, unit) for baudrate, unit, pdu in bus.asked if pdu == b"\x03\0\0\0\1"]
+
+
+def test_usual_settings_and_units_are_asked_first() -> None:
+    with simulated() as network:
+        bus = SimulatedBus(network, {})
+        told: list[Progress] = []
+        with scan(bus.url, timeout=TIMEOUT, on_progress=told.append) as scanned:
+            assert list(scanned) == []
+        places = list(dict.fromkeys(each.setting for each in told))
+    assert places[:4] == ["9600 8N2", "9600 8E1", "19200 8E1", "19200 8N2"]
+    assert len(places) == 9
+    first = 9 * len(USUAL_UNITS)
+    assert [each.unit for each in told[:first]] == [*USUAL_UNITS] * 9
+    assert {each.unit for each in told[first:]} == {*range(1, 248)} - {*USUAL_UNITS}
+    asked = {(each.setting, each.unit) for each in told}
+    assert len(asked) == len(told) == scanned.total == 9 * 247  # each once
+    assert [each.done for each in told] == [*range(scanned.total)]
+
+
+def test_the_settings_at_which_a_unit_answered_are_the_first_of_the_second_round() -> None:
+    members = {7: Member(of(device()), 19200, 1), 55: Member(of(device()), 19200, 1)}
+    with simulated() as network:
+        bus = SimulatedBus(network, members)
+        told: list[Progress] = []
+        scanned = scan(bus.url, timeout=TIMEOUT, on_progress=told.append)
+        found = next(scanned)
+        assert (found.unit, found.baudrate, found.parity) == (7, 19200, "E")
+        assert len(told) < 3 * len(USUAL_UNITS)
+        late = [(each.unit, each.baudrate, each.parity) for each in scanned]
+        second = told[9 * len(USUAL_UNITS)]
+        assert (second.setting, second.unit) == ("19200 8E1", 11)
+        # One stop bit: odd parity looks the same on this bus.
+        assert late == [(7, 19200, "O"), (55, 19200, "E"), (55, 19200, "O")]
+
+
+def test_it_says_before_it_starts_how_long_each_part_takes() -> None:
+    with simulated() as network:
+        bus = SimulatedBus(network, {})
+        scanned = scan(bus.url, timeout=TIMEOUT)
+        started = network.events.now
+        ends: list[float] = []
+
+        def note(progress: Progress) -> None:
+            if progress.done == 9 * len(USUAL_UNITS):
+                ends.append(network.events.now - started)
+
+        scanned = scan(bus.url, timeout=TIMEOUT, on_progress=note)
+        list(scanned)
+        assert bus.asked
+        assert 0.6 * scanned.longest_usual < ends[0] < scanned.longest_usual
+        assert ends[0] < network.events.now - started < scanned.longest
+
+
+def test_what_was_typed_is_asked_in_one_round_and_its_order() -> None:
+    with simulated() as network:
+        bus = SimulatedBus(network, {})
+        scanned = scan(bus.url, baudrates=[19200, 9600], parities="E", units=[40, 1], timeout=0.05)
+        list(scanned)
+        assert probed(bus) == [(19200, 40), (19200, 1), (9600, 40), (9600, 1)]
+        assert scanned.longest_usual == scanned.longest
+
+
+def test_one_setting_is_one_round() -> None:
+    with simulated() as network:
+        bus = SimulatedBus(network, {})
+        list(scan(f"{bus.url}?baudrate=9600&parity=N", timeout=TIMEOUT))
+        assert [unit for _, unit in probed(bus)] == [*range(1, 248)]
+
+
+def test_one_device_that_ignores_the_unit_is_not_asked_again() -> None:
+    with simulated() as network:
+        every = {unit: Member(of(device()), 9600, 2) for unit in range(256)}
+        bus = SimulatedBus(network, every)
+        with scan(bus.url, baudrates=[9600, 19200], parities="N", timeout=TIMEOUT) as scanned:
+            found = list(scanned)
+        assert [(each.is_any, each.baudrate) for each in found] == [(True, 9600)]
+        assert len([unit for baudrate, unit in probed(bus) if baudrate == 9600]) == 3
+        assert sum("all units are answered alike" in note for note in scanned.notes) == 1
+
+
+def test_what_a_place_showed_is_noted_once() -> None:
+    with simulated() as network:
+        bus = SimulatedBus(network, {9: Member(of(device()), 9600, 2, garbles=True)})
+        with scan(bus.url, baudrates=[9600, 19200], parities="N", timeout=TIMEOUT) as scanned:
+            list(scanned)
+    notes = [note for note in scanned.notes if "19200 8N2" in note]
+    assert len(notes) == 1
+    assert "brought bytes that are no response" in notes[0]
+
+
+def test_the_command_finds_a_usual_device_at_once() -> None:
+    with (
+        Bus({7: Member(of(device()), 19200, 1)}) as bus,
+        Started("scan", bus.path, "--timeout", "30ms") as process,
+    ):
+        first = process.stdout.readline()
+        estimate = process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        assert process.wait() == 130
+        until(lambda: bus.is_restored)
+        asked = [(baudrate, unit) for baudrate, unit, pdu in bus.asked if pdu[0] == 3]
+    assert first.startswith("unit 7 at 19200 8E1: ")
+    assert estimate.startswith("2223 probes, ")
+    assert "; units 1-10,17,100,247 come first, and take " in estimate
+    assert asked[: len(USUAL_UNITS)] == [(9600, unit) for unit in USUAL_UNITS]
