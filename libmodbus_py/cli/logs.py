@@ -11,8 +11,9 @@ import contextlib
 import logging
 import sys
 from collections.abc import Callable, Iterator
-from datetime import UTC, datetime
 from typing import Any
+
+from ..protocol.shown_time import time_text
 
 __all__ = ["add_arguments", "called_before_lines", "logged"]
 
@@ -91,7 +92,8 @@ class TextFormatter(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         name = record.name.removeprefix(f"{PACKAGE}.")
-        text = f"{_time(record)} {record.levelname.lower():<7} {name}: {record.getMessage()}"
+        level = record.levelname.lower()
+        text = f"{time_text(record.created)} {level:<7} {name}: {record.getMessage()}"
         return f"{text}\n{self.formatException(record.exc_info)}" if record.exc_info else text
 
 
@@ -102,7 +104,7 @@ class JsonFormatter(logging.Formatter):
         from ..protocol.json_text import json_text
 
         entry = {
-            "time": _time(record),
+            "time": time_text(record.created),
             "level": record.levelname.lower(),
             "logger": record.name,
             "message": record.getMessage(),
@@ -110,10 +112,6 @@ class JsonFormatter(logging.Formatter):
         if record.exc_info:
             entry["exception"] = self.formatException(record.exc_info)
         return json_text(entry)
-
-
-def _time(record: logging.LogRecord) -> str:
-    return datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds")
 
 
 FORMATTERS: dict[str, type[logging.Formatter]] = {"json": JsonFormatter, "text": TextFormatter}

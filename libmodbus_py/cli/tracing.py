@@ -7,11 +7,11 @@ from __future__ import annotations
 import contextlib
 import logging
 import sys
-import time
 from collections.abc import Iterator
 
 from ..ports.trace import WIRE, Traced
 from ..protocol.pdu import REQUESTS
+from ..protocol.shown_time import clock_text
 
 __all__ = ["Tracing", "in_columns", "print_frame", "wire_printed"]
 
@@ -74,14 +74,13 @@ def in_columns(traced: Traced, took: float | None = None) -> str:
     Args:
         took: seconds since the request.
     """
-    seconds, part = divmod(round(traced.time * 1000), 1000)
-    clock = time.strftime("%H:%M:%S", time.localtime(seconds))
+    clock = clock_text(traced.time, with_milliseconds=True)
     arrow = ">" if traced.direction == "sent" else "<"
     unit = "" if traced.unit is None else traced.unit
     late = "" if took is None else f"{took * 1000:.1f} ms"
     is_text = traced.endpoint.startswith("ascii") and traced.adu.isascii()
     shown = repr(traced.adu.decode())[1:-1] if is_text else traced.adu.hex(" ")
-    return f"{clock}.{part:03} {arrow} {unit:>3}  {_function(traced):<24} {late:>9}  {shown}"
+    return f"{clock} {arrow} {unit:>3}  {_function(traced):<24} {late:>9}  {shown}"
 
 
 def _function(traced: Traced) -> str:

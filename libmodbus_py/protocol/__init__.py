@@ -22,6 +22,7 @@ Bottom up:
                (type_names: what type checkers know of them)
     times      dates and times in registers
     durations  seconds, as people type them
+    shown_time  points in time, as outputs show them
     spelling   values as people read and type them
     plain      values as JSON can contain them
     json_text  the encoders of JSON

@@ -22,6 +22,7 @@ from ..protocol.callbacks import checked_callback, finished
 from ..protocol.errors import ExceptionResponse
 from ..protocol.json_text import json_text
 from ..protocol.logs import HarmlessLogger
+from ..protocol.shown_time import time_text
 from ..security.describing import CertificateHolder
 
 __all__ = ["Audit", "AuditEvent", "AuditFile", "OnAudited", "audit_of"]
@@ -73,7 +74,7 @@ class AuditEvent:
     def json(self) -> str:
         """Return the event as one line of JSON, without the newline."""
         found = dataclasses.asdict(dataclasses.replace(self, changes=()))
-        found["time"] = self.time.isoformat(timespec="milliseconds")
+        found["time"] = time_text(self.time.timestamp())
         found["changes"] = [_change(each) for each in self.changes]
         return json_text(
             {key: value for key, value in found.items() if value not in (None, "", [])}

@@ -5,11 +5,12 @@ A line for each poll, with the time: text, CSV or JSON.
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Sequence
-from datetime import datetime
 from typing import Any
 
 from ...protocol.plain import without_controls
+from ...protocol.shown_time import time_text
 from ...tools.files.csv_text import csv_rows
 from ..output import print_json
 from .formatters import Formatter, ReadResult
@@ -18,7 +19,7 @@ __all__ = ["CsvPolls", "JsonPolls", "TextPolls"]
 
 
 def _now() -> str:
-    return datetime.now().astimezone().isoformat(timespec="milliseconds")
+    return time_text(time.time())
 
 
 class TextPolls:

@@ -9,6 +9,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 
+from ...protocol.shown_time import clock_text
 from ..redrawn import Redrawn
 from .formatters import FormattedValue, ReadResult, aligned
 
@@ -149,4 +150,4 @@ def _has_sparks() -> bool:
 
 
 def _clock() -> str:
-    return time.strftime("%H:%M:%S")
+    return clock_text(time.time())

@@ -9,12 +9,12 @@ import logging
 import reprlib
 import signal
 import sys
-import time
 from typing import Any
 
 from ...ports.schemes import SERIAL_OPTIONS
 from ...protocol.errors import ExceptionResponse, in_hex
 from ...protocol.plain import plain
+from ...protocol.shown_time import clock_text, time_text
 from ...tools.listener.listener import Listener, listen
 from ...tools.listener.transaction import Transaction
 from .. import arguments
@@ -132,14 +132,13 @@ def _print_line(transaction: Transaction) -> None:
 
 def line_of(transaction: Transaction) -> str:
     """Return a transaction as one line: time, unit, duration, request and answer."""
-    seconds, part = divmod(round(transaction.time * 1000), 1000)
-    clock = time.strftime("%H:%M:%S", time.localtime(seconds))
+    clock = clock_text(transaction.time, with_milliseconds=True)
     where = "-" if transaction.unit is None else f"{transaction.unit}"
     took = "" if transaction.duration is None else f"{transaction.duration * 1000:.1f} ms"
     again = f", repeat {transaction.repeats}" if transaction.repeats else ""
     answer = f"{_answer(transaction)}{again}"
     coloured = styled(answer, STYLES.get(transaction.kind, "31") or (again and REPEATED))
-    return f"{clock}.{part:03} {where:>3} {took:>9}  {_question(transaction)} -> {coloured}"
+    return f"{clock} {where:>3} {took:>9}  {_question(transaction)} -> {coloured}"
 
 
 def _question(transaction: Transaction) -> str:
@@ -161,7 +160,7 @@ def _answer(transaction: Transaction) -> str:
 def _print_json(transaction: Transaction) -> None:
     error = transaction.error
     fields = {
-        "time": transaction.time,
+        "time": time_text(transaction.time),
         "kind": transaction.kind,
         "unit": transaction.unit,
         "function": transaction.function,

@@ -4,9 +4,9 @@ The devices of a fleet that are down, and its values, as lines for a terminal.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 
+from ...protocol.shown_time import clock_text
 from ...services.fleet.fleet import Fleet
 from ...services.fleet.outputs.last_values import KeptReadings
 from ...services.fleet.poller import DeviceState
@@ -45,7 +45,7 @@ def fleet_lines(fleet: Fleet, kept: KeptReadings, title: str) -> list[tuple[str,
 def _down(fleet: Fleet) -> Iterator[str]:
     for each in fleet.devices.values():
         if each.state is DeviceState.DOWN:
-            clock = time.strftime("%H:%M:%S", time.localtime(each.since))
+            clock = clock_text(each.since)
             why = str(each.error).rpartition("): ")[2]
             yield f"{each.name[:WIDEST]} is down since {clock}: {why}"
 

@@ -16,7 +16,7 @@ from weakref import WeakValueDictionary
 from ...protocol.errors import ModbusError
 from ...protocol.json_text import JSON
 from ...protocol.logs import HarmlessLogger
-from .readings import time_text
+from ...protocol.shown_time import time_text
 from .statistics import FleetStatistics
 
 __all__ = ["Commands", "Wanted", "Writing", "encoded", "wanted_of"]

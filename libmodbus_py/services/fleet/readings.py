@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from typing import Any, Literal, NamedTuple
 
 from ...maps.meaning import NoValue
@@ -18,7 +17,7 @@ from ...protocol.errors import (
     ModbusError,
 )
 
-__all__ = ["Changes", "Quality", "Reading", "is_down", "judged", "time_text"]
+__all__ = ["Changes", "Quality", "Reading", "is_down", "judged"]
 
 Quality = Literal["good", "bad", "down", "offline"]
 
@@ -58,11 +57,6 @@ class Reading(NamedTuple):
     def poll(self) -> tuple[str, float]:
         """The device and the time, which all readings of a poll share."""
         return self.device, self.time
-
-
-def time_text(time: float) -> str:
-    """Return a time in ISO 8601, in UTC, with milliseconds."""
-    return f"{datetime.fromtimestamp(time, UTC).isoformat(timespec='milliseconds')[:-6]}Z"
 
 
 # Errors after which the device is not down, because it sent something.

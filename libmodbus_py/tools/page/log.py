@@ -10,7 +10,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import fields
-from datetime import UTC, datetime
 from itertools import count
 from typing import Any, NamedTuple
 
@@ -19,6 +18,7 @@ from ...ports.schemes import framing_of
 from ...ports.trace import Traced
 from ...protocol import pdu
 from ...protocol.pdu import Request
+from ...protocol.shown_time import time_text
 from ..files.csv_text import csv_rows
 from ..listener.traces import Exchange, TracePairing
 from .named import named_cells
@@ -168,7 +168,7 @@ class Log:
             writes, errors: only writes, and only what was not answered well; both for either.
         """
         rows = [
-            [_time_text(each.time), *each[2:6], each.named, each.outcome, each.kind, each.seconds]
+            [time_text(each.time), *each[2:6], each.named, each.outcome, each.kind, each.seconds]
             for each in self.rows()
             if unit in ("", str(each.unit)) and _is_wanted(each, writes=writes, errors=errors)
         ]
@@ -194,11 +194,6 @@ class Log:
                 break
             newest.append(each)
         return newest[::-1]
-
-
-def _time_text(time: float) -> str:
-    """Return a time in ISO 8601, in UTC, with milliseconds."""
-    return f"{datetime.fromtimestamp(time, UTC).isoformat(timespec='milliseconds')[:-6]}Z"
 
 
 def _is_wanted(row: LogRow, *, writes: bool, errors: bool) -> bool:

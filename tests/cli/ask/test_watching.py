@@ -44,7 +44,7 @@ def interrupted(process: Started) -> str:
 
 def test_a_pipe_gets_a_line_for_each_poll_at_once(running: Running, mapping: Mapping) -> None:
     with Started("read", running.urls[0], "holding", "0", "2", *WATCH) as process:
-        assert re.fullmatch(r"\d{4}-\d\d-\d\dT[\d:.+-]+  0 0\n", process.stdout.readline())
+        assert re.fullmatch(r"\d{4}-\d\d-\d\dT[\d:.]+Z  0 0\n", process.stdout.readline())
         mapping.holding_registers[1] = 7
         while not process.stdout.readline().endswith("  0 7\n"):
             pass

@@ -23,7 +23,7 @@ from libmodbus_py import (
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.buffer import Buffer
 from libmodbus_py.services.fleet.outputs.forms import as_csv, as_json
-from libmodbus_py.services.fleet.readings import Changes, is_down, judged, time_text
+from libmodbus_py.services.fleet.readings import Changes, is_down, judged
 
 NAN = math.nan
 
@@ -82,11 +82,6 @@ def test_points_are_told_for_themselves() -> None:
 )
 def test_down_is_who_gives_no_answer(error: Exception, expected: bool) -> None:
     assert is_down(error) is expected
-
-
-def test_times_are_written_as_iso_8601() -> None:
-    assert time_text(0.0004) == "1970-01-01T00:00:00.000Z"
-    assert time_text(1_700_000_000.1239) == "2023-11-14T22:13:20.123Z"
 
 
 def test_readings_as_text() -> None:

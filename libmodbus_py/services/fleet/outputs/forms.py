@@ -13,8 +13,9 @@ from typing import Any
 
 from ....protocol.json_text import JSON, json_text
 from ....protocol.plain import plain
+from ....protocol.shown_time import time_text
 from ....tools.files.csv_text import csv_rows
-from ..readings import Reading, time_text
+from ..readings import Reading
 
 __all__ = ["COLUMNS", "as_csv", "as_json", "labels_text", "payload"]
 
