@@ -1,0 +1,231 @@
+"""
+What a worker knows of the bucket, change by change: times and revisions from a list.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from libmodbus_py.services.workers.records import (
+    Connection,
+    FleetSettings,
+    Member,
+    Slot,
+    encode_holder,
+)
+from libmodbus_py.services.workers.view import BucketView, Entry
+from tests.support.cases import each_case
+
+LINE = Connection("", "tcp:192.0.2.1:502", 1.0, '{"devices": []}')
+NORTH = Connection("north", LINE.key, 1.0, '{"devices": []}')
+OTHER = Connection("", "tcp:192.0.2.2:502", 1.0, '{"devices": []}')
+
+
+def member(id: str = "a.1", state: Any = "here", beat: int = 1, lease: float = 10.0) -> bytes:
+    return Member(id, state, ("",), lease, beat).encode()
+
+
+def view_of(*entries: tuple[str, bytes | None, int], at: float = 0.0) -> BucketView:
+    view = BucketView()
+    for entry in entries:
+        view.add(Entry(*entry), at)
+    return view
+
+
+class TestChanges:
+    def test_a_renewal_is_no_change_and_all_else_is_one(self) -> None:
+        view = BucketView()
+        counts = []
+        for revision, (key, value) in enumerate(
+            [
+                ("settings", FleetSettings().encode()),
+                ("worker.a.1", member()),
+                ("worker.a.1", member(beat=2)),
+                ("worker.a.1", member(lease=20.0)),
+                ("worker.a.1", member("a.1", "ended", lease=20.0)),
+                ("worker.a.1", None),
+                (LINE.bucket_key, LINE.encode()),
+            ],
+            start=1,
+        ):
+            assert view.add(Entry(key, value, revision), 0.0)
+            counts.append(view.changes)
+        assert counts == [1, 2, 2, 3, 4, 5, 6]
+
+    def test_a_key_may_come_behind_a_newer_one_of_another(self) -> None:
+        view = view_of(("worker.a.1", member(), 5), ("worker.b.1", member("b.1"), 3))
+        assert view.revision == 5
+        assert view.seen_at("worker.b.1").revision == 3
+        assert sorted(view.members) == ["a.1", "b.1"]
+
+    def test_what_is_known_changes_nothing(self) -> None:
+        view = view_of(("settings", FleetSettings(5.0).encode(), 2))
+        for revision in (1, 2):
+            assert not view.add(Entry("settings", None, revision), 1.0)
+        assert view.settings == FleetSettings(5.0)
+        assert view.changes == 1
+        assert view.seen_at("settings") == (2, 0.0)
+
+    def test_of_a_key_that_never_was_there_nothing_is_known(self) -> None:
+        assert view_of().seen_at("worker.a.1") == (0, float("-inf"))
+
+    def test_a_worker_that_comes_again_has_not_vanished(self) -> None:
+        view = view_of(("worker.a.1", member(), 1))
+        view.add(Entry("worker.a.1", None, 2), 3.0)
+        assert view.vanished == {"a.1": 3.0}
+        view.add(Entry("worker.a.1", member(), 3), 4.0)
+        assert view.vanished == {}
+
+
+class TestValuesThatCannotBeRead:
+    @each_case(
+        ("key", "value"),
+        [
+            ("settings", b"{}"),
+            ("worker.a.1", b"[]"),
+            ("slot._.7", b""),
+            (LINE.bucket_key, b"{"),
+            (LINE.bucket_key, OTHER.encode()),
+        ],
+    )
+    def test_the_previous_value_is_forgotten_and_the_reason_known(
+        self, key: str, value: bytes
+    ) -> None:
+        good = {
+            "settings": FleetSettings().encode(),
+            "worker.a.1": member(),
+            "slot._.7": encode_holder("a.1", "a.1"),
+            LINE.bucket_key: LINE.encode(),
+        }[key]
+        view = view_of((key, good, 1))
+        view.add(Entry(key, value, 2), 1.0)
+        assert list(view.unreadable) == [key]
+        assert view.unreadable[key].startswith(f"{key}: ")
+        if key != "settings":  # those stay as they were
+            assert (view.members, view.holders, list(view.connections)) == ({}, {}, [])
+        view.add(Entry(key, good, 3), 2.0)
+        assert view.unreadable == {}
+        view.add(Entry(key, value, 4), 3.0)
+        view.add(Entry(key, None, 5), 4.0)
+        assert view.unreadable == {}
+
+    @each_case("number", ["x", "", "0256", "1000", "-1", "\u0665"])
+    def test_a_slot_with_such_a_number_is_none(self, number: str) -> None:
+        view = view_of((f"slot._.{number}", encode_holder("a.1", "a.1"), 1))
+        assert view.holders == {}
+        view.add(Entry(f"slot._.{number}", None, 2), 0.0)
+        assert view.holders == {}
+
+    def test_a_key_of_another_version_is_told(self) -> None:
+        assert list(view_of(("later.a.b", b"{}", 1)).unreadable) == ["later.a.b"]
+
+
+class TestConnections:
+    def test_slots_with_connections_are_used(self) -> None:
+        view = view_of((LINE.bucket_key, LINE.encode(), 1), (OTHER.bucket_key, OTHER.encode(), 2))
+        assert set(view.used_slots) == {LINE.slot, OTHER.slot}
+        assert {each.key for each in view.connections} == {LINE.key, OTHER.key}
+        view.add(Entry(LINE.bucket_key, LINE.encode(), 3), 0.0)
+        view.add(Entry(LINE.bucket_key, None, 4), 0.0)
+        assert view.used_slots == [OTHER.slot]
+        assert [each.key for each in view.connections] == [OTHER.key]
+        view.add(Entry(LINE.bucket_key, None, 5), 0.0)
+        view.add(Entry(LINE.bucket_key, LINE.encode(), 6), 0.0)
+        assert set(view.used_slots) == {LINE.slot, OTHER.slot}
+
+    @each_case("is_reversed", [False, True])
+    def test_of_a_connection_in_two_zones_the_newer_one_counts(self, is_reversed: bool) -> None:
+        first, second = (NORTH, LINE) if is_reversed else (LINE, NORTH)
+        view = view_of(
+            (first.bucket_key, first.encode(), 1), (second.bucket_key, second.encode(), 2)
+        )
+        assert [each.zone for each in view.connections] == [second.zone]
+        assert {each.zone for each in view.all_connections} == {"", "north"}
+        assert set(view.used_slots) == {LINE.slot, NORTH.slot}
+        view.add(Entry(second.bucket_key, None, 3), 0.0)
+        assert [each.zone for each in view.connections] == [first.zone]
+        assert view.used_slots == [first.slot]
+
+    def test_each_change_must_be_acknowledged_and_that_of_a_worker_must_not(self) -> None:
+        view = view_of((LINE.bucket_key, LINE.encode(), 3), (OTHER.bucket_key, OTHER.encode(), 4))
+        assert (view.touched_at(LINE), view.touched_at(OTHER)) == (3, 4)
+        assert view.last_touched == 4
+        view.add(Entry("worker.a.1", member(), 5), 0.0)
+        view.add(Entry("settings", FleetSettings().encode(), 6), 0.0)
+        assert view.last_touched == 4
+        view.add(Entry(LINE.bucket_key, None, 7), 0.0)
+        assert view.touched_at(LINE) == view.last_touched == 7
+        # A zone to which it moves is another key of the same connection.
+        view.add(Entry(NORTH.bucket_key, NORTH.encode(), 8), 0.0)
+        assert view.touched_at(LINE) == view.touched_at(NORTH) == 8
+
+    def test_who_holds_a_slot_may_be_unknown(self) -> None:
+        slot = LINE.slot
+        view = view_of((slot.key, encode_holder("a.1", "a.1"), 1))
+        assert view.holders == {slot: "a.1"}
+        assert view.holder(slot) is None
+        view.add(Entry("worker.a.1", member(), 2), 0.0)
+        assert view.holder(slot) == view.members["a.1"]
+        assert view.holder(Slot("north", slot.number)) is None
+        view.add(Entry(slot.key, None, 3), 0.0)
+        assert view.holders == {}
+
+    def test_a_slot_that_is_deleted_and_taken_must_be_acknowledged(self) -> None:
+        view = view_of((LINE.bucket_key, LINE.encode(), 1), ("worker.a.1", member(), 2))
+        view.add(Entry(LINE.slot.key, encode_holder("a.1", "a.1"), 3), 0.0)
+        assert view.touched_at(LINE) == 3
+        view.add(Entry(LINE.slot.key, encode_holder("a.1", "a.1"), 4), 0.0)
+        assert view.touched_at(LINE) == 1
+        view.add(Entry(LINE.slot.key, None, 5), 0.0)
+        view.add(Entry(LINE.slot.key, encode_holder("b.1", "b.1"), 6), 0.0)
+        assert view.touched_at(LINE) == view.last_touched == 6
+
+
+class TestReadAgain:
+    """A whole bucket that replaces what was known: the times of its changes are kept."""
+
+    def test_what_did_not_change_keeps_its_time(self) -> None:
+        before = view_of(("worker.a.1", member(), 1), ("worker.b.1", member("b.1"), 2), at=5.0)
+        view = view_of(("worker.a.1", member(), 1), ("worker.b.1", member("b.1"), 3), at=9.0)
+        view.keep_times(before, 9.0)
+        assert view.seen_at("worker.a.1") == (1, 5.0)
+        assert view.seen_at("worker.b.1") == (3, 9.0)
+
+    def test_what_is_gone_was_deleted_just_now_at_the_latest(self) -> None:
+        before = view_of((LINE.bucket_key, LINE.encode(), 1), ("worker.a.1", member(), 2), at=5.0)
+        view = view_of(("worker.a.1", member(), 2), ("worker.b.1", member("b.1"), 7), at=9.0)
+        view.keep_times(before, 9.0)
+        assert view.seen_at(LINE.bucket_key) == (0, 9.0)
+        assert view.touched_at(LINE) == view.last_touched == 7
+
+    def test_a_worker_that_is_gone_without_having_ended_has_vanished(self) -> None:
+        before = view_of(
+            ("worker.a.1", member(), 1),
+            ("worker.b.1", member("b.1", "ended"), 2),
+            ("worker.c.1", member("c.1"), 3),
+            ("worker.d.1", member("d.1"), 4),
+        )
+        before.add(Entry("worker.d.1", None, 5), 2.0)
+        view = view_of(("worker.c.1", member("c.1"), 3))
+        view.keep_times(before, 9.0)
+        assert view.vanished == {"a.1": 9.0, "d.1": 2.0}
+
+    def test_what_was_given_up_is_no_more_uncertain_than_before(self) -> None:
+        """A snapshot has the last change of a slot only, not who gave it up."""
+        line = (LINE.bucket_key, LINE.encode(), 1)
+        taken = (LINE.slot.key, encode_holder("b.1", "a.1"), 3)
+        given = view_of(line, (LINE.slot.key, encode_holder("a.1", "a.1"), 2), taken)
+        assert given.touched_at(LINE) == 1
+        again = view_of(line, taken)
+        assert again.touched_at(LINE) == 3
+        again.keep_times(given, 9.0)
+        assert again.touched_at(LINE) == 1
+
+        uncertain = view_of(line, taken)
+        again = view_of(line, taken)
+        again.keep_times(uncertain, 9.0)
+        assert again.touched_at(LINE) == 3
+
+        newer = view_of(line, (LINE.slot.key, encode_holder("a.1", "a.1"), 4))
+        newer.keep_times(given, 9.0)
+        assert newer.touched_at(LINE) == 4
