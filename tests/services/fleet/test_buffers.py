@@ -1,0 +1,107 @@
+"""
+Readings that wait for an output: whole polls, in their order, and the newest ones if there are
+too many.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+
+from libmodbus_py.fleet import Reading
+from libmodbus_py.services.fleet.buffer import Buffer
+
+
+def poll(time: float, count: int = 1, device: str = "meter") -> list[Reading]:
+    return [Reading(time, device, f"p{at}", at, "", "good") for at in range(count)]
+
+
+def told(readings: Sequence[Reading]) -> list[tuple[float, str]]:
+    return [(each.time, each.name) for each in readings]
+
+
+async def taken(buffer: Buffer, most: int) -> list[tuple[float, str]]:
+    return told(await buffer.take_polls(most, 0.0))
+
+
+def test_polls_are_taken_whole() -> None:
+    async def go() -> None:
+        buffer = Buffer()
+        for each in (poll(1.0, 3), poll(2.0, 2), poll(2.0, 1, "other"), poll(3.0, 1)):
+            buffer.put(each)
+        assert await taken(buffer, 1) == told(poll(1.0, 3))
+        assert await taken(buffer, 2) == told(poll(2.0, 2))
+        assert await taken(buffer, 2) == told([*poll(2.0, 1), *poll(3.0, 1)])
+        assert await taken(buffer, 2) == []
+
+    asyncio.run(go())
+
+
+def test_readings_that_are_put_back_come_first_and_in_their_order() -> None:
+    async def go() -> None:
+        buffer = Buffer()
+        buffer.put([*poll(1.0, 2), *poll(2.0, 2)])
+        first = await buffer.take(3)
+        buffer.put_back(first)
+        assert told(await buffer.take(9)) == told([*poll(1.0, 2), *poll(2.0, 2)])
+        assert buffer.dropped == 0
+
+    asyncio.run(go())
+
+
+def test_of_what_is_put_back_the_newest_have_room() -> None:
+    async def go() -> None:
+        buffer = Buffer(3)
+        buffer.put(poll(1.0, 3))
+        first = await buffer.take(3)
+        buffer.put(poll(2.0, 3))
+        buffer.put_back(first)
+        assert (len(buffer), buffer.dropped) == (3, 3)
+        assert told(await buffer.take(2)) == told(poll(2.0, 2))
+        buffer.put_back(first)
+        assert buffer.dropped == 4
+        assert told(await buffer.take(9)) == [(1.0, "p1"), (1.0, "p2"), (2.0, "p2")]
+
+    asyncio.run(go())
+
+
+def test_polls_that_are_looked_at_stay() -> None:
+    async def go() -> None:
+        buffer = Buffer()
+        buffer.put([*poll(1.0, 2), *poll(2.0, 1), *poll(3.0, 1)])
+        assert [told(each) for each in await buffer.polls(2)] == [
+            told(poll(1.0, 2)),
+            told(poll(2.0, 1)),
+        ]
+        assert await buffer.polls(0) == []
+        assert len(buffer) == 4
+
+    asyncio.run(go())
+
+
+def test_a_closed_buffer_takes_nothing_and_gives_what_it_has() -> None:
+    async def go() -> None:
+        buffer = Buffer()
+        buffer.put(poll(1.0, 2))
+        assert not buffer.is_over
+        buffer.close()
+        assert not buffer.is_over
+        buffer.put(poll(2.0))
+        assert (len(buffer), buffer.dropped) == (2, 0)
+        assert told(await buffer.take(9)) == told(poll(1.0, 2))
+        assert buffer.is_over
+        assert await buffer.take(9) == []
+
+    asyncio.run(go())
+
+
+def test_a_buffer_that_is_given_up_has_lost_the_rest() -> None:
+    async def go() -> None:
+        buffer = Buffer()
+        buffer.put(poll(1.0, 2))
+        buffer.drop(poll(0.0, 3))
+        buffer.give_up()
+        assert (len(buffer), buffer.dropped) == (0, 5)
+        assert buffer.is_over
+
+    asyncio.run(go())
