@@ -10,7 +10,7 @@ from ..binding.library import ffi, lib
 from ..ports.port import Port, lost
 from ..ports.waiting import LONGEST
 from ..protocol.errors import ModbusConnectionError
-from ..protocol.framing import pdu_on_line
+from ..protocol.framing import pdu_with_crc
 
 __all__ = ["NativeCarrier"]
 
@@ -41,7 +41,7 @@ class NativeCarrier:
         if size < 0:
             return None
         got: bytes = self._answer[: self._exchange.got]
-        return pdu_on_line(got, unit) if self._exchange.context else b""
+        return pdu_with_crc(got, unit) if self._exchange.context else b""
 
     @property
     def received(self) -> list[bytes]:

@@ -4,9 +4,10 @@ Answers that show by themselves that they are whole, and whose they are.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from ..protocol.framing import Frame, make_framer, mbap, pdu_on_line, pdu_with
+from ..protocol.framing import Frame, make_framer, mbap, pdu_with_crc, pdu_with_header
 
 if TYPE_CHECKING:
     from .options import Parts
@@ -15,6 +16,9 @@ __all__ = ["KNOWN", "PlainAnswers"]
 
 KNOWN = frozenset(bytes([code]) for code in (1, 2, 3, 4, 5, 6, 15, 16, 17, 22, 23))
 """The functions that libmodbus has, as their codes stand in a PDU."""
+
+
+PduIn = Callable[[bytes, int, int], bytes]
 
 
 class PlainAnswers:
@@ -26,11 +30,14 @@ class PlainAnswers:
 
     Attributes:
         is_line: True if frames have no transaction ids.
+        pdu_in: returns the PDU of an answer that is all that was received, or an empty one; is
+            called with the bytes, the unit, and the transaction id.
     """
 
     def __init__(self, parts: Parts) -> None:
         framer = make_framer(parts.endpoint.framing, "client")
         self.is_line: bool = framer.has_broadcast
+        self.pdu_in: PduIn = pdu_with_crc if self.is_line else pdu_with_header
         self._encode = framer.encode
         self._silence = parts.port.silence
         self._matching = parts.matching
@@ -38,10 +45,6 @@ class PlainAnswers:
     def frame(self, unit: int, number: int, pdu: bytes) -> bytes:
         """Return the frame of a request; `number` is its transaction id, if frames have one."""
         return self._encode(Frame(unit, pdu)) if self.is_line else mbap(number, unit, pdu)
-
-    def pdu_in(self, data: bytes, unit: int, number: int) -> bytes:
-        """Return the PDU of an answer that is all that was received, or an empty one."""
-        return pdu_on_line(data, unit) if self.is_line else pdu_with(data, number, unit)
 
     def is_own(self, unit: int, request: bytes, answer: bytes, since: float, now: float) -> bool:
         """Return True unless an answer on a line may be that to an earlier request."""

@@ -206,14 +206,14 @@ def mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
     return _PREFIX.pack(transaction, 0, 1 + len(pdu), unit) + pdu
 
 
-def pdu_with(data: bytes, transaction: int, unit: int) -> bytes:
-    """Return the PDU of one whole frame with an MBAP header, if that names both; else nothing."""
+def pdu_with_header(data: bytes, unit: int, transaction: int) -> bytes:
+    """Return the PDU of one whole frame with an MBAP header that names both; else nothing."""
     pdu = data[_PREFIX.size :]
     fits = 0 < len(pdu) <= MAX_PDU and data == mbap(transaction, unit, pdu)
     return pdu if fits else b""
 
 
-def pdu_on_line(data: bytes, unit: int) -> bytes:
+def pdu_with_crc(data: bytes, unit: int, _transaction: int = 0) -> bytes:
     """Return the PDU of one whole RTU frame of this unit; nothing if the bytes are none."""
     return data[1:-2] if len(data) > 4 and data[0] == unit and not crc16(data) else b""
 
