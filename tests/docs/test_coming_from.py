@@ -16,10 +16,12 @@ from sybil import Document
 from tests.docs.documents import ROOT, blocks
 from tests.docs.python_blocks import comments_of, is_value
 
+OTHERS = ("mbpoll", "pymodbus-examples")
+"""Pages without pairs: tables of options, and whole programs."""
+
 PAGES = sorted(
-    path for path in (ROOT / "docs" / "coming-from").glob("*.md") if path.stem != "mbpoll"
+    path for path in (ROOT / "docs" / "coming-from").glob("*.md") if path.stem not in OTHERS
 )
-"""Those of packages; the page of other tools has tables of options."""
 PAIR = '<div class="grid" markdown>'
 
 
