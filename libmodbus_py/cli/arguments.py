@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = [
     "SCHEMES_OF_URLS", "URLS", "add_client", "add_client_options", "add_csv", "add_defaults",
     "add_json", "add_security_options", "add_serial_options", "add_units", "add_url", "add_verbose",
-    "checked", "flag", "given", "read_as", "with_forms",
+    "checked", "flag", "given", "is_form", "is_of_form", "read_as", "with_forms",
 ]
 # fmt: on
 
@@ -153,12 +153,18 @@ def with_forms(parser: argparse.ArgumentParser, words: Sequence[str]) -> list[st
     pairs = zip(words, [*words[1:], ""], strict=False)
     end = words.index("--") if "--" in words else len(words)
     return [
-        f"{word}=" if at < end and word in forms and not _is_file(following) else word
+        f"{word}=" if at < end and word in forms and not is_of_form(following) else word
         for at, (word, following) in enumerate(pairs)
     ]
 
 
-def _is_file(word: str) -> bool:
+def is_form(action: argparse.Action) -> bool:
+    """Return True if an option is a form of output, which a file may follow."""
+    return isinstance(action, _Form)
+
+
+def is_of_form(word: str) -> bool:
+    """Return True if the word behind a form of output is a file for it."""
     is_path = word.startswith(("/", "./", "../")) and not word.startswith("/dev/")
     return is_path or word.lower().endswith(SUFFIXES)
 
@@ -166,10 +172,7 @@ def _is_file(word: str) -> bool:
 def _forms(parser: argparse.ArgumentParser) -> set[str]:
     """Return the options of a command and of its actions that a file may follow."""
     found = {
-        flag
-        for action in parser._actions
-        if isinstance(action, _Form)
-        for flag in action.option_strings
+        flag for action in parser._actions if is_form(action) for flag in action.option_strings
     }
     for action in parser._actions:
         if action.nargs == argparse.PARSER:

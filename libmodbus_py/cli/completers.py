@@ -13,7 +13,12 @@ import shlex
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
-__all__ = ["behind", "completing", "examples", "maps", "orders", "parities", "types"]
+# fmt: off
+__all__ = [
+    "behind", "completing", "encodings", "examples", "levels", "lists_of_parities", "maps",
+    "orders", "parities", "sub_functions", "types",
+]
+# fmt: on
 
 Action = TypeVar("Action", bound=argparse.Action)
 
@@ -43,6 +48,31 @@ def parities(**_: Any) -> list[str]:
     from ..ports.schemes import PARITIES
 
     return [word for word in PARITIES if len(word) > 1]
+
+
+def lists_of_parities(prefix: str, **_: Any) -> list[str]:
+    """Return the parities behind those of the list that are typed already."""
+    before, comma, _last = prefix.rpartition(",")
+    return [f"{before}{comma}{each}" for each in parities() if each not in before.split(",")]
+
+
+def encodings(**_: Any) -> list[str]:
+    """Return the encodings of text."""
+    from ..protocol.values import ENCODINGS
+
+    return sorted(each.replace("_", "-") for each in ENCODINGS)
+
+
+def levels(**_: Any) -> list[str]:
+    """Return the levels of device identification."""
+    return ["basic", "regular", "extended"]
+
+
+def sub_functions(**_: Any) -> list[str]:
+    """Return the sub-functions of function 8."""
+    from ..protocol.pdu import SubFunction
+
+    return [each.name.lower().replace("_", "-") for each in SubFunction]
 
 
 def examples(**_: Any) -> list[str]:

@@ -11,6 +11,7 @@ from typing import Any
 from .commands import COMMANDS, whole_parser
 from .help import VerbatimHelp
 from .output import PROGRAM
+from .word_order import options_first
 
 __all__ = ["add_command", "complete"]
 
@@ -53,7 +54,17 @@ def complete() -> None:
     """
     words = os.environ.get("COMP_LINE", "").split()
     asked = [word for word in words[1:2] if word in COMMANDS]
-    _argcomplete().autocomplete(whole_parser(asked), always_complete_options="long")
+    argcomplete = _argcomplete()
+
+    class AnyOrder(argcomplete.CompletionFinder):  # type: ignore[misc, name-defined]
+        """Completes words wherever they stand."""
+
+        def _get_completions(self, comp_words: list[str], *others: Any) -> Any:
+            program, *typed = comp_words
+            return super()._get_completions([program, *options_first(parser, typed)], *others)
+
+    parser = whole_parser(asked)
+    AnyOrder()(parser, always_complete_options="long")
 
 
 def _argcomplete() -> Any:

@@ -11,6 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from .. import arguments
+from ..completers import completing, sub_functions
 from ..output import print_json
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def add_command(commands: Any) -> None:
         epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
     )
     arguments.add_client(command, several=True)
-    command.add_argument(
+    sub_function = command.add_argument(
         "sub_function",
         metavar="SUB-FUNCTION",
         nargs="?",
@@ -50,6 +51,7 @@ def add_command(commands: Any) -> None:
         default="0",
         help="data of the sub-function, 0..65535 (0)",
     )
+    completing(sub_function, sub_functions)
     arguments.add_json(command)
     command.set_defaults(run=_diagnose)
 

@@ -8,6 +8,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from .. import arguments
+from ..completers import completing, levels
 
 if TYPE_CHECKING:
     from ...client.blocking import Context
@@ -33,12 +34,13 @@ def add_command(commands: Any) -> None:
         epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
     )
     arguments.add_client(command, several=True)
-    command.add_argument(
+    level = command.add_argument(
         "--level",
         default="regular",
         metavar="L",
         help="basic, regular, extended, or the number of one object (regular)",
     )
+    completing(level, levels)
     arguments.add_json(command)
     command.set_defaults(run=_identify)
 

@@ -8,6 +8,7 @@ import argparse
 from typing import Any
 
 from .. import arguments
+from ..completers import completing, maps
 from ..help import VerbatimHelp
 
 __all__ = ["add_command"]
@@ -74,9 +75,10 @@ def _add_check(actions: Any) -> None:
         f"the device lacks a point or does not answer.\n\n{_examples('check', arguments.URLS)}",
         formatter_class=VerbatimHelp,
     )
-    check.add_argument(
+    files = check.add_argument(
         "files", metavar="FILE", nargs="+", help="such as meter.csv, or a name that list prints"
     )
+    completing(files, maps)
     check.add_argument(
         "--device",
         metavar="URL",
@@ -108,7 +110,10 @@ def _add_list_and_class(actions: Any) -> None:
         epilog=_examples("class"),
         formatter_class=VerbatimHelp,
     )
-    typed.add_argument("file", metavar="FILE", help="such as meter.csv, or a name that list prints")
+    file = typed.add_argument(
+        "file", metavar="FILE", help="such as meter.csv, or a name that list prints"
+    )
+    completing(file, maps)
     typed.add_argument(
         "-o",
         "--output",

@@ -88,6 +88,7 @@ def add_item_arguments(
     padding = group.add_argument("--padding", metavar="C", help="character that fills up text")
     arguments.add_defaults([order, encoding, padding], _of_reads)
     completing(order, completers.orders)
+    completing(encoding, completers.encodings)
     file = group.add_argument(
         "--map",
         metavar="FILE",

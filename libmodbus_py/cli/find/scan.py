@@ -26,6 +26,7 @@ from ...tools.scan.places import (
 from ...tools.scan.scan import Found, Progress, Scan, scan
 from ...tools.scan.search import MOST_REQUESTS, Extent, Search, Searching, search
 from .. import arguments
+from ..completers import completing, lists_of_parities
 from ..connecting import endpoint_of
 from ..main import INTERRUPTED
 from ..output import counted, print_json
@@ -100,7 +101,7 @@ def add_command(commands: Any) -> None:
         metavar="LIST",
         help=f"baud rates to try ({','.join(map(str, BAUDRATES))})",
     )
-    group.add_argument(
+    parities = group.add_argument(
         *("-p", "--parity", "--parities"),
         dest="parities",
         type=_parities,
@@ -108,6 +109,7 @@ def add_command(commands: Any) -> None:
         help=f"parities to try, such as none,even ({','.join(PARITIES)}); none is tried with 2"
         " stop bits, which finds devices with 1 stop bit too",
     )
+    completing(parities, lists_of_parities)
     arguments.add_security_options(command)
     command.set_defaults(run=_scan)
 
