@@ -40,6 +40,16 @@ RETRY_SOONER = 60.0
 REPEATEDLY = 3
 """Invalid responses to the same request, in a row, that count as a refusal."""
 
+MOST_SEARCHED = 256
+"""Requests of searches at one device, at most, before they are rationed."""
+
+SEARCHED_AGAIN = 32 / RETRY_SOONER
+"""Requests of searches a second, from then on: a device may change all the time."""
+
+SEARCHED_FOR_ONE = 8
+"""Requests of searches that are not rationed for a hole that is found for the first time, and that
+one found again counts as."""
+
 MOST_CLIENTS = 16
 """Clients of one device that are remembered."""
 
@@ -157,6 +167,10 @@ class Holes:
         self._damaged: dict[Span, int] = {}
         self._connections: dict[Hashable, int] = {}
         self._learnt_at = 0.0
+        # Requests of searches that the device has not yet got over, and at which time.
+        self._searched = 0.0
+        self._searched_at = 0.0
+        self._ever: set[Span] = set()
 
     def __bool__(self) -> bool:
         return bool(self.refused or self.cuts or self.most or self._damaged)
@@ -191,6 +205,11 @@ class Holes:
         """Add a hole, or note that it was refused again; return True if it is new."""
         known = self.refused.get(span)
         self.refused[span] = known.again(error, now) if known else Hole(error, now)
+        if span not in self._ever:
+            self._ever.add(span)
+            self._searched -= SEARCHED_FOR_ONE
+        elif known is None:  # it comes and goes, and each hole makes two requests of one
+            self._searched += SEARCHED_FOR_ONE
         return known is None
 
     def fill(self, span: Span) -> bool:
@@ -206,6 +225,16 @@ class Holes:
         """Note how many cells of a table one request may ask for."""
         self.most[table] = min(most, self.most.get(table, most))
         self._learnt_at = now
+
+    def may_search(self, now: float) -> int:
+        """Return how many requests may be sent now to search for what cannot be read."""
+        over = SEARCHED_AGAIN * max(0.0, now - self._searched_at)
+        self._searched, self._searched_at = max(0.0, self._searched - over), now
+        return int(MOST_SEARCHED - self._searched)
+
+    def note_searched(self, requests: int) -> None:
+        """Note requests of a search."""
+        self._searched += requests
 
     def is_damaged(self, span: Span, outcome: object) -> bool:
         """True if this is the third invalid response in a row to the request for these cells."""

@@ -84,8 +84,8 @@ class PlanRun:
     and tried again when they are due. A value is never cut. Other failures, such as silence, a
     busy device, or a gateway without a path, say nothing about what can be read.
 
-    The number of requests is bounded: see `MOST_MORE`. What is not found is searched for in later
-    runs. A block in which no read is answered is left out as a whole.
+    The number of requests is bounded: see `MOST_MORE` and `Holes.may_search`. What is not found is
+    searched for in later runs. A block in which no read is answered is left out as a whole.
 
     Args:
         plan: what is read.
@@ -112,7 +112,7 @@ class PlanRun:
         self._holes = holes
         self._now = now
         self._readings = [BlockAnswer(block) for block in plan.blocks]
-        self._left = MOST_MORE
+        self._left = min(MOST_MORE, holes.may_search(now))
         self._is_answered = False
         self._is_refused = False
         self._longest: dict[str, int] = {}
@@ -148,6 +148,9 @@ class PlanRun:
             if self._note(each, outcome) and not self._is_known(each, outcome)
         ]
         if not refused or self._now < self._holes.search_after:
+            return
+        if self._left <= 0:
+            self.is_complete = False
             return
         try:
             while refused:
@@ -384,6 +387,7 @@ class PlanRun:
         self._left -= len(asked)
         if self._left < 0:
             raise Enough
+        self._holes.note_searched(len(asked))
         outcomes = yield [each.request for each in asked]
         for each, outcome in zip(asked, outcomes, strict=True):
             self._note(each, outcome)

@@ -6,7 +6,7 @@ what it costs, and that no value is wrong.
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, ClassVar
 
 import pytest
@@ -284,17 +284,32 @@ def test_another_client_tries_everything_again() -> None:
     assert counts == [3, 2, 3, 2, 2, 2]
 
 
-def test_a_hole_that_moves_costs_few_requests() -> None:
+@each_case(
+    "moves",
+    [
+        lambda now: {now * 7 % 100},
+        lambda now: {now // 10 * 7 % 100},
+        lambda now: set(random.Random(now).sample(range(100), 10)),
+        lambda now: set(range(100)) if now % 2 else set(),
+        lambda now: set(range(now % 3, 100, 3)),
+    ],
+)
+def test_holes_that_move_cost_few_requests(moves: Callable[[int], set[int]]) -> None:
+    """A device changes what it can read at each poll, or at some, for an hour."""
     device = Registers()
     polls = Polls(singles(100), device)
-    total = 0
-    for now in range(1000):
-        device.missing = {now * 7 % 100}
-        count, values = polls.poll(now)
-        assert count <= HIGHEST
+    most = total = 0
+    for number in range(900):
+        device.missing = moves(number)
+        count, values = polls.poll(4.0 * number)
         assert all(isinstance(each, ModbusError) or each == [at] for at, each in enumerate(values))
-        total += count
-    assert total <= 1000 * 45
+        most, total = max(most, count), total + count
+    assert most <= 50 + HIGHEST
+    assert total <= 900 * 10
+    device.missing = set()
+    for number in range(900, 1100):
+        _, values = polls.poll(4.0 * number)
+    assert lost(values) == []
 
 
 # --- what is no hole -----------------------------------------------------------------------------
