@@ -201,17 +201,21 @@ class AuditFile:
     Writes events to a file, one line of JSON each; pass it to `Audit`, or as `audit`.
 
     Each line is written by one call of the system, at the end of the file, so that several
-    programs can share one. It is not forced to the disk.
+    programs can share one. It is not forced to the disk. A line for which there was no room is
+    left as it is, ended, and written again.
 
     Args:
-        path: the file; made if it does not exist, readable by its owner only.
+        path: the file; made if it does not exist, readable by its owner only. A named pipe needs a
+            reader.
 
     Raises:
         OSError: the file cannot be opened.
+        ValueError: it is another file, such as that of a device or a key.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = path
+        _check_lines(path)
         self._descriptor = self._opened()
         self._is_cut = False
 
@@ -250,4 +254,14 @@ class AuditFile:
 
     def _opened(self) -> int:
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
-        return os.open(self._path, flags, 0o600)
+        # A named pipe whose reader is gone, or slow, must not hold up all clients.
+        return os.open(self._path, flags | os.O_NONBLOCK, 0o600)
+
+
+def _check_lines(path: str | os.PathLike[str]) -> None:
+    """Raise ValueError for a file that is no audit trail; one that cannot be read may be one."""
+    if not os.path.isfile(path):
+        return
+    with contextlib.suppress(OSError), open(path, "rb") as file:
+        if file.read(1) not in (b"", b"{", b"\n"):
+            raise ValueError(f"{os.fspath(path)}: not written, because it is no audit trail")

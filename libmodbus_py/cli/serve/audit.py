@@ -54,6 +54,8 @@ def audited(
         file = AuditFile(options.audit)
     except OSError as error:
         raise ValueError(f"--audit: {options.audit}: {error.strerror}") from None
+    except ValueError as error:
+        raise ValueError(f"--audit: {error}") from None
 
     def reopen() -> None:
         try:

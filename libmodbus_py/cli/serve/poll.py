@@ -243,7 +243,7 @@ def _outputs(file: FleetFile, options: argparse.Namespace) -> list[Output]:
         outputs += (made(kind, {"path": path}) for path in getattr(options, kind))
     if not (outputs or options.metrics or options.page or options.engine or sys.stdout.isatty()):
         outputs.append(made("json", {"path": STANDARD_OUTPUT}))
-    check_exclusive(outputs)
+    check_exclusive(outputs, sources=file.sources)
     return outputs
 
 

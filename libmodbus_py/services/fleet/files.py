@@ -47,7 +47,7 @@ from ...tools.simulator.example_files import map_file
 from .config import DeviceConfig, checked
 from .devices_csv import DeviceRow, device_rows
 from .journal.journal import KEEP_BOUNDS, SIZE_BOUNDS, Journal
-from .outputs.exclusive import shared
+from .outputs.exclusive import file_at, shared, used
 from .outputs.kinds import KINDS, made, output_keys
 from .outputs.output import Described, Output
 from .outputs.secret_file import SecretFile
@@ -76,11 +76,13 @@ class FleetFile:
         devices: the devices of the fleet.
         outputs: the kind of each output, and the arguments of its class, secrets included.
         journal: the arguments of the `Journal`; empty if there is none.
+        sources: the files that were read, which no output may use.
     """
 
     devices: list[DeviceConfig]
     outputs: list[tuple[str, dict[str, Any]]] = field(default_factory=list, repr=False)
     journal: dict[str, str] = field(default_factory=dict)
+    sources: frozenset[str] = field(default=frozenset(), repr=False)
 
     def made_outputs(self) -> list[Output]:
         """Return new outputs; each can be used by one fleet only."""
@@ -137,6 +139,7 @@ class _Reader:
 
     def __init__(self, path: FilePath) -> None:
         self._folder = path.parent
+        self._sources = {file_at(str(path))}
         self._maps: dict[FilePath, RegisterMap] = {}
         self._origins: list[_Origin] = []
         self._defaults: dict[str, Any] = {}
@@ -152,7 +155,7 @@ class _Reader:
         self._check(devices)
         self._devices = {each.name: each for each in devices}
         outputs = self._outputs(given.get("output", {}))
-        return FleetFile(devices, outputs, self._journal(given))
+        return FleetFile(devices, outputs, self._journal(given), frozenset(self._sources))
 
     def _check(self, devices: list[DeviceConfig]) -> None:
         try:
@@ -179,6 +182,7 @@ class _Reader:
         if given is None:
             return
         path = self._folder / given
+        self._sources.add(file_at(str(path)))
         with inside("devices"):
             text = read_text(path, FleetFileError, MOST_OF_CSV)
         try:
@@ -205,6 +209,7 @@ class _Reader:
 
     def _map(self, path: FilePath) -> RegisterMap:
         if path not in self._maps:
+            self._sources.add(file_at(str(path)))
             self._maps[path] = load_map(path)
         return self._maps[path]
 
@@ -230,6 +235,9 @@ class _Reader:
         if found is not None:
             first = path_text(places[found.first])
             raise WrongValue.about(places[found.second], f"uses {found.what}, as {first} does")
+        for place, output in zip(places, trial, strict=True):
+            if (what := used(output, self._sources)) is not None:
+                raise WrongValue.about(place, f"uses {what}, which the fleet is read from")
         return outputs
 
     def _output(
@@ -260,6 +268,7 @@ class _Reader:
         if not isinstance(file, str):
             raise WrongType(key, f"must be the name of a file, not {file!r}")
         with inside(key):
+            self._sources.add(file_at(str(self._folder / file)))
             return SecretFile(self._folder / file, FleetFileError)
 
 

@@ -5,12 +5,12 @@ Things that only one output of a fleet may use: a file, the standard output, a t
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from .output import Output
 
-__all__ = ["Exclusive", "Overlap", "check_exclusive", "file_at", "shared"]
+__all__ = ["Exclusive", "Overlap", "check_exclusive", "file_at", "shared", "used"]
 
 
 @runtime_checkable
@@ -55,17 +55,34 @@ def shared(outputs: Sequence[Output]) -> Overlap | None:
     return None
 
 
-def check_exclusive(outputs: Sequence[Output], journal: Exclusive | None = None) -> None:
-    """Raise ValueError if two outputs, or an output and the journal, would use the same thing."""
+def check_exclusive(
+    outputs: Sequence[Output], journal: Exclusive | None = None, sources: Container[str] = ()
+) -> None:
+    """
+    Check that nothing is used twice.
+
+    Args:
+        sources: the files that the fleet is read from, as `file_at` calls them.
+
+    Raises:
+        ValueError: two outputs, an output and the journal, or an output and a source would use the
+            same thing.
+    """
     found = shared(outputs)
     if found is not None:
         raise ValueError(f"two outputs use {found.what}")
     taken = journal.exclusive if journal is not None else ()
     for output in outputs:
-        things = output.exclusive if isinstance(output, Exclusive) else ()
-        both = [each for each in things if each in taken]
-        if both:
-            raise ValueError(f"the journal and {output.name} use {both[0]}")
+        if (both := used(output, taken)) is not None:
+            raise ValueError(f"the journal and {output.name} use {both}")
+        if (both := used(output, sources)) is not None:
+            raise ValueError(f"{output.name} uses {both}, which the fleet is read from")
+
+
+def used(output: Output, taken: Container[str]) -> str | None:
+    """Return the first thing of an output that is taken, or None."""
+    things = output.exclusive if isinstance(output, Exclusive) else ()
+    return next((each for each in things if each in taken), None)
 
 
 def file_at(path: str) -> str:
