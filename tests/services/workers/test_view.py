@@ -229,3 +229,11 @@ class TestReadAgain:
         newer = view_of(line, (LINE.slot.key, encode_holder("a.1", "a.1"), 4))
         newer.keep_times(given, 9.0)
         assert newer.touched_at(LINE) == 4
+
+
+def test_of_an_empty_bucket_nothing_is_known() -> None:
+    view = BucketView()
+    assert (view.revision, view.last_touched, view.changes) == (0, 0, 0)
+    assert view.touched_at(LINE) == 0
+    assert view.settings is None
+    assert view.used_slots == []
