@@ -1,0 +1,95 @@
+"""
+What received bytes look like, up to the bounds of each protocol: what else begins so is no frame.
+"""
+
+from __future__ import annotations
+
+import errno
+
+from libmodbus_py.client.hints import explain, explain_end
+from tests.support.cases import each_case
+from tests.support.talk import rtu
+
+SENT = bytes.fromhex("11 03 006B 0003 7687")
+ASKED = bytes.fromhex("0001 0000 0006 11 03 006B 0003")
+PLAIN = ("tcp", "rtu+tcp", "ascii+tcp")
+
+
+def frame(length: int, header: str = "0001 0000") -> bytes:
+    """A header that announces so many bytes, with them."""
+    return bytes.fromhex(header) + length.to_bytes(2, "big") + bytes(length)
+
+
+@each_case(
+    ("received", "is_tls"),
+    [
+        ("14 03 01 00 01", True),
+        ("15 03 03 00 02 02 0A", True),
+        ("17 03 04 00 00", True),
+        ("13 03 03 00 02", False),
+        ("18 03 03 00 02", False),
+        ("15 02 03 00 02", False),
+        ("15 03 05 00 02", False),
+        ("15 03 03 00", False),
+    ],
+)
+def test_a_record_of_tls_has_a_type_and_a_version(received: str, is_tls: bool) -> None:
+    for scheme in PLAIN:
+        found = explain(scheme, ASKED, bytes.fromhex(received))
+        assert (found == "this looks like tls://") is is_tls
+    for scheme in ("tls", "udp"):
+        assert explain(scheme, ASKED, bytes.fromhex(received)) == ""
+
+
+@each_case(("length", "is_frame"), [(1, False), (2, True), (254, True), (255, False)])
+def test_a_frame_of_tcp_has_a_unit_and_a_pdu(length: int, is_frame: bool) -> None:
+    found = explain("rtu+tcp", SENT, frame(length))
+    assert (found == "this looks like tcp://") is is_frame
+
+
+@each_case("received", [frame(9)[:-1], frame(9) + b"\0", frame(9, "0001 0001"), frame(9)[:5]])
+def test_a_header_that_fits_nothing_is_none_of_tcp(received: bytes) -> None:
+    assert explain("rtu+tcp", SENT, received) == ""
+
+
+def test_a_frame_of_rtu_has_check_bytes_that_fit_somewhere() -> None:
+    looks = "this looks like rtu+tcp://"
+    assert explain("tcp", ASKED, rtu("11 83 02")) == looks
+    assert explain("tcp", ASKED, rtu("11 83 02") + b"\x55" * 9) == looks
+    assert explain("tcp", ASKED, rtu("11" + "07" * 253)) == looks  # 256 bytes
+    for received in (rtu("11 03"), rtu("11" + "07" * 254), rtu("11 83 02")[:-1]):
+        assert explain("tcp", ASKED, received) == ""
+
+
+def test_a_frame_of_ascii_begins_with_a_colon_and_three_bytes() -> None:
+    looks = "this looks like ascii+tcp://"
+    assert explain("tcp", ASKED, b":1183aF") == looks
+    assert explain("tcp", ASKED, b"\r\n:1183026A\r\n") == looks
+    for received in (b":11830", b":11830x", b"1103026A\r\n"):
+        assert explain("tcp", ASKED, received) == ""
+
+
+def test_on_a_port_without_tcp_no_scheme_of_tcp_is_named() -> None:
+    assert explain("rtu", SENT, b":1183026A\r\n") == "this looks like ascii://"
+    assert explain("ascii", SENT, rtu("11 83 02")) == "this looks like rtu://"
+    assert explain("rtu", SENT, frame(9)) == "this looks like tcp://"
+    assert explain("udp", ASKED, rtu("11 83 02")) == ""
+
+
+@each_case("received", ["11 03", "00 11 83", "11 83 02"])
+def test_bytes_with_unit_and_function_of_the_request_are_no_noise(received: str) -> None:
+    assert explain("rtu", SENT, bytes.fromhex(received)) == ""
+
+
+@each_case("received", ["11", "03 11", "12 03", "11 04", "91 03"])
+def test_bytes_without_them_are_noise(received: str) -> None:
+    noise = "only noise; baud rate, parity, A and B swapped?"
+    assert explain("rtu", SENT, bytes.fromhex(received)) == noise
+
+
+def test_who_ends_a_plain_connection_before_an_answer_may_want_tls() -> None:
+    told = "nothing was answered yet; does it want tls://?"
+    for number in (errno.ECONNRESET, errno.EPIPE):
+        assert [explain_end(scheme, number) for scheme in PLAIN] == [told] * 3
+        assert [explain_end(scheme, number) for scheme in ("tls", "rtu", "udp")] == [""] * 3
+    assert explain_end("tcp", errno.ETIMEDOUT) == explain_end("tcp", None) == ""
