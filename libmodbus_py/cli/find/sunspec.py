@@ -8,6 +8,7 @@ import argparse
 import sys
 from collections.abc import Iterator
 from contextlib import closing
+from functools import partial
 from typing import Any
 
 from .. import arguments
@@ -18,7 +19,7 @@ EXAMPLES = """\
 examples:
   libmodbus-py sunspec 192.0.2.10
   libmodbus-py sunspec 192.0.2.10 --base 40000 --json
-  libmodbus-py sunspec /dev/ttyUSB0 -b 9600 -u 126
+  libmodbus-py sunspec /dev/ttyUSB0 -b 9600 -u 1-4,126
   libmodbus-py sunspec 192.0.2.10 --csv > inverter.csv"""
 
 
@@ -30,7 +31,7 @@ def add_command(commands: Any) -> None:
         "Values that the device has not implemented are left out of the table.",
         epilog=f"It needs: pip install 'libmodbus-py[sunspec]'.\n\n{EXAMPLES}\n\n{arguments.URLS}",
     )
-    arguments.add_client(command)
+    arguments.add_client(command, several=True)
     command.add_argument(
         "--base",
         type=int,
@@ -44,22 +45,50 @@ def add_command(commands: Any) -> None:
 
 
 def _sunspec(options: argparse.Namespace) -> int:
+    from ..ask.units import ask_units, client_of, fail, units_of
+    from ..connecting import connected
+
+    form = "json" if options.json else "csv" if options.csv else ""
+    print_rows, units = _FORMS[form], units_of(options)
+    rows: list[dict[str, Any]] = []
+    with closing(connected(options)) as context:
+
+        def report(unit: int) -> int:
+            found = _asked(client_of(context, unit), options.base)
+            if len(units) > 1:
+                found = [{"unit": unit, **row} for row in found]
+            if form == "csv":  # one table of all units
+                rows.extend(found)
+            else:
+                print_rows(found)
+            return 0
+
+        code = ask_units(units, report, partial(fail, as_json=options.json, lacks="models"))
+    if rows:
+        print_rows(rows)
+    return code
+
+
+def _asked(context: Any, base: int | None) -> list[dict[str, Any]]:
+    """
+    Return a row for each point of a unit.
+
+    Raises:
+        CommandError: pysunspec2 is missing.
+        ModbusError: the unit has no models, or there is no answer.
+    """
     from ...tools.sunspec.chain import BASES
     from ...tools.sunspec.discovery import discover
-    from ..connecting import connected
     from ..failing import CommandError
     from ..output import complain
 
-    with closing(connected(options)) as context:
-        try:
-            device = discover(context, bases=BASES if options.base is None else (options.base,))
-        except ImportError as error:
-            raise CommandError(str(error)) from None
-        for note in device.notes:
-            complain(note)
-        rows = _rows(device, context.read_map(device.map, return_exceptions=True))
-        _FORMS["json" if options.json else "csv" if options.csv else ""](list(rows))
-    return 0
+    try:
+        device = discover(context, bases=BASES if base is None else (base,))
+    except ImportError as error:
+        raise CommandError(str(error)) from None
+    for note in device.notes:
+        complain(note)
+    return list(_rows(device, context.read_map(device.map, return_exceptions=True)))
 
 
 def _rows(device: Any, values: dict[str, Any]) -> Iterator[dict[str, Any]]:
@@ -96,6 +125,8 @@ def _print_csv(rows: list[dict[str, Any]]) -> None:
 def _print_table(rows: list[dict[str, Any]]) -> None:
     from ..output import harmless
 
+    if rows and "unit" in rows[0]:
+        print(f"unit {rows[0]['unit']}:")
     shown = [row for row in rows if row["value"] is not None]
     width = max((len(row["name"]) for row in shown), default=0)
     for row in shown:

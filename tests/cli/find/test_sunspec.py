@@ -7,6 +7,7 @@ from __future__ import annotations
 import csv
 import json
 
+from libmodbus_py import Device, Mapping, Server
 from tests.support.commands import run
 from tests.support.sunspec import chain, file_device, serving
 
@@ -48,3 +49,27 @@ def test_notes_go_to_stderr() -> None:
         done = run("sunspec", url)
     assert done.code == 0
     assert "has no end model" in done.err
+
+
+def test_several_units_are_asked_and_one_may_have_no_models() -> None:
+    with serving(IRRADIANCE) as url:
+        table = run("sunspec", url, "-u", "1,2")
+        as_json = run("sunspec", url, "-u", "1,2", "--json")
+        as_csv = run("sunspec", url, "-u", "1,2", "--csv")
+    lines = [json.loads(line) for line in as_json.out.splitlines()]
+    rows = list(csv.DictReader(as_csv.out.splitlines()))
+    assert table.code == 0
+    headings = [line for line in table.out.splitlines() if line.startswith("unit")]
+    assert headings == ["unit 1:", "unit 2:"]
+    assert [line["unit"] for line in lines] == [1] * 7 + [2] * 7
+    assert [int(row["unit"]) for row in rows] == [line["unit"] for line in lines]
+    assert list(rows[0])[:2] == ["unit", "model"]
+
+
+def test_a_unit_that_fails_beside_others_is_named() -> None:
+    device = Device(Mapping(holding_registers={40000: IRRADIANCE}))
+    with Server({1: device, 2: Device(Mapping())}).background("tcp://127.0.0.1:0") as running:
+        done = run("sunspec", running.urls[0], "-u", "2,1")
+    assert done.code == 1
+    assert done.out.splitlines()[:2] == ["unit 2: no models", "unit 1:"]
+    assert "no SunSpec models" in done.err
