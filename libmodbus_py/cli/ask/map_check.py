@@ -13,20 +13,24 @@ from ...client.blocking import Context
 from ...maps.holes import Holes
 from ...maps.plan_run import PlanRun
 from ...maps.register_map import PointPlan, RegisterMap
+from ...ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
 from ...protocol.errors import ExceptionResponse, ModbusError
 from ...protocol.tables import TABLES
 from ...tools.files.maps.checking import remarks
 from ...tools.files.maps.drafts import Contents
 from ...tools.files.maps.map_file import contents_of
 from ...tools.simulator.example_files import map_file
+from .. import arguments
 from ..connecting import connected
 from ..output import complain, counted
 
 __all__ = ["check"]
 
+OF_DEVICES = (*CLIENT_OPTIONS, *SERIAL_OPTIONS, *SECURITY_OPTIONS)
+"""Options that mean nothing without a device."""
+
 MOST_MISTAKES = 20
 """Mistakes in a file that are printed, at most."""
-
 
 MOST_RUNS = 100
 """Runs of a plan, at most, until all is known that the device refuses."""
@@ -36,8 +40,13 @@ def check(options: argparse.Namespace) -> int:
     """
     Print what each file contains, or its mistakes on stderr, and what a device lacks of it; return
     2 after a mistake, 1 if the device lacks something.
+
+    Raises:
+        ValueError: an option of requests without a device.
     """
     if options.device is None:
+        if typed := arguments.given(options, OF_DEVICES):
+            raise ValueError(f"{arguments.flag(next(iter(typed)))} needs --device")
         return max([_check_file(file) for file in options.files])
     options.url = options.device
     with closing(connected(options)) as context:

@@ -68,3 +68,18 @@ def test_a_device_that_is_silent_or_busy(points: Path) -> None:
         assert done.code == 1
         assert "server device busy" in done.err
         assert len(busy.transactions) == 1
+
+
+@pytest.mark.parametrize(
+    ("typed", "name"),
+    [
+        ("-u 17", "--unit"),
+        ("-b 9600", "--baudrate"),
+        ("--ca a.pem", "--ca"),
+        ("--native", "--native"),
+    ],
+)
+def test_options_of_requests_need_a_device(points: Path, typed: str, name: str) -> None:
+    done = run("map", "check", points, *typed.split())
+    assert (done.code, done.out) == (2, "")
+    assert f"{name} needs --device" in done.err
