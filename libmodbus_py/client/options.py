@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict
 from ..ports.endpoint import Endpoint
 from ..ports.making import make_port
 from ..ports.port import Port
-from ..ports.schemes import SERIAL_OPTIONS, unknown_option
+from ..ports.schemes import SERIAL_OPTIONS
 from ..ports.trace import OnTraced, Trace
 from ..protocol.callbacks import checked_callback
 from ..protocol.checks import integer, seconds
+from ..protocol.close_names import unknown_option
 from ..protocol.framing import is_delimiter
 from .batch import MAX_IN_FLIGHT
 from .conversation import Conversation, Pace

@@ -584,13 +584,16 @@ class Requests:
 def _registers(table: object) -> Any:
     """Return the name of a table of registers, which may be written as vendors do."""
     from ..protocol.tables import REGISTER_TABLES
-    from ..protocol.words import table_named
+    from ..protocol.words import TABLE_WORDS, close_word, table_named
 
     if table in REGISTER_TABLES:
         return table
     name = table_named(table)
     if name not in REGISTER_TABLES:
-        raise ValueError(f"table must be one of {', '.join(REGISTER_TABLES)}, not {table!r}")
+        words = [word for word, meaning in TABLE_WORDS.items() if meaning in REGISTER_TABLES]
+        close = close_word(table, REGISTER_TABLES, words)
+        wanted = ", ".join(REGISTER_TABLES)
+        raise ValueError(f"table must be one of {wanted}, not {table!r}{close}")
     return name
 
 

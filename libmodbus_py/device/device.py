@@ -18,6 +18,7 @@ from typing import Any, ClassVar, Self, TypedDict, Unpack
 from ..maps.register_map import RegisterMap
 from ..protocol.callbacks import checked_callback
 from ..protocol.checks import integer
+from ..protocol.close_names import named_arguments
 from ..protocol.errors import (
     ExceptionResponse,
     IllegalDataAddress,
@@ -96,6 +97,7 @@ class DeviceOptions(TypedDict, total=False):
     authorize: Authorize | None
 
 
+@named_arguments
 class Device:
     """
     Answers the requests of one unit. Safe from any thread.

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
 from ..protocol.callbacks import checked_callback, finished
+from ..protocol.close_names import named_arguments
 from ..protocol.logs import HarmlessLogger
 from ..protocol.tables import TABLE_SIZE
 from .access import Access
@@ -37,6 +38,7 @@ NAMES = {"file": "files", "fifo": "fifos"}
 TABLES = ("coils", "discrete_inputs", "holding_registers", "input_registers", *NAMES)
 
 
+@named_arguments
 class Hook:
     """
     A function that is called for some accesses only.

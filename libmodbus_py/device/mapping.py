@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Self, TypeVar
 
 from ..binding.library import ffi, lib
 from ..protocol.checks import integer
+from ..protocol.close_names import named_arguments
 from ..protocol.tables import TABLE_SIZE
 from ..protocol.values import Layout, TypeName, value_type
 from ..system import call_in_children
@@ -269,6 +270,7 @@ class RegisterTable(Table[int]):
         return cells.tolist()
 
 
+@named_arguments
 class Mapping:
     """
     The tables of one device, zero unless values are given.

@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 from ..protocol import pdu
 from ..protocol.checks import integer
+from ..protocol.close_names import named_arguments
 from ..protocol.mistakes import Path, WrongType, WrongValue
 from ..protocol.tables import TABLE_SIZE
 from ..security.role import check_role
@@ -43,6 +44,7 @@ SUB_FUNCTIONS = {pdu.Diagnostics.function: 0xFFFF, pdu.EncapsulatedTransport.fun
 Code = tuple[int, int | None]
 
 
+@named_arguments
 @dataclass(frozen=True)
 class Allow:
     """
@@ -110,6 +112,7 @@ class Allow:
         return self._codes is None or any(code == function for code, _ in self._codes)
 
 
+@named_arguments
 class Rules:
     """
     Allows a client what its role is allowed, and nothing else: for ``Device(authorize=...)``.

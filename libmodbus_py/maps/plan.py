@@ -16,6 +16,7 @@ from typing import Any, Literal, NamedTuple, Required, TypedDict, TypeVar
 
 from ..protocol import pdu
 from ..protocol.checks import integer
+from ..protocol.close_names import named_arguments
 from ..protocol.errors import ModbusError
 from ..protocol.mistakes import WrongType, WrongValue, inside, placed
 from ..protocol.pdu.fields import checked_span, store
@@ -32,6 +33,7 @@ __all__ = [
 # fmt: on
 
 
+@named_arguments
 @dataclass(frozen=True)
 class Read:
     """
@@ -168,6 +170,7 @@ class _Window:
     stop: int
 
 
+@named_arguments
 class Plan:
     """
     Reads of one unit, merged.

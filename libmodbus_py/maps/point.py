@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from ..protocol.checks import are_registers, shown
+from ..protocol.close_names import named_arguments
 from ..protocol.mistakes import Mistake, WrongType, WrongValue
 from ..protocol.pdu.fields import checked_bit, checked_sequence, store
 from ..protocol.tables import TABLES, Table, checked_table
@@ -31,6 +32,7 @@ ACCESSES = ("read", "write", "read_write")
 MAX_NAME, MAX_UNITS, MAX_DESCRIPTION = 100, 50, 2000
 
 
+@named_arguments
 @dataclass(frozen=True)
 class Point:
     """

@@ -4,11 +4,10 @@ The schemes and options of URLs of endpoints.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from ..protocol.close_names import close_to
 from ..protocol.durations import DURATION, duration_of
 
 if TYPE_CHECKING:
@@ -19,7 +18,7 @@ __all__ = [
     "ASCII_DEFAULTS", "CLIENT_OPTIONS", "DEFAULT_PORT", "OTHER_NAMES", "PARITIES", "SCHEMES",
     "SECURE_PORT", "SECURITY_OPTIONS", "SERIAL_DEFAULTS", "SERIAL_OPTIONS", "TRANSPORTS", "Option",
     "Scheme", "Transport", "TransportRules", "character_bits", "framing_of",
-    "parity_of", "unknown_option",
+    "parity_of",
 ]
 # fmt: on
 
@@ -193,29 +192,6 @@ CLIENT_OPTIONS: dict[str, Option] = {
         "byte that ends ASCII frames, behind CR",
     ),
 }
-
-OTHER_SPELLINGS = {
-    **dict.fromkeys(("baud", "baud_rate", "speed", "bps"), "baudrate"),
-    **dict.fromkeys(("stopbits", "stop"), "stop_bits"),
-    **dict.fromkeys(("bytesize", "databits", "byte_size"), "data_bits"),
-    **dict.fromkeys(
-        ("slave", "slave_id", "device_id", "unit_id", "dev_id", "slaveaddress"), "unit"
-    ),
-    **dict.fromkeys(("timeout_s", "response_timeout", "read_timeout"), "timeout"),
-    **dict.fromkeys(("retry", "retry_count", "tries"), "retries"),
-    **dict.fromkeys(("handle_local_echo", "local_echo"), "echo"),
-    **dict.fromkeys(("sslctx", "ssl", "tls", "ssl_context"), "security"),
-    **dict.fromkeys(("reconnect_delay_max", "reconnect_delay"), "max_pause"),
-}
-"""Names of options in other packages -> their names here, for errors."""
-
-
-def unknown_option(name: str, known: Sequence[str]) -> TypeError:
-    """Return the error for an option that does not exist; it names the right one, if there is."""
-    meant = OTHER_SPELLINGS.get(name.lower())
-    close = f"; did you mean {meant}?" if meant in known else close_to(name, known)
-    return TypeError(f"{name!r} must be one of {', '.join(known)}{close}")
-
 
 OTHER_NAMES = {"certificate": "cert", "trust": "ca"}
 """Names of arguments of `Security` -> the options of URLs that set them."""

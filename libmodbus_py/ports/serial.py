@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict, Unpac
 
 from ..binding.library import check, ffi, lib, make
 from ..protocol.checks import integer, seconds
+from ..protocol.close_names import unknown_option
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.pauses import pause_between_frames
 from ..protocol.returned import AwaitedEcho
 from ..system import has_transmission_time, set_odd_baudrate
 from .port import Port, Silence, lost
-from .schemes import SERIAL_DEFAULTS, character_bits, parity_of, unknown_option
+from .schemes import SERIAL_DEFAULTS, character_bits, parity_of
 from .waiting import Steps, of_system
 
 if TYPE_CHECKING:

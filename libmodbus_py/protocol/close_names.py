@@ -4,9 +4,39 @@ Names that are close to one that is not known.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
+from functools import wraps
+from typing import Any, TypeVar
 
-__all__ = ["close_to"]
+__all__ = ["close_to", "named_arguments", "unknown_option"]
+
+Class = TypeVar("Class", bound=type)
+
+OTHER_SPELLINGS = {
+    **dict.fromkeys(("baud", "baud_rate", "speed", "bps"), "baudrate"),
+    **dict.fromkeys(("stopbits", "stop"), "stop_bits"),
+    **dict.fromkeys(("bytesize", "databits", "byte_size"), "data_bits"),
+    **dict.fromkeys(
+        ("slave", "slave_id", "device_id", "unit_id", "dev_id", "slaveaddress"), "unit"
+    ),
+    **dict.fromkeys(("timeout_s", "response_timeout", "read_timeout"), "timeout"),
+    **dict.fromkeys(("retry", "retry_count", "tries"), "retries"),
+    **dict.fromkeys(("handle_local_echo", "local_echo"), "echo"),
+    **dict.fromkeys(("sslctx", "ssl", "tls", "ssl_context"), "security"),
+    **dict.fromkeys(("reconnect_delay_max", "reconnect_delay"), "max_pause"),
+    **dict.fromkeys(("certfile", "cert", "certificate_file"), "certificate"),
+    **dict.fromkeys(("keyfile", "key_file", "private_key"), "key"),
+    **dict.fromkeys(("cafile", "ca", "ca_file", "ca_certs"), "trust"),
+    **dict.fromkeys(("identity", "device_identification"), "identification"),
+    **dict.fromkeys(("max_clients", "connections"), "max_connections"),
+    **dict.fromkeys(("offset", "register", "start"), "address"),
+    **dict.fromkeys(("data_type", "datatype", "dtype", "format"), "type"),
+    **dict.fromkeys(("byte_order", "byteorder", "word_order", "endian"), "order"),
+    **dict.fromkeys(("multiplier", "factor", "gain"), "scale"),
+    **dict.fromkeys(("poll_interval", "period", "scan_interval"), "interval"),
+    **dict.fromkeys(("host", "uri", "endpoint"), "url"),
+}
+"""Names of arguments in other packages -> their names here, for errors."""
 
 
 def close_to(name: object, known: Iterable[str], prefix: str = "") -> str:
@@ -20,3 +50,46 @@ def close_to(name: object, known: Iterable[str], prefix: str = "") -> str:
 
     close = get_close_matches(name, known, 3) if isinstance(name, str) else []
     return f"; did you mean {' or '.join(prefix + each for each in close)}?" if close else ""
+
+
+def unknown_option(name: str, known: Sequence[str]) -> TypeError:
+    """Return the error for an argument that does not exist, with the name of the one meant."""
+    meant = OTHER_SPELLINGS.get(name.lower())
+    close = f"; did you mean {meant}?" if meant in known else close_to(name, known)
+    return TypeError(f"{name!r} must be one of {', '.join(known)}{close}")
+
+
+def named_arguments(cls: Class) -> Class:
+    """
+    Decorate a class so that an argument that it does not take is refused with a close name.
+
+    Python names close ones itself since 3.13, but none that other packages use.
+    """
+    made: Callable[..., None] = getattr(cls, "__init__")  # noqa: B009 (as below)
+
+    @wraps(made)
+    def init(self: Any, /, *arguments: Any, **named: Any) -> None:
+        try:
+            made(self, *arguments, **named)
+        except TypeError as error:
+            # Raised by the call itself, not within.
+            if error.__traceback__ is None or error.__traceback__.tb_next is not None:
+                raise
+            refused = _refused(made, named)
+            if refused is None:
+                raise
+            raise refused from None
+
+    setattr(cls, "__init__", init)  # noqa: B010 (type checkers refuse an assignment)
+    return cls
+
+
+def _refused(made: Callable[..., None], named: Iterable[str]) -> TypeError | None:
+    """Return the error for the first argument that a function does not take, if there is one."""
+    from inspect import Parameter, signature
+
+    parameters = [*signature(made).parameters.values()][1:]
+    if any(each.kind is Parameter.VAR_KEYWORD for each in parameters):
+        return None
+    known = [each.name for each in parameters]
+    return next((unknown_option(name, known) for name in named if name not in known), None)

@@ -8,10 +8,9 @@ from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
 from . import pdu
-from .close_names import close_to
 from .mistakes import WrongValue
 from .pdu.fields import MOST_COILS_WRITTEN, MOST_REGISTERS_WRITTEN, TABLE_SIZE
-from .words import table_named
+from .words import TABLE_WORDS, close_word, table_named
 
 # fmt: off
 __all__ = [
@@ -65,6 +64,6 @@ def checked_table(table: object) -> Any:
     """
     name = table_named(table)
     if name is None:
-        close = close_to(table, TABLES)
+        close = close_word(table, TABLES, TABLE_WORDS)
         raise WrongValue("table", f"must be one of {', '.join(TABLES)}, not {table!r}{close}")
     return name

@@ -47,7 +47,6 @@ from encodings.aliases import aliases
 from typing import TYPE_CHECKING, Any, NamedTuple, SupportsFloat, SupportsIndex
 
 from .checks import are_registers, integer, shown
-from .close_names import close_to
 from .mistakes import Path, WrongType, WrongValue, item
 from .type_names import (
     BitsType,
@@ -59,7 +58,7 @@ from .type_names import (
     TimeType,
     TypeName,
 )
-from .words import order_named, type_named
+from .words import ORDER_WORDS, TYPE_WORDS, close_word, order_named, type_named
 
 if TYPE_CHECKING:
     from datetime import datetime
@@ -100,7 +99,9 @@ def _order(order: object, kind: ValueType) -> str:
     name, width = _SPELLINGS.get(order.upper(), (order.upper(), None))
     name = name if name in ORDERS else order_named(order) or name
     if name not in ORDERS:
-        raise WrongValue("order", f"must be one of {', '.join(ORDERS)}, not {reprlib.repr(order)}")
+        close = close_word(name, ORDERS, ORDER_WORDS)
+        wanted = f"must be one of {', '.join(ORDERS)}"
+        raise WrongValue("order", f"{wanted}, not {reprlib.repr(order)}{close}")
     if width not in (None, 1 if kind.is_text else kind.registers):
         wanted = f"one of {', '.join(ORDERS)}"
         raise WrongValue("order", f"of {kind.name} must be {wanted}, not {order!r}")
@@ -481,7 +482,7 @@ def _string(name: str, encoding: str, padding: str) -> ValueType:
     found = re.fullmatch(r"string:([0-9]{1,9})", type_named(name) or "")
     if not found:
         wanted = f"one of {', '.join(TYPES)}, string:N"
-        close = close_to(name, TYPES)
+        close = close_word(name, TYPES, TYPE_WORDS)
         raise WrongValue("type", f"must be {wanted}, not {reprlib.repr(name)}{close}")
     size = int(found[1])
     if not 1 <= size <= 250:

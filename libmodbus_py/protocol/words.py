@@ -9,11 +9,14 @@ bits or 64, and a wrong guess would be a wrong value.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
+
+from .close_names import close_to
 
 # fmt: off
 __all__ = [
-    "ORDER_WORDS", "TABLE_WORDS", "TYPE_WORDS", "by_word", "order_named", "plain", "table_named",
-    "type_named",
+    "ORDER_WORDS", "TABLE_WORDS", "TYPE_WORDS", "by_word", "close_word", "order_named", "plain",
+    "table_named", "type_named",
 ]
 # fmt: on
 
@@ -88,6 +91,17 @@ ORDER_WORDS = by_word(
 def table_named(text: object) -> str | None:
     """Return the name of a table, such as "holding_registers" for "hr" or "4x"; None if none."""
     return TABLE_WORDS.get(plain(text)) if isinstance(text, str) else None
+
+
+def close_word(text: object, names: Iterable[str], words: Iterable[str]) -> str:
+    """
+    Return the end of a message about a word that is not known: those that are close to it.
+
+    Args:
+        names: known here, and looked at first.
+        words: those of vendors.
+    """
+    return close_to(text, names) or close_to(plain(str(text)), words)
 
 
 def type_named(text: object) -> str | None:

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterable
 from typing import Any
 
+from ..protocol.close_names import named_arguments
 from ..protocol.logs import HarmlessLogger
 from .acceptance import Acceptance
 from .files import File, place_of
@@ -35,6 +36,7 @@ WARNED_BEFORE_OF_CRL = 2 * DAY
 MAX_PASSWORD = 1024
 
 
+@named_arguments
 class Security:
     """
     The own certificate and the trusted ones, for `tls://` at either end: Modbus/TCP Security v36.

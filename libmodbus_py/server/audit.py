@@ -19,6 +19,7 @@ from typing import Any
 
 from ..device.caller import Executed, ValueChange
 from ..protocol.callbacks import checked_callback, finished
+from ..protocol.close_names import named_arguments
 from ..protocol.errors import ExceptionResponse
 from ..protocol.json_text import json_text
 from ..protocol.logs import HarmlessLogger
@@ -91,6 +92,7 @@ def _change(change: ValueChange) -> dict[str, Any]:
 OnAudited = Callable[[AuditEvent], object]
 
 
+@named_arguments
 class Audit:
     """
     Passes events to a function, and knows whether this succeeds.
@@ -196,6 +198,7 @@ def audit_of(given: Audit | OnAudited) -> Audit:
     return given if isinstance(given, Audit) else Audit(given)
 
 
+@named_arguments
 class AuditFile:
     """
     Writes events to a file, one line of JSON each; pass it to `Audit`, or as `audit`.

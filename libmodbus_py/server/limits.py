@@ -11,6 +11,7 @@ from ipaddress import IPv4Network, IPv6Address, IPv6Network, ip_address, ip_netw
 from typing import Literal
 
 from ..protocol.checks import integer, number, seconds
+from ..protocol.close_names import named_arguments
 from ..protocol.mistakes import WrongType, WrongValue
 from ..system import most_descriptors
 
@@ -33,6 +34,7 @@ LEAST_OF_ADDRESS = 8
 FULL_POLICIES = ("close-idle", "refuse")
 
 
+@named_arguments
 @dataclass(frozen=True)
 class Limits:
     """

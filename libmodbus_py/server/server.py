@@ -16,6 +16,7 @@ from ..device.device import Device
 from ..device.reply import replier
 from ..ports.endpoint import Endpoint
 from ..ports.trace import OnTraced
+from ..protocol.close_names import named_arguments
 from ..security.security import Security
 from .audit import Audit, OnAudited
 from .devices import Devices
@@ -30,6 +31,7 @@ from .units import Units, UnknownUnit
 __all__ = ["Running", "Server"]
 
 
+@named_arguments
 class Server(Serving):
     """
     Serves devices to any number of clients.

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ...maps.plan import Read
-from ...protocol.close_names import close_to
 from ...protocol.spelling import number_of
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...protocol.values import ValueType, parse_reference, value_type
-from ...protocol.words import plain, table_named
+from ...protocol.words import TABLE_WORDS as VENDORS
+from ...protocol.words import close_word, plain, table_named
 
 if TYPE_CHECKING:
     from ...maps.point import Point
@@ -170,7 +170,7 @@ class Words:
             self.map.plan([first])  # raises an error with similar names
         raise ValueError(
             f"{first!r} must be one of {', '.join(TABLE_WORDS)}, a reference such as 40123,"
-            f" or with --map FILE a name{close_to(first.lower(), TABLE_WORDS)}"
+            f" or with --map FILE a name{close_word(first.lower(), TABLE_WORDS, VENDORS)}"
         )
 
     def take_count(self, item: Item) -> int:

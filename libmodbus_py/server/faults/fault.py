@@ -12,6 +12,7 @@ from typing import Literal, get_args
 
 from ...device.access import Touched
 from ...protocol.checks import integer, number, seconds
+from ...protocol.close_names import named_arguments
 from ...protocol.mistakes import WrongType, WrongValue
 from ...protocol.tables import TABLE_SIZE, TABLES, Table
 
@@ -70,6 +71,7 @@ SETTINGS: dict[str, Callable[[str, object], object]] = {
 }
 
 
+@named_arguments
 @dataclass(frozen=True)
 class Fault:
     """

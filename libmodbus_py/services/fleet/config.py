@@ -17,6 +17,7 @@ from ...maps.point import Point
 from ...maps.register_map import PointPlan, RegisterMap
 from ...ports.endpoint import Endpoint, parse
 from ...protocol.checks import integer, number, seconds
+from ...protocol.close_names import named_arguments
 from ...protocol.json_text import json_text
 from ...protocol.mistakes import Path, WrongType, WrongValue, inside
 from ...tools.files.maps.drafts import point_of
@@ -41,6 +42,7 @@ OWN_LABELS = ("device", "name", "unit")
 LONGEST_INTERVAL = 86_400.0
 
 
+@named_arguments
 @dataclass(frozen=True, slots=True)
 class DeviceConfig:
     """

@@ -13,6 +13,7 @@ from collections.abc import AsyncIterator, Collection, Iterable, Mapping, Sequen
 from os import PathLike
 from typing import Any, Self
 
+from ...protocol.close_names import named_arguments
 from ...protocol.logs import HarmlessLogger
 from .buffer import MOST_KEPT, Buffer
 from .commands import Commands
@@ -43,6 +44,7 @@ MOST_AT_ONCE = 200
 ONCE_A_SECOND = 1000.0
 
 
+@named_arguments
 class Fleet:
     """
     Polls many devices, each at its interval, with asyncio.

@@ -13,6 +13,7 @@ from ...device.authorization import Authorize
 from ...ports.endpoint import Endpoint
 from ...ports.trace import OnTraced
 from ...protocol.callbacks import checked_callback
+from ...protocol.close_names import named_arguments
 from ...protocol.logs import HarmlessLogger
 from ...security.security import Security
 from ...server.audit import Audit, OnAudited
@@ -32,6 +33,7 @@ __all__ = ["Gateway"]
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 
+@named_arguments
 class Gateway(Serving):
     """
     Forwards requests to the devices of lines, and their responses to the clients.

@@ -13,6 +13,7 @@ from ...device.access import Access
 from ...device.rules import Allow
 from ...ports.endpoint import Endpoint, parse
 from ...protocol.checks import integer, seconds
+from ...protocol.close_names import named_arguments
 from ...protocol.mistakes import WrongType, WrongValue, inside, placed
 from ...protocol.spelling import units_of as units_in
 
@@ -31,6 +32,7 @@ HARMLESS: tuple[int | str, ...] = (
 )
 
 
+@named_arguments
 @dataclass(frozen=True)
 class Route:
     """
