@@ -137,7 +137,7 @@ class Meaning:
         if self.part is not None:
             to_number, of = kind.to_number, self.part.of
             return lambda data: of(to_number(data))
-        return kind.to_number if self._bits else kind.from_bytes
+        return kind.to_number if self._bits else kind.reader
 
     def _judge(self) -> Callable[[Any, Scale | None], Any]:
         if self._bits:

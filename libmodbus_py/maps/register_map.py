@@ -14,6 +14,7 @@ from ..protocol import pdu
 from ..protocol.close_names import close_to
 from ..protocol.errors import ModbusError
 from ..protocol.mistakes import WrongType, WrongValue
+from ..protocol.values import ValueType
 from .holes import HolesByDevice
 from .meaning import NoValue
 from .pieces import PartialAnswer
@@ -177,6 +178,10 @@ class RegisterMap(Mapping[str, Point]):
         raise ValueError(f"the map has no point {reprlib.repr(name)}{close_to(name, self._points)}")
 
 
+FORMS = {"uint16": "H", "int16": "h"}
+"""Type -> form of `struct`, if a register is the number."""
+
+
 class _Scale(NamedTuple):
     """The arguments of a scaling that depends on a point; many points have the same."""
 
@@ -202,13 +207,24 @@ class _Scales(NamedTuple):
 
 
 class _Quick(NamedTuple):
-    """A point with one value in registers of one answer: their location, and their decoder."""
+    """
+    A point with one value in registers of one answer.
+
+    Attributes:
+        name: the name.
+        data: the index of the answer in what `PointPlan._data` returns.
+        start: the index of its first byte; of its register, without `from_bytes`.
+        stop: the index behind its last byte.
+        from_bytes: the decoder; None for a number of 16 bits, which needs none.
+        to_value, judge: as of `Point` and of its `Meaning`.
+        scale: the number of its scale, if another point tells that.
+    """
 
     name: str
-    request: int
+    data: int
     start: int
     stop: int
-    from_bytes: Callable[[bytes], Any]
+    from_bytes: Callable[[bytes], Any] | None
     to_value: Callable[[Any], Any] | None
     judge: Callable[[Any, Callable[[Any], Any] | None], Any] | None
     scale: int | None
@@ -260,10 +276,24 @@ class PointPlan(Plan):
             parts, kind, meaning = self._parts[name], point.read.kind, point.meaning
             if kind is not None and point.count == len(parts) == 1:
                 request, start, stop = parts[0]
-                decoder = kind.from_bytes if meaning is None else meaning.from_bytes
+                decoder = kind.reader if meaning is None else meaning.from_bytes
                 judge = None if meaning is None else meaning.judge
-                place = name, request, 2 * start, 2 * stop
-                yield _Quick(*place, decoder, point.to_value, judge, scale_of.get(name))
+                others = point.to_value, judge, scale_of.get(name)
+                if form := _form_of(kind, decoder):
+                    at = request + (1 + list(FORMS.values()).index(form)) * len(self.requests)
+                    yield _Quick(name, at, start, stop, None, *others)
+                else:
+                    yield _Quick(name, request, 2 * start, 2 * stop, decoder, *others)
+
+    def _data(self, answers: list[Any]) -> list[Any]:
+        """Return the bytes of each answer, and its registers in each of `FORMS`."""
+        packed = [_packed(answer) for answer in answers]
+        unpacked = [
+            data and struct.unpack(f">{len(data) // 2}{form}", data)
+            for form in FORMS.values()
+            for data in packed
+        ]
+        return packed + unpacked
 
     def results(
         self, answers: Iterable[Sequence[Any] | ModbusError], *, return_exceptions: bool = False
@@ -287,14 +317,14 @@ class PointPlan(Plan):
                 value, by the name of the point.
         """
         given = self._checked_answers(list(answers))
-        data = [_packed(answer) for answer in given]
+        data = self._data(given)
         scales = self._scales(given)
         functions = scales.functions
         found: dict[str, Any] = dict.fromkeys(self._points)
         slow = self._slow.copy()
-        for name, request, start, stop, from_bytes, to_value, judge, scale in self._quick:
+        for name, at, start, stop, from_bytes, to_value, judge, scale in self._quick:
             try:
-                raw = from_bytes(data[request][start:stop])  # type: ignore[index]
+                raw = data[at][start] if from_bytes is None else from_bytes(data[at][start:stop])
                 convert = to_value if scale is None else functions[scale]
                 if judge is None:
                     value = raw if convert is None else convert(raw)
@@ -373,6 +403,15 @@ def _add_scale(scales: _Scales, scale: _Scale, number: int) -> None:
         with contextlib.suppress(ValueError):
             scaling = scaling_by(scale.scale, scale.offset, scale.how, value)
             scales.functions[number] = scaling.to_value
+
+
+def _form_of(kind: ValueType, decoder: Callable[[bytes], Any]) -> str:
+    """Return the form of `struct` that does the same as a decoder of one register, or nothing."""
+    if kind.registers != 1 or kind.order != "ABCD":
+        return ""
+    if decoder == kind.to_number:
+        return FORMS["uint16"]
+    return FORMS.get(kind.name, "") if decoder == kind.reader else ""
 
 
 def _packed(answer: Any) -> bytes | None:

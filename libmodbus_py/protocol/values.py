@@ -232,6 +232,11 @@ class ValueType:
         """
         return self._unpack(self._reordered(data))
 
+    @property
+    def reader(self) -> Callable[[bytes], Any]:
+        """A function that does the same as `from_bytes`, with fewer calls where it can."""
+        return self._unpack if self.order == "ABCD" else self.from_bytes
+
     def to_number(self, data: bytes) -> int:
         """Return the bits of one value, of any type, as a number without a sign."""
         return int.from_bytes(self._reordered(data), "big")
