@@ -90,6 +90,7 @@ class Hook:
             if addresses is not None
         }
         self.places: dict[str, tuple[range, ...]] | None = places or None
+        self._starts = {table: [each.start for each in found] for table, found in places.items()}
 
     def __repr__(self) -> str:
         return f"Hook({self.call!r}, places={self.places})"
@@ -106,7 +107,7 @@ class Hook:
         first, count = (access.file, 1) if is_file else (access.address, access.count)
         ranges = self.places.get(access.table, ())
         # The last range that begins before the access ends.
-        at = bisect_left(ranges, first + count, key=lambda each: each.start) - 1
+        at = bisect_left(self._starts.get(access.table, ()), first + count) - 1
         return at >= 0 and first < ranges[at].stop
 
 
