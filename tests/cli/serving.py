@@ -1,5 +1,5 @@
 """
-Servers of the command line, for the tests of other commands.
+Servers of the command line, and a fleet file, for the tests of other commands.
 """
 
 from __future__ import annotations
@@ -8,6 +8,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from tests.support.commands import Started
+
+FLEET_OF_ONE = """
+[[device]]
+name = "one"
+url = "{url}"
+[[device.point]]
+name = "volts"
+table = "holding_registers"
+address = 0
+"""
+"""A fleet file with one point of the device at a URL, which `format` sets."""
 
 
 @contextmanager

@@ -16,6 +16,7 @@ import pytest
 
 from libmodbus_py import Context, Device, Mapping, Server
 from libmodbus_py.cli.logs import logged
+from tests.cli.serving import FLEET_OF_ONE
 from tests.support.commands import Started
 
 LOGGER = logging.getLogger("libmodbus_py.somewhere")
@@ -96,20 +97,9 @@ def test_servers_tell_where_they_listen_and_every_frame(name: str, device: str) 
     assert frames[0]["message"].startswith(url)
 
 
-FLEET = """
-[[device]]
-name = "one"
-url = "{url}"
-[[device.point]]
-name = "volts"
-table = "holding_registers"
-address = 0
-"""
-
-
 def test_poll_prints_its_frames(device: str, tmp_path: Path) -> None:
     file = tmp_path / "fleet.toml"
-    file.write_text(FLEET.format(url=device))
+    file.write_text(FLEET_OF_ONE.format(url=device))
     with Started("poll", file, "--once", "-v") as process:
         lines = [line for line in process.stderr if "ReadHoldingRegisters" in line]
         assert process.wait() == 0

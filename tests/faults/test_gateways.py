@@ -4,15 +4,14 @@ Gateways, while the n-th call of the system fails: whoever asks afterwards is an
 
 from __future__ import annotations
 
-import contextlib
 import socket
 
 import pytest
 
 from libmodbus_py import Gateway, Route
-from tests.faults.injecting import Scenario, Trial, eventually, tried
+from tests.faults.injecting import Scenario, Trial, tried
 from tests.faults.test_clients import each_echoed, on_line
-from tests.faults.test_servers import TCP_ANSWER, over
+from tests.faults.test_servers import TCP_ANSWER, ask_while_failing, over
 from tests.support.peers import FakeServer, FakeUnit
 
 PART = ("services.gateway", "server", "client", "ports", "device")
@@ -25,18 +24,8 @@ ask = over(socket.SOCK_STREAM)
 
 def passing(device: str) -> Scenario:
     def scenario(trial: Trial) -> None:
-        gateway = Gateway([Route(device)])
-        background = gateway.background("tcp://127.0.0.1:0")
-        with contextlib.ExitStack() as stack:
-            running = None
-            with trial.faults(RuntimeError):
-                running = stack.enter_context(background)
-                ask(running.urls[0])
-                ask(running.urls[0])
-            if running is not None:
-                assert eventually(lambda: ask(running.urls[0]) == TCP_ANSWER)
-            with trial.faults():
-                stack.close()
+        background = Gateway([Route(device)]).background("tcp://127.0.0.1:0")
+        ask_while_failing(trial, background, ask, TCP_ANSWER)
 
     return scenario
 

@@ -9,7 +9,9 @@ import os
 import select
 import socket
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -84,21 +86,27 @@ def secured(papers: Papers) -> Ask:
     return ask
 
 
+def ask_while_failing(
+    trial: Trial, background: AbstractContextManager[Any], ask: Ask, answer: bytes
+) -> None:
+    """Begin to serve and end it while calls fail; in between the answer must come."""
+    with contextlib.ExitStack() as stack:
+        running = None
+        with trial.faults(RuntimeError):
+            running = stack.enter_context(background)
+            ask(running.urls[0])
+            ask(running.urls[0])
+        if running is not None:
+            assert eventually(lambda: ask(running.urls[0]) == answer)
+        with trial.faults():
+            stack.close()
+
+
 def serving(url: str, ask: Ask, answer: bytes, make: Callable[[], Server] = server) -> Scenario:
     """Serve in a thread, and ask while calls fail and when they do not any more."""
 
     def scenario(trial: Trial) -> None:
-        background = make().background(url)
-        with contextlib.ExitStack() as stack:
-            running = None
-            with trial.faults(RuntimeError):
-                running = stack.enter_context(background)
-                ask(running.urls[0])
-                ask(running.urls[0])
-            if running is not None:
-                assert eventually(lambda: ask(running.urls[0]) == answer)
-            with trial.faults():
-                stack.close()
+        ask_while_failing(trial, make().background(url), ask, answer)
         with make().background(url) as again:  # nothing holds the address any more
             assert again.urls
 

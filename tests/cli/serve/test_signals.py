@@ -14,19 +14,10 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.cli.serve import fleet as workers
+from tests.cli.serving import FLEET_OF_ONE
 from tests.support.commands import run
 
 NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-FLEET = """
-[[device]]
-name = "one"
-url = "{url}"
-[[device.point]]
-name = "volts"
-table = "holding_registers"
-address = 0
-"""
 
 
 def own_handler(number: int, frame: object) -> None:
@@ -45,7 +36,7 @@ def handlers() -> Iterator[Callable[[], list[Any]]]:
 @pytest.fixture
 def file(tmp_path: Path) -> Iterator[Path]:
     with Server(Device(Mapping(holding_registers=1))).background("tcp://127.0.0.1:0") as running:
-        (tmp_path / "fleet.toml").write_text(FLEET.format(url=running.urls[0]))
+        (tmp_path / "fleet.toml").write_text(FLEET_OF_ONE.format(url=running.urls[0]))
         yield tmp_path / "fleet.toml"
 
 

@@ -45,6 +45,22 @@ def simulated(voltage: int = 2305) -> Device:
     return Device(Mapping(holding_registers={0: [voltage, 0xFFFF, 20]}))
 
 
+async def while_polled(
+    fleet: Fleet, main: Callable[[], Awaitable[None]], note: Callable[[Reading], object]
+) -> None:
+    """Run a test while a fleet polls, and note each of its readings until it has ended."""
+
+    async def collect() -> None:
+        async for reading in fleet.readings():
+            note(reading)
+
+    collecting = asyncio.create_task(collect())
+    await asyncio.sleep(0)
+    async with fleet:
+        await main()
+    await collecting
+
+
 @asynccontextmanager
 async def polling(
     *devices: DeviceConfig, **options: Any

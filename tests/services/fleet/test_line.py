@@ -14,6 +14,7 @@ import pytest
 from libmodbus_py import DeviceConfig, Fleet, Point, RegisterMap
 from libmodbus_py.client import waiting_room
 from libmodbus_py.services.fleet.poller import DeviceState
+from tests.services.fleet.fleets import while_polled
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
 from tests.support.talk import rtu
@@ -77,17 +78,11 @@ class Plant:
     ) -> None:
         async def whole() -> None:
             self.fleet = Fleet(devices, may_ask=may_ask)
-            collecting = asyncio.create_task(self._collect())
-            await asyncio.sleep(0)
-            async with self.fleet:
-                await main()
-            await collecting
+            await while_polled(
+                self.fleet, main, lambda reading: self.readings.append((self.now, reading))
+            )
 
         self.network.run(whole)
-
-    async def _collect(self) -> None:
-        async for reading in self.fleet.readings():
-            self.readings.append((self.now, reading))
 
     def units(self, since: float = 0.0) -> list[int]:
         return [unit for at, unit, _ in self.asked if at >= since]

@@ -14,6 +14,7 @@ import pytest
 
 from libmodbus_py import DeviceConfig, Fleet, Point, RegisterMap
 from libmodbus_py.services.fleet.poller import DeviceState
+from tests.services.fleet.fleets import while_polled
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
 from tests.support.peers import mbap
@@ -65,17 +66,9 @@ class Plant:
     def run(self, main: Callable[[], Awaitable[None]], *devices: DeviceConfig) -> None:
         async def whole() -> None:
             self.fleet = Fleet(devices)
-            collecting = asyncio.create_task(self._collect())
-            await asyncio.sleep(0)
-            async with self.fleet:
-                await main()
-            await collecting
+            await while_polled(self.fleet, main, self.readings.append)
 
         self.network.run(whole)
-
-    async def _collect(self) -> None:
-        async for reading in self.fleet.readings():
-            self.readings.append(reading)
 
     def taken(self, unit: int = 1) -> int:
         """Return the number of requests to a unit since the last call, and forget them."""
