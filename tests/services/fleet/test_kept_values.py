@@ -1,0 +1,87 @@
+"""
+What outputs keep of readings: the last value of each point, and whether each device answers.
+"""
+
+from __future__ import annotations
+
+import asyncio
+
+from libmodbus_py.fleet import Reading
+from libmodbus_py.services.fleet.outputs.device_states import DeviceStates
+from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
+from libmodbus_py.services.fleet.outputs.last_values import LastValues
+from libmodbus_py.services.fleet.outputs.nats import Nats
+from tests.services.fleet.fleets import meter
+
+
+def reading(device: str, name: str = "v", quality: str = "good", value: float = 1.0) -> Reading:
+    return Reading(1.0, device, name, value, "V", quality)  # type: ignore[arg-type]
+
+
+class TestLastValues:
+    def test_the_last_reading_of_each_point_is_kept(self) -> None:
+        values = LastValues()
+        values.describe({name: meter(name, "tcp://192.0.2.1") for name in ("a", "b")})
+        told = [reading("a"), reading("a", "w"), reading("b"), reading("a", value=2.0)]
+        asyncio.run(values.write(told))
+        assert values.statistics.by_name == {
+            ("a", "v"): told[3],
+            ("a", "w"): told[1],
+            ("b", "v"): told[2],
+        }
+        asyncio.run(values.write([reading("a", quality="offline"), reading("b", quality="down")]))
+        assert sorted(values.statistics.by_name) == [("a", "w"), ("b", "v")]
+        values.describe({"a": meter("a", "tcp://192.0.2.1")})
+        assert sorted(values.statistics.by_name) == [("a", "w")]
+        assert list(values.statistics.labels) == ["a"]
+
+    def test_a_removed_device_has_no_values(self) -> None:
+        values = LastValues()
+        asyncio.run(values.write([reading("gone"), reading("gone", quality="offline")]))
+        assert values.statistics.by_name == {}
+
+
+class TestDeviceStates:
+    def test_a_device_answers_while_one_of_its_points_does(self) -> None:
+        states = DeviceStates()
+
+        def told(*readings: Reading) -> dict[str, bool]:
+            changed = states.changed(readings)
+            states.note(changed, readings)
+            return changed
+
+        assert told(reading("a"), reading("b", quality="down")) == {"a": True, "b": False}
+        assert told(reading("a"), reading("b", quality="down")) == {}
+        assert told(reading("a", "w", "bad"), reading("a", quality="down")) == {}
+        assert told(reading("a", "w", "down")) == {"a": False}
+        assert told(reading("a", "w", "bad")) == {"a": True}
+        assert states.told == {"a": True, "b": False}
+
+    def test_what_was_not_published_is_told_again(self) -> None:
+        states = DeviceStates()
+        assert states.changed([reading("a")]) == {"a": True}
+        assert states.changed([reading("a")]) == {"a": True}
+        states.note({"a": True}, [reading("a")])
+        assert states.changed([reading("a")]) == {}
+
+    def test_a_device_that_is_polled_no_more_is_forgotten(self) -> None:
+        states = DeviceStates()
+        last = [reading("a", "v", "offline"), reading("a", "w", "offline")]
+        both = [reading("a"), reading("a", "w")]
+        for told, is_known in ((both, True), (last[:1], True), (last[1:], False)):
+            states.note(states.changed(told), told)
+            assert ("a" in states.told) is is_known
+        assert states.told == {}
+        assert states.changed([reading("a")]) == {"a": True}
+
+
+def test_only_the_standard_output_wants_no_earlier_readings() -> None:
+    assert JsonOutput("-").is_live is True
+    assert JsonOutput("readings.json").is_live is False
+    assert LastValues().is_live is True
+
+
+def test_a_stream_keeps_a_day_and_a_gibibyte_unless_it_is_told_otherwise() -> None:
+    assert Nats("nats://192.0.2.1")._limits == {"max_age": 86_400.0, "max_bytes": 1 << 30}
+    limits = Nats("nats://192.0.2.1", max_age=60, max_bytes=1 << 20)._limits
+    assert limits == {"max_age": 60.0, "max_bytes": 1 << 20}
