@@ -52,7 +52,9 @@ def add_command(commands: Any) -> None:
     """Add the command to argparse."""
     command = commands.add_parser(
         "listen",
-        description="Print every transaction on a line, and a summary after Ctrl-C.",
+        description="Print every transaction on a line, and a summary after Ctrl-C. Nothing is\n"
+        "sent. Traffic in TLS cannot be read; `libmodbus-py gateway tls://... --to tls://...\n"
+        "-v` shows the requests that it forwards.",
         epilog="The exit code is 0, or 1 if the capture could not be written to the end.\n\n"
         f"{EXAMPLES}",
         formatter_class=VerbatimHelp,

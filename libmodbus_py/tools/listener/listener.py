@@ -357,8 +357,17 @@ def _source(endpoint: Endpoint, target: Endpoint | None, clock: Clock) -> tuple[
     return port, endpoint
 
 
+IN_TLS = (
+    "listening cannot see into TLS; a gateway, with a certificate for each side, decodes and shows"
+    " the requests that it forwards"
+)
+
+
 def _check(endpoint: Endpoint, target: Endpoint | None) -> None:
     """Raise ValueError if the endpoint cannot be listened to."""
+    for each in filter(None, (endpoint, target)):
+        if each.is_secure:
+            raise ValueError(f"{each}: {IN_TLS}")
     if endpoint.is_serial:
         if target is not None:
             raise ValueError("between needs rtu+tcp or ascii+tcp; a serial port is only read")
