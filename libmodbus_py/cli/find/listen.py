@@ -53,8 +53,8 @@ def add_command(commands: Any) -> None:
     command = commands.add_parser(
         "listen",
         description="Print every transaction on a line, and a summary after Ctrl-C. Nothing is\n"
-        "sent. Traffic in TLS cannot be read; `libmodbus-py gateway tls://... --to tls://...\n"
-        "-v` shows the requests that it forwards.",
+        "sent. Traffic in TLS cannot be read; libmodbus-py gateway -v shows the requests\n"
+        "that it forwards from tls:// to tls://.",
         epilog="The exit code is 0, or 1 if the capture could not be written to the end.\n\n"
         f"{EXAMPLES}",
         formatter_class=VerbatimHelp,
