@@ -29,8 +29,8 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         "--log",
         choices=LEVELS,
         metavar="LEVEL",
-        help=f"what is logged: {', '.join(LEVELS)}; debug contains every frame."
-        " Each line has the time",
+        help=f"lowest level to log: {', '.join(LEVELS)}; debug logs every frame."
+        " Each line begins with the time",
     )
     group.add_argument(
         "--log-format",

@@ -108,9 +108,11 @@ SERIAL_OPTIONS: dict[str, Option] = {
     "parity": Option(parity_of, "none, even or odd", "parity: none, even or odd", "P"),
     "data_bits": _number("data bits of a character, 7 or 8"),
     "stop_bits": _number("stop bits, 1 or 2"),
-    "rs485": _text("how an RS-485 transceiver is switched: kernel, rts-up or rts-down", "MODE"),
+    "rs485": _text(
+        "direction control of an RS-485 transceiver: kernel, rts-up or rts-down", "MODE"
+    ),
     "rts_delay": _seconds("seconds between RTS and the data; unless given, one character"),
-    "echo": Option(_switch, "0 or 1", "the line returns everything that is sent", ""),
+    "echo": Option(_switch, "0 or 1", "the line echoes everything that is sent", ""),
     "silence": _seconds("seconds of silence between frames; unless given, 3.5 characters"),
 }
 
@@ -169,22 +171,22 @@ TRANSPORTS: dict[Transport, TransportRules] = {
 
 CLIENT_OPTIONS: dict[str, Option] = {
     "unit": _number("unit that is addressed, 0..255"),
-    "timeout": _seconds("seconds for a request, connecting included"),
-    "retries": _number("times to repeat a request that gets no answer or a damaged one"),
-    "busy_retries": _number("times to repeat a request that a busy device refuses"),
-    "max_in_flight": _number("requests that wait for their answers at the same time"),
-    "turnaround": _seconds("seconds of rest after a broadcast"),
-    "request_spacing": _seconds("seconds between the starts of two requests, at least"),
+    "timeout": _seconds("seconds until a request times out, including the time to connect"),
+    "retries": _number("how often to repeat a request whose response is missing or damaged"),
+    "busy_retries": _number("how often to repeat a request that a device refuses as busy"),
+    "max_in_flight": _number("maximum number of requests in flight"),
+    "turnaround": _seconds("seconds to wait after a broadcast"),
+    "request_spacing": _seconds("minimum seconds between the starts of two requests"),
     "connect_delay": _seconds("seconds between connecting and the first request"),
-    "timeouts_before_reconnect": _number("timeouts in a row after which to connect again"),
+    "timeouts_before_reconnect": _number("consecutive timeouts after which the client reconnects"),
     "keepalive": Option(
         lambda text: None if text == "none" else duration_of(text),
         f"{DURATION}, or none",
         "seconds of silence after which TCP probes the connection, or none",
         "S",
     ),
-    "max_pause": _seconds("seconds between two attempts to connect, at most"),
-    "native": Option(_switch, "0 or 1", "let the C library carry requests where it can", ""),
+    "max_pause": _seconds("maximum seconds between two attempts to connect"),
+    "native": Option(_switch, "0 or 1", "send requests through the C library where possible", ""),
     "accept_unit": _text("same; or any, to accept answers from another unit", "WHICH"),
     "delimiter": Option(
         lambda text: int(text, 0),

@@ -18,20 +18,24 @@ __all__ = ["add_arguments", "limits_of"]
 # fmt: off
 NUMBERS: dict[str, tuple[Callable[[str], Any], str, str]] = {
     "max_connections": (
-        int, "N", "TCP connections in all; unless given, what the limit of descriptors allows"
+        int, "N", "maximum number of TCP connections; by default what the open-file limit allows"
     ),
     "connections_per_address": (
-        int, "N", "TCP connections of one address; unless given, a tenth of all"
+        int, "N", "maximum number of TCP connections per address; by default a tenth of all"
     ),
     "frame_timeout": (float, "S", "seconds from the first byte of a frame to the last"),
     "handshake_timeout": (float, "S", "seconds for a TLS handshake"),
     "certificate_interval": (
         float, "S", "seconds between checks of the certificates of open TLS connections"
     ),
-    "idle_timeout": (float, "S", "seconds without a request until a connection is closed, or inf"),
-    "max_unsent": (int, "BYTES", "answers that may wait for a client that does not read them"),
+    "idle_timeout": (
+        float, "S", "seconds without a request after which a connection is closed, or inf"
+    ),
+    "max_unsent": (
+        int, "BYTES", "bytes of responses buffered for a client that does not read them"
+    ),
     "requests_per_second": (
-        float, "N", "requests of one address that are answered; unless given, all, over UDP 1000"
+        float, "N", "requests answered per address; by default all, over UDP 1000"
     ),
 }
 """Field of `Limits` -> type, placeholder and text of the option."""
