@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import math
 import os
 import subprocess
 import sys
@@ -156,7 +157,7 @@ def _find_all() -> int:
     print("| rule taken out | found after | seed | by the rule |\n|---|--:|--:|---|")
     for each in BREAKS:
         begun = time.process_time()
-        failure = find(each, PATIENCE)
+        failure = find(each, seconds=PATIENCE)
         took = time.process_time() - begun
         if failure is None:
             missed += 1
@@ -169,10 +170,16 @@ def _find_all() -> int:
     return int(missed > 0)
 
 
-def find(broken: Break, seconds: float) -> Failure | None:
-    """Break a rule, and play seeds until one shows it, for so many seconds of processor time."""
+def find(broken: Break, *, seconds: float = math.inf, seeds: int | None = None) -> Failure | None:
+    """
+    Break a rule, and play seeds until one shows it.
+
+    Args:
+        seconds: of processor time, after which no more are played.
+        seeds: how many are played at most.
+    """
     until = time.process_time() + seconds
-    for seed in count():
+    for seed in count() if seeds is None else range(seeds):
         if time.process_time() >= until:
             return None
         options = broken.options(chosen(seed))

@@ -118,7 +118,7 @@ BREAKS: tuple[Break, ...] = (
     ),
     Break(
         "a frame of another function is no answer",
-        ("line", "gateway"),
+        ("line",),
         lambda: patch.object(InTurn, "_note_other_function", _end_at_once),
         ("late", "other_function"),
     ),
