@@ -1,0 +1,187 @@
+"""
+The base of sessions: what is found in received bytes, what is written and traced, and its state.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+from typing import Any, Literal
+
+import pytest
+
+from libmodbus_py.protocol.errors import FrameError
+from libmodbus_py.protocol.framing import Frame
+from libmodbus_py.security.describing import CertificateHolder
+from libmodbus_py.server.framed import Framed
+from libmodbus_py.server.limits import ServerStatistics
+from libmodbus_py.server.service import SessionState
+from tests.simulation.network import Network
+from tests.support.talk import rtu
+
+ASKED, ANSWER = bytes.fromhex("03 0000 0001"), bytes.fromhex("03 02 0007")
+REFUSAL = b"\x83\x02"
+
+
+class Channel:
+    """A channel that remembers what happens to it."""
+
+    address = "192.0.2.7:51234"
+    role: str | None = None
+    holder: CertificateHolder | None = None
+
+    def __init__(self) -> None:
+        self.written: list[bytes] = []
+        self.traced: list[tuple[str, bytes, int | None]] = []
+        self.followed = 0
+        self.trace: Any = self
+
+    def tell(
+        self, direction: str, adu: bytes, unit: int | None = None, function: int | None = None
+    ) -> None:
+        assert (unit is None) == (function is None)
+        self.traced.append((direction, adu, unit))
+
+    def write(self, data: bytes) -> None:
+        self.written.append(data)
+
+    def follow(self) -> None:
+        self.followed += 1
+
+    def hang_up(self) -> bool:
+        return False
+
+
+class Session(Framed):
+    """Answers each request in the same way; None for not at all."""
+
+    def __init__(
+        self, framing: Literal["tcp", "rtu"] = "tcp", *, answer: bytes | None = ANSWER, **keys: Any
+    ) -> None:
+        self.channel, self.statistics = Channel(), ServerStatistics()
+        self._pdu = answer
+        super().__init__(framing, self.channel, self.statistics, lambda unit: unit == 1, **keys)
+
+    def _answer(self, request: Frame) -> Frame | None:
+        return None if self._pdu is None else request._replace(pdu=self._pdu)
+
+
+def framed(pdu: bytes, number: int) -> bytes:
+    return struct.pack(">HHHB", number, 0, len(pdu) + 1, 1) + pdu
+
+
+def request(number: int = 1) -> bytes:
+    return framed(ASKED, number)
+
+
+def answer(number: int = 1) -> bytes:
+    return framed(ANSWER, number)
+
+
+def test_each_request_is_answered_traced_and_counted() -> None:
+    session = Session()
+    assert session.state.value == "reading"
+    assert session.receive(request(1) + request(2)) == 2
+    assert session.channel.written == [answer(1), answer(2)]
+    assert session.channel.traced == [
+        ("received", request(1), 1),
+        ("received", request(2), 1),
+        ("sent", answer(1), 1),
+        ("sent", answer(2), 1),
+    ]
+    assert (session.statistics.requests, session.statistics.refused) == (2, 0)
+    assert session.state.value == "reading"
+    assert session.channel.followed == 0
+
+
+def test_a_refusal_is_counted() -> None:
+    session = Session(answer=REFUSAL)
+    session.receive(request())
+    assert (session.statistics.requests, session.statistics.refused) == (1, 1)
+
+
+def test_what_gets_no_answer_is_counted_too() -> None:
+    session = Session(answer=None)
+    assert session.receive(request()) == 1
+    assert session.channel.written == []
+    assert session.statistics.requests == 1
+
+
+def test_a_frame_whose_end_is_missing_is_waited_for() -> None:
+    session = Session()
+    assert session.receive(request()[:9]) == 0
+    assert session.state.value == "unfinished"
+    assert session.receive(request()[9:]) == 1
+    assert session.state.value == "reading"
+
+
+def test_of_much_a_part_is_searched_at_a_time() -> None:
+    """64 bytes, and of the frames in them four: 12 bytes each."""
+    session = Session(at_once=64)
+    everything = b"".join(map(request, range(12)))
+    counts = [session.receive(everything)]
+    while session.state is SessionState.BEHIND:
+        followed = session.channel.followed
+        counts.append(session.receive(b""))
+        assert session.channel.followed == followed + (session.state is SessionState.BEHIND)
+    assert counts[0] == 0
+    assert max(counts) == 4
+    assert session.channel.written == [answer(number) for number in range(12)]
+
+
+def test_a_stream_that_cannot_be_understood_ends_after_its_requests() -> None:
+    session = Session()
+    assert session.receive(request() + b"\xff" * 300) == 1
+    assert session.channel.written == [answer()]
+    assert session.state.value == "behind"
+    with pytest.raises(FrameError, match="out of step"):
+        session.receive(b"")
+
+
+def test_the_rest_of_what_came_is_traced_once() -> None:
+    for end in (Session.end, Session.close):
+        session = Session()
+        session.receive(request()[:9])
+        for _ in range(3):
+            end(session)
+        assert session.channel.traced == [("received", request()[:9], None)]
+        assert session.state.value == "reading"
+
+
+def test_frames_that_were_not_looked_at_are_traced_at_the_end() -> None:
+    session = Session(at_once=64)
+    session.receive(b"".join(map(request, range(6))))
+    session.end()
+    assert session.channel.traced == [("received", request(number), 1) for number in range(6)]
+    assert session.channel.written == []
+
+
+class TestLine:
+    """On a line frames end with silence, and a late request replaces the one before."""
+
+    def test_only_the_last_of_several_requests_is_answered(self) -> None:
+        session = Session("rtu")
+        asked = [rtu(f"01 03 000{at} 0001") for at in range(3)]
+        assert session.receive(b"".join(asked)) == 3
+        assert session.channel.written == [rtu("01 03 02 0007")]
+        assert session.statistics.requests == 3
+
+    def test_damage_is_counted_and_traced_without_a_unit(self) -> None:
+        session = Session("rtu")
+        damaged = rtu("01 03 0000 0001")[:-1] + b"\x00"
+        network = Network()
+
+        async def main() -> None:
+            session.receive(damaged)
+            while not session.channel.followed:
+                await asyncio.sleep(0.001)
+            assert session.state.value == "behind"
+            assert session.receive(b"") == 0
+            assert session.state.value == "reading"
+
+        network.run(main)
+        assert session.statistics.bad_frames == 1
+        ((direction, adu, unit),) = session.channel.traced
+        assert (direction, unit) == ("received", None)
+        assert damaged.startswith(adu)
+        assert session.channel.written == []
