@@ -4,6 +4,7 @@ A device whose every poll the other side refuses by ending the connection: what 
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections.abc import Callable
 from typing import Any
@@ -73,6 +74,25 @@ def test_a_device_that_is_refused_again_costs_few_connections(devices: str) -> N
     assert failed[0] <= 6
     assert max(failed[1:]) <= 2
     assert {each.device for each in output.accepted} == set(devices) - {"b"}
+
+
+def test_others_keep_up_with_a_device_that_is_refused_often() -> None:
+    """Nothing waits between a refusal and the next connection."""
+    waited: list[float] = []
+
+    async def play(pump: Pump) -> None:
+        put(pump, "abc", 0)
+        await until(lambda: pump.statistics.dropped == 1)
+        await until(lambda: not len(pump.buffer))
+        loop, now = asyncio.get_running_loop(), 0.0
+        for at in range(1, 50):
+            now = loop.time()
+            put(pump, "abc", at)
+            await until(lambda: not len(pump.buffer))
+            waited.append(loop.time() - now)
+
+    pumped(Distant("b"), play)
+    assert max(waited) <= 0.2
 
 
 def test_a_device_that_is_accepted_again_is_believed_again() -> None:

@@ -63,6 +63,8 @@ class Pump:
         self._losses = 0
         self._refusals = Refusals(self.buffer)
         self._closing = asyncio.Event()
+        # True after a poll was refused while others were accepted: the other side is there.
+        self._may_open_at_once = False
 
     def start(self) -> None:
         """Start the task."""
@@ -101,7 +103,9 @@ class Pump:
     async def _run(self) -> None:
         try:
             while not await self._give():
-                await self._rest()
+                if not self._may_open_at_once:
+                    await self._rest()
+                self._may_open_at_once = False
         finally:
             self.buffer.give_up()
 
@@ -181,7 +185,8 @@ class Pump:
             return
         if self._refusals.is_refused(batch):
             self._refusals.note_dropped(batch[0].device)
-            self._drop(batch, f"others were accepted and these were not, three times: {error}")
+            self._drop(batch, f"others were accepted and these were not, several times: {error}")
+            self._may_open_at_once = True
             return
         self.buffer.put_back(batch)
         self._losses += 1
