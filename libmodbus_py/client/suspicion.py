@@ -13,9 +13,13 @@ from collections import deque
 
 __all__ = ["Suspicion"]
 
-# So many of the last answers may come again; so many requests are remembered with their answers,
-# and so many answers that different requests have in common.
-RECENT, REMEMBERED, MOST_COMMON = 16, 1024, 64
+# So many of the last answers may come again, and more of a unit that answers fast: those of so many
+# seconds.
+RECENT, LONGEST_COPY = 16, 0.05
+
+# So many requests are remembered with their answers, and so many answers that different requests
+# have in common.
+REMEMBERED, MOST_COMMON = 1024, 64
 
 # Answers that took less than this share of the shortest time, or on average of the usual time.
 EARLY, FASTER = 0.5, 0.75
@@ -87,9 +91,11 @@ class Suspicion:
         self._times: dict[Kind, Times] = {}
         # Unit and request -> its last answer.
         self._answers: dict[Asked, bytes] = {}
-        # The last answers, and what each of them answered.
-        self._recent: deque[bytes] = deque(maxlen=RECENT)
-        self._recently_asked: deque[Asked] = deque(maxlen=RECENT)
+        # The last answers: what each of them answered, and how long it took; and that together.
+        self._recent: deque[tuple[bytes, Asked, float]] = deque(maxlen=REMEMBERED)
+        self._covered = 0.0
+        # How often each of them is there.
+        self._counts: dict[bytes, int] = {}
         # Answers that different requests of a unit have in common, such as all zeros.
         self._common: set[tuple[int, bytes]] = set()
 
@@ -100,13 +106,12 @@ class Suspicion:
         if times is not None and (took < times.earliest or times.are_shorter):
             return False
         if self._answers.get(asked) != pdu:
-            if pdu in self._recent and self.repeats(unit, request, pdu):
+            if pdu in self._counts and self.repeats(unit, request, pdu):
                 return False
             if len(self._answers) >= REMEMBERED:
                 self._answers.clear()
             self._answers[asked] = pdu
-        self._recent.append(pdu)
-        self._recently_asked.append(asked)
+        self._note_recent(pdu, asked, took)
         if times is not None:
             times.note(took)
         else:
@@ -115,12 +120,29 @@ class Suspicion:
             self._times[kind] = Times(took)
         return True
 
+    def _note_recent(self, pdu: bytes, asked: Asked, took: float) -> None:
+        recent, counts = self._recent, self._counts
+        if len(recent) == REMEMBERED:
+            self._forget_oldest()
+        recent.append((pdu, asked, took))
+        counts[pdu] = counts.get(pdu, 0) + 1
+        self._covered += took
+        while len(recent) > RECENT and self._covered - recent[0][2] >= LONGEST_COPY:
+            self._forget_oldest()
+
+    def _forget_oldest(self) -> None:
+        pdu, _, took = self._recent.popleft()
+        self._covered -= took
+        if self._counts[pdu] > 1:
+            self._counts[pdu] -= 1
+        else:
+            del self._counts[pdu]
+
     def repeats(self, unit: int, request: bytes, pdu: bytes) -> bool:
         """Return True for the answer to another request of late, unless it was the last to this."""
         if self._answers.get((unit, request)) == pdu or (unit, pdu) in self._common:
             return False
-        recent = zip(self._recently_asked, self._recent, strict=True)
-        requests = [asked[1] for asked, each in recent if each == pdu and asked[0] == unit]
+        requests = [asked[1] for each, asked, _ in self._recent if each == pdu and asked[0] == unit]
         return bool(requests) and requests[-1] != request
 
     def patience(self, unit: int, request: bytes, pdu: bytes) -> float:

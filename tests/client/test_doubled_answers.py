@@ -22,10 +22,14 @@ class Doubling:
 
     Args:
         share: of the answers, which come again up to `apart` seconds later.
+        usual: the time that an answer takes, in seconds.
     """
 
-    def __init__(self, scheme: str, share: float, apart: float, seed: int) -> None:
+    def __init__(
+        self, scheme: str, share: float, apart: float, seed: int, usual: float = 0.005
+    ) -> None:
         self._scheme = scheme
+        self._usual = usual
         self._share = share
         self._apart = apart
         self._random = random.Random(seed)
@@ -33,7 +37,7 @@ class Doubling:
 
     def __call__(self, request: bytes, write: Write) -> None:
         adu = answer(request, self._scheme)
-        after = self._random.uniform(0.004, 0.006)
+        after = self._random.uniform(0.8, 1.2) * self._usual
         write(adu, after)  # type: ignore[call-arg]
         if self._random.random() < self._share:
             self.doubled += 1
@@ -48,6 +52,20 @@ def test_no_value_is_that_of_another_request(world: World, scheme: str) -> None:
         wrong = [each for each in range(1, 1500) if read(context, each) != each]
     assert not wrong
     assert unit.doubled > 5
+
+
+@pytest.mark.parametrize("scheme", ["rtu+tcp", "rtu+udp", "ascii+tcp"])
+def test_copies_that_come_many_answers_later_are_known(world: World, scheme: str) -> None:
+    """Of a unit on a network, which answers 40 times until the copy comes."""
+    wrong, doubled = [], 0
+    for seed in range(8):
+        unit = Doubling(scheme, 0.003, 0.02, seed, usual=0.0005)
+        peer = world.peer(scheme, unit)
+        with world.connect(peer.url, timeout=1) as context:
+            wrong += [each for each in range(1, 1000) if read(context, each) != each]
+        doubled += unit.doubled
+    assert not wrong
+    assert doubled > 10
 
 
 def asked(talk: Talk, address: int, *answers: tuple[float, bytes]) -> object:
