@@ -106,8 +106,9 @@ def decode_role(value: bytes) -> str:
         tag = f"tag {value[0]:02X}h" if value else "no tag"
         raise RoleError(f"the role must be a UTF8String (tag 0Ch), not {tag}")
     # One byte of length up to 127, then 81h and one: the only form that DER has for each.
-    start = 3 if value[1:2] == b"\x81" and value[2:3] >= b"\x80" else 2
-    if len(value) < start or value[start - 1] != len(value) - start:
+    start = 3 if value[1:2] == b"\x81" else 2
+    is_shortest = len(value) >= start and (value[start - 1] >= 0x80) == (start == 3)
+    if not is_shortest or value[start - 1] != len(value) - start:
         begin = value[:6].hex(" ")
         raise RoleError(f"the role's {len(value)} bytes ({begin} ...) are not one string in DER")
     try:

@@ -64,6 +64,8 @@ def test_the_whole_string_is_one_role(role: str) -> None:
         (b"\x0c\x82\x00\x08Operator", "one string in DER"),
         (b"\x0c\x80Operator\0\0", "one string in DER"),
         (b"\x0c\x81", "one string in DER"),
+        (b"\x0c\x81" + b"a" * 129, "one string in DER"),  # 81h is no length of its own
+        (b"\x0c\xfd" + b"a" * 253, "one string in DER"),
         (b"\x0c\x81\x80" + b"a" * 127, "one string in DER"),
         (b"\x0c\x82\x01\x00" + b"a" * 256, "one string in DER"),
         (b"\x0c\x08Operato\xff", "no UTF-8 from byte 7"),
