@@ -125,6 +125,12 @@ class Meaning:
         self.judge: Callable[[Any, Scale | None], Any] = self._judge()
 
     @property
+    def mask(self) -> int:
+        """The bits of the registers that writing changes, if not all."""
+        parts = self._bits.values() if self.part is None else [self.part]
+        return sum(part.mask for part in parts)
+
+    @property
     def is_part(self) -> bool:
         """True if writing changes some bits of the registers only."""
         return self.part is not None or bool(self._bits)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from ..protocol.checks import are_registers, shown
+from ..protocol.checks import are_registers, seconds, shown
 from ..protocol.close_names import named_arguments
 from ..protocol.mistakes import Mistake, WrongType, WrongValue
 from ..protocol.pdu.fields import checked_bit, checked_sequence, store
@@ -23,11 +23,18 @@ from .meaning_keys import checked_meaning, has_numbers, tidied
 from .plan import Read
 from .scaling import Scaling, exact, number, scaling_by
 
-__all__ = ["ACCESSES", "MAX_DESCRIPTION", "Point", "Rights"]
+# fmt: off
+__all__ = [
+    "ACCESSES", "LONGEST_INTERVAL", "MAX_DESCRIPTION", "SHORTEST_INTERVAL", "Point", "Rights",
+]
+# fmt: on
 
 Rights = Literal["read", "write", "read_write"]
 
 ACCESSES = ("read", "write", "read_write")
+
+# Seconds; a longer interval is taken to be a mistake.
+SHORTEST_INTERVAL, LONGEST_INTERVAL = 0.01, 86_400.0
 
 MAX_NAME, MAX_UNITS, MAX_DESCRIPTION = 100, 50, 2000
 
@@ -72,6 +79,13 @@ class Point:
         bit: the bit that is the value, True or False; or several, such as "4..7", a number. Other
             bits of the registers are left as they are when it is written.
         byte: "high" or "low": the byte of the register that is the value.
+        time_zone: the zone whose local time the device shows, for types of times, such as
+            "Europe/Berlin"; values are in UTC nevertheless. A time that occurs twice, because
+            summer time ends, is the first one, unless the type is iec870, which tells them apart;
+            one that does not exist is no value.
+        interval: seconds between two reads of the point in `watch`, ``read --watch`` and fleets,
+            0.01..86400, in place of the interval of all other points; None for that.
+        group: the points of one group are selected together, by its name; up to 100 characters.
 
     Attributes:
         read: the `Read` of all cells, for a `Plan`.
@@ -107,6 +121,9 @@ class Point:
     bits: Mapping[int | str, str] | None = field(default=None, hash=False)
     bit: int | str | None = None
     byte: Literal["high", "low"] | None = None
+    time_zone: str = "UTC"
+    interval: float | None = None
+    group: str = ""
     read: Read = field(init=False, repr=False, compare=False)
     _scaling: Scaling | None = field(init=False, repr=False, compare=False)
     meaning: Meaning | None = field(init=False, repr=False, compare=False)
@@ -115,6 +132,7 @@ class Point:
         for name, least, most in (
             ("name", 1, MAX_NAME),
             ("units", 0, MAX_UNITS),
+            ("group", 0, MAX_NAME),
             ("description", 0, MAX_DESCRIPTION),
         ):
             _check_text(name, getattr(self, name), least, most)
@@ -129,6 +147,10 @@ class Point:
         order = "ABCD" if read.kind is None else read.kind.order
         store(self, read=read, address=read.address, count=read.count, order=order)
         store(self, type=read.type)
+        if self.time_zone != "UTC":
+            store(read, kind=_local(read.kind, self))
+        if self.interval is not None:
+            seconds("interval", self.interval, SHORTEST_INTERVAL, LONGEST_INTERVAL)
         store(self, **tidied(self))
         store(self, access=self._checked_access(), meaning=checked_meaning(self))
         store(self, _scaling=self._checked_scaling())
@@ -498,6 +520,16 @@ def _renaming(self: Point, *args: Any, **options: Any) -> None:
 
 
 Point.__init__ = _renaming  # type: ignore[method-assign]
+
+
+def _local(kind: ValueType | None, point: Point) -> ValueType:
+    """Return the type of a point whose registers hold the local time of a zone."""
+    from ..protocol.local_times import checked_time_zone, in_time_zone  # which few programs need
+
+    zone = checked_time_zone("time_zone", point.time_zone)
+    if kind is None or not kind.is_time:
+        raise WrongValue("time_zone", f"must be left out for {point.type_name}, which is no time")
+    return in_time_zone(kind, zone)
 
 
 def _groups(cells: Sequence[int], size: int) -> list[Sequence[int]]:

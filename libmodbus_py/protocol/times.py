@@ -2,7 +2,7 @@
 Dates and times in registers.
 
 Values are datetimes with a time zone. Registers hold none, so that the time of a device is taken as
-UTC; what is written is converted to UTC first.
+UTC here, and what is written is converted to UTC first; `local_times` has the other zones.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from .mistakes import Path, WrongType, WrongValue
 
-__all__ = ["TIMES", "pack_time", "unpack_time"]
+__all__ = ["TIMES", "checked_time", "pack_time", "unpack_time"]
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -36,7 +36,7 @@ class TimeForm(NamedTuple):
     unpack: Callable[[bytes], datetime]
 
 
-def _checked_time(name: str | Path, value: object) -> datetime:
+def checked_time(name: str | Path, value: object) -> datetime:
     """
     Return a datetime in UTC.
 
@@ -159,7 +159,7 @@ def pack_time(form: TimeForm, name: str | Path, value: Any) -> bytes:
     Raises:
         TypeError, ValueError: no datetime with a time zone, or one that the form cannot hold.
     """
-    time = _checked_time(name, value)
+    time = checked_time(name, value)
     try:
         return form.pack(time)
     except OverflowError as error:

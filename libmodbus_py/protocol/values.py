@@ -145,6 +145,16 @@ class ValueType:
     order: str = "ABCD"
     is_time: bool = False
 
+    @property
+    def pack(self) -> Callable[[str | Path, Any], bytes]:
+        """The function that returns the bytes of a value, in the order ABCD; its name first."""
+        return self._pack
+
+    @property
+    def unpack(self) -> Callable[[bytes], Any]:
+        """The function that returns the value of bytes in the order ABCD; raises ValueError."""
+        return self._unpack
+
     def encode(self, value: Any) -> list[int]:
         """
         Turn one value into its registers, 0..65535 each.

@@ -13,7 +13,7 @@ from functools import lru_cache
 from typing import Any
 
 from ...client.options import CheckedOptions, assembled
-from ...maps.point import Point
+from ...maps.point import LONGEST_INTERVAL, SHORTEST_INTERVAL, Point
 from ...maps.register_map import PointPlan, RegisterMap
 from ...ports.endpoint import Endpoint, parse
 from ...protocol.checks import integer, number, seconds
@@ -31,15 +31,11 @@ __all__ = [
     "label_name",
 ]
 
-SHORTEST_INTERVAL = 0.01
 
 LONGEST_NAME = 100
 
 OWN_LABELS = ("device", "name", "unit")
 """Labels of metrics that are not those of a device."""
-
-# Seconds; a longer interval is taken to be a mistake.
-LONGEST_INTERVAL = 86_400.0
 
 
 @named_arguments

@@ -121,7 +121,7 @@ def test_every_key_of_every_file_says_what_it_means(table_of_keys: Keys) -> None
 
 
 def test_every_key_can_stand_in_a_cell_that_csv_has_a_column_for() -> None:
-    assert set(READERS) - {"function", "divisor"} == set(POINT) - {"padding", "unit"}
+    assert set(READERS) - {"function", "divisor"} == set(POINT) - {"unit"}
     not_in_cells = {"map", "dead_bands", "labels"}
     columns = {key.name for key in fleet_files.DEVICE.values() if key.kind in CELLS}
     assert columns == set(fleet_files.DEVICE) - not_in_cells

@@ -17,7 +17,7 @@ from ....protocol.words import ORDER_WORDS, TABLE_WORDS, TYPE_WORDS, plain, type
 from ..csv_text import flag_in, number_in, whole_in
 from .words import ACCESS_WORDS, FUNCTION_TABLES
 
-__all__ = ["READERS"]
+__all__ = ["PADDINGS", "READERS"]
 
 _FUNCTION = re.compile(r"(?<![0-9a-z])(?:fc|f|0x)? ?([0-9]{1,2})(?![0-9a-z])")
 
@@ -90,6 +90,9 @@ def _object(text: str) -> dict[str, str]:
 
 _type_word = _word({**TYPE_WORDS, "string:n": "string:N"})
 
+PADDINGS = {"space": " ", "nul": "\0"}
+"""Word -> the character that it stands for in the column of paddings."""
+
 READERS: dict[str, Callable[[str], Any]] = {
     "name": str,
     "table": _word(TABLE_WORDS),
@@ -99,6 +102,7 @@ READERS: dict[str, Callable[[str], Any]] = {
     "type": _type,
     "order": _order,
     "encoding": str,
+    "padding": lambda text: PADDINGS.get(plain(text), text),
     "scale": number_in,
     "divisor": number_in,
     "offset": number_in,
@@ -117,5 +121,8 @@ READERS: dict[str, Callable[[str], Any]] = {
     "bits": _names,
     "bit": str,
     "byte": _word(_by_itself(BYTES)),
+    "time_zone": str,
+    "interval": number_in,
+    "group": str,
 }
 """Kind of a column -> the reader that returns the argument of `Point`, or raises WrongValue."""

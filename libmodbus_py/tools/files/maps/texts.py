@@ -12,8 +12,11 @@ from typing import Any
 from ....maps.point import Point
 from ..csv_text import csv_rows
 from ..toml_lines import shown_key
+from .cells import PADDINGS
 
 __all__ = ["csv_text", "toml_text"]
+
+WORD_OF = {character: word for word, character in PADDINGS.items()}
 
 _DEFAULTS = {each.name: each.default for each in fields(Point) if each.init}
 
@@ -27,9 +30,9 @@ def toml_text(points: Iterable[Point]) -> str:
 
 
 def csv_text(points: Iterable[Point]) -> str:
-    """Return points as CSV: a line for each, without paddings, which have no column in CSV."""
+    """Return points as CSV: a line for each."""
     said = [dict(_said(point)) for point in points]
-    used = [key for key in _DEFAULTS if key != "padding" and any(key in keys for keys in said)]
+    used = [key for key in _DEFAULTS if any(key in keys for keys in said)]
     return csv_rows([used, *([_cell(keys.get(key, "")) for key in used] for keys in said)])
 
 
@@ -37,6 +40,8 @@ def _cell(value: Any) -> Any:
     """Return a value as the readers of cells take it."""
     if isinstance(value, bool):
         return _shown(value)
+    if isinstance(value, str) and value in WORD_OF:
+        return WORD_OF[value]
     if isinstance(value, tuple):
         return "; ".join(map(str, value))
     if not isinstance(value, Mapping):

@@ -25,6 +25,7 @@ COLUMNS = by_word(
         "type": "data type, datatype, value type, format, data format",
         "order": "byte order, word order, endianness, endian",
         "encoding": "",
+        "padding": "",
         "scale": "factor, multiplier, scaling, scale factor, scaling factor, multiply by",
         "divisor": "divider, divide by",
         "offset": "value offset",
@@ -43,6 +44,9 @@ COLUMNS = by_word(
         "bits": "",
         "bit": "",
         "byte": "",
+        "time_zone": "timezone",
+        "interval": "poll interval, polling interval",
+        "group": "",
     }
 )
 """Heading of a column -> kind of the column."""

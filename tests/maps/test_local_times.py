@@ -1,0 +1,147 @@
+"""
+Times of devices whose clocks show the local time of a zone.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from typing import Any
+from zoneinfo import ZoneInfo
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from libmodbus_py import Point
+from libmodbus_py.maps.meaning import Judged
+from tests.support.cases import each_case
+
+TYPES = ["unix32", "unix64", "ms64", "iec870", "date48", "bcddate48", "date96"]
+
+BERLIN = "Europe/Berlin"
+
+
+def clock(type: str = "date48", zone: str = BERLIN, **keys: Any) -> Point:
+    return Point("clock", "holding_registers", 0, type=type, time_zone=zone, **keys)
+
+
+def wall(*fields: int) -> list[int]:
+    """Return the registers of date48: a byte each for year, month, day, hour, minute, second."""
+    year, *others = fields
+    data = [year - 2000, *others]
+    return [high << 8 | low for high, low in zip(data[::2], data[1::2], strict=True)]
+
+
+# Local time of Berlin -> UTC. In 2024 summer time lasted from 31 March, 1:00 UTC to 27 October,
+# 1:00 UTC (Directive 2000/84/EC).
+SHOWN = [
+    ((2024, 1, 15, 12, 0, 0), datetime(2024, 1, 15, 11, tzinfo=UTC)),
+    ((2024, 7, 15, 12, 0, 0), datetime(2024, 7, 15, 10, tzinfo=UTC)),
+    ((2024, 3, 31, 1, 59, 59), datetime(2024, 3, 31, 0, 59, 59, tzinfo=UTC)),
+    ((2024, 3, 31, 3, 0, 0), datetime(2024, 3, 31, 1, tzinfo=UTC)),
+    # Twice there is such a time; it is the first one.
+    ((2024, 10, 27, 2, 30, 0), datetime(2024, 10, 27, 0, 30, tzinfo=UTC)),
+    ((2024, 10, 27, 3, 0, 0), datetime(2024, 10, 27, 2, tzinfo=UTC)),
+]
+
+
+@each_case(("shown", "moment"), SHOWN)
+def test_a_clock_shows_local_time(shown: tuple[int, ...], moment: datetime) -> None:
+    point = clock()
+    found = point.decode(wall(*shown))
+    assert (found, found.utcoffset()) == (moment, timedelta(0))
+    assert point.encode(moment) == wall(*shown)
+    assert point.encode(moment.astimezone(ZoneInfo("Asia/Tokyo"))) == wall(*shown)
+
+
+def test_a_time_that_clocks_leave_out_is_no_value() -> None:
+    point = clock()
+    assert point.judge(wall(2024, 3, 31, 2, 30, 0)) == Judged(None, "bad", "InvalidTime")
+    plain = Point("clock", "holding_registers", 0, type="date48")
+    assert plain.decode(wall(2024, 3, 31, 2, 30, 0)) == datetime(2024, 3, 31, 2, 30, tzinfo=UTC)
+
+
+def iec870(hour: int, minute: int, *, summer: bool) -> list[int]:
+    """Return 27 October 2024 as CP56Time2a; bit 7 of the hour's byte is SU (IEC 60870-5-4)."""
+    return [24, 10 << 8 | 7 << 5 | 27, (hour | 0x80 * summer) << 8 | minute, 0]
+
+
+@each_case(
+    ("cells", "hour"),
+    [(iec870(2, 30, summer=True), 0), (iec870(2, 30, summer=False), 1)],
+)
+def test_iec870_tells_which_of_two_times_it_is(cells: list[int], hour: int) -> None:
+    point = clock("iec870")
+    moment = datetime(2024, 10, 27, hour, 30, tzinfo=UTC)
+    assert point.decode(cells) == moment
+    assert point.encode(moment) == cells
+
+
+MOMENTS = st.datetimes(datetime(2000, 1, 3), datetime(2090, 1, 1), timezones=st.just(UTC))
+
+
+@given(
+    time=MOMENTS,
+    type=st.sampled_from(TYPES),
+    zone=st.sampled_from([BERLIN, "UTC", "Pacific/Chatham", "America/St_Johns", "Asia/Tokyo"]),
+)
+def test_what_is_written_comes_back(time: datetime, type: str, zone: str) -> None:
+    time = time.replace(microsecond=0)
+    point = clock(type, zone)
+    found = point.decode(point.encode(time))
+    # Only a time that its zone has twice comes back as the other one: the first.
+    local = time.astimezone(ZoneInfo(zone))
+    is_second = local.fold == 1 and type != "iec870"
+    first = local.replace(fold=0).astimezone(UTC)
+    assert found == (first if is_second else time)
+
+
+def test_values_that_mean_none_are_those_of_the_registers() -> None:
+    point = clock("unix32", missing=0)
+    assert point.judge([0, 0]) == Judged(None, "bad", "Missing")
+    # A device that counts the seconds of its local time.
+    assert point.decode([0, 7200]) == datetime(1970, 1, 1, 1, tzinfo=UTC)
+
+
+def test_several_times() -> None:
+    point = clock(count=2)
+    moments = [datetime(2024, 1, 1, hour, tzinfo=UTC) for hour in (0, 1)]
+    assert point.decode(point.encode(moments)) == moments
+    assert point.encode(moments) == [*wall(2024, 1, 1, 1, 0, 0), *wall(2024, 1, 1, 2, 0, 0)]
+
+
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({"time_zone": "Europe/Berlyn"}, "time_zone must be a time zone that this system knows"),
+    ({"time_zone": "Europe"}, "time_zone must be a time zone"),
+    ({"time_zone": "../../etc/passwd"}, "time_zone must be a time zone"),
+    ({"time_zone": "/etc/localtime"}, "time_zone must be a time zone"),
+    ({"time_zone": ""}, "time_zone must be a time zone"),
+    ({"time_zone": "a\0b"}, "time_zone must be a time zone"),
+    ({"time_zone": "x" * 5000}, "time_zone must be a time zone"),
+    ({"time_zone": 1}, "time_zone must be the name of a time zone, not int"),
+    ({"time_zone": None}, "time_zone must be the name of a time zone, not NoneType"),
+    ({"type": "uint16"}, "time_zone must be left out for uint16, which is no time"),
+    ({"table": "coils", "type": None}, "time_zone must be left out for coils, which is no time"),
+]
+
+
+@each_case(("keys", "message"), WRONG)
+def test_a_wrong_zone_is_named(keys: dict[str, Any], message: str) -> None:
+    given = {"table": "holding_registers", "type": "date48", "time_zone": BERLIN, **keys}
+    with pytest.raises((TypeError, ValueError)) as caught:
+        Point(name="clock", address=0, **given)
+    assert str(caught.value).startswith(message)
+
+
+def test_years_at_both_ends_are_no_crash() -> None:
+    point = Point("c", "holding_registers", 0, type="date96", time_zone="Asia/Tokyo")
+    assert point.judge([1, 1, 1, 0, 0, 0]).reason == "InvalidTime"
+    with pytest.raises(ValueError, match=r"^c: value must be a year in 1\.\.9999"):
+        point.encode(datetime(9999, 12, 31, 23, tzinfo=UTC))
+    with pytest.raises(ValueError, match="with a time zone"):
+        point.encode(datetime(2024, 1, 1))
+
+
+def test_points_are_equal_by_their_zones() -> None:
+    assert clock() == clock()
+    assert clock() != clock(zone="UTC")
