@@ -71,13 +71,7 @@ VALUES = Keys(
     ]
 )
 
-# Which points of a register map have.
-_MEANING = (
-    *("missing", "plausible_minimum", "plausible_maximum", "never_falls", "scale_from", "scale_as"),
-    *("states", "bits", "bit", "byte"),
-)
-
-POINT_KEYS = POINT.but("table", *_MEANING)
+POINT_KEYS = POINT.but("table")
 """The keys of a point; the name of the list is its table."""
 
 TYPING = POINT.only("type", "order", "encoding", "padding")

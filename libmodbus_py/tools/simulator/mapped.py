@@ -17,7 +17,7 @@ from ..files.maps.map_file import load_map
 from ..files.toml_lines import shown_key
 from .example_files import map_file
 from .keys import MOVES
-from .own_points import Budget
+from .own_points import Budget, source_value
 from .simulated_point import Behaviour, SimulatedPoint
 
 __all__ = ["Maps", "mapped_contents", "mapped_points"]
@@ -164,7 +164,7 @@ def _image(
         budget.spend(place, len(point.cells))
         budget.spend_values(place, point, point.count)
         try:
-            source = _source(point, points, given)
+            source = source_value(point, given)
             before = image[point.table][point.cells.start : point.cells.stop]
             point.cells_of(value, point.scaling_for(source))  # whose errors begin with "value"
             cells = point.put(before, value, source=source)
@@ -172,14 +172,6 @@ def _image(
             raise placed(error, ()).renamed(place) from None
         image[point.table][point.cells.start : point.cells.stop] = array("H", map(int, cells))
     return image
-
-
-def _source(point: Point, points: Mapping[str, Point], given: Mapping[str, Any]) -> Any:
-    """Return the first value of the point that scales another; 0 unless it is given."""
-    if point.scale_from is None:
-        return None
-    value = given.get(point.scale_from, 0)
-    return value if value or point.scale_as == "exponent" else None
 
 
 def _content(

@@ -18,7 +18,14 @@ from ..files.maps.drafts import MAX_POINTS, point_of
 from .keys import CONTENTS, DEFAULTS, MOVES, NAMING, POINT_KEYS, TYPING, VALUES
 from .simulated_point import SimulatedPoint
 
-__all__ = ["Budget", "check_overlaps", "checked_defaults", "initial_cells", "own_points"]
+__all__ = [
+    "Budget",
+    "check_overlaps",
+    "checked_defaults",
+    "initial_cells",
+    "own_points",
+    "source_value",
+]
 
 # Eight units with full tables that are not 0; more would take seconds and memory to write.
 MAX_CELLS = 1 << 19
@@ -75,10 +82,32 @@ def own_points(
     Raises:
         TypeError, ValueError: the device file contains a mistake.
     """
+    firsts = _first_values(unit)
     return [
-        _point((*path, table, at), table, given, defaults, budget)
+        _point((*path, table, at), table, given, defaults, budget, firsts)
         for at, given in enumerate(unit.get(table, ()))
     ]
+
+
+def _first_values(unit: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the initial values of points by name, which are not checked yet."""
+    found: dict[str, Any] = {}
+    for table in TABLES:
+        for raw in unit.get(table, ()):
+            name = raw.get("name", f"{table}_{raw.get('address')}")
+            values = raw.get("values")
+            first = values[0] if isinstance(values, list) and values else 0
+            found.setdefault(str(name), raw.get("value", first))
+    found |= unit.get("values", {})
+    return found
+
+
+def source_value(point: Point, firsts: Mapping[str, Any]) -> Any:
+    """Return the first value of the point that scales another; 0 unless it is given."""
+    if point.scale_from is None:
+        return None
+    value = firsts.get(point.scale_from, 0)
+    return value if value or point.scale_as == "exponent" else None
 
 
 def check_overlaps(found: Iterable[SimulatedPoint]) -> None:
@@ -112,7 +141,12 @@ def checked_defaults(path: Path, given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _point(
-    path: Path, table: str, raw: dict[str, object], defaults: dict[str, Any], budget: Budget
+    path: Path,
+    table: str,
+    raw: dict[str, object],
+    defaults: dict[str, Any],
+    budget: Budget,
+    firsts: Mapping[str, Any],
 ) -> SimulatedPoint:
     given: dict[str, Any] = CONTENTS[table].read(path, raw)
     source = _source(path, given)
@@ -130,7 +164,7 @@ def _point(
     return SimulatedPoint(
         path,
         point,
-        initial_cells(found, point, values),
+        initial_cells(found, point, values, source_value(point, firsts)),
         behaviour,
         found,
         file=given.get("number", 0),
@@ -188,13 +222,14 @@ def _check_end(path: Path, table: str, point: Point) -> None:
         raise WrongValue(path, f"ends at {last}, after {RECORDS_PER_FILE - 1}")
 
 
-def initial_cells(path: Path, point: Point, values: list[Any]) -> array[int]:
+def initial_cells(path: Path, point: Point, values: list[Any], source: Any = None) -> array[int]:
     """
     Return the initial cells of a point; those of one value if all values are the same.
 
     Args:
         path: path of the values, which ends with "value" if there is only one.
         values: one value, or all; none for the content of a device before the first write.
+        source: the first value of the point that scales this one.
 
     Raises:
         TypeError, ValueError: the point cannot have such a value.
@@ -207,7 +242,7 @@ def initial_cells(path: Path, point: Point, values: list[Any]) -> array[int]:
     for at, value in enumerate(values):
         where = (*path, at) if path[-1] == "values" else path
         try:
-            cells.extend(map(int, point.cells_of_one(value)))
+            cells.extend(map(int, point.cells_of_one(value, point.scaling_for(source))))
         except (TypeError, ValueError) as error:
             raise placed(error, ()).renamed(where) from None
     return cells

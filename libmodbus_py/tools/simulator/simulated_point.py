@@ -87,7 +87,7 @@ class SimulatedPoint:
         point = self.point
         scale = (point.scale, point.offset, point.scale_from, point.scale_as)
         names = (point.missing, point.bit, point.byte, str(point.states), str(point.bits))
-        meaning = (point.type, point.order, *scale, *names)
+        meaning = (point.type, point.order, point.time_zone, *scale, *names)
         moves = type(self.behaviour).__name__
         return (*self.place, self.first, self.stop, meaning, moves, self.cells.tobytes())
 

@@ -12,6 +12,7 @@ from ...device.device import DEFAULT_SERVER_ID
 from ...device.mapping import Mapping as Tables
 from ...device.record_file import RecordFile
 from ...maps.point import Point
+from ...maps.sources import scale_mistakes
 from ...protocol.checks import integer
 from ...protocol.mistakes import Path, WrongValue, inside
 from ...protocol.pdu.interface import OBJECT_NAMES
@@ -22,6 +23,7 @@ from .clockwork import Clockwork
 from .keys import CONTENTS, FIFO, UNIT
 from .mapped import Maps, mapped_contents, mapped_points
 from .own_points import Budget, check_overlaps, checked_defaults, own_points
+from .shared_registers import without_parts
 from .simulated import SimulatedDevice
 from .simulated_point import SimulatedPoint
 
@@ -55,17 +57,23 @@ def made_unit(
     found = [
         each for table in CONTENTS for each in own_points(path, table, given, defaults, budget)
     ]
+    named = found
+    found, parts = without_parts(found)
     check_overlaps(found)
     points = mapped_points(given, maps, budget)
     if mapped := mapped_contents(path, given, points, budget):
         found += mapped
         check_overlaps(found)
-    _check_names(found, points)
+    _check_names(named, points)
+    _check_scales(named, points)
     in_tables = [each for each in found if each.table in TABLES]
     mapping = _mapping(in_tables, budget)
     clockwork = Clockwork(mapping, in_tables, clock)
     for each in in_tables:
         if each.behaviour is not None:
+            if each.point.scale_from is not None:
+                reason = f"a point that {each.point.scale_from} scales does not move"
+                raise WrongValue.about(each.moved_by, reason)
             with inside(*each.moved_by):
                 clockwork.start(each)
     device = SimulatedDevice(
@@ -74,7 +82,7 @@ def made_unit(
         description=given.get("description", ""),
         definition=(said, defaults, points),
         contents=found,
-        mapped=points,
+        mapped=points | parts,
         clockwork=clockwork,
         fifos=_fifos((*path, "fifo"), given),
         identification=_identification((*path, "identification"), given),
@@ -94,6 +102,13 @@ def _check_names(found: list[SimulatedPoint], points: Mapping[str, Point]) -> No
             raise WrongValue.about((*each.path, "name"), f"there is a point {name} before this")
         if each.is_named:
             names.add(name)
+
+
+def _check_scales(found: list[SimulatedPoint], points: Mapping[str, Point]) -> None:
+    paths = {each.point.name: each.path for each in found if each.table in TABLES}
+    own = {each.point.name: each.point for each in found if each.table in TABLES}
+    for name, mistake in scale_mistakes({**points, **own}):
+        raise mistake.renamed(paths[name])
 
 
 def _mapping(points: list[SimulatedPoint], budget: Budget) -> Tables:

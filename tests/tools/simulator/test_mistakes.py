@@ -97,7 +97,9 @@ BROKEN = [
     (
         "[[unit]]\n[[unit.coils]]\naddress = 0\ntable = 'coils'",
         "unit[0].coils[0].table: no such key; allowed are name, address, count, type, order,"
-        " encoding, padding, scale, offset, units, access, minimum, maximum, description, unit,"
+        " encoding, padding, scale, offset, units, access, minimum, maximum, description, missing,"
+        " plausible_minimum, plausible_maximum, never_falls, scale_from, scale_as, states, bits,"
+        " bit, byte, time_zone, interval, group, unit,"
         " value, values, counter, sine, random_walk, copy",
     ),
     (

@@ -1,0 +1,133 @@
+"""
+Every key of a point, in every format that describes points: TOML, CSV, device files, fleet files,
+the JSON of devices, and classes for type checkers.
+"""
+
+from __future__ import annotations
+
+import runpy
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import DeviceConfig, Point, RegisterMap, load_map
+from libmodbus_py.services.fleet.config import devices_from_json, devices_to_json
+from libmodbus_py.services.fleet.files import load as load_fleet
+from libmodbus_py.tools.files.maps.class_text import class_text
+from libmodbus_py.tools.files.maps.texts import csv_text, toml_text
+from libmodbus_py.tools.simulator.device_file import load as load_device
+from tests.support.cases import each_case
+
+H = "holding_registers"
+
+# For each key of `Point` a point that has it, and a value other than its default.
+EXAMPLES: dict[str, dict[str, Any]] = {
+    "name": {"name": "x y"},
+    "table": {"table": "coils"},
+    "address": {"address": 7},
+    "count": {"count": 3},
+    "type": {"type": "float32"},
+    "order": {"type": "float32", "order": "CDAB"},
+    "encoding": {"type": "string:8", "encoding": "latin-1"},
+    "padding": {"type": "string:8", "padding": " "},
+    "scale": {"scale": 0.1},
+    "offset": {"offset": -5},
+    "units": {"units": "kWh"},
+    "access": {"access": "read"},
+    "minimum": {"minimum": 3},
+    "maximum": {"maximum": 3},
+    "description": {"description": "of the house"},
+    "missing": {"missing": [0, 65535]},
+    "plausible_minimum": {"plausible_minimum": 1},
+    "plausible_maximum": {"plausible_maximum": 500.5},
+    "never_falls": {"never_falls": True},
+    "scale_from": {"scale_from": "sf"},
+    "scale_as": {"scale_from": "sf", "scale_as": "factor"},
+    "states": {"states": {0: "off", 1: "on"}},
+    "bits": {"bits": {0: "door", "4..7": "code"}},
+    "bit": {"bit": "4..7"},
+    "byte": {"byte": "high"},
+    "time_zone": {"type": "date48", "time_zone": "Europe/Berlin"},
+    "interval": {"interval": 60.5},
+    "group": {"group": "slow"},
+}
+
+SCALE = Point("sf", H, 100, access="read")
+
+
+def test_every_key_has_an_example() -> None:
+    assert list(EXAMPLES) == [each.name for each in fields(Point) if each.init]
+
+
+def points_of(key: str) -> list[Point]:
+    return [Point(**{"name": "it", "table": H, "address": 0, **EXAMPLES[key]}), SCALE]
+
+
+def from_toml(folder: Path, points: list[Point]) -> list[Point]:
+    (folder / "map.toml").write_text(toml_text(points))
+    return list(load_map(folder / "map.toml").values())
+
+
+def from_csv(folder: Path, points: list[Point]) -> list[Point]:
+    (folder / "map.csv").write_text(csv_text(points))
+    return list(load_map(folder / "map.csv").values())
+
+
+def from_device_file(folder: Path, points: list[Point]) -> list[Point]:
+    """Return the points of a unit that are written in the device file itself."""
+    text = toml_text(points)
+    for table in {each.table for each in points}:
+        # The name of the list says the table.
+        blocks = text.split("[[point]]")
+        blocks = [each.replace(f'\ntable = "{table}"', "") if f'"{table}"' in each else each
+                  for each in blocks]  # fmt: skip
+        text = "[[point]]".join(blocks)
+    heads = iter([each.table for each in points])
+    parts = text.split("[[point]]\n")
+    whole = parts[0] + "".join(f"[[unit.{next(heads)}]]\n{part}" for part in parts[1:])
+    (folder / "device.toml").write_text(f"[[unit]]\n{whole}")
+    device = load_device(folder / "device.toml").devices
+    assert not isinstance(device, dict)
+    return [device.points[each.name] for each in points]
+
+
+def from_fleet_file(folder: Path, points: list[Point]) -> list[Point]:
+    """Return the points of a device that are written in the fleet file itself."""
+    head = '[[device]]\nname = "d"\nurl = "tcp://192.0.2.1"\n'
+    text = toml_text(points).replace("[[point]]", "[[device.point]]")
+    (folder / "fleet.toml").write_text(head + text)
+    (device,) = load_fleet(folder / "fleet.toml").devices
+    return list(device.map.values())
+
+
+def from_json(folder: Path, points: list[Point]) -> list[Point]:
+    device = DeviceConfig("d", "tcp://192.0.2.1", RegisterMap(points))
+    (found,) = devices_from_json(devices_to_json([device]))
+    return list(found.map.values())
+
+
+def from_class(folder: Path, points: list[Point]) -> list[Point]:
+    (folder / "it.py").write_text(class_text(RegisterMap(points), "it"))
+    return list(runpy.run_path(str(folder / "it.py"))["MAP"].values())
+
+
+FORMATS: dict[str, Callable[[Path, list[Point]], list[Point]]] = {
+    "toml": from_toml,
+    "csv": from_csv,
+    "device file": from_device_file,
+    "fleet file": from_fleet_file,
+    "json": from_json,
+    "class": from_class,
+}
+
+
+@each_case("key", list(EXAMPLES))
+@pytest.mark.parametrize("form", list(FORMATS))
+def test_a_format_has_the_key(
+    tmp_path_factory: pytest.TempPathFactory, form: str, key: str
+) -> None:
+    points = points_of(key)
+    assert FORMATS[form](tmp_path_factory.mktemp("file"), points) == points
