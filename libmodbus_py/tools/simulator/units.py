@@ -69,13 +69,7 @@ def made_unit(
     in_tables = [each for each in found if each.table in TABLES]
     mapping = _mapping(in_tables, budget)
     clockwork = Clockwork(mapping, in_tables, clock)
-    for each in in_tables:
-        if each.behaviour is not None:
-            if each.point.scale_from is not None:
-                reason = f"a point that {each.point.scale_from} scales does not move"
-                raise WrongValue.about(each.moved_by, reason)
-            with inside(*each.moved_by):
-                clockwork.start(each)
+    _start(clockwork, in_tables)
     device = SimulatedDevice(
         mapping,
         name=given.get("name", ""),
@@ -92,6 +86,16 @@ def made_unit(
     )
     device.files.update(_files([each for each in found if each.file], budget))
     return given.get("id"), device
+
+
+def _start(clockwork: Clockwork, points: list[SimulatedPoint]) -> None:
+    for each in points:
+        if each.behaviour is not None:
+            if each.point.scale_from is not None:
+                reason = f"a point that {each.point.scale_from} scales does not move"
+                raise WrongValue.about(each.moved_by, reason)
+            with inside(*each.moved_by):
+                clockwork.start(each)
 
 
 def _check_names(found: list[SimulatedPoint], points: Mapping[str, Point]) -> None:
