@@ -21,6 +21,7 @@ Bottom up:
     values     numbers, text, bits and times in registers; references such as 40123
                (type_names: what type checkers know of them)
     times      dates and times in registers
+               (local_times: those of devices whose clocks show local time)
     durations  seconds, as people type them
     shown_time  points in time, as outputs show them
     spelling   values as people read and type them

@@ -11,6 +11,7 @@ Simulated devices, described in a file.
                    another
     mapped         points from register maps
     own_points     points described in the device file itself
+    shared_registers  points that are different bits of the same registers
     keys           all keys of device files
     clockwork      computes values that move when they are read
     behaviour      ... by counters, waves, walks, copies
