@@ -19,6 +19,7 @@ from ..maps.plan import (
     Values,
 )
 from ..maps.register_map import RegisterMap
+from ..maps.watched import PolledValues
 from ..ports.endpoint import parse
 from ..protocol import pdu
 from ..protocol.checks import integer, seconds
@@ -27,7 +28,7 @@ from .asyncio_driver import AsyncioDriver
 from .batch import MAX_IN_FLIGHT, Batch, encoded, raised
 from .handle import Handle
 from .options import AsyncOptions, CheckedOptions, assembled
-from .polling import AwaitedPolls, watched_plan
+from .polling import AwaitedPolls, interval_of, watched
 from .procedures import ChangeRegister, Several
 from .requests import Awaiting
 
@@ -242,7 +243,7 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         names: Iterable[str] | None = None,
         max_in_flight: int = 16,
         **options: Unpack[PlanOptions],
-    ) -> AwaitedPolls[dict[str, Any]]: ...
+    ) -> AwaitedPolls[PolledValues]: ...
     @overload
     def watch(  # type: ignore[overload-overlap]
         self,
@@ -273,11 +274,11 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         **options: Unpack[PlanOptions],
     ) -> AwaitedPolls[Any]:
         interval = seconds("every", every, 0.01)
-        plan = watched_plan(what, names, options)
+        polled = watched(what, names, interval, options)
         integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
         return AwaitedPolls(
-            interval,
-            lambda: self._poll(plan, max_in_flight),
+            interval_of(polled, interval),
+            lambda: self._poll(polled, max_in_flight),
             self._driver.loop_time,
             self._driver.wait_until,
             lambda: self.closed,

@@ -15,7 +15,7 @@ from ..protocol.errors import InvalidResponse, ModbusError
 from .batch import MAX_IN_FLIGHT, Batch, raised
 from .blocking_driver import BlockingDriver
 from .handle import Handle
-from .polling import Polls, watched_plan
+from .polling import Polls, interval_of, watched
 from .procedures import ChangeRegister, Several
 from .requests import Blocking
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         Values,
     )
     from ..maps.register_map import RegisterMap
+    from ..maps.watched import PolledValues
     from ..ports.endpoint import Endpoint
     from ..ports.serial import LineSettings, SerialSettings
     from .options import ContextOptions
@@ -206,7 +207,7 @@ class Context(Handle[BlockingDriver], Blocking):
         names: Iterable[str] | None = None,
         max_in_flight: int = 16,
         **options: Unpack[PlanOptions],
-    ) -> Polls[dict[str, Any]]: ...
+    ) -> Polls[PolledValues]: ...
     @overload
     def watch(  # type: ignore[overload-overlap]
         self,
@@ -237,11 +238,11 @@ class Context(Handle[BlockingDriver], Blocking):
         **options: Unpack[PlanOptions],
     ) -> Polls[Any]:
         interval = seconds("every", every, 0.01)
-        plan = watched_plan(what, names, options)
+        polled = watched(what, names, interval, options)
         integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
         return Polls(
-            interval,
-            lambda: self._poll(plan, max_in_flight),
+            interval_of(polled, interval),
+            lambda: self._poll(polled, max_in_flight),
             self._driver.now,
             self._driver.wait_until,
             lambda: self.closed,

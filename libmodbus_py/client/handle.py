@@ -185,14 +185,17 @@ class Handle(Generic[Driving]):
 
         Args:
             what: a `RegisterMap`, a `Plan`, or what makes one, as for `read_many`.
-            every: seconds from one poll to the next, 0.01..86400.
+            every: seconds from one poll to the next, 0.01..86400; of points with an interval of
+                their own (`Point.interval`), that from one read to the next. Polls then come at the
+                shortest interval, and points that are not due keep their values.
             names: of the points of the map; None for all that can be read.
             max_in_flight: as for `execute_many`.
             options: of the plan: `gap`, `forbidden`, `max_registers`, `max_bits`.
 
         Returns:
-            An iterator. Of a map it gives what `read_map` returns with ``return_exceptions=True``;
-            else what `read_many` returns so.
+            An iterator. Of a map it gives what `read_map` returns with ``return_exceptions=True``,
+            in a dict whose `fell` has the names of totals (`Point.never_falls`) that were read
+            twice because they are smaller than before; else what `read_many` returns so.
 
         Raises:
             TypeError, ValueError: an argument, before anything is sent. The iterator itself raises

@@ -9,9 +9,13 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from math import ceil
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-__all__ = ["AwaitedPolls", "Polls", "watched_plan"]
+if TYPE_CHECKING:
+    from ..maps.plan import Plan
+    from ..maps.watched import WatchedPoints
+
+__all__ = ["AwaitedPolls", "Polls", "interval_of", "watched"]
 
 Values = TypeVar("Values")
 
@@ -115,9 +119,14 @@ class AwaitedPolls(AsyncIterator[Values], Generic[Values]):
         return values
 
 
-def watched_plan(what: Any, names: Any, options: Any) -> Any:
+def interval_of(what: WatchedPoints | Plan, every: float) -> float:
+    """Return the seconds from one poll to the next."""
+    return getattr(what, "interval", every)
+
+
+def watched(what: Any, names: Any, every: float, options: Any) -> WatchedPoints | Plan:
     """
-    Return the plan of what is polled.
+    Return what is polled.
 
     Raises:
         TypeError, ValueError: as of `RegisterMap.plan` and `Plan`; or `names` without a map.
@@ -126,7 +135,9 @@ def watched_plan(what: Any, names: Any, options: Any) -> Any:
     from ..maps.register_map import RegisterMap
 
     if isinstance(what, RegisterMap):
-        return what.plan(names, **options)
+        from ..maps.watched import WatchedPoints
+
+        return WatchedPoints(what, names, every, **options)
     if names is not None:
         raise ValueError("names are for a RegisterMap only")
     return planned(what, options)

@@ -36,6 +36,7 @@ Result = TypeVar("Result")
 if TYPE_CHECKING:
     from ..maps.plan import Items, Plan, PlanOptions
     from ..maps.register_map import RegisterMap
+    from ..maps.watched import WatchedPoints
     from ..protocol.tables import RegisterTable, WritableTable
     from ..protocol.type_names import Layout, Order, TextOptions, TypeName
     from .typed_values import ReadOne, ReadSeveral
@@ -379,8 +380,22 @@ class Requests:
         return plan.results(answers)
 
     @follows
-    def _poll(self, plan: Plan, max_in_flight: int) -> Steps[Any]:
-        """Read a plan; what fails gets the reason in place of its values."""
+    def _poll(self, what: Plan | WatchedPoints, max_in_flight: int) -> Steps[Any]:
+        """Read what is due; what fails gets the reason in place of its values."""
+        from ..maps.plan import Plan
+
+        if isinstance(what, Plan):
+            return (yield from self._poll_plan(what, max_in_flight))
+        polls = what.poll(self.now())  # type: ignore[attr-defined]
+        plan = next(polls)
+        while True:
+            found = yield from self._poll_plan(plan, max_in_flight)
+            try:
+                plan = polls.send(found)
+            except StopIteration as done:
+                return done.value
+
+    def _poll_plan(self, plan: Plan, max_in_flight: int) -> Steps[Any]:
         from ..maps.register_map import PointPlan
         from .plan_reading import plan_answers
 

@@ -13,6 +13,8 @@ The registers of a device, by name, and the requests that read and write them. N
                    (meaning_keys: the keys of points that say so)
     parts          single bits, some bits, a byte of a register
     sources        points that hold the scale of others
+    pace           which points are read at a poll
+    watched        the points of a map from poll to poll
     totals         totals that are smaller than before
     plan           few requests of many reads: Plan, Read
     plan_run       one run of a plan at a device: its requests, and the search for what it refuses

@@ -149,6 +149,20 @@ class RegisterMap(Mapping[str, Point]):
         found = (self._points[name].scale_from for name in values)
         return list(dict.fromkeys(each for each in found if each is not None))
 
+    def group(self, name: str) -> list[str]:
+        """
+        Return the names of the points of a group that can be read.
+
+        Raises:
+            ValueError: no such point has this group.
+        """
+        found = [each.name for each in self._readable(None) if each.group == name and name]
+        if not found:
+            groups = sorted({each.group for each in self._readable(None)} - {""})
+            known = f"; its groups are {', '.join(groups[:20])}" if groups else ""
+            raise ValueError(f"the map has no points of a group {reprlib.repr(name)}{known}")
+        return found
+
     def bind(self, client: MapClient, **options: Unpack[PlanOptions]) -> BoundMap:
         """
         Return the map with a client: ``meter.read()``, then ``meter.voltage``.
@@ -269,6 +283,11 @@ class PointPlan(Plan):
         self._quick = list(self._quick_ones(scale_of))
         are_quick = {each.name for each in self._quick}
         self._slow = [name for name in self._points if name not in are_quick]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the points of the results, in their order."""
+        return tuple(self._points)
 
     def _quick_ones(self, scale_of: dict[str, int]) -> Iterator[_Quick]:
         """The points that can be decoded directly, which is ten times as fast; most can."""
