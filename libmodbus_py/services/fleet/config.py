@@ -50,9 +50,11 @@ class DeviceConfig:
         map: the points of the device.
         unit: the unit of the device, 0..255.
         items: names of the points that are read; all readable points of the map unless given.
+        groups: names of groups of points that are read, too (`Point.group`).
         gap: the most unneeded registers or bits in a row that are read to save a request, 0..2000.
         max_registers: the most registers that one request may read from the device, 1..125.
-        interval: seconds from one poll to the next, 0.01..86400.
+        interval: seconds from one poll to the next, 0.01..86400, of points without an interval of
+            their own (`Point.interval`).
         timeout: seconds for one request; None for the timeout of the URL.
         spacing: seconds between a response of the device and the next request to it; a pause
             for all devices of a line is ``request_spacing`` in its URL.
@@ -76,6 +78,7 @@ class DeviceConfig:
     map: RegisterMap = field(repr=False)
     unit: int = 1
     items: tuple[str, ...] = ()
+    groups: tuple[str, ...] = ()
     gap: int = 0
     max_registers: int = 125
     interval: float = 10.0
@@ -103,6 +106,7 @@ class DeviceConfig:
         if not isinstance(self.map, RegisterMap):
             raise WrongType("map", f"must be a RegisterMap, not {type(self.map).__name__}")
         object.__setattr__(self, "items", _items(self.items, self.map))
+        object.__setattr__(self, "groups", _groups(self.groups, self.map))
         integer("gap", self.gap, 0, 2000)
         integer("max_registers", self.max_registers, 1, 125)
         self.plan()
@@ -140,17 +144,24 @@ class DeviceConfig:
     @property
     def names(self) -> tuple[str, ...]:
         """The names of the points that are read."""
-        return self.items or readable(self.map)
+        if not self.groups:
+            return self.items or readable(self.map)
+        of_groups = [name for group in self.groups for name in self.map.group(group)]
+        return tuple(dict.fromkeys([*self.items, *of_groups]))
 
-    def plan(self) -> PointPlan:
+    def plan(self, names: Iterable[str] | None = None) -> PointPlan:
         """
         Return the requests of a poll.
+
+        Args:
+            names: of points; None for all that are read.
 
         Raises:
             ValueError: a value has more registers than `max_registers`.
         """
         try:
-            return self.map.plan(self.names, gap=self.gap, max_registers=self.max_registers)
+            wanted = self.names if names is None else names
+            return self.map.plan(wanted, gap=self.gap, max_registers=self.max_registers)
         except ValueError as error:
             raise WrongValue.about("max_registers", f"{error}") from None
 
@@ -180,6 +191,20 @@ def _items(given: object, points: RegisterMap) -> tuple[str, ...]:
     if not (items or readable(points)):
         raise WrongValue.about("map", "the map has no point that can be read")
     return items
+
+
+def _groups(given: object, points: RegisterMap) -> tuple[str, ...]:
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise WrongType("groups", f"must be a list of names, not {type(given).__name__}")
+    groups = tuple(given)
+    for at, name in enumerate(groups):
+        try:
+            points.group(name)
+        except ValueError as error:
+            raise WrongValue.about(("groups", at), str(error)) from None
+        if name in groups[:at]:
+            raise WrongValue.about(("groups", at), f"{name!r} is given twice")
+    return groups
 
 
 def _some(names: Iterable[str], most: int = 8) -> str:
@@ -288,7 +313,11 @@ def devices_from_json(text: str) -> list[DeviceConfig]:
 
 def _device(given: dict[str, Any], maps: list[RegisterMap]) -> DeviceConfig:
     return DeviceConfig(
-        **{**given, "map": maps[given["map"]], "items": tuple(given.get("items", ()))}
+        **{
+            **given,
+            "map": maps[given["map"]],
+            **{key: tuple(given.get(key, ())) for key in ("items", "groups")},
+        }
     )
 
 

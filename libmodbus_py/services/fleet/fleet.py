@@ -342,7 +342,7 @@ class Fleet:
         self.statistics.devices += 1
         assert self._loop is not None
         now = self._loop.time()
-        interval = device.interval
+        interval = poller.interval
         if self._once is not None:
             interval = min(interval, len(self._devices) / ONCE_A_SECOND)
         poller.at = first_time(device.name, interval, now, now + self._wall)
@@ -379,7 +379,7 @@ class Fleet:
         return line
 
     def _reads_of(self, device: DeviceConfig) -> Reads:
-        key = (id(device.map), device.items, device.gap, device.max_registers)
+        key = (id(device.map), device.items, device.groups, device.gap, device.max_registers)
         reads = self._reads.get(key)
         if reads is None:
             reads = self._reads[key] = Reads(device)
@@ -405,7 +405,7 @@ class Fleet:
         now = self._loop.time()
         for at, poller in self._timetable.due(now, MOST_AT_ONCE):
             if self._once is None:
-                poller.at, missed = next_time(at, poller.config.interval, now)
+                poller.at, missed = next_time(at, poller.interval, now)
                 self.statistics.skipped += missed
                 self._timetable.put(poller, poller.at)
             self._lines[poller.config.connection_key].due(poller, at)
@@ -456,7 +456,7 @@ class Fleet:
             owing = self._lines[poller.config.connection_key].client.ready_at(poller.unit)
             until = max(self._loop.time() + poller.pause, owing)
             if poller.at < until:
-                poller.at, _ = next_time(poller.at, poller.config.interval, until)
+                poller.at, _ = next_time(poller.at, poller.interval, until)
                 self._put(poller)
 
     def _back(self, pollers: list[Poller]) -> None:
@@ -464,7 +464,7 @@ class Fleet:
         assert self._loop is not None
         if self._once is None:
             for poller in pollers:
-                now, interval = self._loop.time(), poller.config.interval
+                now, interval = self._loop.time(), poller.interval
                 poller.at -= max(0, (poller.at - now) // interval) * interval
                 self._put(poller)
 

@@ -11,6 +11,7 @@ from typing import Any
 from ...client.asynchronous import Submitted
 from ...client.waiting_room import rest_after
 from ...maps.holes import Holes, Unreadable
+from ...maps.pace import Pace
 from ...maps.pieces import PartialAnswer
 from ...maps.plan_run import PlanRun, says_something
 from ...maps.register_map import PointPlan
@@ -23,6 +24,10 @@ __all__ = ["LONGEST_REST", "DeviceState", "Poller", "Reads"]
 
 LONGEST_REST = 60.0
 """Seconds between two trials of a device that does not answer, unless its interval is longer."""
+
+
+MOST_PLANS = 64
+"""Plans for different sets of points of a kind of device that are kept."""
 
 
 class DeviceState(Enum):
@@ -41,12 +46,30 @@ class Reads:
         config: of one of these devices.
     """
 
-    __slots__ = ("__weakref__", "names", "plan", "units")
+    __slots__ = ("__weakref__", "_config", "_intervals", "_plans", "names", "plan", "units")
 
     def __init__(self, config: DeviceConfig) -> None:
         self.plan: PointPlan = config.plan()
         self.names: tuple[str, ...] = config.names
         self.units: tuple[str, ...] = tuple(config.map[name].units for name in config.names)
+        own = tuple(config.map[name].interval for name in config.names)
+        self._intervals = own if any(each is not None for each in own) else ()
+        self._config = config
+        self._plans: dict[tuple[int, ...], PointPlan] = {}
+
+    def pace(self, interval: float) -> Pace | None:
+        """Return the intervals of the points of a device; None if none has its own."""
+        return Pace(self._intervals, interval) if self._intervals else None
+
+    def plan_of(self, due: tuple[int, ...] | None) -> PointPlan:
+        """Return the requests that read the points with some indexes; None for all."""
+        if due is None:
+            return self.plan
+        if due not in self._plans:
+            if len(self._plans) == MOST_PLANS:
+                self._plans.clear()
+            self._plans[due] = self._config.plan([self.names[at] for at in due])
+        return self._plans[due]
 
 
 class Poller:
@@ -82,10 +105,13 @@ class Poller:
         "_changes",
         "_client",
         "_connects",
+        "_due",
         "_error",
         "_first",
         "_has_answered",
         "_holes",
+        "_pace",
+        "_plan",
         "_requests",
         "_run",
         "_taken",
@@ -127,6 +153,9 @@ class Poller:
         self.waits_since: float = 0.0
         self.news: list[str] = []
         self._answers: list[Any] = []
+        self._pace = reads.pace(config.interval)
+        self._due: tuple[int, ...] | None = None
+        self._plan = reads.plan
         self._requests: Sequence[Any] = reads.plan.requests
         self._run: PlanRun | None = None
         self._holes: Holes | None = None
@@ -139,6 +168,11 @@ class Poller:
         self._has_answered = False
         self._changes = _changes(config, reads)
         self._totals = _totals(config, reads)
+
+    @property
+    def interval(self) -> float:
+        """Seconds from one poll to the next."""
+        return self.config.interval if self._pace is None else self._pace.interval
 
     @property
     def name(self) -> str:
@@ -177,15 +211,18 @@ class Poller:
         self._answers, self._taken = [], []
         self._has_answered = False
         self._error = None
+        if self._pace is not None:
+            self._due = self._pace.due(now)
+            self._plan = self.reads.plan_of(self._due)
         self._run = self._new_run() if self._holes else None
-        self._requests = self._run.requests if self._run else self.reads.plan.requests
+        self._requests = self._run.requests if self._run else self._plan.requests
 
     def _new_run(self) -> PlanRun:
         if self._holes is None:
             place = self.config.endpoint.place, self.config.unit
             name = f"{self.config.endpoint}, unit {self.config.unit}"
             self._holes = self.reads.plan.holes.made(place, name)
-        return PlanRun(self.reads.plan, self._holes, self._begun, self._client, self._connects)
+        return PlanRun(self._plan, self._holes, self._begun, self._client, self._connects)
 
     def take(self, outcome: Any) -> None:
         """Take a response or an error; a poll ends if its first request is not answered."""
@@ -240,12 +277,18 @@ class Poller:
             first: the id of the first reading; the others have the next ones. 0 for no ids.
         """
         reads, device = self.reads, self.config.name
-        values = list(reads.plan.results(self._answers, return_exceptions=True).values())
+        found = self._plan.results(self._answers, return_exceptions=True)
+        values = list(found.values())
+        if self._pace is not None:
+            values = [found.get(name) for name in reads.names]
         self._answers = []
         doubtful, fell = self._totals.take(values)
+        if self._pace is not None:
+            lost = {at for at, value in enumerate(values) if _is_lost(value)}
+            self._pace.done(lost | doubtful)
         for at in doubtful:
             values[at] = self._totals.before(at)
-        told = self._changes.pick(values)
+        told = self._changes.pick(values, self._due)
         if doubtful:
             told = [at for at in told if at not in doubtful]
         return [
@@ -280,12 +323,17 @@ class Poller:
     @property
     def pause(self) -> float:
         """Seconds that the device rests after a poll without an answer."""
-        return rest_after(self.misses, self.config.interval, LONGEST_REST)
+        return rest_after(self.misses, self.interval, LONGEST_REST)
 
     @property
     def is_refused(self) -> bool:
         """True if the device answered, but refused a request."""
         return self.state is DeviceState.UP and self.error is not None
+
+
+def _is_lost(value: object) -> bool:
+    """Return True if there is an error in place of a value that the next poll may have."""
+    return isinstance(value, ModbusError) and is_down(value)
 
 
 def _error_of(answer: Any) -> ModbusError | None:

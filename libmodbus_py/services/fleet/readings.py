@@ -130,13 +130,21 @@ class Changes:
         self._reasons: list[str | None] = [None] * len(bands)
         self._are_good = False
 
-    def pick(self, values: Sequence[Any]) -> Sequence[int]:
-        """Return the indexes of the values to report; exceptions stand for missing values."""
+    def pick(self, values: Sequence[Any], due: Sequence[int] | None = None) -> Sequence[int]:
+        """
+        Return the indexes of the values to report; exceptions stand for missing values.
+
+        Args:
+            values: of all points.
+            due: the indexes of those that were read; None for all.
+        """
         are_good = not any(isinstance(value, Exception) for value in values)
+        indexes = range(len(values)) if due is None else due
         if self._last is None and are_good and self._are_good:
-            return range(len(values))
-        self._are_good = are_good
-        return [at for at, value in enumerate(values) if self._is_told(at, value)]
+            return indexes
+        told = [at for at in indexes if self._is_told(at, values[at])]
+        self._are_good = are_good and not any(self._reasons)
+        return told
 
     def _is_told(self, at: int, value: Any) -> bool:
         reason = reason_of(value) if isinstance(value, Exception) else ""

@@ -76,8 +76,9 @@ def overloads(devices: Iterable[DeviceConfig]) -> list[Overload]:
         endpoint = group[0].endpoint
         if not endpoint.is_serial:
             continue
-        shortest = min(each.interval for each in group)
-        needed = sum(_seconds(each) * shortest / each.interval for each in group)
+        shares = [share for device in group for share in _shares(device)]
+        shortest = min(interval for interval, _ in shares)
+        needed = sum(_seconds(*of) * shortest / interval for interval, of in shares)
         if needed > shortest:
             found.append(Overload(endpoint.url, _port(endpoint).baudrate, needed, shortest))
     return found
@@ -89,7 +90,16 @@ def _port(endpoint: Endpoint) -> SerialPort:
     return SerialPort(endpoint.device, **endpoint.serial_settings)
 
 
-def _seconds(device: DeviceConfig) -> float:
+def _shares(device: DeviceConfig) -> list[tuple[float, tuple[DeviceConfig, list[str]]]]:
+    """Return the intervals of the points of a device, with the names that each has."""
+    names: dict[float, list[str]] = {}
+    for name in device.names:
+        own = device.map[name].interval
+        names.setdefault(device.interval if own is None else own, []).append(name)
+    return [(interval, (device, some)) for interval, some in names.items()]
+
+
+def _seconds(device: DeviceConfig, names: list[str]) -> float:
     """Return the seconds of a poll on a serial line: characters, and silence between frames."""
     endpoint = device.endpoint
     character = _port(endpoint).character
@@ -97,7 +107,7 @@ def _seconds(device: DeviceConfig) -> float:
     silence = SILENCE if endpoint.framing == "rtu" else 0.0
     sizes = [
         len(framer.encode(Frame(device.unit, pdu))) + silence
-        for request in device.plan().requests
+        for request in device.plan(names).requests
         for pdu in (request.encode(), request.encode_response([0] * _count(request)))
     ]
     return sum(sizes) * character
