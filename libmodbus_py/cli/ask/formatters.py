@@ -255,6 +255,7 @@ class ReadResult(NamedTuple):
         fields: the fields of JSON.
         failure: the reason of a failure; empty without one.
         remark: why a point has no value; empty without one.
+        has_fallen: True for a total that is smaller than before.
     """
 
     formatter: Formatter
@@ -262,6 +263,7 @@ class ReadResult(NamedTuple):
     fields: dict[str, Any]
     failure: str = ""
     remark: str = ""
+    has_fallen: bool = False
 
 
 def formatter_of(item: Item, *, as_all: bool, in_hex: bool) -> Formatter:

@@ -138,6 +138,16 @@ class Words:
         points = self.map.values() if self.map is not None else ()
         return [self._of_point(point) for point in points if point.is_readable]
 
+    def group(self, name: str) -> list[Item]:
+        """
+        Return the points of a group of the map that can be read.
+
+        Raises:
+            ValueError: the map has no such group.
+        """
+        assert self.map is not None
+        return [self._of_point(self.map[each]) for each in self.map.group(name)]
+
     def sources_of(self, items: Iterable[Item]) -> list[Item]:
         """Return the points that scale those of some items, each before those that it scales."""
         if self.map is None:

@@ -45,6 +45,7 @@ def _text(result: ReadResult, several: bool) -> str:
     rows, item = result.rows, result.formatter.item
     values = " ".join(row.text + (f" {row.unit}" if row.unit else "") for row in rows)
     values = values or f"({result.failure})"
+    values += " (fell)" * result.has_fallen
     if item.point is not None:
         return f"{item.point.name}={values}"
     return f"{item.word} {item.first}: {values}" if several else values

@@ -44,6 +44,12 @@ def add_command(commands: Any) -> None:
     arguments.add_client(command, several=True)
     what = command.add_argument("what", metavar="WHAT", nargs="*", help="the values to read")
     completing(what, names)
+    command.add_argument(
+        "--group",
+        metavar="NAME",
+        action="append",
+        help="read the points of a group of the map; may be repeated",
+    )
     add_item_arguments(command, ", or all, which shows every interpretation", can_show_all=True)
     group = command.add_argument_group("output")
     form = group.add_mutually_exclusive_group()
@@ -56,7 +62,8 @@ def add_command(commands: Any) -> None:
         const=1.0,
         type=_seconds,
         metavar="SECONDS",
-        help="poll until Ctrl-C, each second unless given; on a terminal in a table",
+        help="poll until Ctrl-C, each second unless given, or at the intervals that points of a map"
+        " have; on a terminal in a table",
     )
     group.add_argument(
         "--count", type=_polls, metavar="N", help="end after so many polls; implies --watch"

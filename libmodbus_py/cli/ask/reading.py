@@ -14,7 +14,9 @@ from typing import Any, Protocol
 
 from ...client.blocking import Context
 from ...maps.holes import Holes
+from ...maps.pace import Pace
 from ...maps.plan_run import PlanRun
+from ...maps.totals import Totals
 from ...protocol.errors import (
     ExceptionResponse,
     IllegalDataAddress,
@@ -31,6 +33,15 @@ from .units import ask_units, client_of, fail, units_of
 
 __all__ = ["Printer", "Reader", "object_of", "read", "readers_of"]
 
+ONCE = 1.0
+"""The interval of what is read once, which nobody waits for."""
+
+MOST_PLANS = 64
+"""Plans for different sets of items that are kept."""
+
+FELL = "is smaller than before"
+"""The remark about a total that was read twice."""
+
 STATUS_AFTER = 1.0
 """Seconds until a status line is shown."""
 
@@ -42,6 +53,7 @@ class Reader:
     Attributes:
         formatters: one for each item.
         unit: the unit that is asked.
+        interval: seconds from one poll to the next: that of --watch, or the shortest of a point.
 
     Args:
         unit: the unit that is asked.
@@ -52,14 +64,20 @@ class Reader:
 
     def __init__(self, options: argparse.Namespace, unit: int) -> None:
         words = Words(options, options.what)
-        items = _items(words)
+        items = _items(words, options.group or ())
         # The points that scale others are read, too, if they are not among the items.
         sources = words.sources_of(items)
         self.formatters: list[Formatter] = [
             formatter_of(item, as_all=options.type == ALL, in_hex=options.hex) for item in items
         ]
         self._sources = [formatter_of(item, as_all=False, in_hex=False) for item in sources]
-        self._plan = ItemPlan([*items, *sources])
+        self._plans: dict[tuple[int, ...], ItemPlan] = {(): ItemPlan([*items, *sources])}
+        own = [None if item.point is None else item.point.interval for item in items]
+        self._pace = Pace(own, getattr(options, "watch", None) or ONCE)
+        self.interval: float = self._pace.interval
+        points = [item.point for item in items]
+        self._totals = Totals(at for at, point in enumerate(points) if point and point.never_falls)
+        self._results: dict[int, ReadResult] = {}
         self._holes = Holes()
         client = endpoint_of(options).client_options
         self.unit = unit
@@ -68,9 +86,10 @@ class Reader:
 
     def ask(self, context: Context) -> list[ReadResult]:
         """
-        Ask for all items; if the device refuses one, the others are still read.
+        Ask for all items that are due; if the device refuses one, the others are still read.
 
-        What is refused is found by halving, and left out until it is tried again.
+        What is refused is found by halving, and left out until it is tried again. A total that is
+        smaller than before is read again. Items that are not due have their last results.
 
         Raises:
             ModbusError: there is no answer, or one that makes no sense.
@@ -78,20 +97,51 @@ class Reader:
         """
         context.connect()
         context = client_of(context, self.unit)
-        self._status = Status(after=STATUS_AFTER)
-        try:
-            run = PlanRun(self._plan.plan, self._holes, context.now(), *context.connection)
-            while run.requests:
-                run.take(self._answers(context, run.requests))
-            found = self._plan.cells(run.answers, self._answers(context, self._plan.requests))
-        finally:
-            self._status.clear()
-        count = len(self.formatters)
-        self._scale(found[count:])
-        results = [_result(*pair) for pair in zip(self.formatters, found[:count], strict=True)]
+        due = self._pace.due(context.now())
+        found = self._read(context, due)
+        doubtful = self._totals.take(self._values(found)).doubtful
+        if doubtful:
+            again = self._read(context, tuple(sorted(doubtful)))
+            for at in self._totals.take(self._values(again)).fell:
+                remark = f"{again[at].fields['name']} {FELL}"
+                again[at] = again[at]._replace(remark=remark, has_fallen=True)
+            found |= again
+        self._pace.done()
+        self._results |= found
+        results = [self._results[at] for at in range(len(self.formatters))]
         if len(results) == 1 and results[0].failure:
             raise CommandError(results[0].failure)
         return results
+
+    def _read(self, context: Context, due: tuple[int, ...] | None) -> dict[int, ReadResult]:
+        """Read the items with some indexes; None for all."""
+        indexes = tuple(range(len(self.formatters))) if due is None else due
+        formatters = [self.formatters[at] for at in indexes]
+        plan = self._plan_of(due or (), formatters)
+        self._status = Status(after=STATUS_AFTER)
+        try:
+            run = PlanRun(plan.plan, self._holes, context.now(), *context.connection)
+            while run.requests:
+                run.take(self._answers(context, run.requests))
+            found = plan.cells(run.answers, self._answers(context, plan.requests))
+        finally:
+            self._status.clear()
+        count = len(formatters)
+        self._scale(found[count:])
+        pairs = zip(formatters, found[:count], strict=True)
+        return {at: _result(*pair) for at, pair in zip(indexes, pairs, strict=True)}
+
+    def _plan_of(self, due: tuple[int, ...], formatters: list[Formatter]) -> ItemPlan:
+        if due not in self._plans:
+            if len(self._plans) == MOST_PLANS:
+                self._plans = {(): self._plans[()]}
+            items = [each.item for each in (*formatters, *self._sources)]
+            self._plans[due] = ItemPlan(items)
+        return self._plans[due]
+
+    def _values(self, found: dict[int, ReadResult]) -> list[Any]:
+        fields = [found[at].fields if at in found else {} for at in range(len(self.formatters))]
+        return [each.get("value") for each in fields]
 
     def _scale(self, found: Sequence[Cells]) -> None:
         """Pass the values of the points that scale others to these; one comes before those."""
@@ -200,11 +250,19 @@ def _say_failures(results: Sequence[ReadResult]) -> int:
     return 1 if failed else 0
 
 
-def _items(words: Words) -> list[Item]:
+def _items(words: Words, groups: Sequence[str]) -> list[Item]:
+    if groups and words.map is None:
+        raise ValueError("--group needs --map FILE, which has the groups")
+    if groups:
+        return [item for group in groups for item in words.group(group)] + _typed_items(words)
     if not words and words.map is not None:
         return words.whole_map()
     if not words:
         raise ValueError("WHAT is missing: name a table and an address, or --map FILE")
+    return _typed_items(words)
+
+
+def _typed_items(words: Words) -> list[Item]:
     items = []
     while words:
         item = words.take_item()
@@ -236,7 +294,8 @@ def object_of(unit: int, results: Sequence[ReadResult]) -> dict[str, Any]:
         values = {each["name"]: each["value"] for each in told if "value" in each}
         errors = {each["name"]: each["error"] for each in told if "error" in each}
         none = {each["name"]: each["no_value"] for each in told if "no_value" in each}
-        others = {"no_value": none, "errors": errors}
+        fell = [each.fields["name"] for each in results if each.has_fallen]
+        others = {"no_value": none, "errors": errors, "fell": fell}
         return {
             "unit": unit,
             "values": values,

@@ -27,7 +27,7 @@ __all__ = ["watch"]
 def watch(options: argparse.Namespace) -> int:
     """Poll each unit; a lost connection is established again. Return 1 if no poll succeeded."""
     readers = readers_of(options)
-    interval: float = options.watch
+    interval = min(reader.interval for reader in readers)
     left = options.count
     with closing(connected(options)) as context:
         units = ",".join(str(reader.unit) for reader in readers)
