@@ -63,6 +63,13 @@ def add_command(commands: Any) -> None:
         const="",
         help="serve a device file of the package; without NAME, list them",
     )
+    of_map = source.add_argument(
+        "--map",
+        metavar="FILE",
+        help="serve the points of a register map, or of one that comes with the package: with"
+        " their names, access and bounds",
+    )
+    completers.completing(of_map, completers.maps)
     arguments.add_units(
         command, "without --device and --example: units that exist, such as 1-10,17 (all)"
     )
@@ -115,8 +122,8 @@ def _serve_logged(options: argparse.Namespace, hangup: Hangup) -> int:
         raise ValueError("--reload needs --device or --example")
     if options.units and path is not None:
         raise ValueError(f"--units cannot be given with {path}, which has its own units")
-    simulation = None if path is None else device_file.load(path)
-    units = {unit: _everything() for unit in options.units or ()}
+    simulation = _simulation(options, path)
+    units = {} if simulation else {unit: _everything() for unit in options.units or ()}
     devices, faults = simulation or (units or _everything(), None)
     with audit.audited(options) as (trail, on_hangup):
         server = Server(
@@ -148,6 +155,12 @@ def _serve_logged(options: argparse.Namespace, hangup: Hangup) -> int:
                 with contextlib.closing(reloader):
                     hangup.serve_forever(server, urls, begin, read_again)
     return 0
+
+
+def _simulation(options: argparse.Namespace, path: str | None) -> device_file.Simulation | None:
+    if options.map is not None:
+        return device_file.mapped_simulation(options.map, options.units or ())
+    return None if path is None else device_file.load(path)
 
 
 def _begin(reloader: Reloader, announce: Callable[[Running], object], running: Running) -> None:

@@ -36,13 +36,13 @@ in the tables; a value with a scale counts as 16. Whatever the file says, there 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from os import PathLike, fspath
 from os.path import dirname
 from typing import Any
 
-from ...protocol.mistakes import Path, WrongValue
+from ...protocol.mistakes import Path, WrongValue, placed
 from ...server.faults.fault import Fault
 from ..files.file_error import FileError
 from ..files.texts import load_file
@@ -53,7 +53,14 @@ from .own_points import Budget, checked_defaults
 from .simulated import SimulatedDevice, Simulation, simulation
 from .units import made_unit
 
-__all__ = ["DeviceFileError", "SimulatedDevice", "Simulation", "load", "parse"]
+__all__ = [
+    "DeviceFileError",
+    "SimulatedDevice",
+    "Simulation",
+    "load",
+    "mapped_simulation",
+    "parse",
+]
 
 # All faults are checked for each request.
 MAX_FAULTS = 1000
@@ -110,8 +117,32 @@ def parse(
         raise DeviceFileError.of(error) from None
 
 
+def mapped_simulation(map: str, units: Iterable[int] = ()) -> Simulation:
+    """
+    Return a simulation of devices that have the points of a register map, all zero.
+
+    Args:
+        map: path of the map, or the name of one that comes with the package.
+        units: 0..247 or 255; none for one device that answers every unit.
+
+    Raises:
+        DeviceFileError: the map cannot be read or contains a mistake, or a unit is wrong.
+    """
+    described = [{"id": unit, "map": map} for unit in units] or [{"map": map}]
+    try:
+        return _made({"unit": described}, maps=Maps(""), clock=time.monotonic)
+    except (TypeError, ValueError) as error:
+        mistake = placed(error, ())
+        # There is no file whose keys the path could name.
+        path = "units" if mistake.path[2:3] == ("id",) else ()
+        raise DeviceFileError(path, mistake.reason) from None
+
+
 def _parse(text: str, *, maps: Maps, clock: Callable[[], float]) -> Simulation:
-    content = read_toml(text)
+    return _made(read_toml(text), maps=maps, clock=clock)
+
+
+def _made(content: dict[str, Any], *, maps: Maps, clock: Callable[[], float]) -> Simulation:
     given = FILE.read((), content)
     defaults = checked_defaults((), given)
     faults: dict[int | None, list[Fault]] = {None: _faults((), given)}

@@ -1,0 +1,85 @@
+"""
+serve --map: the points of a register map, with names, access and bounds, and no device file.
+"""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import Context, IllegalDataAddress, IllegalDataValue, load_map
+from tests.support.cases import each_case
+from tests.support.commands import Started, run
+
+MAP = """\
+name,table,address,type,scale,access,minimum,maximum
+setpoint,holding,0,int16,0.1,read_write,-5,30
+power,holding,1,uint32,,read,,
+"""
+
+
+@contextmanager
+def serving(*arguments: object) -> Iterator[str]:
+    with Started("serve", "tcp://127.0.0.1:0", *arguments) as process:
+        url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
+        assert url, process.stderr.read()
+        yield url
+        process.send_signal(signal.SIGTERM)
+        process.wait()
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    (tmp_path / "heat.csv").write_text(MAP)
+    return tmp_path / "heat.csv"
+
+
+def test_the_map_is_enforced_and_its_values_survive(path: Path, tmp_path: Path) -> None:
+    state = tmp_path / "state"
+    heat = load_map(path)
+    with serving("--map", path, "--state", state) as url, Context.from_url(url, unit=9) as plc:
+        plc.write_map(heat, {"setpoint": 21.5})
+        with pytest.raises(IllegalDataValue):
+            plc.write_register(0, 301)
+        for forbidden in (
+            lambda: plc.write_register(1, 5),
+            lambda: plc.read_holding_registers(3, 1),
+        ):
+            with pytest.raises(IllegalDataAddress):
+                forbidden()
+    with serving("--map", path, "--state", state) as url, Context.from_url(url) as plc:
+        assert plc.read_map(heat) == {"setpoint": 21.5, "power": 0}
+
+
+def test_a_map_of_the_package_is_served_by_its_name_to_some_units() -> None:
+    with serving("--map", "sdm120", "-u", "1,17") as url:
+        found = run("read", url, "--map", "sdm120", "-u", "17", "voltage")
+        assert (found.code, found.err) == (0, "")
+        assert "voltage" in found.out
+        assert run("read", url, "--map", "sdm120", "-u", "3", "voltage").code == 1
+
+
+@each_case(
+    ("arguments", "message"),
+    [
+        (["--map", "nosuch"], "'nosuch' is no file of a register map, which ends with .csv"),
+        (["--map", "WRONG"], "wrong.csv, line 2, column address: address must be in 0..65535"),
+        (["--map", "sdm120", "--reload"], "--reload needs --device or --example"),
+        (["--map", "sdm120", "--device", "x"], "--device: not allowed with argument --map"),
+        (["--map", "sdm120", "-u", "249"], "units must be in 0..247, or 255, not 249"),
+    ],
+)
+def test_a_mistake_is_told_before_anything_listens(
+    tmp_path_factory: pytest.TempPathFactory, arguments: list[str], message: str
+) -> None:
+    wrong = tmp_path_factory.mktemp("maps") / "wrong.csv"
+    wrong.write_text("name,table,address\na,holding,70000\n")
+    words = [str(wrong) if each == "WRONG" else each for each in arguments]
+    done = run("serve", "tcp://127.0.0.1:0", *words)
+    assert (done.code, done.out) == (2, "")
+    assert message in done.err
+    assert done.err.count("\n") == 1
