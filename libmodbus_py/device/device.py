@@ -202,7 +202,7 @@ class Device:
 
     def _arrange(self) -> None:
         """Decide which requests rules, hooks and handlers want; C may answer all others."""
-        self._rules = PointRules(self._ruled_cells())
+        self._rules = PointRules(self._ruled_cells(), lambda: self.points)
         self._has_rules = bool(self._rules.reads or self._rules.writes)
         hooks = (self._before_write, self._after_write, self._before_read)
         self._has_hooks = any(each is not None for each in hooks)

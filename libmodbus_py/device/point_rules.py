@@ -7,7 +7,8 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
-from typing import NamedTuple
+from collections.abc import Mapping as MappingABC
+from typing import Any, NamedTuple
 
 from ..maps.bounds import check_cells, has_bounds
 from ..maps.point import Point
@@ -80,13 +81,22 @@ class PointRules:
     A cell may be read if one of its points may be read, and written if one of them may be
     written; a cell of no point has no rule.
 
+    Args:
+        ruled: the cells that have rules.
+        points: returns all points of the device by name, with those that scale others.
+
     Attributes:
         reads, writes: ``{Access.table: ranges}``, the addresses for which there is something to
             check; of "file" the numbers of the files.
     """
 
-    def __init__(self, ruled: Iterable[RuledCells]) -> None:
+    def __init__(
+        self,
+        ruled: Iterable[RuledCells],
+        points: Callable[[], MappingABC[str, Point]] = dict,
+    ) -> None:
         given = list(ruled)
+        self._points = points
         self._unreadable = _refused(given, "write", lambda place: True)
         self._unwritable = _refused(given, "read", lambda place: place[0] in WRITABLE)
         bounded = [
@@ -113,7 +123,23 @@ class PointRules:
             _check(self._unreadable, access, "read")
         for access in touched.writes:
             for point in self._bounded.touched(access):
-                _check_bounds(point, access, mapping)
+                self._check_bounds(point, access, mapping)
+
+    def _check_bounds(self, point: Point, access: Access, mapping: Mapping) -> None:
+        """Check the value that a point will have; a request may write only some of its cells."""
+        try:
+            source = self._source_after(point, access, mapping)
+            check_cells(point, _after(point, access, mapping), source=source)
+        except ValueError as error:
+            raise IllegalDataValue(str(error)) from None
+
+    def _source_after(self, point: Point, access: Access, mapping: Mapping) -> Any:
+        """Return the value that the point which scales another will have; None without one."""
+        if point.scale_from is None:
+            return None
+        source = self._points()[point.scale_from]
+        cells = _after(source, access, mapping)
+        return source.decode(cells, source=self._source_after(source, access, mapping))
 
 
 def _check(refused: dict[Place, list[range]], access: Access, what: str) -> None:
@@ -126,19 +152,18 @@ def _check(refused: dict[Place, list[range]], access: Access, what: str) -> None
         raise IllegalDataAddress(f"{span} cannot all be {what}")
 
 
-def _check_bounds(point: Point, access: Access, mapping: Mapping) -> None:
-    """Check the value that a point will have; a request may write only some of its cells."""
+def _after(point: Point, access: Access, mapping: Mapping) -> list[Any]:
+    """Return the cells that a point will have."""
     cells = point.cells
-    after = getattr(mapping, point.table)[cells.start : cells.stop]
+    after: list[Any] = getattr(mapping, point.table)[cells.start : cells.stop]
     first, stop = access.address, access.address + access.count
+    if access.table != point.table or stop <= cells.start or cells.stop <= first:
+        return after
     both = range(max(first, cells.start), min(stop, cells.stop))
     after[both.start - cells.start : both.stop - cells.start] = access.values[
         both.start - first : both.stop - first
     ]
-    try:
-        check_cells(point, after)
-    except ValueError as error:
-        raise IllegalDataValue(str(error)) from None
+    return after
 
 
 def _refused(

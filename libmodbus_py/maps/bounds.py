@@ -15,28 +15,28 @@ __all__ = ["check_cells", "has_bounds"]
 
 
 def has_bounds(point: Point) -> bool:
-    """
-    Return True if a point has a minimum or a maximum that its cells can be checked against.
-
-    Those of a point with `scale_from` depend on what another point holds.
-    """
-    return point.scale_from is None and (point.minimum is not None or point.maximum is not None)
+    """Return True if a point has a minimum or a maximum."""
+    return point.minimum is not None or point.maximum is not None
 
 
-def check_cells(point: Point, cells: Sequence[Any]) -> None:
+def check_cells(point: Point, cells: Sequence[Any], *, source: Any = None) -> None:
     """
     Check all values that the cells of a point hold against its `minimum` and `maximum`.
 
     The nearest value to a bound that the type has is within it: 0.1 as a float32 is not above 0.1.
 
+    Args:
+        source: the value of the point that scales this one.
+
     Raises:
         ValueError: a value is outside, is not a number, or the cells hold none; the message names
-            the point and the bounds.
+            the point and the bounds. Or `source` is no scale.
     """
     if not has_bounds(point):
         return
+    scaling = point.scaling_for(source)
     try:
-        values = point.values_in(cells)
+        values = point.values_in(cells, scaling)
     except ValueError as error:
         raise WrongValue.about(point.name, str(error)) from None
     for value in values:
@@ -63,7 +63,8 @@ def _is_below(point: Point, value: float) -> bool:
 
 def _held(point: Point, bound: float) -> Any:
     """Return the value that cells hold for a bound; None if they cannot hold any."""
-    if point.step:  # integers hold it, or it lies between two of them
+    # Integers hold it, or it lies between two of them; so do those that another point scales.
+    if point.step or point.scale_from is not None:
         return None
     try:
         return point.values_in(point.cells_for([bound]))[0]

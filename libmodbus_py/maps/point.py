@@ -289,16 +289,20 @@ class Point:
             text = f"has no value: {self.scale_from}, which scales it, must hold {error}"
             raise NoValue(self.name, "BadScale", text) from None
 
-    def values_in(self, cells: Sequence[Any]) -> list[Any]:
+    def values_in(self, cells: Sequence[Any], scaling: Scaling | None = None) -> list[Any]:
         """
         Return the values that the cells of some values of the point hold.
 
-        None stands for no value. The factor of `scale_from` is taken as 1.
+        None stands for no value.
+
+        Args:
+            scaling: that of `scaling_for`; None for the scale and offset of the point.
 
         Raises:
             TypeError, ValueError: the cells hold no values of this type.
         """
-        found = self.found_in(cells, self.to_value)
+        scaling = scaling or self._scaling
+        found = self.found_in(cells, None if scaling is None else scaling.to_value)
         return [None if isinstance(each, NoValue) else each for each in found]
 
     def found_in(self, cells: Sequence[Any], scale: Callable[[Any], Any] | None) -> list[Any]:
