@@ -4,7 +4,9 @@ Values of points and registers from the text that a person typed.
 
 from __future__ import annotations
 
+import json
 import math
+import reprlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
 
     from .point import Point
 
-__all__ = ["typed_register", "typed_value"]
+__all__ = ["json_value", "typed_register", "typed_value"]
 
 
 def typed_value(point: Point, text: str) -> Any:
@@ -25,7 +27,7 @@ def typed_value(point: Point, text: str) -> Any:
 
     Spaces around the text are ignored, except in strings. Scaled numbers are decimal and exact:
     one that a float cannot hold becomes an int or a Decimal. A state is its name or its number;
-    named bits are like "door=1, mode=5".
+    named bits are like "door=1, mode=5", or a JSON object.
 
     Raises:
         ValueError: the text is no value of this type; the message begins with "value".
@@ -59,7 +61,9 @@ def _state(states: Mapping[int, str], text: str) -> str | int:
 
 
 def _named_bits(point: Point, text: str) -> dict[str, int]:
-    """Return the bits of "door=1, mode=5"."""
+    """Return the bits of "door=1, mode=5", or of a JSON object."""
+    if text.lstrip().startswith("{"):
+        return _object(text)
     found: dict[str, int] = {}
     for each in text.split(","):
         name, separator, value = each.partition("=")
@@ -67,6 +71,29 @@ def _named_bits(point: Point, text: str) -> dict[str, int]:
             raise ValueError(f"value must be like name=1, other=0, not {text!r}")
         value = value.strip().lower()
         found[name.strip()] = BITS[value] if value in BITS else number_of("value", value)
+    return found
+
+
+def json_value(point: Point, value: Any) -> Any:
+    """
+    Return a value of JSON as `Point.encode` takes it: times are text (ISO 8601).
+
+    Raises:
+        ValueError: a text is no time; the message begins with "value".
+    """
+    kind = point.read.kind
+    if kind is None or not kind.is_time:
+        return value
+    if point.count > 1 and isinstance(value, list):
+        return [value_of(each, kind) if isinstance(each, str) else each for each in value]
+    return value_of(value, kind) if isinstance(value, str) else value
+
+
+def _object(text: str) -> dict[str, int]:
+    try:
+        found: dict[str, int] = json.loads(text)
+    except (ValueError, RecursionError):
+        raise ValueError(f"value must be a JSON object, not {reprlib.repr(text)}") from None
     return found
 
 

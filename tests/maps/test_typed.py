@@ -124,3 +124,10 @@ WRONG_NAMES = [
 def test_what_is_no_name_or_part(keys: dict[str, Any], text: str, message: str) -> None:
     with pytest.raises(ValueError, match=re.escape(message)):
         typed_value(point(**keys), text)
+
+
+def test_named_bits_may_be_a_json_object() -> None:
+    flags = Point("flags", "holding_registers", 0, bits={0: "door", "4..7": "mode"})
+    assert flags.encode(typed_value(flags, ' {"door": true, "mode": 5}')) == [0x51]
+    with pytest.raises(ValueError, match="value must be a JSON object"):
+        typed_value(flags, "{door}")

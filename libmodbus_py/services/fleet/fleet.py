@@ -13,6 +13,8 @@ from collections.abc import AsyncIterator, Collection, Iterable, Mapping, Sequen
 from os import PathLike
 from typing import Any, Self
 
+from ...maps.register_map import RegisterMap
+from ...maps.typed import json_value
 from ...protocol.close_names import named_arguments
 from ...protocol.logs import HarmlessLogger
 from .buffer import MOST_KEPT, Buffer
@@ -507,6 +509,10 @@ class Fleet:
         """
         Write values to points of a device, by their names.
 
+        Args:
+            device: the name of the device.
+            values: as for `write_map` of the clients; times may be text (ISO 8601), as in JSON.
+
         Raises:
             KeyError: the fleet has no device of this name.
             TypeError, ValueError: the device has no such point, the point is read-only, or it
@@ -515,6 +521,7 @@ class Fleet:
         """
         poller = self._pollers[device]
         points = poller.config.map
+        values = {name: _value_of(points, name, value) for name, value in values.items()}
         line = self._lines[poller.config.connection_key]
         client = line.client_of(poller).for_unit(poller.config.unit)
         if points.scale_sources(values) or any(points[name].is_part for name in values):
@@ -522,6 +529,21 @@ class Fleet:
             await client.write_map(points, values)
         else:
             await client.execute_many(points.writes(values), max_in_flight=1)
+
+
+def _value_of(points: RegisterMap, name: str, value: Any) -> Any:
+    """
+    Return a value of JSON as it is written; of unknown points as it is.
+
+    Raises:
+        ValueError: the text is no time.
+    """
+    if name not in points:
+        return value
+    try:
+        return json_value(points[name], value)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
 
 
 class Readings(AsyncIterator[Reading]):
