@@ -54,26 +54,10 @@ def add_command(commands: Any) -> None:
         nargs="*",
         help=f"where to listen, such as {EXAMPLE_URL}, the default for examples",
     )
-    source = command.add_mutually_exclusive_group()
-    source.add_argument("--device", metavar="FILE", help="serve the devices of a device file")
-    example = source.add_argument(
-        "--example",
-        metavar="NAME",
-        nargs="?",
-        const="",
-        help="serve a device file of the package; without NAME, list them",
-    )
-    of_map = source.add_argument(
-        "--map",
-        metavar="FILE",
-        help="serve the points of a register map, or of one that comes with the package: with"
-        " their names, access and bounds",
-    )
-    completers.completing(of_map, completers.maps)
+    _add_sources(command)
     arguments.add_units(
         command, "without --device and --example: units that exist, such as 1-10,17 (all)"
     )
-    completers.completing(example, completers.examples)
     command.add_argument(
         "--reload",
         action="store_true",
@@ -103,6 +87,26 @@ def add_command(commands: Any) -> None:
     arguments.add_serial_options(command)
     arguments.add_security_options(command)
     command.set_defaults(run=_serve)
+
+
+def _add_sources(command: argparse.ArgumentParser) -> None:
+    source = command.add_mutually_exclusive_group()
+    source.add_argument("--device", metavar="FILE", help="serve the devices of a device file")
+    example = source.add_argument(
+        "--example",
+        metavar="NAME",
+        nargs="?",
+        const="",
+        help="serve a device file of the package; without NAME, list them",
+    )
+    of_map = source.add_argument(
+        "--map",
+        metavar="FILE",
+        help="serve the points of a register map, or of one that comes with the package: with"
+        " their names, access and bounds",
+    )
+    completers.completing(of_map, completers.maps)
+    completers.completing(example, completers.examples)
 
 
 def _serve(options: argparse.Namespace) -> int:

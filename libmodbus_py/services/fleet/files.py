@@ -26,6 +26,7 @@ from pathlib import Path as FilePath
 from typing import Any, NamedTuple
 
 from ...maps.register_map import RegisterMap
+from ...maps.sources import scale_mistakes
 from ...protocol.mistakes import (
     Mistake,
     Path,
@@ -324,6 +325,9 @@ def _points(path: Path, given: object) -> RegisterMap:
     if not isinstance(given, list) or not given:
         raise WrongType(path, "must be an array of tables: [[device.point]]")
     points = [POINT.read(item(path, at), each) for at, each in enumerate(given)]
+    indexes = {point.name: at for at, point in enumerate(points)}
+    for name, mistake in scale_mistakes({point.name: point for point in points}):
+        raise mistake.renamed(item(path, indexes[name]))
     with inside(*path):
         return RegisterMap(points)
 
