@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-__all__ = ["Pace"]
+__all__ = ["PointIntervals"]
 
 
-class Pace:
+class PointIntervals:
     """
     The intervals of the points of one device, from poll to poll.
 

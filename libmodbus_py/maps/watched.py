@@ -9,7 +9,7 @@ from typing import Any, Unpack
 
 from ..protocol.errors import ModbusError
 from .holes import is_refusal
-from .pace import Pace
+from .pace import PointIntervals
 from .plan import PlanOptions
 from .register_map import PointPlan, RegisterMap
 from .totals import Totals
@@ -62,7 +62,7 @@ class WatchedPoints:
         self._names = plan.names
         self._plans: dict[tuple[int, ...] | None, PointPlan] = {None: plan}
         points = [map[name] for name in self._names]
-        self._pace = Pace([point.interval for point in points], every)
+        self._pace = PointIntervals([point.interval for point in points], every)
         self._totals = Totals(at for at, point in enumerate(points) if point.never_falls)
         self._values: dict[str, Any] = {}
         self.interval: float = self._pace.interval

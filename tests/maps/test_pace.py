@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from libmodbus_py import Point, RegisterMap
-from libmodbus_py.maps.pace import Pace
+from libmodbus_py.maps.pace import PointIntervals
 from tests.support.cases import each_case
 
 
-def polled(pace: Pace, polls: int, late: float = 0.0) -> list[list[float]]:
+def polled(pace: PointIntervals, polls: int, late: float = 0.0) -> list[list[float]]:
     """Return the times at which each of two points is read."""
     found: list[list[float]] = [[], []]
     for number in range(polls):
@@ -26,23 +26,26 @@ def polled(pace: Pace, polls: int, late: float = 0.0) -> list[list[float]]:
 
 
 def test_a_point_is_read_at_its_own_interval() -> None:
-    assert polled(Pace([None, 60], 10), 13) == [[10.0 * at for at in range(13)], [0, 60, 120]]
+    assert polled(PointIntervals([None, 60], 10), 13) == [
+        [10.0 * at for at in range(13)],
+        [0, 60, 120],
+    ]
 
 
 def test_polls_come_at_the_shortest_interval() -> None:
-    pace = Pace([None, 2], 10)
+    pace = PointIntervals([None, 2], 10)
     assert pace.interval == 2
     assert polled(pace, 6) == [[0, 10], [0, 2, 4, 6, 8, 10]]
 
 
 def test_an_interval_ends_at_the_nearest_poll_and_does_not_drift() -> None:
-    _, found = polled(Pace([None, 25], 10), 1001)
+    _, found = polled(PointIntervals([None, 25], 10), 1001)
     assert found[:5] == [0, 20, 50, 70, 100]
     assert len(found) == 401
 
 
 def test_polls_that_come_late_change_nothing() -> None:
-    assert polled(Pace([None, 60], 10), 13, late=0.9)[1] == [0, 60, 120]
+    assert polled(PointIntervals([None, 60], 10), 13, late=0.9)[1] == [0, 60, 120]
 
 
 @given(
@@ -50,7 +53,7 @@ def test_polls_that_come_late_change_nothing() -> None:
     steps=st.lists(st.floats(0, 1e6), max_size=20),
 )
 def test_something_is_due_at_every_poll(own: list[float | None], steps: list[float]) -> None:
-    pace, now = Pace(own, 10), 0.0
+    pace, now = PointIntervals(own, 10), 0.0
     for step in steps:
         now += step
         due = pace.due(now)
@@ -59,7 +62,7 @@ def test_something_is_due_at_every_poll(own: list[float | None], steps: list[flo
 
 
 def test_points_without_an_answer_are_read_at_the_next_poll_once() -> None:
-    pace = Pace([None, 60], 10)
+    pace = PointIntervals([None, 60], 10)
     assert pace.due(0) is None
     pace.done([1])
     assert pace.due(10) is None
@@ -68,7 +71,7 @@ def test_points_without_an_answer_are_read_at_the_next_poll_once() -> None:
 
 
 def test_without_any_answer_all_stay_due() -> None:
-    pace = Pace([None, 60], 10)
+    pace = PointIntervals([None, 60], 10)
     for now in range(0, 100, 10):
         assert pace.due(now) is None
         pace.done([0, 1])

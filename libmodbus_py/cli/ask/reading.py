@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 from ...client.blocking import Context
 from ...maps.holes import Holes
-from ...maps.pace import Pace
+from ...maps.pace import PointIntervals
 from ...maps.plan_run import PlanRun
 from ...maps.totals import Totals
 from ...protocol.errors import (
@@ -34,7 +34,7 @@ from .units import ask_units, client_of, fail, units_of
 __all__ = ["Printer", "Reader", "object_of", "read", "readers_of"]
 
 ONCE = 1.0
-"""The interval of what is read once, which nobody waits for."""
+"""The interval of a read without --watch, where it has no effect."""
 
 MOST_PLANS = 64
 """Plans for different sets of items that are kept."""
@@ -73,7 +73,7 @@ class Reader:
         self._sources = [formatter_of(item, as_all=False, in_hex=False) for item in sources]
         self._plans: dict[tuple[int, ...], ItemPlan] = {(): ItemPlan([*items, *sources])}
         own = [None if item.point is None else item.point.interval for item in items]
-        self._pace = Pace(own, getattr(options, "watch", None) or ONCE)
+        self._pace = PointIntervals(own, getattr(options, "watch", None) or ONCE)
         self.interval: float = self._pace.interval
         points = [item.point for item in items]
         self._totals = Totals(at for at, point in enumerate(points) if point and point.never_falls)

@@ -11,7 +11,7 @@ from typing import Any
 from ...client.asynchronous import Submitted
 from ...client.waiting_room import rest_after
 from ...maps.holes import Holes, Unreadable
-from ...maps.pace import Pace
+from ...maps.pace import PointIntervals
 from ...maps.pieces import PartialAnswer
 from ...maps.plan_run import PlanRun, says_something
 from ...maps.register_map import PointPlan
@@ -57,9 +57,9 @@ class Reads:
         self._config = config
         self._plans: dict[tuple[int, ...], PointPlan] = {}
 
-    def pace(self, interval: float) -> Pace | None:
+    def pace(self, interval: float) -> PointIntervals | None:
         """Return the intervals of the points of a device; None if none has its own."""
-        return Pace(self._intervals, interval) if self._intervals else None
+        return PointIntervals(self._intervals, interval) if self._intervals else None
 
     def plan_of(self, due: tuple[int, ...] | None) -> PointPlan:
         """Return the requests that read the points with some indexes; None for all."""
