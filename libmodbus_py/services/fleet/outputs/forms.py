@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
+from math import isfinite
 from types import MappingProxyType
 from typing import Any
 
@@ -17,7 +18,7 @@ from ....protocol.shown_time import time_text
 from ....tools.files.csv_text import csv_rows
 from ..readings import Reading
 
-__all__ = ["COLUMNS", "as_csv", "as_json", "labels_text", "payload"]
+__all__ = ["COLUMNS", "as_csv", "as_json", "labels_text", "payload", "payload_text"]
 
 COLUMNS: tuple[str, ...] = tuple(name for name in Reading._fields if name != "id")
 """The columns of CSV."""
@@ -55,6 +56,18 @@ def payload(reading: Reading, labels: Mapping[str, str] = NO_LABELS) -> dict[str
     return told
 
 
+def payload_text(reading: Reading) -> str:
+    """Return what `payload` returns for a reading, without labels, as JSON."""
+    time, _, _, value, unit, quality, reason, number = reading
+    # Formatted directly, because dictionaries are too slow for 40000 readings a second.
+    return (
+        f'{{"time": "{_time_text(time)}", "value": {_number(value)}, "unit": {_quoted(unit)},'
+        f' "quality": "{quality}"'
+        + (f', "reason": {_quoted(reason)}' if reason else "")
+        + (f', "id": {number}}}' if number else "}")
+    )
+
+
 def as_json(readings: Iterable[Reading], labels: Mapping[str, str] = NO_LABELS) -> bytes:
     """
     Return a line of JSON for each reading.
@@ -86,7 +99,9 @@ def _escaped(found: re.Match[str]) -> str:
 
 
 def _number(value: Any) -> str:
-    return repr(value) if type(value) is int else _encode(plain(value))
+    if type(value) is int or (type(value) is float and isfinite(value)):
+        return repr(value)
+    return _encode(plain(value))
 
 
 def _cell(value: Any) -> Any:

@@ -9,14 +9,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
-from ....protocol.json_text import JSON
 from ...engine.buckets import TIMEOUT, keep_stream
 from ...engine.errors import EngineError, explained
 from ..config import DeviceConfig
 from ..readings import Reading
-from .forms import NO_LABELS, payload
+from .forms import NO_LABELS
 from .labels import Labels
-from .output import ReadingsRefused
+from .poll_messages import poll_messages
 from .subjects import READINGS, readings_of
 
 if TYPE_CHECKING:
@@ -32,8 +31,6 @@ LIMITS: dict[str, Any] = {"max_age": 86_400.0, "max_bytes": 1 << 30}
 
 OVERHEAD = 200
 """More than the bytes of a message beside the names of its device, its point and its subject."""
-
-_json = JSON.encode
 
 
 class Stream:
@@ -106,31 +103,6 @@ def _messages(
     """
     for (device, time), group in groupby(readings, lambda each: each.poll):
         subject = readings_of(device)
-        values = {each.name: f"{_json(each.name)}: {_json(payload(each))}" for each in group}
-        begin = f'{{"device": {_json(device)}, '
-        if labels.get(device):
-            begin += f'"labels": {_json(labels[device])}, '
-        longest = max(len(name.encode()) for name in values)
-        room = largest - OVERHEAD - 2 * len(begin.encode()) - len(subject.encode()) - longest
-        parts = list(_parts(values, room))
-        for at, names in enumerate(parts):
-            part = f'"part": {at + 1}, "parts": {len(parts)}, ' if len(parts) > 1 else ""
-            told = ", ".join(values[name] for name in names)
-            data = f'{begin}{part}"values": {{{told}}}}}'.encode()
+        room = largest - OVERHEAD - len(subject.encode())
+        for names, data in poll_messages(device, group, room, labels.get(device, NO_LABELS)):
             yield subject, f"{time} {len(names)} {names[0]}", data
-
-
-def _parts(values: Mapping[str, str], room: int) -> Iterator[list[str]]:
-    """Yield the names of the values of each message."""
-    names: list[str] = []
-    used = 0
-    for name, text in values.items():
-        size = len(text.encode()) + len(", ")
-        if size > room:
-            raise ReadingsRefused(f"{name}: the server takes no message of {size} bytes")
-        if used + size > room:
-            yield names
-            names, used = [], 0
-        names.append(name)
-        used += size
-    yield names
