@@ -9,7 +9,7 @@ the machine meanwhile.
 --workload neuron is one that Neuron publishes: 500 devices of 30 points, each 0.5 s; --workload
 gateway is one of NG Gateway: 100 devices of 1000 points, each second. Each device has a connection
 of its own there. --journal and --mqtt have the readings kept on the disk, and published to a
-mosquitto that is started for it.
+mosquitto that is started for it; --mqtt-polls as one message for each poll of a device.
 """
 
 from __future__ import annotations
@@ -71,8 +71,9 @@ def main() -> None:
             for url in stack.enter_context(servers(share, options.units, options.registers))
         ]
         outputs = [JsonOutput(options.output)] if options.output else []
-        if options.mqtt:
-            outputs.append(stack.enter_context(published()))
+        if options.mqtt or options.mqtt_polls:
+            topic = "plant/{device}" if options.mqtt_polls else "plant/{device}/{name}"
+            outputs.append(stack.enter_context(published(topic)))
         journal = stack.enter_context(kept()) if options.journal else None
         figures = asyncio.run(measure(urls, options, outputs, journal))
     print(told(figures))
@@ -98,6 +99,7 @@ def parse() -> argparse.Namespace:
     )
     parser.add_argument("--journal", action="store_true", help="keep all readings in a journal")
     parser.add_argument("--mqtt", action="store_true", help="publish all readings to a mosquitto")
+    parser.add_argument("--mqtt-polls", action="store_true", help="... a message for each poll")
     parser.add_argument("--json", action="store_true", help="print the figures as JSON, too")
     parser.add_argument("--serve", type=int, default=0, help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -160,14 +162,14 @@ def kept() -> Iterator[Journal]:
 
 
 @contextmanager
-def published() -> Iterator[Mqtt]:
+def published(topic: str) -> Iterator[Mqtt]:
     """An output to a mosquitto."""
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
     program = ["mosquitto", "-p", str(port)]
     with subprocess.Popen(program, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as broker:
         try:
-            yield Mqtt(f"mqtt://127.0.0.1:{port}")
+            yield Mqtt(f"mqtt://127.0.0.1:{port}", topic=topic)
         finally:
             broker.kill()
 

@@ -317,7 +317,7 @@ def test_a_flood_of_commands_is_bounded(broker: Broker) -> None:
         ({"retain": 1}, "retain must be true or false"),
         ({"qos": 3}, "qos must be in 0..1"),
         ({"ca": "x"}, "ca can only be used with mqtts"),
-        ({"topic": "x/{device}"}, "topic must hold"),
+        ({"topic": "x/{name}"}, "topic must hold"),
         ({"topic": "x/{device}/{name}/{zone}"}, "topic must hold"),
         ({"topic": "x/{device}{name}"}, "must stand apart"),
         ({"topic": "#/{device}/{name}"}, "must be a topic without"),

@@ -11,10 +11,12 @@ Outputs: the destinations of readings. Each is one file, and imports its librari
     influx         the line protocol of InfluxDB, to a file or a server
     influx_server  ... the server, by HTTP
     line_protocol  ... the lines
-    mqtt           a topic for each value, retained; writes to named points
+    mqtt           a topic for each value or device, retained; writes to named points
+    mqtt_messages  ... the messages, and the last values that the broker retains
     topics         ... the topics, with names and labels
     nats           a message for each poll, kept in a stream, from one machine
     stream         ... the stream, also used by workers on several machines
+    poll_messages  messages with the readings of a device, for NATS and MQTT
     subjects       the subjects of messages
     last_values    the last reading of each point, for metrics
     forms          readings as JSON and CSV

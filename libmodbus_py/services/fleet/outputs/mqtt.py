@@ -11,13 +11,13 @@ import re
 import socket
 import ssl
 from collections import Counter
-from collections.abc import Coroutine, Iterator, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Hashable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import chain, islice
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from ....protocol.checks import integer
-from ....protocol.json_text import JSON
 from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType, WrongValue
 from ....security.renewed import Renewed
@@ -27,8 +27,8 @@ from ..commands import Commands, encoded, wanted_of
 from ..config import DeviceConfig
 from ..readings import Reading
 from .device_states import DeviceStates
-from .forms import payload
 from .labels import Labels
+from .mqtt_messages import Message, Messages, PointMessages, PollMessages
 from .output import OutputError
 from .secret_file import SecretFile, text_of
 from .topics import Topic, plain_topic
@@ -62,6 +62,9 @@ MOST_LOSSES = 3
 # sockets delay small packets acknowledges the second and later ones of them 40 ms late.
 TOGETHER = 100
 
+LARGEST = 268_435_000
+"""The bytes of a message that MQTT can carry, with a long topic."""
+
 # The most received messages that wait; paho drops further ones.
 MOST_MESSAGES = 100
 
@@ -85,7 +88,9 @@ class Mqtt:
             each connection, and on SIGHUP.
         topic: the topic of a reading, with {device} and {name} on different levels, and labels
             of devices such as {label.site}; in all of them, the characters ``/ + # %`` are
-            written %2F and so on.
+            written %2F and so on. Without {name}, each poll of a device is one message:
+            ``{"device": ..., "values": {NAME: {...}}}``; if it is retained, it also has the last
+            values of the other points of the device.
         status: the topic of the status, which no reading may have; empty for none.
         device_status: the topic with "online" while a device answers, else "offline", with
             {device} and labels; no reading may have it. Empty for none.
@@ -95,7 +100,12 @@ class Mqtt:
             unless given. It is read again like a `SecretFile`.
         client_id: the client identifier; None to have the broker assign one.
         commands: True to write the values published to `topic` + "/set" to the device; see
-            `Commands`. The outcome is published to `topic` + "/set/result".
+            `Commands`. The outcome is published to `topic` + "/set/result". If the topic has no
+            {name}, "/{name}" comes before "/set".
+        max_message: the most bytes of a message, 1024 or more, if the broker takes no larger
+            ones; a larger poll is several messages, with ``"part": 1, "parts": 3``. It needs a
+            topic without {name} and `retain` False, because the broker retains one message of a
+            topic. None for what MQTT can carry.
         buffer: the most readings that wait for the broker; the oldest are dropped beyond.
 
     Raises:
@@ -116,6 +126,7 @@ class Mqtt:
         ca: str | None = None,
         client_id: str | None = None,
         commands: bool = False,
+        max_message: int | None = None,
         buffer: int = MOST_KEPT,
     ) -> None:
         self._host, self._port, self._is_secure = _place(url)
@@ -129,14 +140,19 @@ class Mqtt:
         self.exclusive: tuple[str, ...] = (f"the topic {topic!r} of {self.name}",)
         if client_id is not None:  # with which a broker has one connection
             self.exclusive += (f"the client_id {client_id!r} at {self.name}",)
-        self._topic = Topic("topic", topic, ("device", "name"))
+        is_of_points = not isinstance(topic, str) or "{name}" in topic or "{device}" not in topic
+        self._topic = Topic("topic", topic, ("device", "name") if is_of_points else ("device",))
+        self._point = (
+            self._topic if is_of_points else Topic("topic", f"{topic}/{{name}}", ("device", "name"))
+        )
         self._status = plain_topic("status", status)
         if self._topic.can_be(self._status):
             raise WrongValue("status", f"must not be the topic of a reading: {status!r}")
-        self._device_status = _of_devices(device_status, self._topic, self._status)
+        self._device_status = _of_devices(device_status, self._topic, self._point, self._status)
         self._states = DeviceStates()
         self._labels = Labels(lambda device, labels: dict(labels))
         self._retain = retain
+        self._messages = self._messages_of(retain, max_message)
         self._qos = integer("qos", qos, 0, 1)
         if ca is not None and not self._is_secure:
             raise WrongValue("ca", "can only be used with mqtts://")
@@ -147,18 +163,26 @@ class Mqtt:
         self.takes_commands: bool = commands
         self._commands: Commands | None = None
         self._client: aiomqtt.Client | None = None
-        # The last reading of each point, if the broker retains it.
-        self._retained: dict[tuple[str, str], Reading] = {}
-        # The topics at which it does, of points; and of the states of devices.
-        self._topics: dict[tuple[str, str], str] = {}
+        # The topics at which the broker retains the states of devices.
         self._state_topics: dict[str, str] = {}
         # Connections in a row that were lost while these were published again; the one that was
         # being published alone; and how often the connection was lost at each.
         self._lost_again = 0
-        self._alone: tuple[str, str] | None = None
-        self._losses: Counter[tuple[str, str]] = Counter()
+        self._alone: Hashable | None = None
+        self._losses: Counter[Hashable] = Counter()
         self._listening: asyncio.Task[None] | None = None
         self._sending: set[asyncio.Task[None]] = set()
+
+    def _messages_of(self, retain: bool, most: int | None) -> Messages:
+        """Return the messages of points, or of devices, as the topic says."""
+        key, is_of_points = "max_message", self._topic is self._point
+        if most is not None:
+            integer(key, most, 1024, LARGEST)
+            if is_of_points or retain:
+                raise WrongValue(key, "needs a topic without {name}, and retain = false")
+        if is_of_points:
+            return PointMessages(self._topic, self._labels)
+        return PollMessages(self._topic, self._labels, is_retained=retain, largest=most or LARGEST)
 
     @property
     def identity(self) -> str:
@@ -210,7 +234,7 @@ class Mqtt:
             self._client = client
             self._listening = asyncio.create_task(self._listen(client))
             if self.takes_commands:  # before "online", at which programs may send commands
-                await client.subscribe(f"{self._topic.filter}/set", 1)
+                await client.subscribe(f"{self._point.filter}/set", 1)
             if self._status:
                 await client.publish(self._status, ONLINE, 1, True)
                 await client.subscribe(self._status, 1)
@@ -227,25 +251,27 @@ class Mqtt:
         client = self._client
         assert client is not None
         with _as_connection_error():
-            await self._while_connected(self._publish_all(client, readings))
+            await self._while_connected(self._publish_all(client, readings, self._messages.of))
             changed = self._changed_states(readings)
             await self._while_connected(self._publish_states(client, changed))
         self._states.note(changed, readings)
         for name in self._state_topics.keys() - self._states.told.keys():
             del self._state_topics[name]
-        for each in readings if self._retain else ():
-            if each.quality == "offline":
-                self._retained.pop((each.device, each.name), None)
-                self._topics.pop((each.device, each.name), None)
-            else:
-                self._retained[each.device, each.name] = each
+        if self._retain:
+            self._messages.note(readings)
 
-    async def _publish_all(self, client: aiomqtt.Client, readings: Sequence[Reading]) -> None:
-        if self._retain and self._topic.labels:  # which may have changed
-            for each in readings:
-                await self._leave(client, each)
-        for at in range(0, len(readings), TOGETHER):
-            await _all([self._publish(client, each) for each in readings[at : at + TOGETHER]])
+    async def _publish_all(
+        self,
+        client: aiomqtt.Client,
+        readings: Sequence[Reading],
+        messages_of: Callable[[Sequence[Reading]], Iterator[Message]],
+    ) -> None:
+        if self._retain:
+            for message in self._messages.left(readings):
+                await self._publish(client, message)
+        messages = messages_of(readings)
+        while together := list(islice(messages, TOGETHER)):
+            await _all([self._publish(client, each) for each in together])
         if readings and not self._qos:
             # The broker acknowledges no publish, but this, which comes behind them, and changes
             # nothing: a connection that it ended because of one of them is noticed here.
@@ -255,12 +281,13 @@ class Mqtt:
         """Publish all last values; forget one on which the broker ends the connection."""
         self._forget_refused()
         self._lost_again += 1
+        kept, again = self._messages.kept(), self._messages.again
         if self._lost_again <= MOST_LOSSES:
-            await self._publish_all(client, list(self._retained.values()))
+            await self._publish_all(client, [*chain.from_iterable(kept.values())], again)
         else:
-            for key, reading in list(self._retained.items()):
+            for key, readings in kept.items():
                 self._alone = key
-                await self._publish_all(client, [reading])
+                await self._publish_all(client, readings, again)
         self._alone = None
         await self._publish_states(client, self._states.told)
         self._lost_again = 0
@@ -268,14 +295,13 @@ class Mqtt:
 
     def _forget_refused(self) -> None:
         key, self._alone = self._alone, None
-        if key is None or key not in self._retained:
+        # Behind all others, which show whether it is the reason.
+        if key is None or not self._messages.put_last(key):
             return
-        reading = self._retained.pop(key)
         self._losses[key] += 1
-        if self._losses[key] < MOST_LOSSES:
-            self._retained[key] = reading  # behind all others, which show whether it is the reason
-        else:
-            logger.error("%s: %s of %s is not published again", self.name, key[1], key[0])
+        if self._losses[key] >= MOST_LOSSES:
+            told = self._messages.forget(key)
+            logger.error("%s: %s is not published again", self.name, told)
 
     def _changed_states(self, readings: Sequence[Reading]) -> dict[str, bool]:
         """Return the states of devices that are to be published, some of them at another topic."""
@@ -312,26 +338,9 @@ class Mqtt:
             raise ConnectionResetError("the connection was lost")
         task.result()
 
-    async def _publish(self, client: aiomqtt.Client, reading: Reading) -> None:
-        await self._publish_at(client, self._topic_of(reading), reading)
-
-    def _topic_of(self, reading: Reading) -> str:
-        labels = self._labels.by_device.get(reading.device, {})
-        return self._topic.of(labels, device=reading.device, name=reading.name)
-
-    async def _leave(self, client: aiomqtt.Client, reading: Reading) -> None:
-        """Take back the value at the former topic of a point, if a label has changed."""
-        key, topic = (reading.device, reading.name), self._topic_of(reading)
-        former = self._topics.get(key, topic)
-        if former != topic:
-            gone = reading._replace(value=None, quality="offline", reason="")
-            await self._publish_at(client, former, gone)
-        self._topics[key] = topic
-
-    async def _publish_at(self, client: aiomqtt.Client, topic: str, reading: Reading) -> None:
-        labels = self._labels.by_device.get(reading.device, {})
-        text = JSON.encode(payload(reading, labels))
-        await client.publish(topic, text.encode(), self._qos, self._retain)
+    async def _publish(self, client: aiomqtt.Client, message: Message) -> None:
+        topic, data = message
+        await client.publish(topic, data, self._qos, self._retain)
 
     async def close(self) -> None:
         client, self._client = self._client, None
@@ -374,12 +383,12 @@ class Mqtt:
     ) -> None:
         topic = str(message.topic)
         asked = topic.removesuffix("/set")
-        names = self._topic.read(asked)
+        names = self._point.read(asked)
         data = message.payload if isinstance(message.payload, bytes) else b""
         # A rule of the broker that goes by a label must hold: only the own topic of a point counts.
         if (
             names is None
-            or self._topic.of(self._labels.by_device.get(names["device"], {}), **names) != asked
+            or self._point.of(self._labels.by_device.get(names["device"], {}), **names) != asked
         ):
             return
         device, name = names["device"], names["name"]
@@ -429,13 +438,14 @@ def _place(url: object) -> tuple[str, int, bool]:
     return parts.hostname, port, parts.scheme == "mqtts"
 
 
-def _of_devices(template: str, topic: Topic, status: str) -> Topic | None:
+def _of_devices(template: str, topic: Topic, point: Topic, status: str) -> Topic | None:
     """Return the topic of the states of devices; see `Mqtt`."""
     key = "device_status"
     if not plain_topic(key, template):
         return None
     made = Topic(key, template, ("device",))
-    if any(made.can_be(f"{topic.template}{ending}") for ending in ("", "/set", "/set/result")):
+    taken = [topic.template, *(f"{point.template}{each}" for each in ("/set", "/set/result"))]
+    if any(made.can_be(each) for each in taken):
         raise WrongValue(key, f"must not be the topic of a reading: {template!r}")
     if made.can_be(status):
         raise WrongValue(key, f"must not be the topic of the status: {template!r}")

@@ -1,0 +1,250 @@
+"""
+Topics of MQTT without the name of a point: a message for each poll of a device.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import DeviceConfig, Server
+from libmodbus_py.fleet import Journal, Reading
+from libmodbus_py.services.fleet.outputs.forms import payload, payload_text
+from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
+from libmodbus_py.services.fleet.outputs.poll_messages import poll_messages
+from libmodbus_py.services.fleet.outputs.pump import Pump
+from tests.services.fleet.brokers import Broker, heard_of, hearing, publish, run
+from tests.services.fleet.fleets import meter, polling, simulated, until
+
+TOPIC = "plant/{device}"
+
+
+def poll(device: str, at: float, **values: Any) -> list[Reading]:
+    return [
+        Reading(100.0 + at, device, name, value, "V", "good", "", round(at) + 1)
+        for name, value in values.items()
+    ]
+
+
+def last(heard: list[tuple[str, Any, bool]], topic: str) -> dict[str, Any]:
+    """Return the values of the last message of a topic."""
+    return {name: each["value"] for name, each in heard_of(heard, topic)[-1]["values"].items()}
+
+
+async def written(pump: Pump, readings: list[Reading]) -> None:
+    count = pump.statistics.written + len(readings)
+    pump.buffer.put(readings)
+    await until(lambda: pump.statistics.written == count)
+
+
+@pytest.mark.parametrize("value", [1, -2.5, True, None, 'ü\x07"', [1, None], {"a": 1.5}, 1e300])
+@pytest.mark.parametrize("number", [0, 7])
+def test_the_text_of_a_reading_is_its_object(value: Any, number: int) -> None:
+    reading = Reading(1e9, "a", "b", value, "°C", "bad", 'No "value"', number)
+    assert json.loads(payload_text(reading)) == payload(reading)
+
+
+@pytest.mark.parametrize("qos", [0, 1])
+def test_each_poll_is_one_message_with_values_quality_reason_and_ids(
+    broker: Broker, qos: int
+) -> None:
+    async def go() -> None:
+        pump = Pump(Mqtt(broker.url, topic=TOPIC, qos=qos, retain=False))
+        pump.start()
+        down = Reading(101.0, "a/b", "power", None, "W", "down", "ModbusTimeoutError", 9)
+        async with hearing(broker, "plant/+") as heard:
+            await written(pump, [*poll("a/b", 0, volts=230.5, amps=3), down, *poll("c", 1, x=1)])
+            await until(lambda: len(heard) == 3)
+        first, second = heard_of(heard, "plant/a%2Fb")
+        time = "1970-01-01T00:01:40.000Z"
+        good = {"time": time, "unit": "V", "quality": "good", "id": 1}
+        assert first == {
+            "device": "a/b",
+            "values": {"volts": {"value": 230.5, **good}, "amps": {"value": 3, **good}},
+        }
+        assert second["values"]["power"] == payload(down)
+        pump.close()
+        await pump.ended()
+
+    run(go())
+
+
+def test_a_retained_message_has_the_last_values_of_all_points(broker: Broker) -> None:
+    """The broker retains one message of a topic; with changes only, a poll has few values."""
+
+    async def go() -> None:
+        pump = Pump(Mqtt(broker.url, topic=TOPIC))
+        pump.start()
+        await written(pump, poll("a", 0, x=1, y=2))
+        await written(pump, [*poll("a", 1, y=3), *poll("a", 2, z=4)])
+        gone = Reading(103.0, "a", "x", None, "V", "offline")
+        async with hearing(broker, "plant/+") as heard:
+            await until(lambda: heard)
+            assert last(heard, "plant/a") == {"x": 1, "y": 3, "z": 4}
+            await written(pump, [gone])
+            await until(lambda: len(heard) == 2)
+            assert last(heard, "plant/a") == {"x": None, "y": 3, "z": 4}
+            await written(pump, poll("a", 4, y=5))
+            await until(lambda: len(heard) == 3)
+            assert last(heard, "plant/a") == {"y": 5, "z": 4}
+        broker.kill()
+        await until(lambda: pump.statistics.trouble)
+        broker.start()
+        async with hearing(broker, "plant/+") as heard:
+            await until(lambda: heard)
+            assert last(heard, "plant/a") == {"y": 5, "z": 4}
+        pump.close()
+        await pump.ended()
+
+    run(go())
+
+
+def test_a_device_that_is_refused_after_a_restart_is_forgotten_alone(
+    broker: Broker, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def go() -> None:
+        pump = Pump(Mqtt(broker.url, topic=TOPIC))
+        pump.start()
+        await written(pump, [*poll("a", 0, x="x" * 500), *poll("b", 0, x=1)])
+        broker.kill()
+        await until(lambda: pump.statistics.trouble)
+        broker.settings.append("max_packet_size 400")
+        broker.start()
+        async with hearing(broker, "plant/+") as heard:
+            await written(pump, poll("c", 1, x=2))
+            await until(lambda: len({topic for topic, *_ in heard}) == 2)
+        assert (last(heard, "plant/b"), last(heard, "plant/c")) == ({"x": 1}, {"x": 2})
+        pump.close()
+        await pump.ended()
+
+    run(go())
+    assert any("'a' is not published again" in each.getMessage() for each in caplog.records)
+
+
+def test_no_message_is_larger_than_asked_for() -> None:
+    readings = poll("a", 0, **{f"p{at}": at for at in range(100)})
+    for largest in range(1024, 1300):
+        messages = list(poll_messages("a", readings, largest, {}))
+        assert max(len(data) for _, data in messages) <= largest
+        assert sum(len(names) for names, _ in messages) == 100
+
+
+def test_polls_above_the_largest_message_are_several(broker: Broker) -> None:
+    broker.settings.append("message_size_limit 2000")
+    broker.kill()
+    broker.start()
+
+    async def go() -> None:
+        output = Mqtt(broker.url, topic=TOPIC, retain=False, max_message=2000)
+        pump = Pump(output)
+        pump.start()
+        async with hearing(broker, "plant/+") as heard:
+            await written(pump, poll("a", 0, **{f"point_{at}": at for at in range(100)}))
+            await until(lambda: heard and len(heard) == heard[0][1]["parts"])
+        messages = heard_of(heard, "plant/a")
+        assert [each["part"] for each in messages] == list(range(1, len(messages) + 1))
+        assert sum(len(each["values"]) for each in messages) == 100
+        pump.close()
+        await pump.ended()
+
+    run(go())
+
+
+def test_labels_are_in_topics_and_messages_and_former_topics_are_taken_back(
+    broker: Broker,
+) -> None:
+    async def go() -> None:
+        async with Server({1: simulated()}).serving("tcp://127.0.0.1:0") as served:
+
+            def north(site: str) -> DeviceConfig:
+                return meter("north", served.urls[0], labels={"site": site})
+
+            output = Mqtt(broker.url, topic="plant/{label.site}/{device}", status="")
+            async with polling(north("Halle"), outputs=[output]) as (fleet, _):
+                async with hearing(broker, "plant/#") as heard:
+                    await until(lambda: heard_of(heard, "plant/Halle/north"))
+                    assert heard[0][1]["labels"] == {"site": "Halle"}
+                    fleet.replace([north("Hof")])
+                    await until(lambda: heard_of(heard, "plant/Hof/north"))
+                async with hearing(broker, "plant/Halle/#") as heard:
+                    await until(lambda: heard)
+                [(_, kept, _)] = heard
+                assert set(kept["values"]) == {"voltage", "power", "setpoint"}
+                assert {each["quality"] for each in kept["values"].values()} == {"offline"}
+                assert {each["value"] for each in kept["values"].values()} == {None}
+
+    run(go())
+
+
+def test_commands_go_by_the_name_of_the_point(broker: Broker) -> None:
+    async def go() -> None:
+        device = simulated()
+        async with Server({1: device}).serving("tcp://127.0.0.1:0") as served:
+            output = Mqtt(broker.url, topic=TOPIC, commands=True)
+            north = meter("north", served.urls[0])
+            async with (
+                polling(north, outputs=[output]) as (fleet, _),
+                hearing(broker, "plant/north/+/set/result") as heard,
+            ):
+                await until(lambda: fleet.statistics.outputs[output.name].written)
+                await publish(broker, "plant/north/set", b"20")
+                await publish(broker, "plant/north/setpoint/set", b"21")
+                await until(lambda: heard)
+                [(topic, outcome, _)] = heard
+                assert (topic, outcome["ok"]) == ("plant/north/setpoint/set/result", True)
+                assert device.mapping.holding_registers[2] == 21
+
+    run(go())
+
+
+def test_a_broker_that_is_away_gets_what_was_journalled(broker: Broker, tmp_path: Path) -> None:
+    async def go() -> None:
+        async with Server({1: simulated()}).serving("tcp://127.0.0.1:0") as served:
+            output = Mqtt(broker.url, topic=TOPIC, qos=1)
+            journal = Journal(str(tmp_path / "fleet.db"))
+            north = meter("north", served.urls[0], interval=0.05)
+            async with polling(north, outputs=[output], journal=journal) as (fleet, readings):
+                counted = fleet.statistics.outputs[output.name]
+                await until(lambda: counted.written)
+                broker.kill()
+                await until(lambda: counted.trouble)
+                count = len(readings)
+                await until(lambda: len(readings) > count + 6)
+                broker.start()
+                async with hearing(broker, "plant/+") as heard:
+                    last_id = readings[-1].id
+                    await until(lambda: heard and last_id <= ids(heard)[-1])
+                first = ids(heard)[0]
+                wanted = [each.id for each in readings if first <= each.id <= last_id]
+                assert len(wanted) > 6
+                assert set(wanted) <= set(ids(heard))
+
+    def ids(heard: list[tuple[str, Any, bool]]) -> list[int]:
+        return [each["id"] for _, told, _ in heard for each in told["values"].values()]
+
+    run(go())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"topic": "plant"}, "topic must hold {device} and {name} once"),
+        ({"topic": "x/{device}/{zone}"}, "topic must hold {device} once"),
+        ({"topic": "modbus/{device}"}, "status must not be the topic of a reading"),
+        ({"device_status": "plant/{device}"}, "device_status must not be the topic of a reading"),
+        ({"device_status": "plant/a/{device}/set"}, "must not be the topic of a reading"),
+        ({"max_message": 100, "retain": False}, "max_message must be in 1024.."),
+        ({"max_message": 9999}, "max_message needs a topic without {name}, and retain = false"),
+        (
+            {"max_message": 9999, "retain": False, "topic": "x/{device}/{name}"},
+            "max_message needs a topic without {name}, and retain = false",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        Mqtt(**{"url": "mqtt://192.0.2.1", "topic": TOPIC, **options})
