@@ -7,10 +7,11 @@ from __future__ import annotations
 import json
 import math
 import reprlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from ..protocol.checks import shown
+from ..protocol.mistakes import WrongValue
 from ..protocol.spelling import BITS, bit_of, decimal_of, number_of, value_of
 
 if TYPE_CHECKING:
@@ -64,13 +65,23 @@ def _named_bits(point: Point, text: str) -> dict[str, int]:
     """Return the bits of "door=1, mode=5", or of a JSON object."""
     if text.lstrip().startswith("{"):
         return _object(text)
-    found: dict[str, int] = {}
+    found: list[tuple[str, int]] = []
     for each in text.split(","):
         name, separator, value = each.partition("=")
         if not separator:
             raise ValueError(f"value must be like name=1, other=0, not {text!r}")
         value = value.strip().lower()
-        found[name.strip()] = BITS[value] if value in BITS else number_of("value", value)
+        bits = BITS[value] if value in BITS else number_of("value", value)
+        found.append((name.strip(), bits))
+    return _each_once(found)
+
+
+def _each_once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise WrongValue("value", f"must name {reprlib.repr(name)[1:-1]} once, not twice")
+        found[name] = value
     return found
 
 
@@ -91,7 +102,9 @@ def json_value(point: Point, value: Any) -> Any:
 
 def _object(text: str) -> dict[str, int]:
     try:
-        found: dict[str, int] = json.loads(text)
+        found: dict[str, int] = json.loads(text, object_pairs_hook=_each_once)
+    except WrongValue:
+        raise
     except (ValueError, RecursionError):
         raise ValueError(f"value must be a JSON object, not {reprlib.repr(text)}") from None
     return found
