@@ -24,6 +24,7 @@ from collections.abc import Mapping as MappingABC
 from typing import Any, NamedTuple, Protocol
 
 from ..protocol.checks import integer, shown
+from ..protocol.json_text import each_once
 from ..protocol.mistakes import Path, WrongType, WrongValue
 from ..protocol.tables import TABLE_SIZE, TABLES
 
@@ -163,7 +164,7 @@ def _at_once(path: str, flags: int) -> int:
 
 def _object(line: str) -> dict[str, Any]:
     try:
-        found = json.loads(line, object_pairs_hook=_without_repeats)
+        found = json.loads(line, object_pairs_hook=each_once)
     except WrongValue:
         raise
     except ValueError as error:
@@ -173,15 +174,6 @@ def _object(line: str) -> dict[str, Any]:
         raise WrongValue((), "not JSON: too deep") from None
     if not isinstance(found, dict):
         raise WrongValue((), f"must be an object, not {shown(found)}")
-    return found
-
-
-def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for key, value in pairs:
-        if key in found:  # json would take the last one
-            raise WrongValue.about((key,), "is there twice")
-        found[key] = value
     return found
 
 

@@ -7,11 +7,12 @@ from __future__ import annotations
 import json
 import math
 import reprlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from ..protocol.checks import shown
-from ..protocol.mistakes import WrongValue
+from ..protocol.json_text import each_once
+from ..protocol.mistakes import WrongValue, inside
 from ..protocol.spelling import BITS, bit_of, decimal_of, number_of, value_of
 
 if TYPE_CHECKING:
@@ -73,16 +74,8 @@ def _named_bits(point: Point, text: str) -> dict[str, int]:
         value = value.strip().lower()
         bits = BITS[value] if value in BITS else number_of("value", value)
         found.append((name.strip(), bits))
-    return _each_once(found)
-
-
-def _each_once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name, value in pairs:
-        if name in found:
-            raise WrongValue("value", f"must name {reprlib.repr(name)[1:-1]} once, not twice")
-        found[name] = value
-    return found
+    with inside("value"):
+        return each_once(found)
 
 
 def json_value(point: Point, value: Any) -> Any:
@@ -102,9 +95,9 @@ def json_value(point: Point, value: Any) -> Any:
 
 def _object(text: str) -> dict[str, int]:
     try:
-        found: dict[str, int] = json.loads(text, object_pairs_hook=_each_once)
-    except WrongValue:
-        raise
+        found: dict[str, int] = json.loads(text, object_pairs_hook=each_once)
+    except WrongValue as mistake:
+        raise mistake.under(("value",)) from None
     except (ValueError, RecursionError):
         raise ValueError(f"value must be a JSON object, not {reprlib.repr(text)}") from None
     return found

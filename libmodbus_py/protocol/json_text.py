@@ -1,5 +1,5 @@
 """
-The encoders of JSON.
+The encoders of JSON, and the check of names in what is decoded.
 
 All values that the package tells in JSON pass through one of these. They raise a ValueError for a
 nan or an infinity, in place of which `plain.plain` returns None.
@@ -8,8 +8,12 @@ nan or an infinity, in place of which `plain.plain` returns None.
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
+from typing import Any
 
-__all__ = ["ASCII_JSON", "COMPACT_JSON", "JSON", "SORTED_JSON", "json_text"]
+from .mistakes import WrongValue
+
+__all__ = ["ASCII_JSON", "COMPACT_JSON", "JSON", "SORTED_JSON", "each_once", "json_text"]
 
 JSON = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
 """Encodes text as it is."""
@@ -24,3 +28,18 @@ SORTED_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"), sort_keys
 """Encodes the same for equal values, without spaces."""
 
 json_text = ASCII_JSON.encode
+
+
+def each_once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """
+    Return the dict of names and values, as `object_pairs_hook` of ``json.loads``, too.
+
+    Raises:
+        WrongValue: a name occurs twice, of which json would take the last.
+    """
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise WrongValue.about((name,), "is there twice")
+        found[name] = value
+    return found

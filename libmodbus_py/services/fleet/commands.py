@@ -14,8 +14,9 @@ from typing import Any, NamedTuple, Protocol
 from weakref import WeakValueDictionary
 
 from ...protocol.errors import ModbusError
-from ...protocol.json_text import JSON
+from ...protocol.json_text import JSON, each_once
 from ...protocol.logs import HarmlessLogger
+from ...protocol.mistakes import WrongValue
 from ...protocol.shown_time import time_text
 from .statistics import FleetStatistics
 
@@ -64,6 +65,8 @@ def wanted_of(data: bytes) -> Wanted:
         content = _read(data)
         # The escapes of JSON can name characters that no text can contain.
         JSON.encode(content).encode()
+    except WrongValue as error:
+        return Wanted(problem=f"{error} in its JSON")
     except (ValueError, RecursionError):
         return Wanted(problem=f"it must be a value in JSON, not {data[:40]!r}")
     if not isinstance(content, dict):
@@ -82,7 +85,13 @@ def _read(data: bytes) -> Any:
         brackets = _TEXT.sub(b"", data)
         if brackets.count(b"[") + brackets.count(b"{") > DEEPEST:
             raise ValueError("lists in lists are no value")
-    return json.loads(data.decode(), parse_constant=_refuse, parse_float=_finite, parse_int=_short)
+    return json.loads(
+        data.decode(),
+        parse_constant=_refuse,
+        parse_float=_finite,
+        parse_int=_short,
+        object_pairs_hook=each_once,
+    )
 
 
 def _short(text: str) -> int:
