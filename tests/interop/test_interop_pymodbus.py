@@ -1069,7 +1069,7 @@ class TestWherePymodbusServerErrs:
     @pytest.mark.parametrize("transport", [each for each in TRANSPORTS if each != "tcp"])
     def test_answer_to_a_broadcast_is_not_taken_for_the_next_one(self, transport: str) -> None:
         # Unit 0 is a unit like any other for it, so that it answers broadcasts.
-        with pymodbus_server(transport, turnaround=0.1) as context:
+        with pymodbus_server(transport, turnaround=0.5) as context:
             context.for_unit(0).write_register(100, 7)
             assert context.read_holding_registers(100, 2) == [1100, 1101]
             context.write_register(100, 8)

@@ -13,7 +13,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.cli.serve.readiness import notify_ready
-from tests.cli.test_logs import FLEET
+from tests.cli.serving import FLEET_OF_ONE
 from tests.support.commands import Started
 
 
@@ -35,7 +35,7 @@ def manager(tmp_path: Path) -> Iterator[socket.socket]:
 def test_each_command_tells_that_it_serves(
     name: str, device: str, manager: socket.socket, tmp_path: Path
 ) -> None:
-    (tmp_path / "fleet.toml").write_text(FLEET.format(url=device))
+    (tmp_path / "fleet.toml").write_text(FLEET_OF_ONE.format(url=device))
     arguments = {
         "serve": ["tcp://127.0.0.1:0"],
         "gateway": ["tcp://127.0.0.1:0", "--to", device],

@@ -135,7 +135,7 @@ BROKEN = [
     (HOLDING + "type = 1", f"{AT}.type must be a string, such as float32, not int"),
     (
         HOLDING + "type = 'int32'\norder = 'ABDC'",
-        f"{AT}.order must be one of ABCD, CDAB, BADC, DCBA, not 'ABDC'",
+        f"{AT}.order must be one of ABCD, CDAB, BADC, DCBA, not 'ABDC'; did you mean BADC or ABCD?",
     ),
     (HOLDING + "minimum = 5\nvalue = 4", f"{AT}.value must be in 5.., not 4"),
     (
