@@ -39,6 +39,7 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.listen import Separator, Transaction, listen
+from libmodbus_py.maps.watched import PolledValues
 from libmodbus_py.protocol.type_names import TypeName
 
 ALL = [
@@ -206,7 +207,8 @@ async def asking(plc: AsyncClient) -> None:
         assert_type(key, str)
         assert_type(read, list[Any])
     async for values in plc.watch(load_map("meter.toml"), every=0.5, names=["level"]):
-        assert_type(values, dict[str, Any])
+        assert_type(values, PolledValues)
+        assert_type(values.fell, frozenset[str])
     async with plc as same:
         assert_type(same, AsyncClient)
 
