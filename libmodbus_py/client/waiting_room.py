@@ -327,7 +327,7 @@ class WaitingRoom(Generic[Member]):
     def pick(self, now: float) -> Member | None:
         """Remove and return the request to ask now; None if none may be."""
         self.alarm = math.inf
-        if self.in_flight >= self._limit():
+        if not (self._trials or self._queue) or self.in_flight >= self._limit():
             return None
         self._now = now
         each = self._pick_trial(is_due=True) if self._trials else None
@@ -375,8 +375,9 @@ class WaitingRoom(Generic[Member]):
         self.in_flight -= 1
         self._trying.pop(each, None)
         if took is not None:
+            unit = each.unit
             self._slowest = max(took, FADING * self._slowest)
-            self._took[each.unit] = max(took, FADING * self._took.get(each.unit, 0.0))
+            self._took[unit] = max(took, FADING * self._took.get(unit, 0.0))
 
     def overstayed(self, now: float) -> Member | None:
         """Return a trial that must make way now, because others wait; None if none must."""

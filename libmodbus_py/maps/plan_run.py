@@ -40,7 +40,8 @@ Steps = Generator[Requests, list[Any], None]
 
 def says_something(outcome: object) -> bool:
     """True if an outcome says something about what can be read, besides that it can."""
-    return is_refusal(outcome) or isinstance(outcome, DAMAGE)
+    is_error = isinstance(outcome, ModbusError)
+    return is_error and (is_refusal(outcome) or isinstance(outcome, DAMAGE))
 
 
 class Enough(Exception):

@@ -199,7 +199,7 @@ class FleetLine:
 
     def _conclude(self, poller: Poller, outcome: Any) -> None:
         """Pass the outcome of a request to its poll, which continues or is over."""
-        if self._was_held(outcome):
+        if self._is_gated and _was_held(outcome):
             poller.planned = None
             self._statistics.held += 1
             self._on_polled(poller, False)
@@ -216,10 +216,6 @@ class FleetLine:
         else:
             self._queue.put_first(poller)  # the values of a poll should be read together
 
-    def _was_held(self, outcome: Any) -> bool:
-        is_lost = isinstance(outcome, ModbusConnectionError)
-        return self._is_gated and is_lost and outcome.errno == errno.EPERM
-
     def _note_state(self, state: State, error: ModbusError | None) -> None:
         if state is State.CONNECTED:
             lost = [
@@ -231,3 +227,8 @@ class FleetLine:
             ]
             if lost:
                 self._on_back(lost)
+
+
+def _was_held(outcome: Any) -> bool:
+    """Return True if `may_ask` refused a request."""
+    return isinstance(outcome, ModbusConnectionError) and outcome.errno == errno.EPERM

@@ -18,7 +18,7 @@ from ...maps.register_map import PointPlan
 from ...maps.totals import Totals
 from ...protocol.errors import ModbusError
 from .config import DeviceConfig
-from .readings import Changes, Quality, Reading, is_down, judged
+from .readings import Changes, Reading, is_down, judged
 
 __all__ = ["LONGEST_REST", "DeviceState", "Poller", "Reads"]
 
@@ -81,6 +81,9 @@ class Poller:
         reads: the requests and points of the device.
 
     Attributes:
+        name: of the device.
+        unit: of the device.
+        next_request: of the current poll; None when the poll is over.
         state: NEW until its first poll is over.
         told_state: the state that the statistics count.
         error: the first error of the last poll, or that of a point that was left out; None if all
@@ -123,7 +126,9 @@ class Poller:
         "error",
         "is_trial",
         "misses",
+        "name",
         "news",
+        "next_request",
         "planned",
         "reads",
         "rest_until",
@@ -131,12 +136,16 @@ class Poller:
         "state",
         "submitted",
         "told_state",
+        "unit",
         "waits_since",
     )
     # fmt: on
 
     def __init__(self, config: DeviceConfig, reads: Reads) -> None:
         self.config: DeviceConfig = config
+        self.name: str = config.name
+        self.unit: int = config.unit
+        self.next_request: Any = None
         self.reads: Reads = reads
         self.state: DeviceState = DeviceState.NEW
         self.told_state: DeviceState = DeviceState.NEW
@@ -175,14 +184,6 @@ class Poller:
         return self.config.interval if self._pace is None else self._pace.interval
 
     @property
-    def name(self) -> str:
-        return self.config.name
-
-    @property
-    def unit(self) -> int:
-        return self.config.unit
-
-    @property
     def has_begun(self) -> bool:
         return self._has_answered or bool(self._taken)
 
@@ -190,13 +191,6 @@ class Poller:
     def unreadable(self) -> list[Unreadable]:
         """The points that the device refuses, and that are left out until they are tried again."""
         return [] if self._holes is None else self.reads.plan.unreadable_of(self._holes)
-
-    @property
-    def next_request(self) -> Any:
-        """The next request; None when the poll is over."""
-        if len(self._taken) == len(self._requests):
-            return None
-        return self._requests[(self._first + len(self._taken)) % len(self._requests)]
 
     def begin(self, now: float = 0.0, client: Hashable = None, connects: int = 1) -> None:
         """
@@ -216,6 +210,7 @@ class Poller:
             self._plan = self.reads.plan_of(self._due)
         self._run = self._new_run() if self._holes else None
         self._requests = self._run.requests if self._run else self._plan.requests
+        self._advance()
 
     def _new_run(self) -> PlanRun:
         if self._holes is None:
@@ -236,6 +231,13 @@ class Poller:
             self._taken += [outcome] * (len(self._requests) - len(self._taken))
         if len(self._taken) == len(self._requests):
             self._go_on()
+        self._advance()
+
+    def _advance(self) -> None:
+        """Set the next request: each poll begins where the one before it was not answered."""
+        taken, requests = len(self._taken), self._requests
+        over = taken == len(requests)
+        self.next_request = None if over else requests[(self._first + taken) % len(requests)]
 
     def _go_on(self) -> None:
         """Search for what was refused, or end the poll."""
@@ -276,11 +278,11 @@ class Poller:
             time: when it was completed, in seconds since the epoch.
             first: the id of the first reading; the others have the next ones. 0 for no ids.
         """
-        reads, device = self.reads, self.config.name
+        device, names, units = self.name, self.reads.names, self.reads.units
         found = self._plan.results(self._answers, return_exceptions=True)
         values = list(found.values())
         if self._pace is not None:
-            values = [found.get(name) for name in reads.names]
+            values = [found.get(name) for name in names]
         self._answers = []
         doubtful, fell = self._totals.take(values)
         if self._pace is not None:
@@ -291,16 +293,14 @@ class Poller:
         told = self._changes.pick(values, self._due)
         if doubtful:
             told = [at for at in told if at not in doubtful]
-        return [
-            Reading(
-                time,
-                device,
-                reads.names[at],
-                *_told(values[at], reads.units[at], at in fell),
-                number if first else 0,
-            )
-            for number, at in enumerate(told, first)
-        ]
+        readings = []
+        for number, at in enumerate(told, first):
+            value, quality, reason = judged(values[at])
+            if at in fell:
+                reason = "Fell"
+            name, unit, key = names[at], units[at], number if first else 0
+            readings.append(Reading(time, device, name, value, unit, quality, reason, key))
+        return readings
 
     def withdrawn(self, time: float, still_read: Collection[str] = ()) -> list[Reading]:
         """Return readings that take back those that were reported, without the points named."""
@@ -350,8 +350,3 @@ def _changes(config: DeviceConfig, reads: Reads) -> Changes:
 
 def _totals(config: DeviceConfig, reads: Reads) -> Totals:
     return Totals(at for at, name in enumerate(reads.names) if config.map[name].never_falls)
-
-
-def _told(value: Any, unit: str, has_fallen: bool) -> tuple[Any, str, Quality, str]:
-    found, quality, reason = judged(value)
-    return found, unit, quality, "Fell" if has_fallen else reason

@@ -138,7 +138,7 @@ class Changes:
             values: of all points.
             due: the indexes of those that were read; None for all.
         """
-        are_good = not any(isinstance(value, Exception) for value in values)
+        are_good = True not in [isinstance(value, Exception) for value in values]
         indexes = range(len(values)) if due is None else due
         if self._last is None and are_good and self._are_good:
             return indexes

