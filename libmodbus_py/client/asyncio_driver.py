@@ -60,7 +60,7 @@ class AsyncioDriver:
         self._attempt: asyncio.Task[None] | None = None
         self._attempt_until = 0.0
         self._retry: asyncio.TimerHandle | None = None
-        self._alarm = Alarm(partial(self._enter, self._ring))
+        self._alarm = Alarm(self._ring)
         self._resume: asyncio.TimerHandle | None = None
         self._is_writing = False
         self._is_reading = False
@@ -366,7 +366,7 @@ class AsyncioDriver:
     def _send_alone(self, batch: Batch, now: float) -> None:
         """Send a request the short way, which ends as soon as anything else happens."""
         try:
-            until = self._lone.send(batch, now)
+            self._lone.send(batch, now)
         except ModbusConnectionError as error:
             self._lone.hand_over()
             self._lose(error)
@@ -374,9 +374,10 @@ class AsyncioDriver:
         if self._port.has_unsent:
             self._lone.hand_over()
             self._follow_port(now)
-        if until < self._alarm.at:
+            self._set_timer()
+        elif self._lone.until < self._alarm.at:
             assert self._loop is not None
-            self._alarm.set(until, self._loop)
+            self._alarm.set(self._lone.until, self._loop)
 
     def _send(self, adus: list[bytes], now: float) -> None:
         if not adus:
@@ -402,6 +403,15 @@ class AsyncioDriver:
             self._alarm.set(at, self._loop)
 
     def _ring(self) -> None:
+        """Look which timeouts are over, unless the only request in flight has time left."""
+        until = self._lone.until
+        if until > self._now():
+            assert self._loop is not None
+            self._alarm.set(until, self._loop)
+        else:
+            self._enter(self._tick)
+
+    def _tick(self) -> None:
         now = self._now()
         self._conversation.tick(now)
         self._conversation.settle(now)

@@ -43,6 +43,11 @@ class LoneRequest:
         self._adu = b""
         self._sent = 0.0
 
+    @property
+    def until(self) -> float:
+        """When the timeout of the request is over, which may be changed; 0 without a request."""
+        return 0.0 if self.batch is None else self._sent + self.batch.timeouts.timeout
+
     def takes(self, batch: Batch) -> bool:
         """Return True if the only request of a batch may be sent, and no other is in flight."""
         return (
@@ -55,9 +60,9 @@ class LoneRequest:
             and not self._port.has_input()
         )
 
-    def send(self, batch: Batch, now: float) -> float:
+    def send(self, batch: Batch, now: float) -> None:
         """
-        Send the request of a batch; return when its timeout is over.
+        Send the request of a batch.
 
         Raises:
             ModbusConnectionError: the port is gone.
@@ -69,7 +74,6 @@ class LoneRequest:
         self._statistics.requests += 1
         self.batch = batch
         self._port.send([self._adu], now)
-        return now + batch.timeouts.timeout
 
     def take(self, chunks: list[bytes], now: float) -> bool:
         """

@@ -296,9 +296,9 @@ def test_it_changes_nothing(scheme: str, steps: Steps, monkeypatch: pytest.Monke
     alone: list[int] = []
     send = LoneRequest.send
 
-    def counted(self: LoneRequest, batch: Any, now: float) -> float:
+    def counted(self: LoneRequest, batch: Any, now: float) -> None:
         alone.append(batch.unit)
-        return send(self, batch, now)
+        send(self, batch, now)
 
     monkeypatch.setattr(LoneRequest, "send", counted)
     # Two copies of answers in a row are no flood, for a request is sent between them.
@@ -313,3 +313,34 @@ def test_it_changes_nothing(scheme: str, steps: Steps, monkeypatch: pytest.Monke
         assert not alone
         for what, one, other in zip(WHAT, short, long, strict=True):
             assert one == other, f"{odd}: other {what}"
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_timers_of_earlier_requests_do_not_end_it(
+    scheme: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each answer takes 0.2 s of its timeout of 0.3 s, in which the timer of the last one rings."""
+    handed_over: list[int] = []
+    hand_over = LoneRequest.hand_over
+
+    def noted(self: LoneRequest) -> None:
+        if self.batch is not None:
+            handed_over.append(self.batch.unit)
+        hand_over(self)
+
+    monkeypatch.setattr(LoneRequest, "hand_over", noted)
+    network = Network()
+    loop = network.loop()
+
+    async def play() -> list[list[int]]:
+        async with AsyncClient(unit_of.url, timeout=0.3, max_in_flight=1) as plc:
+            return [await plc.read_holding_registers(at, 1) for at in range(20)]
+
+    def slowly(request: bytes, write: Write) -> None:
+        write(good(request, scheme), after=0.2)
+
+    with contextlib.closing(loop), network.installed(), complaints_of(loop) as complaints:
+        unit_of = Scripted(network, f"{scheme}://10.0.0.1", slowly)
+        assert loop.run_until_complete(play()) == [[at] for at in range(20)]
+    assert not complaints
+    assert not handed_over
