@@ -56,7 +56,8 @@ from .event_log import EventLog
 from .hooks import EVERYTHING, Hook, HookCall, places, timed
 from .mapping import Mapping, Table
 from .named_values import check_points, known_point, set_values, value_of, zeros_for
-from .point_rules import PointIndex, PointRules, RuledCells
+from .point_index import PointIndex, RuledCells
+from .point_rules import PointRules
 from .ranges import joined
 from .record_file import RecordFile
 from .reply import Answered, Watched, make_tally, replier
@@ -107,8 +108,10 @@ class Device:
     what clients only read, and calls no hooks. Requests of clients must keep to the points:
     exception 2 (illegal data address) for a cell that they may not read or write, and exception 3
     (illegal data value) for a write after which a point would be out of its `minimum` and
-    `maximum`, whether all of its registers are written or some. Both come before all hooks. A cell
-    that several points have may be read if one of them may be read; writes are alike.
+    `maximum`, whether all of its registers are written or some. A write of a scale (`scale_from`)
+    must leave the points that it scales within their bounds, if they were within. Both come before
+    all hooks. A cell that several points have may be read if one of them may be read; writes are
+    alike.
 
     Hooks are called with an `Access`, while the mapping is locked; they run in the
     server's loop, so they should be quick: the first time that one takes 0.1 s or more is logged. A
@@ -283,11 +286,11 @@ class Device:
 
         Raises:
             KeyError: there is no such point.
-            TypeError, ValueError: a value does not fit its point, or points share cells; the
-                message names the points.
+            TypeError, ValueError: a value does not fit its point, points share cells, or a value
+                scales another point, which would leave its bounds; the message names the points.
         """
         with self.mapping.lock:
-            set_values(self.mapping, self.points, values)
+            set_values(self.mapping, self.points, values, self._rules.scaled)
 
     def answer(self, pdu: bytes, caller: Caller = _UNKNOWN) -> bytes:
         """

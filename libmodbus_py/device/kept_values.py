@@ -13,7 +13,7 @@ from ..maps.point import Point
 from ..protocol.tables import TABLES
 from .access import Access
 from .device import Device
-from .point_rules import PointIndex, RuledCells
+from .point_index import PointIndex, RuledCells
 from .state_lines import FILE, Run, UnitValues
 from .written import FirstValues, changes
 

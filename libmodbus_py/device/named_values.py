@@ -4,21 +4,23 @@ Values of a device by the names of its points: read, and set all or none.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from collections.abc import Mapping as MappingABC
 from typing import Any
 
 from ..maps.point import Point
 from ..maps.register_map import RegisterMap, close_to
-from ..maps.writing import encoded_changes
+from ..maps.sources import sources_of
+from ..maps.writing import Encoded, check_overlaps, encoded_change
 from ..protocol.mistakes import WrongType, WrongValue
 from ..protocol.tables import TABLES
+from .access import Access
 from .mapping import Mapping
 from .ranges import joined
+from .scaled_bounds import ScaledBounds
+from .values_after import cells_after, source_after
 
-__all__ = ["check_points", "known_point", "set_values", "source_of", "value_of", "zeros_for"]
-
-
-NOTHING: MappingABC[str, Any] = {}
+__all__ = ["check_points", "known_point", "set_values", "value_of", "zeros_for"]
 
 
 def check_points(mapping: Mapping, points: object) -> None:
@@ -71,48 +73,52 @@ def value_of(mapping: Mapping, points: MappingABC[str, Point], point: Point) -> 
     Raises:
         ValueError: its cells hold none of its type.
     """
-    cells = getattr(mapping, point.table)[point.cells.start : point.cells.stop]
-    return point.decode(cells, source=source_of(mapping, points, point))
-
-
-def source_of(
-    mapping: Mapping,
-    points: MappingABC[str, Point],
-    point: Point,
-    values: MappingABC[str, Any] = NOTHING,
-) -> Any:
-    """
-    Return the value of the point that scales another; None without one.
-
-    Args:
-        values: new values by name, that are set, too.
-    """
-    if point.scale_from is None:
-        return None
-    if point.scale_from in values:
-        return values[point.scale_from]
-    return value_of(mapping, points, known_point(points, point.scale_from))
+    return point.decode(cells_after(point, mapping), source=source_after(point, points, mapping))
 
 
 def set_values(
-    mapping: Mapping, points: MappingABC[str, Point], values: MappingABC[str, Any]
+    mapping: Mapping,
+    points: MappingABC[str, Point],
+    values: MappingABC[str, Any],
+    bounds: ScaledBounds,
 ) -> None:
     """
     Set values of points, all of them or none. Hold the mapping's lock.
 
+    Args:
+        points: all points of the device, by name.
+        bounds: of those that other points scale.
+
     Raises:
         KeyError: there is no such point.
-        TypeError, ValueError: a value does not fit its point, or points share cells.
+        TypeError, ValueError: a value does not fit its point, points share cells, or a point that
+            one of these scales would leave its bounds.
     """
     if not isinstance(values, MappingABC):
         raise WrongType("values", f"must be by names, not {type(values).__name__}")
-    changed = [(known_point(points, name), value) for name, value in values.items()]
-    changes = [
-        (point, value, source_of(mapping, points, point, values)) for point, value in changed
-    ]
-    for point, cells, masks in encoded_changes(changes):
-        place, span = getattr(mapping, point.table), slice(point.cells.start, point.cells.stop)
-        if masks is not None:
-            pairs = zip(place[span], masks, strict=True)
-            cells = [kept & ~mask | bits for (kept, mask), bits in zip(pairs, cells, strict=True)]
-        place[span] = cells
+    changed = {name: known_point(points, name) for name in values}
+    # What scales comes first: the others are scaled by what its cells then hold.
+    scales = [name for name in sources_of(changed.values(), points) if name in changed]
+    encoded: list[Encoded] = []
+    written: dict[tuple[str, int], Any] = {}
+    for name in dict.fromkeys([*scales, *changed]):
+        point = changed[name]
+        source = source_after(point, points, mapping, written)
+        encoded.append(encoded_change(point, values[name], source))
+        written.update(_places(encoded[-1], cells_after(point, mapping, written)))
+    check_overlaps(encoded)
+    touched = [Access(each.table, each.address, len(each.cells)) for each in changed.values()]
+    bounds.check(touched, written, mapping)
+    for point in changed.values():
+        cells = [written[point.table, address] for address in point.cells]
+        getattr(mapping, point.table)[point.cells.start : point.cells.stop] = cells
+
+
+def _places(change: Encoded, before: list[Any]) -> Iterator[tuple[tuple[str, int], Any]]:
+    """Yield the places that the new value of a point takes, with their contents."""
+    point, cells, masks = change
+    if masks is not None:
+        pairs = zip(before, masks, strict=True)
+        cells = [kept & ~mask | bits for (kept, mask), bits in zip(pairs, cells, strict=True)]
+    for address, cell in zip(point.cells, cells, strict=True):
+        yield (point.table, address), cell

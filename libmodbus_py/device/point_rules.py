@@ -8,7 +8,6 @@ from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from collections.abc import Mapping as MappingABC
-from typing import Any, NamedTuple
 
 from ..maps.bounds import check_cells, has_bounds
 from ..maps.point import Point
@@ -16,62 +15,13 @@ from ..protocol.errors import IllegalDataAddress, IllegalDataValue
 from ..protocol.tables import TABLES
 from .access import Access, Touched
 from .mapping import Mapping
+from .point_index import Place, PointIndex, RuledCells
 from .ranges import joined, without
 from .rules import WRITABLE
+from .scaled_bounds import ScaledBounds
+from .values_after import Written, cells_after, source_after, written_by
 
-__all__ = ["PointIndex", "PointRules", "RuledCells"]
-
-# A table, or "file", and the number of the file.
-Place = tuple[str, int]
-
-
-class RuledCells(NamedTuple):
-    """
-    Cells with one rule.
-
-    Attributes:
-        place: their table, or "file", and the number of the file.
-        cells: their addresses.
-        access: "read", "write" or "read_write"; None if only the bounds of the point count.
-        point: the point whose values they hold.
-    """
-
-    place: Place
-    cells: range
-    access: str | None
-    point: Point
-
-    @classmethod
-    def of(cls, point: Point) -> RuledCells:
-        """Return the rule that a point has in its own table."""
-        return cls((point.table, 0), point.cells, point.access, point)
-
-
-class PointIndex:
-    """Points by the addresses of their cells, which may overlap."""
-
-    def __init__(self, ruled: Iterable[RuledCells]) -> None:
-        self._rows: dict[Place, list[tuple[range, Point]]] = {}
-        # The highest end of the cells up to each of them: none before it goes on further.
-        self._ends: dict[Place, list[int]] = {}
-        for each in sorted(ruled, key=lambda each: each.cells.start):
-            ends = self._ends.setdefault(each.place, [])
-            ends.append(max(each.cells.stop, ends[-1] if ends else 0))
-            self._rows.setdefault(each.place, []).append((each.cells, each.point))
-
-    def touched(self, access: Access) -> list[Point]:
-        """Return the points that an access touches, in the order of their addresses."""
-        place = access.table, access.file
-        rows, ends = self._rows.get(place, ()), self._ends.get(place, ())
-        first, stop = access.address, access.address + access.count
-        found = []
-        at = bisect_left(rows, stop, key=lambda row: row[0].start)
-        while at and ends[at - 1] > first:
-            at -= 1
-            cells, point = rows[at]
-            if cells.stop > first:
-                found.append(point)
-        return found[::-1]
+__all__ = ["PointRules"]
 
 
 class PointRules:
@@ -88,6 +38,7 @@ class PointRules:
     Attributes:
         reads, writes: ``{Access.table: ranges}``, the addresses for which there is something to
             check; of "file" the numbers of the files.
+        scaled: the bounds of points that others scale.
     """
 
     def __init__(
@@ -102,12 +53,20 @@ class PointRules:
         bounded = [
             each
             for each in given
-            if has_bounds(each.point) and each.access != "read" and each.place[0] in TABLES
+            if has_bounds(each.point)
+            and each.access != "read"
+            and each.point.is_writable
+            and each.place[0] in TABLES
         ]
+        is_scaled = any(has_bounds(each.point) and each.point.scale_from for each in given)
+        self.scaled: ScaledBounds = ScaledBounds(points() if is_scaled else {})
         self._bounded = PointIndex(bounded)
         self.reads: dict[str, list[range]] = _by_table(self._unreadable.items())
         in_bounds = [(each.place, [each.cells]) for each in bounded]
-        self.writes: dict[str, list[range]] = _by_table([*self._unwritable.items(), *in_bounds])
+        scales = [(each.place, [each.cells]) for each in self.scaled.scales]
+        self.writes: dict[str, list[range]] = _by_table(
+            [*self._unwritable.items(), *in_bounds, *scales]
+        )
 
     def check(self, touched: Touched, mapping: Mapping) -> None:
         """
@@ -121,25 +80,21 @@ class PointRules:
             _check(self._unwritable, access, "written")
         for access in touched.reads:
             _check(self._unreadable, access, "read")
-        for access in touched.writes:
-            for point in self._bounded.touched(access):
-                self._check_bounds(point, access, mapping)
-
-    def _check_bounds(self, point: Point, access: Access, mapping: Mapping) -> None:
-        """Check the value that a point will have; a request may write only some of its cells."""
+        bounded = [point for each in touched.writes for point in self._bounded.touched(each)]
+        if not bounded and not self.scaled.scales:
+            return
+        written = written_by(touched.writes)
         try:
-            source = self._source_after(point, access, mapping)
-            check_cells(point, _after(point, access, mapping), source=source)
+            for point in bounded:
+                self._check_bounds(point, written, mapping)
+            self.scaled.check(touched.writes, written, mapping)
         except ValueError as error:
             raise IllegalDataValue(str(error)) from None
 
-    def _source_after(self, point: Point, access: Access, mapping: Mapping) -> Any:
-        """Return the value that the point which scales another will have; None without one."""
-        if point.scale_from is None:
-            return None
-        source = self._points()[point.scale_from]
-        cells = _after(source, access, mapping)
-        return source.decode(cells, source=self._source_after(source, access, mapping))
+    def _check_bounds(self, point: Point, written: Written, mapping: Mapping) -> None:
+        """Check the value that a point will have; a request may write only some of its cells."""
+        source = source_after(point, self._points(), mapping, written)
+        check_cells(point, cells_after(point, mapping, written), source=source)
 
 
 def _check(refused: dict[Place, list[range]], access: Access, what: str) -> None:
@@ -150,20 +105,6 @@ def _check(refused: dict[Place, list[range]], access: Access, what: str) -> None
     if at >= 0 and access.address < ranges[at].stop:
         span = f"{access.table} {access.address}..{stop - 1}"
         raise IllegalDataAddress(f"{span} cannot all be {what}")
-
-
-def _after(point: Point, access: Access, mapping: Mapping) -> list[Any]:
-    """Return the cells that a point will have."""
-    cells = point.cells
-    after: list[Any] = getattr(mapping, point.table)[cells.start : cells.stop]
-    first, stop = access.address, access.address + access.count
-    if access.table != point.table or stop <= cells.start or cells.stop <= first:
-        return after
-    both = range(max(first, cells.start), min(stop, cells.stop))
-    after[both.start - cells.start : both.stop - cells.start] = access.values[
-        both.start - first : both.stop - first
-    ]
-    return after
 
 
 def _refused(

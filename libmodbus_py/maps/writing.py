@@ -12,7 +12,7 @@ from ..protocol import pdu
 from ..protocol.tables import TABLES
 from .point import Point
 
-__all__ = ["encoded_changes", "write_requests"]
+__all__ = ["Encoded", "check_overlaps", "encoded_change", "write_requests"]
 
 # Table -> the requests that write one cell, and several.
 _WRITES: dict[str, tuple[Any, Any]] = {
@@ -77,7 +77,9 @@ def write_requests(
     """
     runs: list[_Run | _Masked] = []
     masked: dict[int, _Masked] = {}
-    for point, cells, masks in encoded_changes(changes):
+    encoded = [encoded_change(*change) for change in changes]
+    check_overlaps(encoded)
+    for point, cells, masks in encoded:
         if masks is not None:
             runs += _mask(point, cells, masks, masked)
             continue
@@ -105,23 +107,16 @@ class Encoded(NamedTuple):
     masks: list[int] | None
 
 
-def encoded_changes(changes: Iterable[tuple[Point, Any, Any]]) -> list[Encoded]:
+def encoded_change(point: Point, value: Any, source: Any) -> Encoded:
     """
-    Return points with the cells of their new values.
+    Return a point with the cells of its new value.
 
     Args:
-        changes: points, their values, and the values of the points that scale them, or None.
+        source: the value of the point that scales it, or None.
 
     Raises:
-        TypeError, ValueError: a value does not fit its point, or points share cells. The message
-            names the points.
+        TypeError, ValueError: the value does not fit the point, which the message names.
     """
-    encoded = [_encoded(*change) for change in changes]
-    _check_overlaps(encoded)
-    return encoded
-
-
-def _encoded(point: Point, value: Any, source: Any) -> Encoded:
     if not point.is_part:
         return Encoded(point, point.encode(value, source=source), None)
     changed = point.masks_of(value, source)
@@ -154,7 +149,11 @@ def _pieces(point: Point, cells: list[Any]) -> Iterator[_Run]:
         yield _Run(point.table, point.address + at, cells[at : at + step])
 
 
-def _check_overlaps(encoded: list[Encoded]) -> None:
+def check_overlaps(encoded: Iterable[Encoded]) -> None:
+    """
+    Raises:
+        ValueError: two points share cells, or bits of them; the message names both.
+    """
     ordered = sorted(encoded, key=lambda each: (each.point.table, each.point.address))
     # Bits that are taken in the cells of the table, and the point that takes them first.
     taken: dict[tuple[str, int], tuple[int, str]] = {}

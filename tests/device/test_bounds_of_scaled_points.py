@@ -73,15 +73,17 @@ REQUESTS: list[tuple[pdu.Request[Any], int]] = [
     (pdu.MaskWriteRegister(0, 0, 301), 3),
     (pdu.WriteRegisters(0, [30, 0]), 0),  # 30 at a scale of 1
     (pdu.WriteRegisters(0, [300, 0]), 3),  # 300
-    (pdu.WriteRegisters(0, [3, 1]), 0),  # 30 at a scale of 10
+    (pdu.WriteRegisters(0, [3, 1]), 3),  # 30 at a scale of 10, but the limit would be 800
+    (pdu.WriteRegisters(0, [3, 1, 0]), 0),
     (pdu.WriteRegisters(0, [20, 0x8000]), 3),  # a scale that means none
     (pdu.WriteRegisters(0, [20, 300]), 3),  # 10 to the power of 300
-    (pdu.WriteRegister(1, 0), 0),  # the scale alone
+    (pdu.WriteRegister(1, 0), 3),  # the scale alone: the setpoint would be 200
     (pdu.WriteRegister(2, 50), 0),
     (pdu.WriteRegister(2, 51), 3),
     (pdu.WriteRegisters(2, [51, 10]), 0),  # a factor of 1
-    (pdu.WriteRegisters(1, [0, 5]), 0),  # 5 times 20
-    (pdu.WriteRegisters(1, [0, 6]), 3),
+    (pdu.WriteRegisters(0, [20, 0, 5]), 0),  # 5 times 20
+    (pdu.WriteRegisters(0, [20, 0, 6]), 3),
+    (pdu.WriteRegisters(1, [0, 5]), 3),
     (pdu.ReadWriteRegisters(0, 1, 0, [301]), 3),
 ]
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ...device.access import ACCESSES
-from ...device.named_values import source_of
+from ...device.values_after import source_after
 from ...maps.point import Point
 from ...protocol.pdu import Request
 from .shown import ShownUnit
@@ -66,7 +66,7 @@ def _text(unit: ShownUnit, point: Point, cells: list[Any]) -> str:
     if point.scale_from is not None:
         with unit.device.mapping as mapping:
             try:
-                source = source_of(mapping, {each.name: each for each in unit.points}, point)
+                source = source_after(point, unit.device.points, mapping)
             except (IndexError, KeyError, ValueError):  # a map may have what the device lacks
                 source = None
     text = point_text(point, cells, source)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ...device.named_values import source_of
+from ...device.values_after import cells_after
 from ...maps.point import Point
 from ...maps.typed import typed_register, typed_value
 from ...protocol.spelling import shown
@@ -33,7 +33,12 @@ def set_point(unit: ShownUnit, point: Point, text: str) -> None:
     _check_length(text)
     words = [each.strip() for each in text.split(",")] if point.count > 1 else [text]
     values = [typed_value(point, word) for word in words]
-    _set_value(unit, point, values if point.count > 1 else values[0])
+    with unit.device.mapping as mapping:
+        try:
+            unit.device.update({point.name: values if point.count > 1 else values[0]})
+        except TypeError as error:
+            raise ValueError(str(error)) from None
+        _check_set(unit, point, cells_after(point, mapping))
 
 
 def set_cells(unit: ShownUnit, table: str, address: int, text: str, type: str, order: str) -> range:
@@ -60,7 +65,13 @@ def set_cells(unit: ShownUnit, table: str, address: int, text: str, type: str, o
         raise ValueError(str(error)) from None
     _check_length(text)
     is_register = point.type == "uint16"
-    _set_value(unit, point, typed_register(text) if is_register else typed_value(point, text))
+    value = typed_register(text) if is_register else typed_value(point, text)
+    with unit.device.mapping as mapping:
+        place, span = getattr(mapping, table), point.cells
+        if not place.has(address, len(span)):
+            raise ValueError(f"the device lacks {table} {address}..{span.stop - 1}")
+        place[address : span.stop] = cells = point.cells_of(value)
+        _check_set(unit, point, cells)
     return point.cells
 
 
@@ -83,27 +94,11 @@ def _check_length(text: str) -> None:
         raise ValueError(f"value must have at most {MOST_TEXT} characters")
 
 
-def _set_value(unit: ShownUnit, point: Point, value: Any) -> None:
-    with unit.device.mapping as mapping:
-        try:
-            source = source_of(mapping, {each.name: each for each in unit.points}, point)
-            cells = point.cells_of(value, point.scaling_for(source))
-            if point.is_part:
-                place = getattr(mapping, point.table)
-                before = place[point.cells.start : point.cells.stop]
-                cells = point.put(before, value, source=source)
-        except (TypeError, IndexError) as error:
-            raise ValueError(str(error)) from None
-        _set(unit, point.table, point.address, cells)
-
-
-def _set(unit: ShownUnit, table: str, address: int, cells: list[Any]) -> None:
-    stop = address + len(cells)
-    with unit.device.mapping as mapping:
-        place = getattr(mapping, table)
-        if not place.has(address, len(cells)):
-            raise ValueError(f"the device lacks {table} {address}..{stop - 1}")
-        place[address:stop] = cells
-        Refreshing(unit.device).refresh(table, range(address, stop))
-        if place[address:stop] != cells:
-            raise ValueError("the device computes this value itself")
+def _check_set(unit: ShownUnit, point: Point, cells: list[Any]) -> None:
+    """
+    Raises:
+        ValueError: a point has other cells as soon as it is read.
+    """
+    Refreshing(unit.device).refresh(point.table, point.cells)
+    if cells_after(point, unit.device.mapping) != cells:
+        raise ValueError("the device computes this value itself")

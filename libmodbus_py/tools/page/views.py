@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from ...device.mapping import Table
-from ...device.named_values import source_of
+from ...device.values_after import source_after
 from ...maps.point import Point
 from ...protocol.spelling import shown
 from .refreshing import Refreshing
@@ -109,7 +109,7 @@ class PointsView:
             try:
                 table: Table[Any] = getattr(mapping, point.table)
                 cells: list[Any] = table[point.cells.start : point.cells.stop]
-                source = source_of(mapping, self._by_name, point)
+                source = source_after(point, self._by_name, mapping)
             except (IndexError, KeyError, ValueError):  # a map may have what the device lacks
                 cells, source = [], None
         return cells, source

@@ -14,11 +14,12 @@ from ...device.device import Device
 from ...device.hooks import Hook
 from ...device.mapping import Mapping as Tables
 from ...device.named_values import known_point
-from ...device.point_rules import RuledCells
+from ...device.point_index import RuledCells
 from ...device.written import FirstValues
 from ...maps.bounds import has_bounds
 from ...maps.point import Point
 from ...maps.register_map import RegisterMap
+from ...maps.sources import sources_of
 from ...protocol.mistakes import WrongValue
 from ...protocol.tables import TABLES
 from ...server.faults.fault import Fault
@@ -79,7 +80,7 @@ class SimulatedDevice(Device):
     def __getitem__(self, name: str) -> Any:
         point = known_point(self.points, name)
         with self.mapping:
-            self._clockwork.refresh(point.table, point.address, len(point.cells))
+            self._refresh(point, *sources_of([point], self.points).values())
             return super().__getitem__(name)
 
     def update(self, values: Mapping[str, Any]) -> None:
@@ -88,7 +89,13 @@ class SimulatedDevice(Device):
                 point = self.points.get(name)
                 if point is not None and self._clockwork.moves(point.table, point.cells):
                     raise WrongValue.about(name, "the device computes this value itself")
+                if point is not None:
+                    self._refresh(*sources_of([point], self.points).values())
             super().update(values)
+
+    def _refresh(self, *points: Point) -> None:
+        for point in points:
+            self._clockwork.refresh(point.table, point.address, len(point.cells))
 
     def movement(self, point: Point) -> bool | None:
         """Return True if a point moves, False if it is held, None if it never moves."""
@@ -107,7 +114,7 @@ class SimulatedDevice(Device):
         with self.mapping:
             if self.movement(point) is None:
                 raise WrongValue.about(point.name, "never moves by itself")
-            self._clockwork.refresh(point.table, point.address, len(point.cells))
+            self._refresh(point)
             self._clockwork.hold(point.table, point.cells, is_on=is_on)
 
     def _ruled_cells(self) -> Iterable[RuledCells]:
@@ -117,7 +124,7 @@ class SimulatedDevice(Device):
         # Points that share cells with others are in pieces there, which have no bounds.
         whole = {id(each.point) for each in self._contents}
         for point in self._mapped.values():
-            if point.is_writable and has_bounds(point) and id(point) not in whole:
+            if has_bounds(point) and id(point) not in whole:
                 yield RuledCells.of(point)._replace(access=None)
 
     def first_values(self) -> Iterator[FirstValues]:
