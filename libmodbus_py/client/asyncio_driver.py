@@ -60,7 +60,7 @@ class AsyncioDriver:
         self._attempt: asyncio.Task[None] | None = None
         self._attempt_until = 0.0
         self._retry: asyncio.TimerHandle | None = None
-        self._alarm = Alarm(self._ring)
+        self._alarm = Alarm(partial(self._enter, self._ring))
         self._resume: asyncio.TimerHandle | None = None
         self._is_writing = False
         self._is_reading = False
@@ -276,7 +276,7 @@ class AsyncioDriver:
             if self._is_left:
                 self._interrupt(None)
             self._is_left = True
-            if self._lone.batch is not None and act != self._readable:
+            if self._lone.batch is not None and act not in (self._readable, self._ring):
                 self._lone.hand_over()
             act(*arguments)
             self._is_left = False
@@ -404,15 +404,12 @@ class AsyncioDriver:
 
     def _ring(self) -> None:
         """Look which timeouts are over, unless the only request in flight has time left."""
-        until = self._lone.until
-        if until > self._now():
+        now, until = self._now(), self._lone.until
+        if until > now:
             assert self._loop is not None
             self._alarm.set(until, self._loop)
-        else:
-            self._enter(self._tick)
-
-    def _tick(self) -> None:
-        now = self._now()
+            return
+        self._lone.hand_over()
         self._conversation.tick(now)
         self._conversation.settle(now)
         self._turn()

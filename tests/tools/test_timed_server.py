@@ -76,7 +76,7 @@ def test_the_oldest_makes_room(server: TimedServer, monkeypatch: pytest.MonkeyPa
 
 
 def test_all_connections_are_closed_at_the_end() -> None:
-    with TimedServer("localhost", 0, Reading, FOREVER).serving("timed") as server:
+    with TimedServer("127.0.0.1", 0, Reading, FOREVER).serving("timed") as server:
         first, second = connected(server), connected(server)
         assert is_answered(first)
         assert is_answered(second, b"k")

@@ -26,7 +26,7 @@ KINDS: dict[str, Callable[..., Any]] = {"json": JsonOutput, "csv": CsvOutput, "i
 
 DAY = 86_400
 
-STAMP = re.compile(r"\.[0-9]{8}T[0-9]{6}Z(-[0-9]+)?$")
+STAMP = re.compile(r"\.([0-9]{8}T[0-9]{6}Z)(?:-([0-9]+))?$")
 
 
 def reading(value: Any) -> Reading:
@@ -62,8 +62,14 @@ def age(path: Path, days: float) -> Callable[[], None]:
 
 def old(path: Path) -> list[Path]:
     """Return the renamed files, the oldest first."""
-    found = [each for each in path.parent.iterdir() if STAMP.search(each.name)]
-    return sorted(found, key=lambda each: (each.name[: -len("-2")], len(each.name), each.name))
+    found = [(named, each) for each in path.parent.iterdir() if (named := STAMP.search(each.name))]
+    return [each for named, each in sorted(found, key=_age)]
+
+
+def _age(found: tuple[re.Match[str], Path]) -> tuple[str, int]:
+    """Return the second in which a file was renamed, and its number among those of that second."""
+    second, number = found[0].groups()
+    return second, int(number or 1)
 
 
 def values(path: Path) -> list[str]:
