@@ -278,7 +278,7 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
         return AwaitedPolls(
             interval_of(polled, interval),
-            lambda: self._poll(polled, max_in_flight),
+            lambda at: self._poll(polled, max_in_flight, at),
             self._driver.loop_time,
             self._driver.wait_until,
             lambda: self.closed,

@@ -242,7 +242,7 @@ class Context(Handle[BlockingDriver], Blocking):
         integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
         return Polls(
             interval_of(polled, interval),
-            lambda: self._poll(polled, max_in_flight),
+            lambda at: self._poll(polled, max_in_flight, at),
             self._driver.now,
             self._driver.wait_until,
             lambda: self.closed,

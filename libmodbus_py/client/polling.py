@@ -58,7 +58,7 @@ class Polls(Iterator[Values], Generic[Values]):
     def __init__(
         self,
         interval: float,
-        poll: Callable[[], Values],
+        poll: Callable[[float], Values],
         now: Callable[[], float],
         wait: Callable[[float], bool],
         is_closed: Callable[[], bool],
@@ -77,7 +77,7 @@ class Polls(Iterator[Values], Generic[Values]):
         if not self._wait(due):
             raise StopIteration
         self._schedule.polled(due)
-        values = self._poll()
+        values = self._poll(due)
         if self._is_closed():
             raise StopIteration
         return values
@@ -94,7 +94,7 @@ class AwaitedPolls(AsyncIterator[Values], Generic[Values]):
     def __init__(
         self,
         interval: float,
-        poll: Callable[[], Awaitable[Values]],
+        poll: Callable[[float], Awaitable[Values]],
         now: Callable[[], float],
         wait: Callable[[float], Awaitable[bool]],
         is_closed: Callable[[], bool],
@@ -113,7 +113,7 @@ class AwaitedPolls(AsyncIterator[Values], Generic[Values]):
         if not await self._wait(due):
             raise StopAsyncIteration
         self._schedule.polled(due)
-        values = await self._poll()
+        values = await self._poll(due)
         if self._is_closed():
             raise StopAsyncIteration
         return values

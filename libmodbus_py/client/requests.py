@@ -380,13 +380,13 @@ class Requests:
         return plan.results(answers)
 
     @follows
-    def _poll(self, what: Plan | WatchedPoints, max_in_flight: int) -> Steps[Any]:
-        """Read what is due; what fails gets the reason in place of its values."""
+    def _poll(self, what: Plan | WatchedPoints, max_in_flight: int, at: float) -> Steps[Any]:
+        """Read what is due at a time; what fails gets the reason in place of its values."""
         from ..maps.plan import Plan
 
         if isinstance(what, Plan):
             return (yield from self._poll_plan(what, max_in_flight))
-        polls = what.poll(self.now())  # type: ignore[attr-defined]
+        polls = what.poll(at)
         plan = next(polls)
         while True:
             found = yield from self._poll_plan(plan, max_in_flight)

@@ -84,7 +84,8 @@ class Point:
             summer time ends, is the first one, unless the type is iec870, which tells them apart;
             one that does not exist is no value.
         interval: seconds between two reads of the point in `watch`, ``read --watch`` and fleets,
-            0.01..86400, in place of the interval of all other points; None for that.
+            0.01..86400, in place of the interval of all other points; None for that. It is
+            read at the first poll that is due when they are over, never sooner.
         group: the points of one group are selected together, by its name; up to 100 characters.
 
     Attributes:

@@ -67,14 +67,14 @@ class WatchedPoints:
         self._values: dict[str, Any] = {}
         self.interval: float = self._pace.interval
 
-    def poll(self, now: float) -> Generator[PointPlan, dict[str, Any], PolledValues]:
+    def poll(self, at: float) -> Generator[PointPlan, dict[str, Any], PolledValues]:
         """
         Yield the plans of a poll, take their results, and return all values.
 
         Args:
-            now: the time, in seconds of any steady clock.
+            at: when the poll is due, in seconds of any steady clock.
         """
-        found = yield self._plan(self._pace.due(now))
+        found = yield self._plan(self._pace.due(at))
         fell: frozenset[int] = frozenset()
         doubtful = self._totals.take(self._all(found)).doubtful
         if doubtful:

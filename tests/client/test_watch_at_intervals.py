@@ -95,6 +95,12 @@ def test_polls_come_at_the_shortest_interval(meter: Meter) -> None:
     assert meter.times(0) == [0, 6]
 
 
+def test_no_point_is_asked_sooner_than_its_interval(meter: Meter) -> None:
+    points = RegisterMap([Point("v", H, 0), Point("energy", H, 10, interval=2.5)])
+    meter.watch(8, points, every=1)
+    assert meter.times(10) == [0, 3, 6]
+
+
 def test_a_total_that_is_smaller_once_is_not_believed(meter: Meter) -> None:
     meter.registers[10] = [100, 3, 101, 102]
     found = meter.watch(7, every=1, names=["v", "energy"])

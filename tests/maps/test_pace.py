@@ -13,14 +13,14 @@ from libmodbus_py.maps.pace import PointIntervals
 from tests.support.cases import each_case
 
 
-def polled(pace: PointIntervals, polls: int, late: float = 0.0) -> list[list[float]]:
+def polled(pace: PointIntervals, polls: int) -> list[list[float]]:
     """Return the times at which each of two points is read."""
     found: list[list[float]] = [[], []]
     for number in range(polls):
-        now = number * pace.interval
-        due = pace.due(now + late * (number % 2))
-        for at in (0, 1) if due is None else due:
-            found[at].append(now)
+        at = number * pace.interval
+        due = pace.due(at)
+        for index in (0, 1) if due is None else due:
+            found[index].append(at)
         pace.done()
     return found
 
@@ -38,14 +38,45 @@ def test_polls_come_at_the_shortest_interval() -> None:
     assert polled(pace, 6) == [[0, 10], [0, 2, 4, 6, 8, 10]]
 
 
-def test_an_interval_ends_at_the_nearest_poll_and_does_not_drift() -> None:
-    _, found = polled(PointIntervals([None, 25], 10), 1001)
-    assert found[:5] == [0, 20, 50, 70, 100]
-    assert len(found) == 401
+@each_case(
+    ("interval", "usual", "expected"),
+    [
+        (25, 10, [0, 30, 60, 90]),  # not 0, 20, 50, which is sooner
+        (20.1, 10, [0, 30, 60, 90]),
+        (19.95, 10, [0, 20, 40, 60]),
+        (10.5, 10, [0, 20, 40, 60]),
+        (0.3, 0.1, [0, 0.3, 0.6, 0.9]),  # in binary fractions, 3 * 0.1 is more than 0.3
+        (0.7, 0.1, [0, 0.7, 1.4, 2.1]),
+        (86_400, 0.01, [0]),
+    ],
+)
+def test_an_interval_ends_at_the_first_poll_that_is_not_sooner(
+    interval: float, usual: float, expected: list[float]
+) -> None:
+    _, found = polled(PointIntervals([None, interval], usual), 100)
+    assert found[: len(expected)] == pytest.approx(expected)
 
 
-def test_polls_that_come_late_change_nothing() -> None:
-    assert polled(PointIntervals([None, 60], 10), 13, late=0.9)[1] == [0, 60, 120]
+def test_sums_of_times_are_never_exact() -> None:
+    """A fleet adds its interval to the time of the last poll, for months."""
+    pace, at, found = PointIntervals([None, 60], 0.1), 1e6, []
+    for _ in range(6001):
+        if pace.due(at) is None:
+            found.append(at - 1e6)
+        pace.done()
+        at += 0.1
+    assert found == pytest.approx([60 * each for each in range(11)], abs=0.01)
+
+
+def test_polls_that_are_left_out_count_as_time() -> None:
+    pace = PointIntervals([None, 60], 10)
+    times = [0, 10, 50, 90, 140, 150]
+    found = []
+    for at in times:
+        if pace.due(at) is None:
+            found.append(at)
+        pace.done()
+    assert found == [0, 90, 150]
 
 
 @given(

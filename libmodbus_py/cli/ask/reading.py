@@ -84,12 +84,15 @@ class Reader:
         # Few devices take several requests at the same time.
         self._limit: int = client.get("max_in_flight") or 1
 
-    def ask(self, context: Context) -> list[ReadResult]:
+    def ask(self, context: Context, at: float = 0.0) -> list[ReadResult]:
         """
         Ask for all items that are due; if the device refuses one, the others are still read.
 
         What is refused is found by halving, and left out until it is tried again. A total that is
         smaller than before is read again. Items that are not due have their last results.
+
+        Args:
+            at: when this poll is due, in seconds of any steady clock.
 
         Raises:
             ModbusError: there is no answer, or one that makes no sense.
@@ -97,7 +100,7 @@ class Reader:
         """
         context.connect()
         context = client_of(context, self.unit)
-        due = self._pace.due(context.now())
+        due = self._pace.due(at)
         found = self._read(context, due)
         doubtful = self._totals.take(self._values(found)).doubtful
         if doubtful:

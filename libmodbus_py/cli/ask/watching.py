@@ -35,18 +35,18 @@ def watch(options: argparse.Namespace) -> int:
         with _on_page(options, title, _shown(options, readers, title)) as shown:
             begun = time.monotonic()
             until = begun + (options.lasts or float("inf"))
-            code = 1
+            due, code = begun, 1
             while True:
                 for reader in readers:
-                    if _poll(reader, context, shown):
+                    if _poll(reader, context, shown, due):
                         code = 0
                 left = left and left - 1
                 # From start to start; polls that are late are left out.
                 passed = time.monotonic() - begun
-                following = begun + (passed // interval + 1) * interval
-                if left == 0 or following >= until:
+                due = begun + (passed // interval + 1) * interval
+                if left == 0 or due >= until:
                     return code
-                time.sleep(max(0.0, following - time.monotonic()))
+                time.sleep(max(0.0, due - time.monotonic()))
 
 
 @contextmanager
@@ -62,10 +62,10 @@ def _on_page(options: argparse.Namespace, title: str, printer: Printer) -> Itera
         yield shown
 
 
-def _poll(reader: Reader, context: Any, shown: Printer) -> bool:
+def _poll(reader: Reader, context: Any, shown: Printer, due: float) -> bool:
     """Return True if the unit answered."""
     try:
-        results = reader.ask(context)
+        results = reader.ask(context, due)
     except (ModbusError, CommandError) as error:
         shown.fail(reader.unit, reason_of(error))
         return False

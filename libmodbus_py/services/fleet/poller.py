@@ -206,7 +206,7 @@ class Poller:
         self._has_answered = False
         self._error = None
         if self._pace is not None:
-            self._due = self._pace.due(now)
+            self._due = self._pace.due(now if self.planned is None else self.planned)
             self._plan = self.reads.plan_of(self._due)
         self._run = self._new_run() if self._holes else None
         self._requests = self._run.requests if self._run else self._plan.requests

@@ -66,6 +66,21 @@ def test_points_are_asked_and_reported_at_their_intervals() -> None:
     assert device.asked == [0, 10]
 
 
+def test_times_count_from_when_polls_are_due() -> None:
+    """A poll waits while its line is busy; the one after a minute may wait less."""
+    device = Polled()
+    for number in range(13):
+        device.poller.planned = 10.0 * number
+        device.now = 10.0 * number + (9.5 if number % 6 == 0 else 0)
+        found = device.poll()
+        assert ("energy" in found) == (number % 6 == 0)
+
+
+def test_no_point_is_asked_sooner_than_its_interval() -> None:
+    device = Polled(interval=25)
+    assert ["energy" in device.poll() for _ in range(7)] == [True, False, False] * 2 + [True]
+
+
 def test_the_shortest_interval_is_that_of_the_device() -> None:
     assert Polled(interval=300).poller.interval == 60
     assert Polled(interval=300, items=("v",)).poller.interval == 300
