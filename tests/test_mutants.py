@@ -78,7 +78,7 @@ def test_values_of_tuning_constants_are_left_alone_and_their_uses_are_not(tmp_pa
     path.write_text(
         """
 MOST_AT_ONCE = 1 << 8
-FIRST_PAUSE, LONGEST = 0.5, 30.0
+FIRST_PAUSE, HIGHEST = 0.5, 30.0
 shown = field(repr=False); pairs = zip(a, b, strict=True); warn("old", stacklevel=2)
 if TYPE_CHECKING:
     from pump import Pump
@@ -93,7 +93,7 @@ def take(waiting: list[int]) -> bool:
     assert found == {
         (3, "assignment removed"),
         (3, "constant"),
-        (11, "boundary"),
+        # No boundary: that is a value which is larger by one.
         (11, "comparison"),
         (11, "return value"),
     }
