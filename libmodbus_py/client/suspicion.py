@@ -26,13 +26,13 @@ EARLY, FASTER = 0.5, 0.75
 
 # How much one answer counts in the average of the last ones, and in that of all; one that took
 # very long counts as so many times the usual.
-LAST, USUAL, LONGEST = 1 / 8, 1 / 64, 3.0
+OF_LAST, OF_USUAL, OUTLIER = 1 / 8, 1 / 64, 3.0
 
 # How far times deviate from the usual one: these are multiples of the average deviation.
 BY_CHANCE, NEVER = 1.25, 4.0
 
 # The true answer is awaited for so much longer than usual, at least: a share of that, and seconds.
-SHARE, SHORTEST = 0.25, 0.001
+SHARE_LATER, LEAST_LATER = 0.25, 0.001
 
 # Unit, function and length of an answer; unit and request.
 Kind = tuple[int, int, int]
@@ -61,11 +61,11 @@ class Times:
         if EARLY * took < self.earliest:
             self.earliest = EARLY * took
         usual = self.usual
-        most = LONGEST * usual + SHORTEST
+        most = OUTLIER * usual + LEAST_LATER
         more = (took if took < most else most) - usual
-        self.last = last = self.last + LAST * (usual + more - self.last)
-        self.deviation += USUAL * ((more if more > 0 else -more) - self.deviation)
-        self.usual = usual = usual + USUAL * more
+        self.last = last = self.last + OF_LAST * (usual + more - self.last)
+        self.deviation += OF_USUAL * (abs(more) - self.deviation)
+        self.usual = usual = usual + OF_USUAL * more
         self.are_shorter = last < FASTER * usual and last < usual - BY_CHANCE * self.deviation
 
     def believe(self, took: float) -> None:
@@ -81,7 +81,7 @@ class Times:
     @property
     def longest(self) -> float:
         """The time that an answer may take."""
-        return self.usual + max(NEVER * self.deviation, SHARE * self.usual, SHORTEST)
+        return self.usual + max(NEVER * self.deviation, SHARE_LATER * self.usual, LEAST_LATER)
 
 
 class Suspicion:
@@ -153,7 +153,7 @@ class Suspicion:
         else:
             kinds = [(unit, each[0], len(each)) for each in (last, pdu)]
         longest = [self._times[kind].longest for kind in kinds if kind in self._times]
-        return max(longest, default=SHORTEST)
+        return max(longest, default=LEAST_LATER)
 
     def clear(self, unit: int, request: bytes, pdu: bytes, took: float) -> None:
         """Learn from a doubtful answer after which no other one came: it was the true one."""

@@ -59,6 +59,28 @@ class TestTimes:
         suspicion.clear(1, A, answer(210), 0.01)
         assert suspicion.accepts(1, A, answer(211), 0.01)
 
+    def test_the_shortest_time_falls_with_each_that_is_shorter(self) -> None:
+        assert learnt(0.1, 0.06).accepts(1, A, answer(99), 0.04)
+        assert not learnt(0.1, 0.06).accepts(1, A, answer(99), 0.029)
+
+    def test_times_of_several_kinds_are_known_beside_each_other(self) -> None:
+        suspicion = learnt(0.1)
+        assert suspicion.accepts(1, B, answer(98, count=2), 0.5)
+        assert not suspicion.accepts(1, A, answer(97), 0.01)
+        assert not suspicion.accepts(1, B, answer(96, count=2), 0.01)
+
+    def test_a_true_answer_is_remembered_though_the_last_ones_were_faster(self) -> None:
+        suspicion = learnt(*[0.1] * 200)
+        while suspicion.accepts(1, A, answer(200), 0.06):
+            pass
+        suspicion.clear(1, A, answer(999), 0.06)
+        assert suspicion.repeats(1, B, answer(999))
+
+    def test_an_answer_that_was_doubted_for_its_value_leaves_the_usual_time(self) -> None:
+        suspicion = learnt(*[0.1] * 300)
+        suspicion.clear(1, B, answer(299), 0.2)
+        assert suspicion.patience(1, A, answer(1)) < 0.15
+
     def test_a_time_that_was_believed_once_is_the_shortest(self) -> None:
         suspicion = learnt(0.1)
         suspicion.clear(1, A, answer(9), 0.02)
@@ -102,13 +124,25 @@ class TestRepeats:
         assert suspicion.accepts(1, C, answer(0), 0.1)
         assert suspicion.accepts(2, A, answer(0), 0.1)
 
-    def test_only_the_last_sixteen_answers_come_again(self) -> None:
-        for count, expected in ((15, False), (16, True)):
+    def test_values_that_requests_have_in_common_add_up(self) -> None:
+        suspicion = learnt(0.1, 0.1)  # 0 and 1
+        for each in (0, 1):
+            suspicion.clear(1, B, answer(each), 0.1)
+        assert not suspicion.repeats(1, C, answer(0))
+        assert not suspicion.repeats(1, C, answer(1))
+
+    def test_the_last_sixteen_answers_come_again_or_those_of_50_ms(self) -> None:
+        for count, took, expected in (
+            *((15, 0.1, False), (16, 0.1, True)),
+            *((49, 0.001, False), (51, 0.001, True), (99, 0.0005, False), (101, 0.0005, True)),
+        ):
             suspicion = Suspicion()
-            assert suspicion.accepts(1, A, answer(7), 0.1)
+            for at in range(20):
+                assert suspicion.accepts(2, A, answer(at), 0.1)
+            assert suspicion.accepts(1, A, answer(7), took)
             for at in range(count):
-                assert suspicion.accepts(1, C, answer(100 + at), 0.1)
-            assert suspicion.accepts(1, B, answer(7), 0.1) is expected
+                assert suspicion.accepts(1, C, answer(100 + at), took)
+            assert suspicion.accepts(1, B, answer(7), took) is expected, (count, took)
 
     def test_memory_is_bounded(self) -> None:
         suspicion = Suspicion()
@@ -117,16 +151,29 @@ class TestRepeats:
             pdu = bytes([3, 2, at >> 8, at & 0xFF])
             assert suspicion.accepts(1, request, pdu, 0.1)
             suspicion.clear(1, A, pdu, 0.1)
-            suspicion.accepts(at & 0xFF, request, bytes([3, 2 + (at >> 8), *pdu]), 0.1)
+            other = bytes([3, 2 + (at >> 8), *pdu, *bytes(at >> 8)])
+            assert suspicion.accepts(2 + at % 250, request, other, 0.1)
         kept = (suspicion._answers, suspicion._times, suspicion._common)
         assert [len(each) <= 1024 for each in kept] == [True] * 3
         assert len(suspicion._common) <= 64
+        assert len(suspicion._counts) <= 16
+
+    def test_memory_is_bounded_of_a_unit_that_takes_no_time(self) -> None:
+        suspicion = Suspicion()
+        for at in range(3000):
+            assert suspicion.accepts(1, A, answer(at), 0.0)
+            assert suspicion.accepts(1, A, answer(0), 0.0)
+        assert len(suspicion._counts) <= 1024
 
 
 class TestPatience:
     def test_of_an_unknown_unit_it_is_the_least(self) -> None:
         assert Suspicion().patience(1, A, answer(1)) == 0.001
         assert learnt(0.1).patience(2, A, answer(1)) == 0.001
+
+    def test_after_one_answer_it_is_three_times_as_long(self) -> None:
+        """As the first time-out of TCP (RFC 6298, 2.2): the time, and four times half of it."""
+        assert round(learnt(0.1).patience(1, A, answer(1)), 9) == 0.3
 
     def test_it_is_longer_than_the_usual_time_and_than_deviations(self) -> None:
         steady, varied = learnt(*[0.1] * 300), learnt(*[0.05, 0.15] * 150)
