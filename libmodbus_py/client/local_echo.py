@@ -30,17 +30,15 @@ class LocalEcho:
     """
 
     def __init__(self, place: str, statistics: Statistics, is_taken_out: bool) -> None:
-        self.is_there: bool | None = None
         self._place = place
         self._statistics = statistics
         self._is_taken_out = is_taken_out
         self._was_told = False
-        self._awaited = AwaitedEcho(b"")
         self.reset()
 
     def reset(self) -> None:
         """Know nothing of the next connection."""
-        self.is_there = False if self._is_taken_out else None
+        self.is_there: bool | None = False if self._is_taken_out else None
         self._awaited = AwaitedEcho(b"")
 
     def sent(self, adu: bytes) -> None:

@@ -9,14 +9,18 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import InvalidResponse, ModbusError, pdu
+from libmodbus_py import FrameError, IllegalDataAddress, InvalidResponse, ModbusError, pdu
+from libmodbus_py.client.local_echo import LocalEcho
+from libmodbus_py.client.statistics import Statistics
+from tests.support.cases import each_case
 from tests.support.clients import EVERYWHERE, World, read
 from tests.support.peers import OnRequest, Write, answer
-from tests.support.talk import LINE, Talk, kinds, rtu, value
+from tests.support.talk import ASCII, LINE, Talk, ascii_frame, kinds, rtu, value
 
 # Reads whose request is a possible answer, by length: 3 bytes of coils, and 3 registers.
 COILS = pdu.ReadCoils(0x0311, 24)
 BOTH = pdu.ReadWriteRegisters(0x0A00, 5, 1, (7,))
+WRITE = pdu.WriteRegister(1, 2)
 
 SCHEMES = ["rtu+tcp", "rtu+udp", "ascii+tcp", "rtu", "ascii"]
 
@@ -82,19 +86,18 @@ def test_the_answer_behind_such_an_echo_is_taken(request_: Any) -> None:
 @pytest.mark.parametrize("stray", [b"", b"\x00", b"\xff\x00"])
 def test_the_echo_of_a_write_does_not_confirm_it(stray: bytes) -> None:
     """Once a read has shown the echo: the unit may be dead, or refuse the write."""
-    write = pdu.WriteRegister(1, 2)
     talk = Talk(LINE, timeout=1)
     talk.ask(5)
     talk.come(stray + talk.sent[-1] + value(5))
     talk.wait(0.1)
-    batch = talk.ask(write)
+    batch = talk.ask(WRITE)
     talk.wait(0.01)
     talk.come(stray + talk.sent[-1])
     talk.wait(0.01)
     talk.come(rtu("01 86 02"))
     talk.wait(0.1)
     assert str(kinds(batch)[0]).count("IllegalDataAddress")
-    batch = talk.ask(write)
+    batch = talk.ask(WRITE)
     talk.come(stray + talk.sent[-1])
     talk.wait(1)
     assert isinstance(batch.outcomes[0], ModbusError)
@@ -119,10 +122,146 @@ def test_an_echo_that_ends_is_noticed() -> None:
         talk.come(talk.sent[-1] * (number < 2) + value(number))
         talk.wait(0.1)
         assert batch.outcomes == [[number]]
-    batch = talk.ask(pdu.WriteRegister(1, 2))
+    batch = talk.ask(WRITE)
     talk.come(talk.sent[-1])
     talk.wait(0.1)
     assert batch.outcomes == [None]
+
+
+ON_PORT = "rtu:///dev/nowhere?silence=0&echo=1"
+
+
+def echoing(url: str = LINE) -> Talk:
+    """Return a talk that knows of an echo."""
+    talk = Talk(url, timeout=1)
+    talk.ask(5)
+    talk.come(talk.sent[-1] + value(5))
+    talk.wait(0.1)
+    assert talk.statistics.echoes == 1
+    return talk
+
+
+@each_case("stray", [b"", b"\x00", b"\xff\x00"])
+@each_case("pause", [None, 0.01])
+def test_a_write_is_confirmed_by_what_follows_its_echo(stray: bytes, pause: float | None) -> None:
+    talk = echoing()
+    for _ in range(2):
+        batch = talk.ask(WRITE)
+        echo = stray + talk.sent[-1]
+        if pause is None:
+            talk.come(echo + talk.sent[-1])
+        else:
+            talk.come(echo)
+            talk.wait(pause)
+            assert not batch.is_done
+            talk.come(talk.sent[-1])
+        assert batch.outcomes == [None]
+        talk.wait(0.1)
+    assert talk.is_at_rest
+
+
+@each_case("url", [LINE, ON_PORT])
+def test_a_write_that_is_confirmed_tells_nothing_of_an_echo(url: str) -> None:
+    talk = Talk(url, timeout=1)
+    for _ in range(2):
+        batch = talk.ask(WRITE)
+        talk.come(talk.sent[-1])
+        assert batch.outcomes == [None]
+        talk.wait(0.1)
+    assert talk.statistics.echoes == 0
+
+
+def test_a_new_connection_may_be_without_an_echo() -> None:
+    talk = echoing("rtu+tcp://192.0.2.1")
+    talk.lose()
+    talk.open()
+    batch = talk.ask(WRITE)
+    talk.come(talk.sent[-1])
+    assert batch.outcomes == [None]
+
+
+def test_half_an_echo_is_not_taken_over_to_a_new_connection() -> None:
+    talk = echoing("rtu+tcp://192.0.2.1")
+    talk.ask(6)
+    talk.come(talk.sent[-1][:5])
+    talk.lose()
+    talk.open()
+    batch = talk.ask(7)
+    talk.wait_for(3)  # until the answer that the unit owes would be over
+    talk.come(value(7)[:4])
+    talk.wait(0.5)
+    talk.come(value(7)[4:])
+    assert batch.outcomes == [[7]]
+
+
+def test_the_beginning_of_an_echo_that_silence_follows_is_that_of_an_answer() -> None:
+    """A frame of ASCII is over after a second without a character (serial line, 2.5.2.1)."""
+    talk = Talk(ASCII, timeout=9)
+    talk.ask(5)
+    talk.come(talk.sent[-1] + ascii_frame("01 03 02 0005"))
+    batch = talk.ask(6)
+    talk.come(talk.sent[-1][:5])
+    talk.wait(0.9)
+    assert not batch.is_done
+    talk.wait(0.2)
+    assert kinds(batch) == [FrameError]
+
+
+def test_an_echo_behind_much_noise_does_not_confirm_a_write() -> None:
+    talk = echoing()
+    batch = talk.ask(WRITE)
+    talk.come(b"\xff" * 9 + talk.sent[-1])
+    talk.wait(0.01)
+    assert not batch.is_done
+    talk.come(rtu("01 86 02"))
+    assert kinds(batch) == [IllegalDataAddress]
+
+
+def test_where_the_port_drops_the_echo_what_comes_is_an_answer() -> None:
+    talk = Talk(ON_PORT, timeout=1)
+    batch = talk.ask(COILS)
+    talk.come(rtu_of(COILS))
+    talk.wait(0.1)
+    assert len(batch.outcomes[0]) == 24
+    assert talk.statistics.echoes == 0
+
+
+def test_of_some_functions_an_answer_shows_whether_an_echo_came() -> None:
+    """By the application protocol, chapter 6: an answer that differs from its request."""
+    differ = {1, 2, 3, 4, 7, 11, 12, 15, 16, 17, 20, 23, 24, 43}
+    for function in range(1, 0x80):
+        echo = LocalEcho("here", Statistics(), False)
+        request = bytes([function, 0, 1, 0, 2])
+        # What is equal to the request is mostly no answer to a read; to a write it is one.
+        assert echo.may_be(request) is (function in differ - {15, 16}), function
+        assert echo.accepts(request, bytes([function, 2, 0, 1]))
+        assert echo.is_there is (False if function in differ else None), function
+
+
+def test_an_echo_is_told_once_although_the_connection_is_a_new_one(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    talk = Talk("rtu+tcp://192.0.2.1", timeout=1)
+    for number in range(3):
+        batch = talk.ask(number)
+        talk.come(talk.sent[-1] + value(number))
+        talk.wait(0.1)
+        assert batch.outcomes == [[number]]
+        talk.lose()
+        talk.open()
+    assert talk.statistics.echoes == 1
+    assert [each.levelno for each in caplog.records].count(logging.WARNING) == 1
+
+
+def test_an_answer_that_came_alone_is_accepted_unless_it_may_be_an_echo() -> None:
+    read, write = bytes.fromhex("03 006B 0001"), bytes.fromhex("06 0001 0003")
+    echo = LocalEcho("here", Statistics(), False)
+    assert not echo.accepts(COILS.encode(), COILS.encode())
+    assert echo.accepts(write, write)
+    assert echo.is_there is None  # a write that comes back may be both
+    assert echo.accepts(read, bytes.fromhex("03 02 0007"))
+    assert echo.is_there is False
+    assert echo.accepts(COILS.encode(), COILS.encode())
 
 
 def test_a_value_that_is_equal_to_its_request_is_taken_where_no_echo_is() -> None:
