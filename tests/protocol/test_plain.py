@@ -5,6 +5,7 @@ Values as JSON can contain them.
 from __future__ import annotations
 
 import json
+from datetime import UTC, datetime
 from typing import Any
 
 from libmodbus_py import pdu
@@ -22,6 +23,7 @@ from tests.support.cases import each_case
         (float("nan"), None),
         (float("-inf"), None),
         ("text", "text"),
+        (datetime(2026, 3, 29, 1, 30, tzinfo=UTC), "2026-03-29T01:30:00+00:00"),
         (b"\x01\xff", "01ff"),
         ([1, (b"\x02", float("inf"))], [1, ["02", None]]),
         ({1: b"\x03"}, {"1": "03"}),
