@@ -31,6 +31,7 @@ from dataclasses import dataclass, field
 from os.path import abspath, expanduser
 from typing import TYPE_CHECKING, Any
 
+from ..protocol.close_names import close_option
 from ..protocol.pauses import pause_between_frames
 from .schemes import (
     ASCII_DEFAULTS,
@@ -262,7 +263,8 @@ def _options(
     for given, text in parse_qsl(query, keep_blank_values=True):
         name = OTHER_NAMES.get(given, given)
         if name not in allowed:
-            raise ValueError(f"{url!r}: {given!r} must be one of {', '.join(allowed)}")
+            close = close_option(given, allowed)
+            raise ValueError(f"{url!r}: {given!r} must be one of {', '.join(allowed)}{close}")
         if name in options:
             raise ValueError(f"{url!r}: {name} is given twice")
         try:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import wraps
 from typing import Any, TypeVar
 
-__all__ = ["close_to", "named_arguments", "unknown_option"]
+__all__ = ["SERIAL_SETTINGS", "close_option", "close_to", "named_arguments", "unknown_option"]
 
 Class = TypeVar("Class", bound=type)
 
@@ -39,6 +39,12 @@ OTHER_SPELLINGS = {
 """Names of arguments in other packages -> their names here, for errors."""
 
 
+SERIAL_SETTINGS = frozenset(
+    ("baudrate", "parity", "data_bits", "stop_bits", "rs485", "rts_delay", "echo", "silence")
+)
+"""Settings that are part of the URL of a serial port, for classes that take none of them."""
+
+
 def close_to(name: object, known: Iterable[str], prefix: str = "") -> str:
     """
     Return the end of a message about a name that is not known: those that are close to it.
@@ -52,11 +58,19 @@ def close_to(name: object, known: Iterable[str], prefix: str = "") -> str:
     return f"; did you mean {' or '.join(prefix + each for each in close)}?" if close else ""
 
 
+def close_option(name: str, known: Iterable[str]) -> str:
+    """Return the end of a message about an option that is not known: which one may be meant."""
+    meant = OTHER_SPELLINGS.get(name.lower(), name)
+    if meant in known:
+        return f"; did you mean {meant}?"
+    if meant in SERIAL_SETTINGS:
+        return f"; {meant} is part of the URL of a serial port: rtu:///dev/ttyUSB0?{meant}=..."
+    return close_to(name, known)
+
+
 def unknown_option(name: str, known: Sequence[str]) -> TypeError:
     """Return the error for an argument that does not exist, with the name of the one meant."""
-    meant = OTHER_SPELLINGS.get(name.lower())
-    close = f"; did you mean {meant}?" if meant in known else close_to(name, known)
-    return TypeError(f"{name!r} must be one of {', '.join(known)}{close}")
+    return TypeError(f"{name!r} must be one of {', '.join(known)}{close_option(name, known)}")
 
 
 def named_arguments(cls: Class) -> Class:

@@ -4,6 +4,7 @@ Options by the names of other packages, and hosts that contain a port.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import pytest
@@ -13,12 +14,35 @@ from libmodbus_py import (
     AsyncClient,
     Client,
     Context,
+    Device,
+    DeviceConfig,
+    Mapping,
+    Point,
+    RegisterMap,
+    Route,
     RtuContext,
+    Server,
     TcpContext,
     UdpContext,
 )
+from libmodbus_py.ports.schemes import SERIAL_OPTIONS
 from libmodbus_py.ports.serial import SerialPort
+from libmodbus_py.protocol.close_names import SERIAL_SETTINGS
 from tests.support.cases import each_case
+
+
+def listening(url: str) -> None:
+    with Server(Device(Mapping())).background(url):
+        pass
+
+
+def routed(url: str) -> Route:
+    return Route(url, [1])
+
+
+def polled(url: str) -> DeviceConfig:
+    return DeviceConfig("meter", url, RegisterMap([Point("level", "coils", 0)]), interval=1.0)
+
 
 LINE, HOST = "/dev/ttyUSB0", "192.0.2.1"
 
@@ -91,3 +115,43 @@ def test_hosts_that_cannot_be(host: str, port: int, message: str) -> None:
     for kind in (TcpContext, UdpContext):
         with pytest.raises(ValueError, match=message):
             kind(host, port)
+
+
+@each_case(
+    ("make", "scheme", "option", "meant"),
+    [
+        *(
+            (make, "rtu", "stopbits", "stop_bits")
+            for make in (AsyncClient, Client, Context.from_url, listening, routed, polled)
+        ),
+        (AsyncClient, "ascii", "bytesize", "data_bits"),
+        (AsyncClient, "tcp", "slave", "unit"),
+        (Context.from_url, "udp", "timout", "timeout"),
+    ],
+)
+def test_options_in_urls(make: Any, scheme: str, option: str, meant: str) -> None:
+    place = LINE if scheme in ("rtu", "ascii") else HOST
+    with pytest.raises(ValueError, match=f"'{option}' must be one of .*; did you mean {meant}"):
+        make(f"{scheme}://{place}?{option}=1")
+
+
+@each_case(
+    ("make", "option", "meant"),
+    [
+        (AsyncClient, "stopbits", "stop_bits"),
+        (AsyncClient, "baudrate", "baudrate"),
+        (Server, "stopbits", "stop_bits"),
+        (Server, "baud", "baudrate"),
+        (partial(Route, units=[1]), "bytesize", "data_bits"),
+        (partial(DeviceConfig, "meter"), "parity", "parity"),
+    ],
+)
+def test_settings_that_are_part_of_urls(make: Any, option: str, meant: str) -> None:
+    """Classes that take a URL have no arguments for the settings of a serial port."""
+    reason = rf"'{option}' must be one of .*; {meant} is part of the URL .*: rtu:.*\?{meant}="
+    with pytest.raises(TypeError, match=reason):
+        make(f"rtu://{LINE}", **{option: 1})
+
+
+def test_settings_of_serial_ports_are_known_by_their_names() -> None:
+    assert set(SERIAL_OPTIONS) == SERIAL_SETTINGS
