@@ -4,6 +4,7 @@ The command line, on top of everything: arguments become requests and servers.
 ::
 
     main           the entry point, and the exit codes
+    terminating    SIGTERM, which ends commands as Ctrl-C does
     commands       every command, and the parser of the arguments
     help           the layout of --help
     arguments      the arguments that several commands take, each declared once

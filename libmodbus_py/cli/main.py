@@ -2,7 +2,7 @@
 The entry point of the command line, and its exit codes.
 
 The exit code is 0, 1 if the device or the line failed, 2 for wrong usage, 130 after Ctrl-C. An
-error is one line on stderr.
+error is one line on stderr. SIGTERM ends the process as such, after what Ctrl-C does.
 """
 
 from __future__ import annotations
@@ -36,13 +36,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     # Everything is imported within the try, where Ctrl-C is caught.
     try:
-        from . import output
+        from . import output, terminating
 
         output.prepare()
-        try:
-            return _run(arguments)
-        finally:
-            sys.stdout.flush()  # within the try, where a full disk is caught
+        with terminating.ended_by_sigterm():
+            try:
+                return _run(arguments)
+            finally:
+                sys.stdout.flush()  # within the try, where a full disk is caught
     except KeyboardInterrupt:
         return INTERRUPTED
     except Exception as error:

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import signal
 import subprocess
+import termios
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
-from tests.support.commands import PROGRAM
+from libmodbus_py.tools.testing.wires import SerialWire
+from tests.support.commands import PROGRAM, Started
 
 FLEET = """
 [[device]]
@@ -83,3 +85,21 @@ def test_a_reader_that_goes_away_ends_it(tmp_path: Path, url: str, name: str) ->
     )
     assert done.stdout.count("\n") == 1
     assert done.stderr == ""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_serial_port_gets_its_settings_back(number: int) -> None:
+    device = Device(Mapping(holding_registers=10))
+    with SerialWire() as wire, open(wire.client, "rb", buffering=0) as port:
+        before = termios.tcgetattr(port)
+        with (
+            Server(device).background(f"rtu://{wire.server}?baudrate=9600"),
+            Started(
+                "read", wire.client, "-b", "9600", "holding", "0", "--watch", "0.01"
+            ) as process,
+        ):
+            process.stdout.readline()
+            assert termios.tcgetattr(port) != before
+            process.send_signal(number)
+            process.communicate()
+        assert termios.tcgetattr(port) == before

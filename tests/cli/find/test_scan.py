@@ -124,8 +124,13 @@ def test_what_is_typed_wrong_is_one_line_and_nothing_is_sent(
     assert len(done.err.splitlines()) == 1
 
 
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, -signal.SIGTERM)]
+)
 @pytest.mark.parametrize("as_json", [False, True])
-def test_ctrl_c_prints_what_was_found_and_restores_the_line(as_json: bool) -> None:
+def test_a_signal_prints_what_was_found_and_restores_the_line(
+    as_json: bool, number: int, code: int
+) -> None:
     with SerialWire() as wire:
         server = Server({1: Device(Mapping())})
         before = _settings(wire.client)
@@ -134,9 +139,9 @@ def test_ctrl_c_prints_what_was_found_and_restores_the_line(as_json: bool) -> No
             with Started("scan", f"rtu://{wire.client}", *arguments) as process:
                 # The unit behind those that answered, reserved ones and identification included.
                 until(lambda: wire.sent_by("client").count(b"\x02\x03\0\0\0\1") == 1)
-                process.send_signal(signal.SIGINT)
+                process.send_signal(number)
                 output, errors = process.communicate()
-        assert process.returncode == 130
+        assert process.returncode == code
         assert "Traceback" not in errors
         if as_json:
             told = json.loads(output)
