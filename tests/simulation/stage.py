@@ -19,6 +19,7 @@ from unittest.mock import patch
 
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.waiting import Woken
+from libmodbus_py.server import limits
 from libmodbus_py.server.serving import Serving
 from libmodbus_py.services.gateway import gateway, loops
 
@@ -31,6 +32,9 @@ from .sockets import MemorySocket
 __all__ = ["LineEnd", "Stage", "Talker"]
 
 Result = TypeVar("Result")
+
+DESCRIPTORS = 20_000
+"""What a process of the simulated machine may have open, whatever this one may."""
 
 PATIENCE = 3600.0
 """Simulated seconds that a test waits for what is to come."""
@@ -63,6 +67,7 @@ class Stage(Network):
         # An attribute of a class that is a function gets the server that it is called on.
         background = lambda server, *urls: self._serving(server, *urls)  # noqa: E731
         stack.enter_context(patch.object(Serving, "background", background))
+        stack.enter_context(patch.object(limits, "most_descriptors", lambda: DESCRIPTORS))
         stack.enter_context(patch.object(gateway, "check_line", loops.check_line))
         stack.enter_context(patch.object(loops, "os", SimpleNamespace(path=self._paths())))
         return self

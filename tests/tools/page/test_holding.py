@@ -47,7 +47,7 @@ def test_a_held_value_stays_can_be_set_and_goes_on(visitor: Visitor) -> None:
     before = seen["points"]["0"]
     visitor.receive(lambda: seen["points"]["0"] != before)
     refusal = visitor.post("/value", **level, text="5")
-    assert refusal == "the device computes this value itself"
+    assert refusal == "level: the device computes this value itself"
 
     assert visitor.post("/hold", **level, on=True) == {}
     visitor.receive(lambda: seen["moving"] == {"0": False})
