@@ -95,8 +95,8 @@ class Conversation:
         connection: Reconnecting,
         statistics: Statistics,
         trace: Trace,
-        may_send: Callable[[], bool] | None = None,
-        finds_out: bool = False,
+        may_send: Callable[[], bool] | None,
+        finds_out: bool,
     ) -> None:
         capacity = Capacity(str(endpoint), limit, not finds_out, matching, statistics)
         self.limit: int = capacity.now
@@ -235,7 +235,7 @@ class Conversation:
             self.is_flooded = False
             self.statistics.requests += len(adus)
             if self._pace.request_spacing:
-                self._note_start(now)
+                self._next_start = now + self._pace.request_spacing
         if self._matching.alarm < self.alarm:
             self.alarm = self._matching.alarm
         return adus
@@ -259,10 +259,6 @@ class Conversation:
         if not self.in_flight:
             self._break("given up for a new connection")
         return False
-
-    def _note_start(self, now: float) -> None:
-        self._next_start = now + self._pace.request_spacing
-        self._wake(self._next_start)
 
     def _start_queue(self, adus: list[bytes], now: float) -> None:
         room = self._window()

@@ -68,6 +68,17 @@ def test_copies_that_come_many_answers_later_are_known(world: World, scheme: str
     assert doubled > 10
 
 
+@pytest.mark.parametrize("scheme", ["rtu+tcp", "ascii+tcp", "rtu"])
+def test_a_copy_right_behind_each_answer_is_never_the_next_value(world: World, scheme: str) -> None:
+    def twice(request: bytes, write: Write) -> None:
+        write(answer(request, scheme), after=0.01)
+        write(answer(request, scheme), after=0.011)
+
+    peer = world.peer(scheme, twice)
+    with world.connect(peer.url, timeout=1) as client:
+        assert [read(client, each) for each in range(1, 20)] == list(range(1, 20))
+
+
 def asked(talk: Talk, address: int, *answers: tuple[float, bytes]) -> object:
     """Return the outcome of a read to which such answers come, each after so many seconds."""
     talk.wait(0.05)

@@ -44,7 +44,8 @@ class Talk:
     ) -> None:
         endpoint = parse(url)
         most = 16 if endpoint.framing in ("tcp", "udp") else None
-        self.settings = CheckedOptions.of(endpoint, {"max_in_flight": most, **options})
+        given = {"max_in_flight": most, **options}
+        self.settings = CheckedOptions.of(endpoint, given, may_send=None)
         parts = assembled(endpoint, self.settings, 16)
         parts.port.silence.is_timed = is_timed
         self.conversation = parts.conversation
