@@ -123,8 +123,8 @@ TUNING: dict[str, frozenset[str]] = {
     "of tries, of seconds between them, and of how exactly time is kept": frozenset(
         {
             *("COARSEST", "EXACTNESS", "FADING", "FIRST_PAUSE", "FORCED", "GATHERED", "LAST_WAIT"),
-            *("LEAVING", "LONGEST_PAUSE", "LOOK", "MOST_TRIES", "PAUSE", "QUICK", "RESOLUTION"),
-            *("SAMPLED", "SHORTEST_COPY", "SHORTEST_TRIAL", "SLEPT"),
+            *("LEAVING", "LONGEST_PAUSE", "LOOK", "MOST_DOUBLINGS", "MOST_TRIES", "PAUSE", "QUICK"),
+            *("RESOLUTION", "SAMPLED", "SHORTEST_COPY", "SHORTEST_TRIAL", "SLEPT"),
         }
     ),
     "of averages that estimate what chance can explain": frozenset(

@@ -285,7 +285,7 @@ class WaitingRoom(Generic[Member]):
         self._timeout = timeout
         self._ready_at = ready_at
         self._most_trials = most_trials
-        self._now = 0.0
+        self._now: float  # of the last `pick`
         self._trials: deque[Member] = deque()
         self._trying: dict[Member, None] = {}
         self._was_trial = False
