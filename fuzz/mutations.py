@@ -100,6 +100,7 @@ _FREE = {
     "is_wide": "a column of the page that a narrow window leaves out",
     "maxsize": "of a cache: how much is calculated once only",
     "repr": "how an object is printed",
+    "stacklevel": "which line of a program a log or a warning names",
     "strict": "of zip: an assertion that both are of the same length",
 }
 """Keywords of calls whose values no test has to look at, and why."""

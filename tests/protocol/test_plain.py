@@ -9,7 +9,8 @@ from datetime import UTC, datetime
 from typing import Any
 
 from libmodbus_py import pdu
-from libmodbus_py.protocol.plain import plain
+from libmodbus_py.client.reconnecting import State
+from libmodbus_py.protocol.plain import plain, without_controls
 from tests.support.cases import each_case
 
 
@@ -29,6 +30,7 @@ from tests.support.cases import each_case
         ({1: b"\x03"}, {"1": "03"}),
         (pdu.ServerId(b"\x01", True, b""), {"identifier": "01", "running": True, "additional": ""}),
         (pdu.SubFunction.CLEAR_COUNTERS, 10),
+        (State.CONNECTED, "connected"),
         (
             pdu.ReadHoldingRegisters(0, 2),
             {"name": "ReadHoldingRegisters", "address": 0, "count": 2},
@@ -42,3 +44,7 @@ from tests.support.cases import each_case
 def test_each_value_is_one_that_json_has(value: Any, made: Any) -> None:
     assert plain(value) == made
     assert json.loads(json.dumps(plain(value), allow_nan=False)) == made
+
+
+def test_what_a_terminal_would_obey_is_shown_instead() -> None:
+    assert without_controls("a\x1b[2J\x9b\tb\nc \xe4") == "a\\x1b[2J\\x9b\\x09b\nc \xe4"

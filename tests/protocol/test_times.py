@@ -27,8 +27,12 @@ TIMES = [
     ("iec870", [26, 7 << 8 | 3 << 5 | 1, 12 << 8 | 30, 15_000], NOON),
     ("iec870", [26, 12 << 8 | 4 << 5 | 31, 23 << 8 | 59, 59_999],
      datetime(2026, 12, 31, 23, 59, 59, 999_000, tzinfo=UTC)),
+    ("iec870", [99, 12 << 8 | 4 << 5 | 31, 23 << 8 | 59, 59_000],
+     datetime(2099, 12, 31, 23, 59, 59, tzinfo=UTC)),
     ("date48", [0x1A07, 0x010C, 0x1E0F], NOON),
+    ("date48", [0xFF07, 0x010C, 0x1E0F], NOON.replace(year=2255)),
     ("bcddate48", [0x2607, 0x0112, 0x3015], NOON),
+    ("bcddate48", [0x9907, 0x0112, 0x3015], NOON.replace(year=2099)),
     ("date96", [2026, 7, 1, 12, 30, 15], NOON),
 ]  # fmt: skip
 
@@ -58,6 +62,7 @@ NONE = [
     ("date48", [0x1A0D, 0x010C, 0x1E0F]),
     ("date48", [0xFFFF] * 3),
     ("bcddate48", [0x260A, 0x0112, 0x3015]),
+    ("bcddate48", [0x2607, 0x0B12, 0x3015]),
     ("bcddate48", [0x2613, 0x0112, 0x3015]),
     ("date96", [0, 0, 0, 0, 0, 0]),
     ("ms64", [0x7FFF, 0xFFFF, 0xFFFF, 0xFFFF]),
@@ -75,6 +80,7 @@ WRONG = [
     ("unix32", datetime(2026, 7, 1), "value must be a datetime with a time zone, not 2026"),
     ("unix32", datetime(1969, 7, 1, tzinfo=UTC), "value cannot be 1969-07-01T00:00:00"),
     ("iec870", datetime(2100, 7, 1, tzinfo=UTC), "value must be a year in 2000..2099, not 2100"),
+    ("bcddate48", datetime(2100, 7, 1, tzinfo=UTC), "value must be a year in 2000..2099, not 2100"),
     ("date48", datetime(1999, 7, 1, tzinfo=UTC), "value must be a year in 2000..2255, not 1999"),
     ("ms64", datetime(1, 1, 1, tzinfo=timezone(timedelta(hours=9))), "value must be a year in 1"),
 ]

@@ -101,7 +101,7 @@ class ReadFileRecords(Request[list[list[int]]]):
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
         pieces = [struct.unpack(">BHHH", pdu[at : at + 7]) for at in range(2, len(pdu) - 6, 7)]
-        if not 1 <= len(pieces) <= 35 or len(pdu) != 2 + 7 * len(pieces):
+        if not pieces or len(pdu) != 2 + 7 * len(pieces):
             raise ValueError(f"byte count must be 7..245 in steps of 7, not {len(pdu) - 2}")
         if any(length == 0 for *_, length in pieces):
             raise ValueError("length must not be 0")
@@ -184,7 +184,7 @@ class WriteFileRecords(Echoed):
                 raise ValueError(f"a piece of {length} registers")
             pieces.append((file, record, unpack_registers(pdu[start:at])))
             kinds.append(kind)
-        if not pieces or at != len(pdu) or len(pdu) > 2 + 0xFB:
+        if not pieces or at != len(pdu):
             raise ValueError(f"the pieces do not fill the byte count {pdu[1]}, 9..251")
         _check_reference_types(kinds)
         return cls(tuple(pieces))

@@ -140,8 +140,6 @@ class EncapsulatedTransport(_Encapsulated[bytes]):
 
     @classmethod
     def decode(cls, pdu: bytes) -> EncapsulatedTransport | ReadDeviceIdentification:  # type: ignore[override]
-        if len(pdu) < 2:
-            raise ValueError(f"a request of {len(pdu)} bytes")
         if pdu[1] == DEVICE_IDENTIFICATION:
             return ReadDeviceIdentification.decode(pdu)
         if pdu[1] != CANOPEN:

@@ -99,8 +99,6 @@ class Diagnostics(Request[bytes]):
 
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
-        if len(pdu) < 3:
-            raise ValueError(f"a request of {len(pdu)} bytes")
         return cls(int.from_bytes(pdu[1:3], "big"), pdu[3:])
 
     def encode_response(self, result: bytes) -> bytes:
