@@ -1,8 +1,8 @@
 """
 One reader and one timer for a conversation: the asyncio client's side of it.
 
-No caller owns a task, a timer or the connection, only his batch and his future.
-Cancelling him takes these away, and that is all.
+A caller owns neither a task, a timer nor the connection, only its batch and its future.
+Cancelling the caller removes these two, and nothing else.
 """
 
 from __future__ import annotations

@@ -96,7 +96,8 @@ class Context(Handle[BlockingDriver], Blocking):
         Context._kinds.update(dict.fromkeys(schemes, cls))
 
     def __init__(self, endpoint: Endpoint, options: Mapping[str, Any]) -> None:
-        # What a client is made of is the greater half of it: programs that make none go without.
+        # Imported here, because the parts of a client take longer to import than this module, and
+        # some programs make no client.
         from .options import CheckedOptions, assembled
 
         settings = CheckedOptions.of(endpoint, options, native=True)

@@ -12,7 +12,7 @@ In the order in which a request goes through::
     point_rules    access and bounds of points, before any hook
     point_index    points by the addresses of their cells
     scaled_bounds  bounds of points that others scale, when these are written
-    values_after   what points hold, now or after a write
+    values_after   the cells of points, now or after a write
     named_values   values by the names of points
     hooks          Hook: functions of the application, the accesses they are for, their duration
     access         tables and addresses that a request touches, as hooks see them
@@ -20,8 +20,8 @@ In the order in which a request goes through::
     mapping        Mapping: the four tables of a device, with their holes
     state_lines    values of devices as lines of JSON, and back
     kept_values    the values of a device that a file keeps
-    written        values that are not the first ones
-    writing_aside  a file that is there wholly, or as before
+    written        the values that differ from the first ones
+    writing_aside  replaces a file in one step
     ranges         ranges of addresses, joined
     record_file    RecordFile: the records of functions 20 and 21
 """

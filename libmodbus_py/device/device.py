@@ -119,10 +119,11 @@ class Device:
     answered with 4 and logged once, except SystemExit and KeyboardInterrupt, which are passed on.
     Hooks see only accesses to existing addresses. The same holds for `canopen` and `handlers`.
 
-    With `authorize`, every request is asked about first, while the mapping is locked: before
-    the hooks, and before anything is said of what exists. It gives True, or False: exception 1
-    (MB-TCP-Security-v36, R-31); what it raises is dealt with as in hooks, and anything else
-    that it gives is a mistake, exception 4. Of what cannot be decoded it sees the function.
+    `authorize` is called first for every request, while the mapping is locked: before the hooks,
+    and before the client learns which addresses exist. If it returns False, the request gets
+    exception 1 (MB-TCP-Security-v36, R-31). An exception that it raises is treated as one of a
+    hook; any other result than True and False is a mistake, and the request gets exception 4.
+    Of a request that cannot be decoded it gets the function code.
 
     Args:
         mapping: the four tables.

@@ -82,8 +82,8 @@ class Table(ABC, Generic[Cell]):
         self._starts = [each.start for each in self.ranges]
         self._lock = lock
         size = len(self.addresses) * array(self.typecode).itemsize
-        # An empty table has memory too, for mmap makes none of 0 bytes. Private: by default
-        # a forked child would write into its parent's tables.
+        # An empty table has memory too, because mmap makes none of 0 bytes. Private: by
+        # default a forked child would write into its parent's tables.
         self._memory = mmap.mmap(-1, max(size, 1), mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
         self._cells: memoryview = memoryview(self._memory)[:size].cast(self.typecode)
         for at, values in given.items():

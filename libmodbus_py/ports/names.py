@@ -99,7 +99,7 @@ class Names:
         return question
 
     def leave(self, wanted: Resolve, question: Question, note: Callable[[], object]) -> None:
-        """Wait for an answer no more. Any number of times."""
+        """Stop waiting for an answer; may be called any number of times."""
         key = _key(wanted)
         with self._lock:
             if note in question.notes:

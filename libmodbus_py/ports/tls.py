@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = ["TlsPort", "named_security", "security_of"]
 
-# What the other side's alerts say of our certificate, as OpenSSL's reasons end.
+# The ends of OpenSSL's reasons for alerts by which the other side refuses our certificate.
 OF_OUR_CERTIFICATE = (
     "UNKNOWN_CA",
     "BAD_CERTIFICATE",
@@ -44,7 +44,6 @@ OF_OUR_CERTIFICATE = (
     "ACCESS_DENIED",
 )
 
-# What else OpenSSL's reasons mean; the rest is said in its own words.
 # The number of bytes without answers that counts as a flood: tickets and changes of
 # keys are rare. A byte of an answer pays for a record of its own, with room to spare.
 MAX_CHAFF = 1 << 16

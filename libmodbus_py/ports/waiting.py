@@ -87,7 +87,7 @@ class Waker:
                 self._flag.clear()
 
     def close(self) -> None:
-        """Any number of times."""
+        """Close the descriptor; may be called any number of times."""
         with self._lock:
             flag, self._flag, self.descriptor = self._flag, None, -1
             if flag is not None:

@@ -14,7 +14,7 @@ Bottom up:
     hearing_requests  requests on a line where other units answer, too
     framing    unit and PDU as bytes on TCP, UDP, RTU and ASCII lines, and back
     returned   the echo of sent bytes among received ones
-    either_way  frames of a line that one only listens to: requests or responses
+    either_way  frames on a line that may be requests or responses, for listeners
     words      the words of tables, types and orders, as vendors write them
     close_names  names that are close to one that is not known
     tables     the four tables: what they hold, and how much of it a request may carry

@@ -29,7 +29,7 @@ class EitherWay(NamedTuple):
 
 
 class NoFrame(NamedTuple):
-    """Bytes that are none."""
+    """Bytes that are no frame."""
 
     start: int
     end: int

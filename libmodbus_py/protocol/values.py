@@ -375,7 +375,7 @@ ENCODINGS = frozenset((
 ))
 # fmt: on
 """
-Those that strings in registers have, by Python's names of their modules. Not all that Python
+The encodings of strings in registers, by Python's names of their modules. Not all that Python
 knows: some take the square of the text's length (punycode), and every other name would import
 a module.
 """
@@ -599,7 +599,7 @@ def parse_reference(text: str) -> Reference:
     register 122. File records count from 0: "600007" is record 7.
 
     Args:
-        text: a string, for the leading zero of coils counts.
+        text: a string, because the leading zero of coils counts.
 
     Raises:
         TypeError: not a string.

@@ -7,8 +7,8 @@ Modbus Security: TLS with certificates on both sides. No socket.
     files         certificates, keys and pins in PEM files
     loaded        Loaded: what the files contain, and OpenSSL's settings made of it
     revoked       Revoked: revocation lists
-    renewed       Renewed: what is read from files, and read again
-    acceptance      Acceptance: whether the certificate of an open connection is still good
+    renewed       Renewed: values read from files, and read again
+    acceptance    Acceptance: whether the certificate of an open connection is still good
     given         GivenContext: a context of Python's ssl that the application has made
     tunnel        Tunnel: one TLS connection, bytes in and bytes out; Records: where they end
     role          the role in a certificate

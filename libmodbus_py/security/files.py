@@ -15,7 +15,7 @@ __all__ = ["File", "certificates_of", "digest_of", "has_key", "pins_of", "place_
 
 File = str | os.PathLike[str]
 
-# Of a PEM file: five hundred authorities have room.
+# The most characters of a PEM file: enough for five hundred authorities.
 MAX_FILE = 1_000_000
 
 CERTIFICATE = re.compile("-----BEGIN CERTIFICATE-----.+?-----END CERTIFICATE-----", re.DOTALL)

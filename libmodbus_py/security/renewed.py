@@ -16,7 +16,7 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 
 T = TypeVar("T")
 
-# What a mistake in a file, or a file that cannot be read, raises.
+# The exceptions for a mistake in a file, and for a file that cannot be read.
 MISTAKES = (ImportError, OSError, TypeError, ValueError)
 
 

@@ -73,9 +73,10 @@ def role_of(certificate: bytes) -> str | None:
         reason = "two roles" if oid == ROLE_OID else f"the extension {shown(oid)} twice"
         raise RoleError(f"the certificate has {reason}") from None
     except Exception as error:
-        # It promises ValueError, and has more for what others made: all of it is the peer's fault.
+        # cryptography documents ValueError, and raises others for malformed certificates, too. The
+        # peer has sent the certificate, so that each of them means a refusal.
         raise RoleError(f"the certificate cannot be read: {shown(error)}") from None
-    # The library knows no such extension, and leaves it as it is.
+    # cryptography does not know this extension, and returns its bytes.
     return decode_role(found.value if isinstance(found, x509.UnrecognizedExtension) else b"")
 
 

@@ -26,7 +26,7 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 
 DAY = 86_400
 
-# Seconds before the end of a certificate from which on a warning tells of it.
+# A certificate that ends within this many seconds is warned about.
 WARNED_BEFORE = 30 * DAY
 
 # The same for a revocation list; most are renewed every day or week.

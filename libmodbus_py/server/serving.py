@@ -285,7 +285,7 @@ ENDPOINTS: dict[
     "tls": _tls_server,
     "serial": _serial_server,
 }
-"""By transport: what answers at an endpoint."""
+"""Transport -> function that makes the endpoint of a server."""
 
 
 @contextlib.contextmanager

@@ -7,7 +7,7 @@ no unit, no framing, no I/O.
 
 Every request class names its function code and two length rules, which say
 how long a request or response PDU is once its first bytes are known; a framer
-without end marks (RTU) lives from them. A further function code is one class
+without end marks (RTU) depends on them. A further function code is one class
 and one row in `REQUESTS`; your own is registered (`register`).
 
 Its files:
@@ -17,10 +17,10 @@ Its files:
     serial          7, 8, 11, 12 and 17
     files           20, 21 and 24: file records and queues
     interface       43
-    raw             any, sent as it is
-    function_codes  REQUESTS, and what asks it
-    request         what all of them have in common
-    fields          what they are made of
+    raw             requests of any function, sent as they are
+    function_codes  the table REQUESTS, and the functions that look up requests in it
+    request         the base class of all requests
+    fields          checks and encoding of the fields of a message
 
 The public names are those of ``__init__.pyi``. Each is imported when it is first used, because a
 client that reads registers needs two of the files.

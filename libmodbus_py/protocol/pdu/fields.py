@@ -116,7 +116,7 @@ def unpack_bits(data: bytes, count: int) -> list[bool]:
     return [bool(data[position >> 3] >> (position & 7) & 1) for position in range(count)]
 
 
-# Found by their count, for bulk reads do little else.
+# By the number of registers; made once, because bulk reads do little else.
 _REGISTERS = [struct.Struct(f">{count}H") for count in range(MAX_PDU // 2 + 1)]
 
 

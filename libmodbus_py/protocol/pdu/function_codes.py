@@ -1,5 +1,5 @@
 """
-The function codes that framers, clients and servers know: `REQUESTS`, and what asks it.
+The function codes that framers, clients and servers know: `REQUESTS`, and what looks it up.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ class ReadDeviceIdCode(IntEnum):
     INDIVIDUAL = 4
 
 
-# What every device has (section 6.21).
+# The objects that every device has (section 6.21).
 MANDATORY = {0, 1, 2}
 
 # From here on a response may lack an object because there was no room for it.

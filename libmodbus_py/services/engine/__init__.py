@@ -1,5 +1,5 @@
 """
-The way to NATS, from where it is looked for to what went wrong there.
+The connection with NATS, which workers and the output `nats` use.
 
 ::
 
