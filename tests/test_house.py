@@ -193,7 +193,7 @@ def test_each_file_of_the_package_is_imported_by_another_one() -> None:
     """What nothing imports, by a path of its own or by a name in a table, is no part of it."""
     named = set()
     for path in [*PACKAGE.rglob("*.py*"), ROOT / "pyproject.toml", ROOT / "build_ffi.py"]:
-        if path.suffix == ".pyc":
+        if path.parent.name == "__pycache__":  # where other tests write at the same time
             continue
         text = path.read_text()
         tree = ast.parse(text) if path.suffix != ".toml" else ast.Module([], [])
