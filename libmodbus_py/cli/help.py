@@ -36,6 +36,13 @@ class Help(argparse.HelpFormatter):
     def __init__(self, prog: str, **options: Any) -> None:
         super().__init__(prog, **{"width": _columns() - 2, **options})
 
+    def add_argument(self, action: argparse.Action) -> None:
+        super().add_argument(action)
+        # As Python 3.13 does: commands count with their indentation.
+        for each in self._iter_indented_subactions(action):
+            length = len(self._format_action_invocation(each)) + self._current_indent
+            self._action_max_length = max(self._action_max_length, length)
+
     def _format_usage(
         self, usage: Any, actions: Iterable[argparse.Action], groups: Any, prefix: str | None
     ) -> str:

@@ -31,8 +31,7 @@ def test_help_has_bold_headings_and_coloured_options(words: tuple[str, ...]) -> 
 
 def test_help_colours_commands_and_leaves_examples() -> None:
     shown = shown_on_terminal("--help")
-    assert "    \x1b[36mread\x1b[0m        read registers" in shown
-    assert "    \x1b[36mcertificates\x1b[0m\n" in shown
+    assert "    \x1b[36mread\x1b[0m          read registers" in shown
     assert "\n  libmodbus-py serve --example meter\n" in shown
 
 
