@@ -71,10 +71,10 @@ class ClientConnection(theirs.ModbusConnection):
     # --- connecting ---------------------------------------------------------------------------
 
     async def _connect_client(self) -> AsyncClient:
+        # When the connection is lost, the client is closed in the pause before its next attempt.
         client = AsyncClient(
             self.url,
             timeout=min(max(self._timeout, SHORTEST), LONGEST),  # units may ask for any, even 0
-            max_pause=0,
             timeouts_before_reconnect=NEVER,
             security=await self._security(),
             statistics=self.statistics,
