@@ -9,5 +9,6 @@ Services: programs that run for months, and connections with other software.
     engine         the connection with NATS, which workers use to coordinate
     integrations   metrics for Prometheus; a backend for Home Assistant's modbus-connection
     tasks          the end of tasks that may lose a cancellation
+    server_url     URLs of brokers, databases and NATS servers
     loading        files of any kind: maps, devices, gateways, fleets
 """

@@ -15,9 +15,9 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
 
 from ...security.renewed import Renewed
+from ..server_url import server_url
 from ..tasks import finish
 from .errors import EngineError, EngineGone, explained, what
 from .file_text import FileText
@@ -25,12 +25,13 @@ from .file_text import FileText
 if TYPE_CHECKING:
     from nats.aio.client import Client
 
-__all__ = ["OLDEST", "connected", "disconnect", "parse_servers", "shown"]
+__all__ = ["OLDEST", "connected", "disconnect", "parse_servers", "places", "shown"]
 
 OLDEST = (2, 9)
 """The oldest version of nats-server with the features that watches need."""
 
-SCHEMES = ("nats", "tls")
+PORTS = {"nats": 4222, "tls": 4222}
+"""Scheme -> port of a URL without one."""
 
 # Seconds before connecting to a server times out; and between attempts to reconnect.
 TIMEOUT = 3.0
@@ -72,17 +73,18 @@ def parse_servers(text: str) -> list[str]:
 
 
 def _check(server: str) -> None:
-    parts = urlsplit(server)
-    if parts.scheme not in SCHEMES or not parts.hostname or parts.path not in ("", "/"):
+    found = server_url(server, PORTS)
+    if found is None:
         raise ValueError(
             f"engine: {_bare(server)!r} must be nats://HOST[:PORT] or tls://HOST[:PORT]"
         )
-    try:
-        port = parts.port
-    except ValueError:
-        port = 0
-    if port == 0:
+    if not found.port:
         raise ValueError(f"engine: {_bare(server)!r}: the port must be in 1..65535")
+
+
+def places(servers: list[str]) -> list[str]:
+    """Return host and port of each server, the same for all spellings of them."""
+    return [found.place for each in servers if (found := server_url(each, PORTS)) is not None]
 
 
 def shown(servers: list[str]) -> str:

@@ -11,11 +11,11 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
-from urllib.parse import urlsplit
 
 from ....protocol.mistakes import WrongType, WrongValue
 from ....protocol.plain import without_controls
 from ....security.renewed import Renewed
+from ...server_url import url_without_login
 from ...tasks import finish
 from ..readings import Reading
 from .output import OutputError, ReadingsRefused
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     import httpx
 
 __all__ = ["InfluxServer"]
+
+PORTS = {"http": 80, "https": 443}
+"""Scheme -> port of a URL without one."""
 
 # Seconds for a server to take a batch, whatever it does meanwhile.
 TIMEOUT = 30.0
@@ -72,8 +75,9 @@ class InfluxServer:
         token: str | SecretFile | None = None,
         ca: str | None = None,
     ) -> None:
-        base, place, is_secure = _base(url)
-        self.name: str = f"influx {place}"
+        server = url_without_login(url, PORTS, "http://192.0.2.1:8086", may_have_path=True)
+        base, is_secure = url.rstrip("/"), server.scheme == "https"
+        self.name: str = f"influx {server.place}"
         given = {"database": database, "bucket": bucket, "organization": organization}
         for key, value in {**given, "user": user}.items():
             if value is not None and (not isinstance(value, str) or not value):
@@ -206,27 +210,3 @@ def _check(
         raise WrongValue("user", "and password must be given together")
     if user is not None and token is not None:
         raise WrongValue("token", "cannot be used with user")
-
-
-def _base(url: object) -> tuple[str, str, bool]:
-    """Return the beginning of all URLs of a server, its host and port, and whether TLS is used."""
-    if not isinstance(url, str):
-        raise WrongType("url", f"must be text, not {type(url).__name__}")
-    parts = urlsplit(url)
-    if parts.username is not None or parts.password is not None:
-        raise WrongValue.about("url", "write user and password as keys of their own")
-    try:
-        port = parts.port
-    except ValueError:
-        port = 0
-    is_plain = url.isascii() and url.isprintable() and " " not in url
-    if (
-        parts.scheme not in ("http", "https")
-        or not (parts.hostname and is_plain)
-        or parts.query
-        or parts.fragment
-        or port == 0
-    ):
-        raise WrongValue("url", f'must be such as "http://192.0.2.1:8086", not {url!r}')
-    place = parts.netloc if port else f"{parts.netloc}:{443 if parts.scheme == 'https' else 80}"
-    return url.rstrip("/"), place, parts.scheme == "https"

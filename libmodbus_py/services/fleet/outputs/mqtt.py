@@ -15,12 +15,12 @@ from collections.abc import Callable, Coroutine, Hashable, Iterator, Mapping, Se
 from functools import partial
 from itertools import chain, islice
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
 
 from ....protocol.checks import integer
 from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType, WrongValue
 from ....security.renewed import Renewed
+from ...server_url import url_without_login
 from ...tasks import end_tasks, finish
 from ..buffer import MOST_KEPT
 from ..commands import Commands, encoded, wanted_of
@@ -129,8 +129,8 @@ class Mqtt:
         max_message: int | None = None,
         buffer: int = MOST_KEPT,
     ) -> None:
-        self._host, self._port, self._is_secure = _place(url)
-        self.name: str = f"mqtt {self._host}:{self._port}"
+        self._server = server = url_without_login(url, SCHEMES, "mqtt://192.0.2.1:1883")
+        self.name: str = f"mqtt {server.host}:{server.port}"
         self.buffer: int = buffer
         if password is not None and user is None:
             raise WrongValue("user", "must be given with a password")
@@ -154,7 +154,7 @@ class Mqtt:
         self._retain = retain
         self._messages = self._messages_of(retain, max_message)
         self._qos = integer("qos", qos, 0, 1)
-        if ca is not None and not self._is_secure:
+        if ca is not None and server.scheme != "mqtts":
             raise WrongValue("ca", "can only be used with mqtts://")
         self._ca = ca
         self._password = password
@@ -211,15 +211,17 @@ class Mqtt:
             raise OutputError("MQTT needs aiomqtt: pip install 'libmodbus-py[mqtt]'") from None
         will = aiomqtt.Will(self._status, OFFLINE, 1, True) if self._status else None
         client = aiomqtt.Client(
-            self._host,
-            self._port,
+            self._server.host,
+            self._server.port,
             **self._options,  # type: ignore[arg-type]
             password=await asyncio.to_thread(text_of, self._password),
             will=will,
             timeout=TIMEOUT,
             keepalive=30,
             max_inflight_messages=TOGETHER,
-            tls_context=await asyncio.to_thread(self._context) if self._is_secure else None,
+            tls_context=await asyncio.to_thread(self._context)
+            if self._server.scheme == "mqtts"
+            else None,
             max_queued_incoming_messages=MOST_MESSAGES,
             logger=_Debugging(f"{__name__}.client"),  # type: ignore[arg-type]
             socket_options=[NO_DELAY],
@@ -421,21 +423,6 @@ async def _all(publishing: list[Coroutine[Any, Any, None]]) -> None:
     for outcome in await asyncio.gather(*publishing, return_exceptions=True):
         if isinstance(outcome, BaseException):
             raise outcome
-
-
-def _place(url: object) -> tuple[str, int, bool]:
-    if not isinstance(url, str):
-        raise WrongType("url", f"must be text, not {type(url).__name__}")
-    parts = urlsplit(url)
-    if parts.username is not None or parts.password is not None:
-        raise WrongValue.about("url", "write user and password as keys of their own")
-    if parts.scheme not in SCHEMES or not parts.hostname or parts.path not in ("", "/"):
-        raise WrongValue("url", f'must be such as "mqtt://192.0.2.1:1883", not {url!r}')
-    try:
-        port = parts.port or SCHEMES[parts.scheme]
-    except ValueError:
-        raise WrongValue.about("url", f"the port must be in 1..65535: {url!r}") from None
-    return parts.hostname, port, parts.scheme == "mqtts"
 
 
 def _of_devices(template: str, topic: Topic, point: Topic, status: str) -> Topic | None:

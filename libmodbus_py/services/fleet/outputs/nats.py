@@ -6,10 +6,9 @@ share a fleet use `workers`.
 from __future__ import annotations
 
 from typing import Any
-from urllib.parse import urlsplit
 
 from ....protocol.checks import integer, seconds
-from ...engine.connection import connected, disconnect, parse_servers, shown
+from ...engine.connection import connected, disconnect, parse_servers, places, shown
 from ...engine.errors import EngineError
 from ..buffer import MOST_KEPT
 from .output import OutputError
@@ -18,8 +17,6 @@ from .stream import LIMITS, STREAM, Stream
 __all__ = ["Nats"]
 
 MOST_BYTES = 1 << 40
-
-PORT = 4222
 
 
 class Nats(Stream):
@@ -56,7 +53,7 @@ class Nats(Stream):
         super().__init__(None, limits)
         self.name: str = f"nats {shown(self._servers)}"
         self.exclusive: tuple[str, ...] = tuple(
-            f"the stream {STREAM} of {_place(server)}" for server in self._servers
+            f"the stream {STREAM} of {place}" for place in places(self._servers)
         )
 
     async def open(self) -> None:
@@ -75,9 +72,3 @@ class Nats(Stream):
         client, self._client = self._client, None
         if client is not None:
             await disconnect(client)
-
-
-def _place(server: str) -> str:
-    """Return the host and port of a server, spelled in one way."""
-    parts = urlsplit(server)
-    return f"{parts.hostname}:{parts.port or PORT}"
