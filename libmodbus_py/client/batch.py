@@ -152,10 +152,6 @@ class Batch:
         """When a batch has waited for a connection for its timeout, which may be changed."""
         return self.since + self.timeouts.timeout
 
-    @property
-    def has_next(self) -> bool:
-        return self.started < self.end
-
     def matters(self, index: int) -> bool:
         """Return True if the outcome of this request can still change that of the batch."""
         return index < self.end

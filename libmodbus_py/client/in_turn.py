@@ -205,7 +205,7 @@ class InTurn(Matching):
                 self._is_noisy = True
                 self.is_clean = False
             elif each.unit != pending.batch.unit:
-                self._note_other(pending, each.unit, now)
+                self._note_other(each.unit, now)
             elif each.pdu == (request := pending.batch.pdus[pending.index]) and self._is_echo(
                 pending, request, now
             ):
@@ -248,7 +248,7 @@ class InTurn(Matching):
         if self._trace.is_on:
             self._trace.tell("received", error.received)
 
-    def _note_other(self, pending: Pending, unit: int, now: float) -> None:
+    def _note_other(self, unit: int, now: float) -> None:
         """Another unit's answer does not end the wait (serial line, 2.4.1)."""
         self._is_noisy = True
         if unit in self._doubts:

@@ -24,7 +24,7 @@ from collections.abc import Mapping as MappingABC
 from typing import Any, NamedTuple, Protocol
 
 from ..protocol.checks import integer, shown
-from ..protocol.json_text import each_once
+from ..protocol.json_text import JSON, each_once
 from ..protocol.mistakes import Path, WrongType, WrongValue
 from ..protocol.tables import TABLE_SIZE, TABLES
 
@@ -91,7 +91,7 @@ def text_of(units: MappingABC[int | None, UnitValues]) -> str:
     for unit, values in units.items():
         lines += _lines_of(unit, values)
     lines.append({"end": len(lines)})
-    return "".join(f"{json.dumps(line, ensure_ascii=False)}\n" for line in lines)
+    return "".join(f"{JSON.encode(line)}\n" for line in lines)
 
 
 def _lines_of(unit: int | None, given: UnitValues) -> Iterator[dict[str, Any]]:

@@ -37,7 +37,7 @@ def typed_value(point: Point, text: str) -> Any:
     if point.states is not None:
         return _state(point.states, text.strip())
     if point.bits is not None:
-        return _named_bits(point, text)
+        return _named_bits(text)
     kind, meaning = point.read.kind, point.meaning
     part = None if meaning is None else meaning.part
     if kind is None or (part is not None and part.is_flag):
@@ -62,7 +62,7 @@ def _state(states: Mapping[int, str], text: str) -> str | int:
         raise ValueError(f"value must be one of {allowed}, or a number, not {text!r}") from None
 
 
-def _named_bits(point: Point, text: str) -> dict[str, int]:
+def _named_bits(text: str) -> dict[str, int]:
     """Return the bits of "door=1, mode=5", or of a JSON object."""
     if text.lstrip().startswith("{"):
         return _object(text)

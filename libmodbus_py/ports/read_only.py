@@ -62,7 +62,7 @@ class ReadOnlySerialPort(SerialPort):
     def _set_up(self, descriptor: int) -> None:
         before = termios.tcgetattr(descriptor)
         self._process = os.getpid()
-        if (other := _other_user(self.device, descriptor)) is None:
+        if (other := _other_user(descriptor)) is None:
             self._restored = before
             self._set(descriptor)
             termios.tcflush(descriptor, termios.TCIFLUSH)
@@ -110,7 +110,7 @@ class ReadOnlySerialPort(SerialPort):
         self._release()
 
 
-def _other_user(device: str, descriptor: int) -> str | None:
+def _other_user(descriptor: int) -> str | None:
     """Return the name of another process that has the port open, as far as this user may know."""
     number = os.fstat(descriptor).st_rdev
     for link in Path("/proc").glob("[0-9]*/fd/*"):

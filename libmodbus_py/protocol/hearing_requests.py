@@ -107,7 +107,7 @@ class RequestSearch:
             return asks, "request"
         answers = self._end(self._answering, data, at, is_silent)
         if UNFINISHED in (asks, answers) and not is_silent:
-            return self._front_so_far(data, at, asks, answers)
+            return self._front_so_far(data, at, answers)
         # If both fit, nothing within the longer one may count.
         if answers > 0 and (answers > asks or self._is_awaited(data, at)):
             self._awaited = None
@@ -124,7 +124,7 @@ class RequestSearch:
         is_open = UNFINISHED in (asks, NO_FRAME if is_ours else answers)
         return UNFINISHED if is_open else NO_FRAME, "damage"
 
-    def _front_so_far(self, data: bytes, at: int, asks: int, answers: int) -> tuple[int, Kind]:
+    def _front_so_far(self, data: bytes, at: int, answers: int) -> tuple[int, Kind]:
         """As `_front`, while a longer frame may still come: only an awaited answer is certain."""
         if answers > 0 and self._is_awaited(data, at):
             self._awaited = None
