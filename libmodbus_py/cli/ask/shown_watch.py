@@ -59,8 +59,9 @@ class ShownWatch:
         for at, each in enumerate(results):
             if each.failure:
                 self._put_failure(now, unit, at, "bad", each.failure)
+            reason = "Fell" if each.has_fallen else ""
             for row in each.rows:
-                self._put(now, unit, _name(each, row), row.plain, row.unit)
+                self._put(now, unit, _name(each, row), row, reason)
 
     def fail(self, unit: int, reason: str) -> None:
         self._printer.fail(unit, reason)
@@ -70,12 +71,11 @@ class ShownWatch:
             if number == unit:
                 self._put_failure(time.time(), unit, at, "down", reason)
 
-    def _put(self, now: float, unit: int, name: tuple[str, str], text: str, remark: str) -> None:
-        if text == "" and remark.startswith("("):  # the reason why there is no value
-            self._values.put([(now, _device(unit), name[0], None, name[1], "bad", remark[1:-1])])
-        else:
-            value = _value(text)
-            self._values.put([(now, _device(unit), name[0], value, name[1], "good", "")])
+    def _put(self, now: float, unit: int, name: tuple[str, str], row: Any, reason: str) -> None:
+        value, quality = _value(row.plain), "good"
+        if row.plain == "" and row.unit.startswith("("):  # the reason why there is no value
+            value, quality, reason = None, "bad", row.unit[1:-1]
+        self._values.put([(now, _device(unit), name[0], value, name[1], quality, reason)])
 
     def _put_failure(self, now: float, unit: int, at: int, quality: str, reason: str) -> None:
         for name, units in self._names.get((unit, at), []):
@@ -95,7 +95,7 @@ def _name(result: ReadResult, row: Any) -> tuple[str, str]:
     return f"{item.word} {where}", ""
 
 
-def _value(text: str) -> int | float | str:
+def _value(text: str) -> int | float | str | None:
     for kind in (int, float):
         try:
             return kind(text)

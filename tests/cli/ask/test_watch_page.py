@@ -67,3 +67,15 @@ def test_what_fails_is_a_gap_with_its_reason() -> None:
     assert shown.figures() == {"polls": 4, "failed": 2}
     shown.print(1, [good])
     assert [values.cells(row)[1] for row in values.rows()] == ["5", "-"]
+
+
+def test_a_total_that_fell_has_a_mark_for_one_poll() -> None:
+    shown = ShownWatch("meter", Silent())
+    formatter = formatter_of(Item("holding_registers", 7, 1), as_all=False, in_hex=False)
+    good = ReadResult(formatter, [FormattedValue("    7", "5", "5")], {})
+    (values,) = shown.tables
+    found = []
+    for result in (good, good._replace(has_fallen=True), good):
+        shown.print(1, [result])
+        found += [values.cells(row)[6] for row in values.rows()]
+    assert found == [["good", ""], ["good", "Fell"], ["good", ""]]
