@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from ...tools.page.table_source import Older
-from ...tools.page.tables import Column, PageTable, ValuesTable, cell_text
+from ...tools.page.tables import Column, PageTable, Series, ValuesTable, cell_text
 from .config import DeviceConfig
 from .fleet import Fleet
 from .poller import DeviceState, Poller
@@ -32,7 +32,7 @@ class PageOutput:
 
     def __init__(self) -> None:
         self.fleet: Fleet | None = None
-        self.values: ValuesTable = ValuesTable(self._answered_at)
+        self.values: ValuesTable = ValuesTable(self._answered_at, self._is_stepped)
         self._is_new = True
 
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
@@ -54,6 +54,11 @@ class PageOutput:
     def _answered_at(self, device: str) -> float:
         poller = None if self.fleet is None else self.fleet.devices.get(device)
         return 0.0 if poller is None else poller.answered_at
+
+    def _is_stepped(self, device: str, name: str) -> bool:
+        """Return True if a value is reported only when it has changed."""
+        poller = None if self.fleet is None else self.fleet.devices.get(device)
+        return poller is not None and (poller.config.on_change or name in poller.config.dead_bands)
 
 
 class ShownFleet:
@@ -135,6 +140,9 @@ class DevicesTable:
             f"{config.interval:g} s",
             len(row.reads.names),
         ]
+
+    def series(self, name: tuple[str, str], column: str) -> Series | None:
+        return None
 
 
 def _state(row: Poller) -> str:

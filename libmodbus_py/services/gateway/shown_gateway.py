@@ -4,17 +4,16 @@ A gateway as a page shows it: its lines, the units behind them, its clients, and
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from ...ports.trace import Traced
 from ...protocol.pdu.function_codes import REQUESTS
 from ...tools.page.log import Log, request_name
-from ...tools.page.samples import Samples
+from ...tools.page.row_history import RowHistory
 from ...tools.page.shown import ShownServer
 from ...tools.page.table_source import Older
-from ...tools.page.tables import SPARK, Column, PageTable, cell_text
+from ...tools.page.tables import Column, PageTable, Series, cell_text
 from .gateway import Gateway
 from .statistics import LineStatistics, UnitStatistics
 
@@ -22,9 +21,6 @@ __all__ = ["ClientCount", "ShownGateway"]
 
 MOST_ASKING = 2000
 """Clients, units and functions that are counted; the first is dropped for one more."""
-
-# Seconds between two samples of a line.
-SAMPLED = 1.0
 
 NOTHING = ShownServer({}, {})
 
@@ -45,17 +41,24 @@ class ShownGateway:
         self.title = title
         self._gateway = gateway
         self.log: Log = Log(lambda: NOTHING)
-        self._lines = LinesTable(gateway)
+        lines, units = LinesTable(gateway), UnitsTable(gateway)
+        self._histories = (lines.history, units.history)
         self._clients = ClientsTable()
-        self.tables: Sequence[PageTable] = (self._lines, UnitsTable(gateway), self._clients)
+        self.tables: Sequence[PageTable] = (lines, units, self._clients)
 
     def note(self, traced: Traced) -> None:
         """Take what a trace is called with; quickly, because the gateway waits."""
         self.log.note(traced)
         self._clients.note(traced)
+        self._sample()
+
+    def _sample(self) -> None:
+        """Sample numbers over time, also those of times at which nobody looks."""
+        for each in self._histories:
+            each.sample()
 
     def figures(self) -> Mapping[str, float]:
-        self._lines.sample()
+        self._sample()
         server, traffic = self._gateway.statistics, self._gateway.traffic
         lines = traffic.lines.copy().values()
         return {
@@ -67,8 +70,28 @@ class ShownGateway:
         }
 
 
+class LineCounts(NamedTuple):
+    """Counters of a line, from which its numbers over time are made."""
+
+    requests: int
+    waiting: int
+
+
+def _line_counts(line: LineStatistics) -> LineCounts:
+    return LineCounts(line.connection.requests, line.waiting)
+
+
+def _line_figures(before: LineCounts, now: LineCounts, passed: float) -> dict[str, float | None]:
+    return {"rate": _rate(before.requests, now.requests, passed), "queue": now.waiting}
+
+
 class LinesTable:
-    """See `PageTable`: each line, its queue and its state."""
+    """
+    See `PageTable`: each line, its queue and its state.
+
+    Attributes:
+        history: requests a second, and how many wait.
+    """
 
     name: str = "lines"
     title: str = "Lines"
@@ -79,6 +102,7 @@ class LinesTable:
         Column("waiting", "number"),
         Column("in flight", "number", is_wide=True),
         Column("rate", "spark"),
+        Column("queue", "spark", is_wide=True),
         Column("requests", "number", is_wide=True),
         Column("answers", "number", is_wide=True),
         Column("full", "number", is_wide=True),
@@ -87,20 +111,15 @@ class LinesTable:
     def __init__(self, gateway: Gateway) -> None:
         self._gateway = gateway
         self._rows: list[LineStatistics] = []
-        self._samples: dict[str, tuple[Samples, int]] = {}
-        self._sampled = 0.0
+        self.history = RowHistory(
+            self._named, _line_counts, _line_figures, {"rate": "requests/s", "queue": "requests"}
+        )
 
-    def sample(self) -> None:
-        """Count the requests of each line since the last sample."""
-        now = time.time()
-        if (passed := now - self._sampled) < SAMPLED:
-            return
-        before, self._samples, self._sampled = self._samples, {}, now
-        for each in self.rows():
-            count = each.connection.requests
-            samples, last = before.get(each.url) or (Samples(SPARK), count)
-            samples.add(now, max(0, count - last) / passed)
-            self._samples[each.url] = samples, count
+    def _named(self) -> Iterator[tuple[tuple[str, str], LineStatistics]]:
+        return (
+            (("", cell_text(each.url)), each)
+            for each in self._gateway.traffic.lines.copy().values()
+        )
 
     def rows(self) -> list[LineStatistics]:
         rows = list(self._gateway.traffic.lines.copy().values())
@@ -117,26 +136,60 @@ class LinesTable:
         return bool(row.trouble)
 
     def stamp(self, row: LineStatistics) -> object:
-        return row.connection.requests, row.waiting, row.in_flight, row.trouble, self._sampled
+        return row.connection.requests, row.waiting, row.in_flight, row.trouble, self.history.at
 
     def cells(self, row: LineStatistics) -> list[Any]:
-        samples = self._samples.get(row.url)
+        name = "", cell_text(row.url)
         state = "down" if row.trouble else "open" if row.connection.connects else "new"
         return [
-            ["", cell_text(row.url)],
+            [*name],
             [state, cell_text(row.trouble.rpartition("): ")[2]), cell_text(row.trouble)],
             round(row.since, 1),
             row.waiting,
             row.in_flight,
-            [] if samples is None else samples[0].spark(SPARK),
+            self.history.spark(name, "rate"),
+            self.history.spark(name, "queue"),
             row.connection.requests,
             row.connection.responses,
             row.full,
         ]
 
+    def series(self, name: tuple[str, str], column: str) -> Series | None:
+        return self.history.series(name, column)
+
+
+UnitRow = tuple[str, int, UnitStatistics]
+
+
+class UnitCounts(NamedTuple):
+    """Counters of a unit, from which its numbers over time are made."""
+
+    requests: int
+    answers: int
+    seconds: float
+
+
+def _unit_counts(row: UnitRow) -> UnitCounts:
+    return UnitCounts(row[2].requests, row[2].answers, row[2].seconds)
+
+
+def _unit_figures(before: UnitCounts, now: UnitCounts, passed: float) -> dict[str, float | None]:
+    answers = now.answers - before.answers
+    took = round((now.seconds - before.seconds) / answers * 1000, 2) if answers > 0 else None
+    return {"rate": _rate(before.requests, now.requests, passed), "time": took}
+
+
+def _rate(before: int, now: int, passed: float) -> float:
+    return round(max(0, now - before) / passed, 2)
+
 
 class UnitsTable:
-    """See `PageTable`: each unit that requests were sent to, and whether it answers."""
+    """
+    See `PageTable`: each unit that requests were sent to, and whether it answers.
+
+    Attributes:
+        history: requests a second, and the mean time of the answers.
+    """
 
     name: str = "units"
     title: str = "Units"
@@ -151,38 +204,48 @@ class UnitsTable:
         Column("resting", "number", is_wide=True),
         Column("cached", "number", is_wide=True),
         Column("mean", "number", is_wide=True),
+        Column("rate", "spark"),
+        Column("time", "spark", is_wide=True),
     )
 
     def __init__(self, gateway: Gateway) -> None:
         self._gateway = gateway
-        self._rows: list[tuple[str, int, UnitStatistics]] = []
+        self._rows: list[UnitRow] = []
+        self.history = RowHistory(
+            self._named, _unit_counts, _unit_figures, {"rate": "requests/s", "time": "ms"}
+        )
 
-    def rows(self) -> list[tuple[str, int, UnitStatistics]]:
-        rows = [
-            (line.url, number, unit)
-            for line in self._gateway.traffic.lines.copy().values()
-            for number, unit in sorted(line.units.copy().items())
-        ]
+    def _named(self) -> Iterator[tuple[tuple[str, str], UnitRow]]:
+        return ((_unit_name(row), row) for row in self._units())
+
+    def _units(self) -> Iterator[UnitRow]:
+        for line in self._gateway.traffic.lines.copy().values():
+            for number, unit in line.units.copy().items():
+                yield line.url, number, unit
+
+    def rows(self) -> list[UnitRow]:
+        rows = sorted(self._units(), key=lambda row: row[:2])
         if [each[:2] for each in rows] != [each[:2] for each in self._rows]:
             self._rows = rows
         return self._rows
 
-    def words(self, row: tuple[str, int, UnitStatistics]) -> str:
+    def words(self, row: UnitRow) -> str:
         return f"{row[0]} unit {row[1]}".lower()
 
-    def is_trouble(self, row: tuple[str, int, UnitStatistics]) -> bool:
+    def is_trouble(self, row: UnitRow) -> bool:
         return row[2].is_silent
 
-    def stamp(self, row: tuple[str, int, UnitStatistics]) -> object:
+    def stamp(self, row: UnitRow) -> object:
         unit = row[2]
-        return unit.requests, unit.answers, unit.resting, unit.cached, unit.is_silent
+        counts = unit.requests, unit.answers, unit.resting, unit.cached
+        return *counts, unit.is_silent, self.history.at
 
-    def cells(self, row: tuple[str, int, UnitStatistics]) -> list[Any]:
-        url, number, unit = row
+    def cells(self, row: UnitRow) -> list[Any]:
+        unit, name = row[2], _unit_name(row)
         mean = f"{unit.seconds / unit.answers * 1000:.1f} ms" if unit.answers else ""
         state = "silent" if unit.is_silent else "answers" if unit.answers else "new"
         return [
-            [cell_text(url), f"unit {number}"],
+            [*name],
             [state, f"{unit.resting} refused meanwhile" if unit.is_silent else ""],
             unit.requests,
             unit.answers,
@@ -192,7 +255,16 @@ class UnitsTable:
             unit.resting,
             unit.cached,
             mean,
+            self.history.spark(name, "rate"),
+            self.history.spark(name, "time"),
         ]
+
+    def series(self, name: tuple[str, str], column: str) -> Series | None:
+        return self.history.series(name, column)
+
+
+def _unit_name(row: UnitRow) -> tuple[str, str]:
+    return cell_text(row[0]), f"unit {row[1]}"
 
 
 class ClientCount:
@@ -275,6 +347,9 @@ class ClientsTable:
             row.exceptions,
             round(row.time, 1),
         ]
+
+    def series(self, name: tuple[str, str], column: str) -> Series | None:
+        return None
 
 
 def _asking_order(row: ClientCount) -> tuple[str, int, int]:

@@ -23,4 +23,5 @@ faults; or of tables of values that arrive, as those of a fleet.
     table_source     tables: the rows that a page looks at, and the history of a value
       tables         columns, rows and values
       samples        the last numbers of a value, in few bytes
+      row_history    numbers of rows over time, made of counters
 """

@@ -11,10 +11,24 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-__all__ = ["MOST_PAIRS", "MOST_SAMPLES", "Samples", "charted", "thinned"]
+__all__ = [
+    "MOST_BYTES",
+    "MOST_PAIRS",
+    "MOST_SAMPLES",
+    "Samples",
+    "charted",
+    "samples_of_each",
+    "thinned",
+]
 
 MOST_SAMPLES = 600
 """The most samples of one value: at one a second, those of ten minutes."""
+
+FEWEST = 60
+"""Samples of a value, however many values there are."""
+
+MOST_BYTES = 64_000_000
+"""Bytes of the samples of all values, of which each has 16."""
 
 MOST_PAIRS = 1000
 """Samples of a chart."""
@@ -30,6 +44,11 @@ GREATEST = sys.float_info.max
 LEVELS = 20
 
 Pairs = list[tuple[float, "float | None"]]
+
+
+def samples_of_each(count: int) -> int:
+    """Return how many samples each of so many values may have."""
+    return max(FEWEST, min(MOST_SAMPLES, MOST_BYTES // 16 // max(1, count)))
 
 
 class Samples:
@@ -120,7 +139,7 @@ class Samples:
         return [int((each - low) * by) if each == each else -1 for each in values]
 
 
-def charted(pairs: Pairs, now: float, units: str) -> dict[str, Any]:
+def charted(pairs: Pairs, now: float, units: str, *, is_stepped: bool = False) -> dict[str, Any]:
     """Return samples as JSON for a chart."""
     kept = thinned(pairs, MOST_PAIRS)
     return {
@@ -128,6 +147,7 @@ def charted(pairs: Pairs, now: float, units: str) -> dict[str, Any]:
         "times": [round(at, 2) for at, _ in kept],
         "values": [each for _, each in kept],
         "units": units,
+        "is_stepped": is_stepped,
     }
 
 

@@ -12,7 +12,7 @@ from ...protocol.checks import integer, number
 from .log import Log
 from .samples import MOST_PAIRS, Pairs, charted
 from .source import Action, Changes, Download
-from .tables import PageTable, TableValue, ValuesTable, cell_text
+from .tables import PageTable, cell_text
 
 __all__ = ["MOST_VISIBLE", "Older", "Shown", "TableSource", "TableView"]
 
@@ -66,7 +66,7 @@ class Shown(Protocol):
 
     @property
     def older(self) -> Older | None:
-        """Finds samples that are not in memory any more; None without a journal."""
+        """Finds samples of values that are not in memory any more; None without a journal."""
         ...
 
     def figures(self) -> Mapping[str, float]:
@@ -159,24 +159,30 @@ class TableSource:
     # --- history -------------------------------------------------------------------------------
 
     def _history(self, given: Mapping[str, Any]) -> Changes:
-        values = self._tables.get("values")
-        found = given["row"]
-        if not isinstance(values, ValuesTable) or not isinstance(found, list) or len(found) != 2:
-            raise ValueError("row must be a device and a name")
-        value = values.find(*found)
-        if value is None:
+        table, name, column = given["table"], given["row"], given["column"]
+        if not isinstance(table, str) or table not in self._tables:
+            raise ValueError("there is no such table")
+        if not isinstance(name, list) or len(name) != 2 or not _are_texts([*name, column]):
+            raise ValueError("row must be two texts, and column one")
+        series = self._tables[table].series((name[0], name[1]), column)
+        if series is None:
             raise ValueError("there is no such value any more")
         now = time.time()
         since = now - number("seconds", given["seconds"], 1, MOST_SECONDS)
-        return charted(self._with_older(value, since, now), now, cell_text(value.units))
+        pairs = series.samples.pairs(since)
+        pairs = self._with_older(pairs, name, since, now)
+        return charted(pairs, now, cell_text(series.units), is_stepped=series.is_stepped)
 
-    def _with_older(self, value: TableValue, since: float, now: float) -> Pairs:
-        recent = value.samples.pairs(since)
+    def _with_older(self, recent: Pairs, name: Sequence[str], since: float, now: float) -> Pairs:
         until = recent[0][0] if recent else now
         if self._shown.older is None or until - since < SHORTEST:
             return recent
-        older = self._shown.older(value.device, value.name, since, until, 4 * MOST_PAIRS)
+        older = self._shown.older(name[0], name[1], since, until, 4 * MOST_PAIRS)
         return [*(each for each in older if each[0] < until), *recent]
+
+
+def _are_texts(given: Sequence[object]) -> bool:
+    return all(isinstance(each, str) for each in given)
 
 
 class TableView:

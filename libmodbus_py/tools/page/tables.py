@@ -8,21 +8,24 @@ import reprlib
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Literal, NamedTuple, Protocol
 
-from .samples import MOST_SAMPLES, Samples
+from .samples import Samples, samples_of_each
 
-__all__ = ["Column", "PageTable", "TableValue", "ValuesTable", "cell_text", "value_text"]
+__all__ = [
+    "SPARK",
+    "Column",
+    "PageTable",
+    "Series",
+    "TableValue",
+    "ValuesTable",
+    "cell_text",
+    "value_text",
+]
 
 MOST_TEXT = 200
 """Characters of a cell."""
 
-MOST_BYTES = 64_000_000
-"""Bytes of the samples of all values, of which each has 16."""
-
 SPARK = 60
 """Samples of a sparkline."""
-
-FEWEST = 60
-"""Samples of a value, however many values there are."""
 
 MOST_VALUES = 20
 """Items of a list that a cell shows."""
@@ -35,7 +38,7 @@ class Column(NamedTuple):
     Attributes:
         title: of the column, as text.
         kind: how its cells are shown: "row" names the row, "age" and "since" are times in seconds
-            since the epoch, "state" is good or not, "spark" are levels.
+            since the epoch, "state" is good or not, "spark" are levels, of which there is a chart.
         is_wide: True if telephones leave it out.
     """
 
@@ -44,6 +47,21 @@ class Column(NamedTuple):
         "text"
     )
     is_wide: bool = False
+
+
+class Series(NamedTuple):
+    """
+    What a chart shows.
+
+    Attributes:
+        samples: the numbers.
+        units: of them, as text.
+        is_stepped: True if a number holds until the next one, because it comes when it changes.
+    """
+
+    samples: Samples
+    units: str
+    is_stepped: bool = False
 
 
 class PageTable(Protocol):
@@ -86,6 +104,16 @@ class PageTable(Protocol):
         """Return a cell for each column."""
         ...
 
+    def series(self, name: tuple[str, str], column: str) -> Series | None:
+        """
+        Return the numbers of a sparkline; None if there is none any more.
+
+        Args:
+            name: the first two texts of the cell that names the row.
+            column: the title of the column.
+        """
+        ...
+
 
 class TableValue:
     """
@@ -114,6 +142,7 @@ class ValuesTable:
     Args:
         seen: returns when a device was last asked with success, in seconds since the epoch; a value
             that is good is as old as that, or as its reading.
+        is_stepped: called with device and name; see `Series`.
     """
 
     name: str = "values"
@@ -129,8 +158,13 @@ class ValuesTable:
         Column("age", "age", is_wide=True),
     )
 
-    def __init__(self, seen: Callable[[str], float] = lambda device: 0.0) -> None:
+    def __init__(
+        self,
+        seen: Callable[[str], float] = lambda device: 0.0,
+        is_stepped: Callable[[str, str], bool] = lambda device, name: False,
+    ) -> None:
         self._seen = seen
+        self._is_stepped = is_stepped
         self._values: dict[tuple[str, str], TableValue] = {}
         self._rows: list[TableValue] = []
 
@@ -143,7 +177,7 @@ class ValuesTable:
         """
         before, after = self._values, dict[tuple[str, str], TableValue]()
         given = list(points)
-        most = max(FEWEST, min(MOST_SAMPLES, MOST_BYTES // 16 // max(1, len(given))))
+        most = samples_of_each(len(given))
         for device, name, units in given:
             value = before.get((device, name)) or TableValue(device, name, units, Samples(most))
             value.units = units
@@ -160,11 +194,11 @@ class ValuesTable:
                 value.reading = each
                 value.samples.add(each[0], each[3])
 
-    def find(self, device: object, name: object) -> TableValue | None:
-        """Return a value; None if there is none of this name."""
-        if not isinstance(device, str) or not isinstance(name, str):
+    def series(self, name: tuple[str, str], column: str) -> Series | None:
+        value = self._values.get(name)
+        if value is None:
             return None
-        return self._values.get((device, name))
+        return Series(value.samples, value.units, self._is_stepped(*name))
 
     # --- the table -----------------------------------------------------------------------------
 

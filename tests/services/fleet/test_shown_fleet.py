@@ -13,6 +13,10 @@ from libmodbus_py.services.fleet.shown_fleet import PageOutput, ShownFleet
 from tests.services.fleet.fleets import Peer, good, meter, simulated_run, until
 
 
+def row_of(values: Any, device: str, name: str) -> Any:
+    return next(row for row in values.rows() if (row.device, row.name) == (device, name))
+
+
 def cells(table: Any) -> dict[str, list[Any]]:
     """The cells of each row, by the name of the row."""
     return {" ".join(row[0][:2]).strip(): row for row in map(table.cells, table.rows())}
@@ -80,12 +84,13 @@ def test_a_value_that_is_only_reported_when_it_changes_is_as_old_as_the_last_pol
             values, _ = shown_of(fleet, output)
             async with fleet:
                 await until(lambda: cells(values).get("a power", [0, 0])[1] == "7")
-                row = values.find("a", "power")
+                row = row_of(values, "a", "power")
                 polls = fleet.statistics.polls
                 await until(lambda: fleet.statistics.polls > polls + 3)
                 answered = fleet.devices["a"].answered_at
                 assert answered > row.reading[0]
                 assert values.cells(row)[7] == round(answered, 1)
+                assert values.series(("a", "power"), "last values").is_stepped
 
     simulated_run(go())
 
@@ -99,12 +104,12 @@ def test_devices_that_are_replaced_while_somebody_looks() -> None:
             async with fleet:
                 await until(lambda: fleet.statistics.up == 2)
                 await until(lambda: len(cells(values)) == 6)
-                row = values.find("b", "power")
+                row = row_of(values, "b", "power")
                 fleet.replace([meter("b", peer.url, unit=2), meter("c", peer.url, unit=3)])
                 assert sorted(cells(states)) == ["b", "c"]
                 await until(lambda: "c power" in cells(values))
                 assert "a power" not in cells(values)
-                assert values.find("b", "power") is row  # with all its samples
+                assert row_of(values, "b", "power") is row  # with all its samples
                 assert values.cells(row)[1] == "7"
 
     simulated_run(go())

@@ -34,10 +34,12 @@ class Plant:
     kind = "fleet"
     log = None
 
-    def __init__(self, title: str = "plant.toml", older: Any = None) -> None:
+    def __init__(
+        self, title: str = "plant.toml", older: Any = None, stepped: str | None = None
+    ) -> None:
         self.title = title
         self.older = older
-        self.values = ValuesTable()
+        self.values = ValuesTable(is_stepped=lambda device, name: name == stepped)
         self.tables = [self.values]
         self.counts: dict[str, float] = {"devices": 1, "down": 0}
 

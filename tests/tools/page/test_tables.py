@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 
 from libmodbus_py.tools.page.page import table_page
+from libmodbus_py.tools.page.samples import MOST_BYTES
 from libmodbus_py.tools.page.table_source import MOST_VISIBLE, TableSource
-from libmodbus_py.tools.page.tables import MOST_BYTES, ValuesTable, cell_text, value_text
+from libmodbus_py.tools.page.tables import ValuesTable, cell_text, value_text
 from tests.support.cases import each_case
 from tests.tools.page.tables import HOSTILE, Plant, visited
 from tests.tools.page.watching import Visitor
@@ -78,8 +79,8 @@ def test_devices_that_are_replaced_vanish_and_their_history_stays_with_those_tha
         plant.put("a", "x", 5)  # a reading that was under way
         visitor.receive(lambda: visitor.seen["rows"].get("0", [["", ""]])[0][0] == "b")
         assert visitor.seen["rows"]["0"][1:3] == ["2", "A"]
-        assert visitor.post("/history", row=["b", "x"], seconds=60)["values"] == [2]
-        gone = visitor.post("/history", row=["a", "x"], seconds=60)
+        assert visitor.history(row=["b", "x"], seconds=60)["values"] == [2]
+        gone = visitor.history(row=["a", "x"], seconds=60)
         assert gone == "there is no such value any more"
 
 
@@ -96,7 +97,7 @@ def test_history_is_that_of_memory_and_before_it_that_of_the_journal() -> None:
     for at in range(40):
         plant.put("a", "x", 100 + at, now - 40 + at)
     with visited(plant) as visitor:
-        found = visitor.post("/history", row=["a", "x"], seconds=3600)
+        found = visitor.history(row=["a", "x"], seconds=3600)
     assert asked == [("a", "x", 3560, True)]
     assert found["values"] == [1.0, None, 2.0, *range(100, 140)]
     assert len(found["times"]) == len(found["values"])
@@ -131,7 +132,18 @@ def test_wrong_histories_are_refused(row: Any, seconds: Any) -> None:
     plant = Plant()
     plant.values.describe([("a", "x", "V")])
     with visited(plant) as visitor:
-        assert isinstance(visitor.post("/history", row=row, seconds=seconds), str)
+        assert isinstance(visitor.history(row=row, seconds=seconds), str)
+
+
+@each_case(
+    ("table", "column"),
+    [("none", "x"), (["values"], "x"), ("__proto__", "x"), ("values", 1), ("values", None)],
+)
+def test_charts_of_what_is_no_sparkline_are_refused(table: Any, column: Any) -> None:
+    plant = Plant()
+    plant.values.describe([("a", "x", "V")])
+    with visited(plant) as visitor:
+        assert isinstance(visitor.history(["a", "x"], 5, table, column), str)
 
 
 def test_long_names_are_cut_and_hostile_ones_arrive_as_text() -> None:
@@ -147,7 +159,7 @@ def test_long_names_are_cut_and_hostile_ones_arrive_as_text() -> None:
         assert len(visitor.seen["title"]) < 300
         assert names(visitor)[0] == HOSTILE[0]
         assert len(str(visitor.seen["rows"])) < 20_000
-        assert visitor.post("/history", row=["__proto__"] * 2, seconds=5)["values"] == [None]
+        assert visitor.history(row=["__proto__"] * 2, seconds=5)["values"] == [None]
 
 
 @each_case(
@@ -177,9 +189,9 @@ def test_the_samples_of_many_values_take_a_bounded_memory() -> None:
     values.describe([("a", str(at), "") for at in range(20_000)])
     for at in range(1000):
         values.put([(float(at), "a", "7", at)])
-    row = values.find("a", "7")
-    assert row is not None
-    assert len(row.samples) == MOST_BYTES // 16 // 20_000
+    series = values.series(("a", "7"), "last values")
+    assert series is not None
+    assert len(series.samples) == MOST_BYTES // 16 // 20_000
 
 
 def test_two_pages_cannot_be_at_one_address() -> None:

@@ -129,6 +129,23 @@ def test_the_hours_of_the_journal_are_drawn() -> None:
         person.sees("#read", "lowest 0 V, highest 149 V")
 
 
+def test_values_that_come_when_they_change_are_drawn_as_steps() -> None:
+    """A straight line would show values that there were not."""
+    plant = plant_of(3, stepped="p2")
+    moved_by(plant, 0)
+    with table_page(TableSource(plant)) as page, browser() as driver:
+        person = Person(driver)
+        driver.get(page.url)
+        person.click("#rows tr[data-at='2'] button")
+        person.sees("#read", "lowest 100 V, highest 109 V")
+        path = until(lambda: person.attribute("#plot .line", "d"))
+        assert path.count("M") == 2
+        assert "L" not in path
+        assert path.count("H") > path.count("V") > 50
+        right = float(driver.execute_script("return document.querySelector('#plot').clientWidth"))
+        assert float(path.rpartition("H")[2]) > right - 30  # the last value holds until now
+
+
 @pytest.mark.parametrize("width", [360, 1200])
 def test_names_are_text_and_nothing_sticks_out(width: int) -> None:
     plant = Plant(title="<script>document.title='hit'</script>")

@@ -103,6 +103,12 @@ class Visitor:
         found = json.loads(data)
         return found if status == 200 else found["error"]
 
+    def history(
+        self, row: Any, seconds: Any, table: Any = "values", column: Any = "last values"
+    ) -> Any:
+        """Give the samples of a chart, or the text of the refusal."""
+        return self.post("/history", table=table, row=row, column=column, seconds=seconds)
+
     @contextlib.contextmanager
     def watching(self) -> Iterator[Visitor]:
         """Open the stream; `receive` takes from it."""

@@ -11,12 +11,13 @@ let choose = () => {};
 
 export function onChosen(call) { choose = call; }
 
-const chart = { row: null, seconds: 300, data: null, at: null };
+const chart = { of: null, seconds: 300, data: null, at: null };
 
-export function openChart(row, name) {
-  const isNew = JSON.stringify(row) !== JSON.stringify(chart.row);
-  if (isNew) { chart.row = row; chart.data = null; chart.at = null; }
-  choose(JSON.stringify(row));
+// `of` says what is asked for: a row, and in tables which one and which column.
+export function openChart(of, name) {
+  const isNew = JSON.stringify(of) !== JSON.stringify(chart.of);
+  if (isNew) { chart.of = of; chart.data = null; chart.at = null; }
+  choose(JSON.stringify(of.row));
   $("charted").textContent = name;
   $("chart").hidden = false;
   showSpans();
@@ -24,7 +25,7 @@ export function openChart(row, name) {
 }
 
 export function closeChart() {
-  chart.row = null;
+  chart.of = null;
   $("chart").hidden = true;
   choose("");
 }
@@ -47,12 +48,12 @@ function showSpans() {
 let isAsking = false;
 
 async function refresh() {
-  if (!chart.row || isAsking || document.hidden || document.body.classList.contains("lost")) return;
+  if (!chart.of || isAsking || document.hidden || document.body.classList.contains("lost")) return;
   isAsking = true;
-  const row = chart.row;
+  const of = chart.of;
   try {
-    const found = await post("/history", { row, seconds: chart.seconds });
-    if (row === chart.row) { chart.data = found; draw(); }
+    const found = await post("/history", { ...of, seconds: chart.seconds });
+    if (of === chart.of) { chart.data = found; draw(); }
   } catch (error) {
     $("read").textContent = error.message;
   } finally {
@@ -140,11 +141,15 @@ function draw() {
 function path(x, y) {
   let found = "";
   let isOpen = false;
-  const { times, values } = chart.data;
+  const { now, times, values, is_stepped: isStepped } = chart.data;
   times.forEach((time, at) => {
     if (values[at] === null) { isOpen = false; return; }
-    found += `${isOpen ? "L" : "M"}${x(time).toFixed(1)} ${y(values[at]).toFixed(1)}`;
-    if (!isOpen && (at + 1 === times.length || values[at + 1] === null)) found += "h.1";
+    const [left, top] = [x(time).toFixed(1), y(values[at]).toFixed(1)];
+    if (!isOpen) found += `M${left} ${top}`;
+    else found += isStepped ? `H${left}V${top}` : `L${left} ${top}`;
+    const isLast = at + 1 === times.length;
+    if (isStepped && (isLast || values[at + 1] === null)) found += `H${x(isLast ? now : times[at + 1]).toFixed(1)}`;
+    else if (!isOpen && (isLast || values[at + 1] === null)) found += "h.1";
     isOpen = true;
   });
   return found;

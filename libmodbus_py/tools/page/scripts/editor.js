@@ -135,7 +135,7 @@ $("list").addEventListener("click", (event) => {
   if (!button) return;
   if (button.dataset.chart !== undefined) {
     const [name] = unit().points[Number(button.dataset.chart)];
-    openChart([view.unit, name], name);
+    openChart({ row: [view.unit, name] }, name);
     return;
   }
   if (button.dataset.point !== undefined) editPoint(Number(button.dataset.point));

@@ -58,12 +58,23 @@ function showTabs() {
 $("find").addEventListener("input", () => { clear(); remember(); look(); });
 $("trouble").addEventListener("change", () => { clear(); look(); });
 $("finding").addEventListener("submit", (event) => event.preventDefault());
+const isSpark = ([, kind]) => kind === "spark";
+
+// The sparkline that was clicked, or the first one of the row.
+function sparkOf(at) {
+  const { columns } = grid.table;
+  return (columns[at] && isSpark(columns[at]) ? columns[at] : columns.find(isSpark))?.[0];
+}
+
 $("rows").addEventListener("click", (event) => {
   const row = event.target.closest("tr");
   const cells = row && grid.rows.get(Number(row.dataset.at));
   if (!cells) return;
-  if (grid.table.name === "values") {
-    openChart(cells[0].slice(0, 2), cells[0].slice(0, 2).filter(Boolean).join("  "));
+  const column = sparkOf([...row.children].indexOf(event.target.closest("td, th")));
+  if (column) {
+    const name = cells[0].slice(0, 2);
+    const isOne = grid.table.columns.filter(isSpark).length === 1;
+    openChart({ table: grid.table.name, row: name, column }, [...name, isOne ? "" : column].filter(Boolean).join("  "));
   }
   else if (page.tables[0].name === "values" && grid.table.name === "devices") show("values", cells[0][1]);
 });
