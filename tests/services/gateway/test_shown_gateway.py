@@ -20,6 +20,7 @@ from libmodbus_py import (
 from libmodbus_py.ports.trace import Traced
 from libmodbus_py.services.gateway import shown_gateway
 from libmodbus_py.services.gateway.shown_gateway import ClientsTable, ShownGateway
+from libmodbus_py.tools.page import row_history
 from libmodbus_py.tools.page.page import table_page
 from libmodbus_py.tools.page.table_source import TableSource
 from tests.tools.page.watching import Visitor, until
@@ -84,7 +85,7 @@ def test_lines_units_and_clients_of_a_gateway_on_a_page() -> None:
                     plc.for_unit(unit).read_holding_registers(0, 1)
             rows = cells(lines)
             assert rows[there][1] == ["open", "", ""]
-            assert rows[there][6:8] == [2, 1]
+            assert rows[there][7:9] == [2, 1]
             down = until(lambda: (found := cells(lines)[gone])[1][0] == "down" and found)
             assert "Connection refused" in down[1][2]
             assert down[2] > 0
@@ -104,3 +105,39 @@ def test_lines_units_and_clients_of_a_gateway_on_a_page() -> None:
             visitor.look_at("units", trouble=True)
             visitor.receive(lambda: visitor.seen["rows"])
             assert visitor.seen["rows"]["0"][0][1] == "unit 2"
+
+
+def test_numbers_of_lines_and_units_over_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(row_history, "SAMPLED", 0.0)
+    with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as behind:
+        place = behind.urls[0]
+        gateway = Gateway([Route(place, units="1-2")])
+        shown = ShownGateway("house", gateway)
+        with (
+            gateway.tracing(shown.note),
+            gateway.background("tcp://127.0.0.1:0") as running,
+            Context.from_url(running.urls[0], unit=1) as plc,
+        ):
+            for _ in range(5):  # nobody looks at the page yet
+                plc.read_holding_registers(0, 1)
+        with table_page(TableSource(shown)) as page:
+            visitor = Visitor(page.url)
+            charts = {
+                (table, column): visitor.history(list(name), 60, table, column)
+                for table, name in (("lines", ("", place)), ("units", (place, "unit 1")))
+                for column in ("rate", "queue", "time")
+            }
+            assert visitor.history(["127.0.0.1", "unit 1"], 60, "clients", "requests") == (
+                "there is no such value any more"
+            )
+    assert max(charts["lines", "rate"]["values"]) > 0
+    assert max(charts["units", "rate"]["values"]) > 0
+    assert set(charts["lines", "queue"]["values"]) <= {0, 1}
+    assert all(took is None or 0 < took < 60_000 for took in charts["units", "time"]["values"])
+    units = {key: chart["units"] for key, chart in charts.items() if isinstance(chart, dict)}
+    assert units == {
+        ("lines", "rate"): "requests/s",
+        ("lines", "queue"): "requests",
+        ("units", "rate"): "requests/s",
+        ("units", "time"): "ms",
+    }

@@ -255,6 +255,7 @@ class JournalFile:
             [[last]] = database.execute("SELECT max(id + readings - 1) FROM poll")
             [[begun]] = database.execute("SELECT max(first) FROM run")
             known = max(last or 0, (begun or 1) - 1)
+            is_continued = bool(first)
             first = first or first_id(time.time(), known)
             database.execute(
                 "INSERT OR REPLACE INTO run VALUES (?, ?)",
@@ -268,6 +269,8 @@ class JournalFile:
                 else [(name, first - 1) for name in outputs],
             )
             _forget_runs(database)
+            if not is_continued:  # in which labels of devices are not written again
+                _forget_devices(database)
             runs = database.execute("SELECT first, unused FROM run ORDER BY first").fetchall()
             places = dict(database.execute("SELECT output, confirmed FROM place"))
         return Begun(first, runs, {name: places[name] for name in outputs})
@@ -463,6 +466,16 @@ def _forget_runs(database: sqlite3.Connection) -> None:
     database.execute(
         "DELETE FROM run WHERE first < (SELECT max(first) FROM run WHERE first <= ?)", (oldest,)
     )
+
+
+def _forget_devices(database: sqlite3.Connection) -> None:
+    """Forget devices all of whose readings were deleted, and their points."""
+    unused = (
+        "SELECT id FROM device WHERE NOT EXISTS (SELECT 1 FROM poll WHERE poll.device = device.id)"
+    )
+    for (device,) in database.execute(unused).fetchall():
+        database.execute("DELETE FROM point WHERE device = ?", (device,))
+        database.execute("DELETE FROM device WHERE id = ?", (device,))
 
 
 def _stored(text: str) -> str:
