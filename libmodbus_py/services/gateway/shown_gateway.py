@@ -53,7 +53,7 @@ class ShownGateway:
         self._sample()
 
     def _sample(self) -> None:
-        """Sample numbers over time, also those of times at which nobody looks."""
+        """Sample numbers over time, whether a page is open or not."""
         for each in self._histories:
             each.sample()
 

@@ -51,10 +51,10 @@ class Column(NamedTuple):
 
 class Series(NamedTuple):
     """
-    What a chart shows.
+    The numbers that a chart shows.
 
     Attributes:
-        samples: the numbers.
+        samples: their times and values.
         units: of them, as text.
         is_stepped: True if a number holds until the next one, because it comes when it changes.
     """

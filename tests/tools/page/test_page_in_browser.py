@@ -7,7 +7,16 @@ from __future__ import annotations
 
 import pytest
 
-from libmodbus_py import Context, Device, Fault, Mapping, Server, ServerDeviceBusy
+from libmodbus_py import (
+    Context,
+    Device,
+    Fault,
+    Mapping,
+    Point,
+    RegisterMap,
+    Server,
+    ServerDeviceBusy,
+)
 from libmodbus_py.page import live_page
 from tests.tools.page.browsers import browser, console, missing, resize
 from tests.tools.page.persons import Person
@@ -139,3 +148,39 @@ def test_large_tables_and_a_server_that_goes() -> None:
             person.sees('[data-cell="65535"]', "4711")
             assert driver.switch_to.active_element.get_attribute("data-cell") == "65535"
         person.sees("#state", "no connection")
+
+
+# The tree that screen readers are told: role and name of each row, and of its cells.
+ROWS = """
+const nodes = new Map(arguments[0].map((each) => [each.nodeId, each]));
+const inside = (node) => (node.childIds || []).map((id) => nodes.get(id)).filter(Boolean)
+  .flatMap((each) => each.ignored ? inside(each) : [each]);
+const told = (each) => each.role.value;
+return [...nodes.values()].filter((each) => !each.ignored && told(each) === "row")
+  .map((row) => inside(row).map(told));
+"""
+
+
+def test_values_are_a_table_to_those_who_cannot_see_them() -> None:
+    device = Device.of_map(RegisterMap([Point("level", "holding_registers", 0, units="cm")]))
+    with live_page(Server({1: device})) as page, browser() as driver:
+        person = Person(driver)
+        driver.get(page.url)
+        person.sees("#columns", "Last written")
+        person.sees("[data-point='0']", "0")
+        assert person.attribute("#table", "aria-rowcount") == "2"
+
+        def rows() -> list[list[str]]:
+            command = {"cmd": "Accessibility.getFullAXTree", "params": {}}
+            tree = driver.execute("executeCdpCommand", command)["value"]["nodes"]
+            found: list[list[str]] = driver.execute_script(ROWS, tree)
+            return found
+
+        heads, cells = until(lambda: len(found := rows()) == 2 and found)
+        assert heads == ["columnheader"] * 7
+        assert cells == ["rowheader"] + ["cell"] * 6
+        person.click("#tables button", "olding")
+        person.sees("#columns", "+1")
+        heads, cells = until(lambda: len(found := rows()) == 2 and found)
+        assert set(heads) == {"columnheader"}
+        assert cells == ["rowheader"] + ["cell"] * (len(heads) - 1)

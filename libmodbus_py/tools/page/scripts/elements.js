@@ -9,6 +9,14 @@ export function made(name, text, className) {
   return element;
 }
 
+// An element as a cell of a table; a button stays a button, within the cell.
+export function asCell(child, role = "cell") {
+  const cell = child.tagName === "BUTTON" ? made("span", undefined, "cell") : child;
+  cell.setAttribute("role", role);
+  if (cell !== child) cell.append(child);
+  return cell;
+}
+
 export function clock(seconds) {
   return new Date(seconds * 1000).toLocaleTimeString([], { hour12: false });
 }

@@ -1,6 +1,6 @@
 // The list of points or cells; only the visible rows exist, and are requested.
 
-import { $, made } from "./elements.js";
+import { $, asCell, made } from "./elements.js";
 import { HEIGHT, addressOf, indexOf, layOut, layout } from "./layout.js";
 import { post } from "./requests.js";
 import { cellRow, fillCell, fillPoint, pointRow, template } from "./rows.js";
@@ -44,10 +44,13 @@ export function rebuild() {
   $("space").style.height = `${layout.count * HEIGHT}px`;
   $("empty").hidden = layout.count > 0;
   $("list").hidden = !layout.count;
+  $("table").setAttribute("aria-rowcount", layout.count + 1);
   $("going").hidden = view.what === "points" || layout.count < 40;
   showColumns();
   show();
 }
+
+function heading(text, name) { return asCell(made("span", text, name), "columnheader"); }
 
 function showColumns() {
   const columns = $("columns");
@@ -55,12 +58,12 @@ function showColumns() {
   if (view.what === "points") {
     columns.className = "row columns point";
     for (const [text, name] of [["Name", ""], ["Value", "value"], ["", ""], ["Last values", "wide"], ["Address", "wide"],
-      ["Type", "wide"], ["Last written", "wide"]]) columns.append(made("span", text, name));
+      ["Type", "wide"], ["Last written", "wide"]]) columns.append(heading(text, name));
   } else {
     columns.className = "row columns cells";
     columns.style.gridTemplateColumns = template();
-    columns.append(made("span", "", "at"));
-    for (let at = 0; at < layout.each; at += 1) columns.append(made("span", `+${at}`, "value"));
+    columns.append(heading("", "at"));
+    for (let at = 0; at < layout.each; at += 1) columns.append(heading(`+${at}`, "value"));
   }
   columns.hidden = !layout.count;
 }
@@ -81,6 +84,8 @@ function show() {
       // In their order, for those who go from one to the next with the keyboard.
       const next = [...space.children].find((each) => Number(each.dataset.index) > index);
       row.dataset.index = index;
+      row.setAttribute("role", "row");
+      row.setAttribute("aria-rowindex", index + 2);
       space.insertBefore(row, next || null);
       rows.set(index, row);
     }

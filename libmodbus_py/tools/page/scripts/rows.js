@@ -1,6 +1,6 @@
 // One row of the list: a point, or some cells.
 
-import { clock, glow, made } from "./elements.js";
+import { asCell, clock, glow, made } from "./elements.js";
 import { addressOf, layout } from "./layout.js";
 import { fillSpark, sparkline } from "./spark.js";
 import { SHORT, has, isBits, lastWrite, unit, view } from "./state.js";
@@ -22,9 +22,9 @@ export function pointRow(index) {
   drawing.dataset.chart = index;
   drawing.setAttribute("aria-label", `${name}: chart`);
   drawing.append(sparkline());
-  row.append(label, value, made("span", measure, "faint"), drawing,
-    made("span", `${SHORT[table]} ${address}`, "faint wide"), made("span", kind, "faint wide"),
-    made("span", "", "faint wide written"));
+  const others = [value, made("span", measure, "faint"), drawing, made("span", `${SHORT[table]} ${address}`, "faint wide"),
+    made("span", kind, "faint wide"), made("span", "", "faint wide written")];
+  row.append(asCell(label, "rowheader"), ...others.map((each) => asCell(each)));
   fillPoint(row, index, false);
   return row;
 }
@@ -59,15 +59,15 @@ export function cellRow(index) {
   const first = addressOf(index);
   const row = made("div", undefined, "row cells");
   row.style.gridTemplateColumns = template();
-  row.append(made("span", String(first), "at"));
+  row.append(asCell(made("span", String(first), "at"), "rowheader"));
   for (let at = first; at < first + layout.each; at += 1) {
-    if (!has(at)) { row.append(made("span", "·", "hole")); continue; }
+    if (!has(at)) { row.append(asCell(made("span", "·", "hole"))); continue; }
     const cell = made("button", "", isBits(view.what) ? "value bit" : "value");
     cell.type = "button";
     cell.dataset.cell = at;
     cell.tabIndex = at === view.chosen || (view.chosen === null && at === firstCell()) ? 0 : -1;
     fillCell(cell, at, false);
-    row.append(cell);
+    row.append(asCell(cell));
   }
   return row;
 }
