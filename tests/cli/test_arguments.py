@@ -11,7 +11,13 @@ import pytest
 
 from libmodbus_py import Context, Device, Mapping, Server
 from libmodbus_py.cli.commands import COMMANDS
-from libmodbus_py.ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
+from libmodbus_py.client.options import CheckedOptions
+from libmodbus_py.ports.schemes import (
+    CLIENT_OPTIONS,
+    SECURITY_OPTIONS,
+    SERIAL_DEFAULTS,
+    SERIAL_OPTIONS,
+)
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.cases import each_case
 from tests.support.commands import Started, run
@@ -58,8 +64,9 @@ def test_the_same_option_has_the_same_text_in_all_commands() -> None:
 
 def test_defaults_are_those_of_clients() -> None:
     found = texts("read")
-    assert found["--timeouts-before-reconnect"].endswith("(3)")
-    assert found["--baudrate"].endswith("(19200)")
+    dead = CheckedOptions().timeouts_before_reconnect
+    assert found["--timeouts-before-reconnect"].endswith(f"({dead})")
+    assert found["--baudrate"].endswith(f"({SERIAL_DEFAULTS['baudrate']})")
     assert found["--data-bits"].endswith("(8; ascii: 7)")
     assert found["--order"].endswith("(ABCD)")
     assert texts("gateway")["--max-pause"].endswith("(30)")

@@ -26,6 +26,11 @@ KEY = re.compile(r"^    (\w+): (.*(?:\n        .*)*)", re.MULTILINE)
 
 CLIENTS: dict[str, Any] = {each.name: each.default for each in fields(CheckedOptions)}
 
+NAMED = re.compile(r"([^.|(]*(?:\.\d[^.|(]*)*)\(`(\w+)`\)")
+"""On a page: the words before an option in parentheses, from the beginning of the sentence on."""
+
+NUMBER_WORDS = {"one": 1, "two": 2, "three": 3, "four": 4, "five": 5}
+
 UNSAID = {None, "", False}
 """Defaults that set nothing, and need no words."""
 
@@ -74,3 +79,17 @@ def test_the_page_of_serial_ports_names_the_defaults() -> None:
                 assert value(said) == SERIAL_DEFAULTS[key], key
                 compared.append(key)
     assert compared == ["baudrate", "parity", "stop_bits"]
+
+
+def test_pages_that_name_an_option_with_a_number_name_its_default() -> None:
+    compared = set()
+    for path in DOCS.rglob("*.md"):
+        for words, option in NAMED.findall(" ".join(path.read_text().split())):
+            numbers = [
+                NUMBER_WORDS[each] if each in NUMBER_WORDS else float(each)
+                for each in re.findall(r"\d+(?:\.\d+)?|\b(?:one|two|three|four|five)\b", words)
+            ]
+            if option in CLIENTS and numbers:
+                assert CLIENTS[option] in numbers, f"{path.name}: {words}({option})"
+                compared.add(option)
+    assert compared >= {"keepalive", "timeouts_before_reconnect", "turnaround"}
