@@ -221,12 +221,3 @@ def test_endpoints_at_one_place(one: str, other: str) -> None:
 @each_case(("one", "other"), DIFFERENT)
 def test_endpoints_at_two_places(one: str, other: str) -> None:
     assert parse(one).place != parse(other).place
-
-
-@each_case("scheme", SCHEMES)
-def test_every_scheme_has_a_kind_of_port(scheme: str) -> None:
-    endpoint = Endpoint(scheme, "h", 1)  # type: ignore[arg-type]
-    assert endpoint.is_serial is (scheme in ("rtu", "ascii"))
-    assert endpoint.is_datagram is ("udp" in scheme)
-    assert endpoint.is_secure is (scheme == "tls")
-    assert endpoint.has_transactions is (scheme in ("tcp", "tls", "udp"))

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import pytest
 
-from libmodbus_py.ports.schemes import SCHEMES
+from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS
 from libmodbus_py.ports.trace import Traced
 from tests.support.cases import each_case
 from tests.support.talk import ascii_frame, rtu
@@ -15,27 +15,25 @@ from tests.support.talk import ascii_frame, rtu
 PDU = bytes.fromhex("03 006B 0003")
 MBAP = bytes.fromhex("1501 0000 0006 11") + PDU
 
-ADUS = {
+FRAMES = {
     "tcp": MBAP,
-    "tls": MBAP,
     "udp": MBAP,
     "rtu": rtu("11 03 006B 0003"),
-    "rtu+tcp": rtu("11 03 006B 0003"),
-    "rtu+udp": rtu("11 03 006B 0003"),
     "ascii": ascii_frame("11 03 006B 0003"),
-    "ascii+tcp": ascii_frame("11 03 006B 0003")[:-1] + b";",
+}
+"""Framing -> a frame with this PDU."""
+
+ADUS: dict[str, bytes] = {
+    scheme: FRAMES[framing] for scheme, (framing, _transport) in SCHEMES.items()
 }
 
-PLACES = {"rtu": "/dev/ttyS0?baudrate=9600", "ascii": "/dev/ttyS0"}
+WITH_IDS = [scheme for scheme, adu in ADUS.items() if adu == MBAP]
 
 
 def traced(scheme: str, adu: bytes, unit: int | None, function: int | None) -> Traced:
-    url = f"{scheme}://{PLACES.get(scheme, '[::1]:502')}"
-    return Traced(0.0, url, "received", adu, unit, function)
-
-
-def test_every_scheme_is_here() -> None:
-    assert ADUS.keys() == SCHEMES.keys()
+    is_serial = TRANSPORTS[SCHEMES[scheme][1]].is_serial  # type: ignore[index]
+    place = "/dev/ttyS0?baudrate=9600" if is_serial else "[::1]:502"
+    return Traced(0.0, f"{scheme}://{place}", "received", adu, unit, function)
 
 
 @each_case(("scheme", "adu"), ADUS.items())
@@ -43,12 +41,16 @@ def test_the_pdu_of_an_adu(scheme: str, adu: bytes) -> None:
     assert traced(scheme, adu, 0x11, 3).pdu == PDU
 
 
-@each_case("scheme", ["tcp", "tls", "udp"])
+def test_another_delimiter_is_no_part_of_the_pdu() -> None:
+    assert traced("ascii+tcp", FRAMES["ascii"][:-1] + b";", 0x11, 3).pdu == PDU
+
+
+@each_case("scheme", WITH_IDS)
 def test_an_mbap_header_has_a_transaction(scheme: str) -> None:
     assert traced(scheme, ADUS[scheme], 0x11, 3).transaction == 0x1501
 
 
-@each_case("scheme", ["rtu", "rtu+tcp", "rtu+udp", "ascii", "ascii+tcp"])
+@each_case("scheme", ADUS.keys() - set(WITH_IDS))
 def test_frames_of_lines_have_no_transaction(scheme: str) -> None:
     assert traced(scheme, ADUS[scheme], 0x11, 3).transaction is None
 

@@ -19,18 +19,24 @@ from libmodbus_py.client.blocking import (
     UdpContext,
 )
 from libmodbus_py.client.options import AsyncOptions, CheckedOptions, ContextOptions
+from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.schemes import CLIENT_OPTIONS, SCHEMES, TRANSPORTS, Scheme, Transport
 from libmodbus_py.server.serving import ENDPOINTS
 from tests.support.certificates import Papers
 
-KINDS: dict[str, type[Context]] = {
-    "rtu": RtuContext,
-    "ascii": AsciiContext,
-    "udp": UdpContext,
-    "rtu+udp": UdpContext,
-    "tls": TlsContext,
+KINDS: dict[str, tuple[type[Context], set[str]]] = {
+    "tcp": (TcpContext, {"has_transactions"}),
+    "rtu+tcp": (TcpContext, set()),
+    "ascii+tcp": (TcpContext, set()),
+    "udp": (UdpContext, {"has_transactions", "is_datagram"}),
+    "rtu+udp": (UdpContext, {"is_datagram"}),
+    "tls": (TlsContext, {"has_transactions", "is_secure"}),
+    "rtu": (RtuContext, {"is_serial"}),
+    "ascii": (AsciiContext, {"is_serial"}),
 }
-"""Scheme -> the class of its contexts, where it is not `TcpContext`."""
+"""Scheme -> the class of its contexts, and which of `PROPERTIES` its endpoints have."""
+
+PROPERTIES = ["has_transactions", "is_datagram", "is_secure", "is_serial"]
 
 
 def test_each_transport_has_a_port_an_endpoint_and_a_scheme() -> None:
@@ -45,7 +51,9 @@ def test_each_scheme_has_a_context_and_a_port(scheme: Scheme, tmp_path: Path) ->
     url = f"{scheme}:///dev/null" if rules.is_serial else f"{scheme}://h"
     security = {"security": Papers(tmp_path).client()} if rules.is_secure else {}
     context = Context.from_url(url, **security)
-    assert type(context) is KINDS.get(scheme, TcpContext)
+    kind, has = KINDS[scheme]
+    assert type(context) is kind
+    assert {name for name in PROPERTIES if getattr(parse(url), name)} == has
     module, name = rules.port_class.split(".")
     port = context._driver._port
     assert (type(port).__module__, type(port).__name__) == (f"libmodbus_py.ports.{module}", name)

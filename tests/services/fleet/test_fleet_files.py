@@ -14,6 +14,7 @@ import pytest
 from libmodbus_py import DeviceConfig, Fleet, Point, RegisterMap
 from libmodbus_py.services.fleet.config import by_connection, devices_from_json, devices_to_json
 from libmodbus_py.services.fleet.files import FleetFileError, load
+from libmodbus_py.services.fleet.outputs.kinds import KINDS
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from tests.services.fleet.fleets import METER, meter
 
@@ -189,7 +190,7 @@ SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
             3,
             "output.csv[1].pth: no such key; allowed are path, buffer",
         ),
-        ("[output.jsn]\n" + SIMPLE, 1, "output.jsn: no such key; allowed are json, csv, influx"),
+        ("[output.jsn]\n" + SIMPLE, 1, f"output.jsn: no such key; allowed are {', '.join(KINDS)}"),
         ("[output.json]\npath = 7\n" + SIMPLE, 2, "output.json.path must be text"),
         ("[output.mqtt]\nuser = 'x'\n" + SIMPLE, 1, "output.mqtt.url is missing"),
         (
