@@ -61,10 +61,10 @@ class InTurn(Matching):
         self._replies: Replies = []
         self._wrong: ModbusError | None = None  # what came in place of its answer so far
         self._came_early = False  # an answer came before its request can have left
-        self._suspicion = Suspicion()
+        self._suspicion: Suspicion  # of this connection; from `reset` on
         self._held: bytes | None = None  # an answer that may be that to an earlier request
-        self._held_until = 0.0
-        self._heard_at = 0.0
+        self._held_until: float
+        self._heard_at: float  # when bytes came
         self._received = bytearray()
         self._late = bytearray()
         self._quiet_at: float | None = None
@@ -309,7 +309,6 @@ class InTurn(Matching):
 
     def _end(self, pending: Pending, reply: Reply, now: float) -> None:
         self._pending = None
-        self._quiet_at = None
         if isinstance(reply, ModbusError):
             reply.received = bytes(self._received)
         elif isinstance(reply, bytes):
@@ -400,7 +399,6 @@ class InTurn(Matching):
     def reset(self, now: float) -> list[Pending]:
         super().reset(now)
         self._is_noisy = False
-        self._held = None
         self._echo.reset()
         self._suspicion = Suspicion()
         self._doubled_until = 0.0
