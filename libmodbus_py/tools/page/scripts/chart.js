@@ -11,7 +11,7 @@ let choose = () => {};
 
 export function onChosen(call) { choose = call; }
 
-const chart = { of: null, seconds: 300, data: null, at: null };
+const chart = { of: null, seconds: 300, data: null, at: null, asked: 0 };
 
 // `of` says what is asked for: a row, and in tables which one and which column.
 export function openChart(of, name) {
@@ -50,6 +50,7 @@ let isAsking = false;
 async function refresh() {
   if (!chart.of || isAsking || document.hidden || document.body.classList.contains("lost")) return;
   isAsking = true;
+  chart.asked = Date.now();
   const of = chart.of;
   try {
     const found = await post("/history", { ...of, seconds: chart.seconds });
@@ -61,7 +62,10 @@ async function refresh() {
   }
 }
 
-setInterval(refresh, 2000);
+// A chart of a week hardly changes in a minute, and the journal has to read all of it.
+const pause = () => Math.min(60, Math.max(2, chart.seconds / 300));
+
+setInterval(() => { if (Date.now() >= chart.asked + pause() * 1000) refresh(); }, 1000);
 
 // --- drawing -------------------------------------------------------------------------------------
 
