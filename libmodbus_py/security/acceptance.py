@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 
 from .loaded import Loaded
-from .tunnel import Tunnel
+from .tunnel import EXPIRED, Tunnel
 
 __all__ = ["Acceptance"]
 
@@ -43,7 +43,7 @@ class Acceptance:
     def refusal(self) -> str | None:
         """Return why the accepted connection must end, or None."""
         if time.time() > self._ends:
-            return "certificate has expired"
+            return EXPIRED
         loaded, before = self._loaded(), self._before
         if loaded is before or loaded is None or before is None or self._tunnel is None:
             return None

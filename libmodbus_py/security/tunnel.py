@@ -9,7 +9,10 @@ import ssl
 import time
 from collections.abc import Callable
 
-__all__ = ["READ_SIZE", "Records", "Tunnel", "expiry", "name_of"]
+__all__ = ["EXPIRED", "READ_SIZE", "Records", "Tunnel", "expiry", "name_of"]
+
+EXPIRED = "certificate has expired"
+"""The reason for which a connection ends, in the words of OpenSSL."""
 
 # The most bytes that a record carries.
 READ_SIZE = 16_384
@@ -137,7 +140,7 @@ def expiry(tunnel: Tunnel) -> str | None:
     until = tunnel.expires if tunnel.is_resumed else None
     if until is None or ssl.cert_time_to_seconds(until) >= time.time():
         return None
-    return "certificate has expired"
+    return EXPIRED
 
 
 def name_of(host: str) -> str:
