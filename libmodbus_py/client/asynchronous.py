@@ -60,7 +60,7 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
     dropped when it comes, and the others notice nothing.
 
     A client belongs to the event loop that uses it first, and to one thread. One that was
-    not closed says so (ResourceWarning) and closes when it is forgotten.
+    not closed issues a ResourceWarning, and closes, when it is garbage collected.
 
     Every request raises, apart from what its method names:
 
@@ -108,7 +108,7 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
 
     async def close(self) -> None:
         """
-        Close for good; any number of times. What is in flight fails at once.
+        Close for good; requests in flight fail at once. May be called any number of times.
 
         Raises:
             RuntimeError: another event loop.

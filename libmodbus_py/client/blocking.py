@@ -79,9 +79,9 @@ class Context(Handle[BlockingDriver], Blocking):
     * FrameError, InvalidResponse: the answer was none.
     * RuntimeError: from a signal handler or callback within a request of this thread.
 
-    After one of the three in the middle, or a damaged answer, a unit on a serial line is
-    only asked again when the line has been silent for `timeout`: an answer that is still to
-    come would be taken for its own. Other units need not wait for that.
+    After a request without a good answer, a unit on a serial line is only asked again when the
+    line has been silent for `timeout`: an answer that is still to come would be taken for that
+    to the next request. Other units need not wait for that.
 
     Every answer is checked in full: id, unit, function, length, byte count, echo. With `native`
     a request that libmodbus knows is sent and its answer awaited in one call of C,
@@ -140,7 +140,7 @@ class Context(Handle[BlockingDriver], Blocking):
 
     def close(self) -> None:
         """
-        Close for good; any number of times, from any thread and from signal handlers.
+        Close for good; may be called any number of times, from any thread and signal handler.
 
         Requests that wait for an answer or a connection fail at once.
         """
@@ -324,7 +324,7 @@ class TlsContext(Context, schemes=("tls",)):
     """
     A client over TLS: Modbus Security. Both sides prove who they are by certificates.
 
-    One that is refused is a ModbusConnectionError (errno EKEYREJECTED) that says which and
+    A refused certificate is a ModbusConnectionError (errno EKEYREJECTED) that says which and
     why: the server's when connecting, one's own at the first request, if the server
     speaks TLS 1.3.
 

@@ -44,10 +44,10 @@ def _alone(
     carry: Callable[[BlockingDriver, threading.RLock, *Arguments], Result],
 ) -> Callable[[BlockingDriver, *Arguments], Result]:
     """
-    Carry out a request while no other one is under way, and leave nothing of it behind.
+    Decorate a method so that it runs while no other request is under way.
 
-    The method returns outcomes. Whatever it raises ends it in the midst of its work, at a place
-    that nothing is known of: then the connection is left, and all that was to be sent forgotten.
+    The method returns outcomes; an exception that it raises has ended it at an unknown point. The
+    connection is left then, and everything that was to be sent is dropped.
 
     The method raises RuntimeError when it is called from within a request of the same thread.
     """

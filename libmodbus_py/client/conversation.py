@@ -192,7 +192,7 @@ class Conversation:
         self._wake(now)
 
     def is_allowed(self) -> bool:
-        """Return what `may_send` says; True without one, False if it fails or says neither."""
+        """Return what `may_send` returns; True without it, False if it fails or returns neither."""
         if self._may_send is None:
             return True
         try:

@@ -193,7 +193,7 @@ class Handle(Generic[Driving]):
             options: of the plan: `gap`, `forbidden`, `max_registers`, `max_bits`.
 
         Returns:
-            An iterator. Of a map it gives what `read_map` returns with ``return_exceptions=True``,
+            An iterator. Of a map it yields what `read_map` returns with ``return_exceptions=True``,
             in a dict whose `fell` has the names of totals (`Point.never_falls`) that were read
             twice because they are smaller than before; else what `read_many` returns so.
 

@@ -121,9 +121,9 @@ class AsyncOptions(Options, total=False):
     The options of `AsyncClient`.
 
     Keys:
-        may_send: asked right before bytes go out, and before connecting; while it gives
-            False requests fail unsent, with ModbusConnectionError (EPERM). For programs of
-            which one at a time may ask. It must not block.
+        may_send: called right before bytes are sent, and before connecting; while it returns
+            False, requests fail unsent, with ModbusConnectionError (EPERM). For programs of
+            which only one at a time may send requests. It must not block.
     """
 
     may_send: Callable[[], bool] | None

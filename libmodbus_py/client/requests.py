@@ -3,7 +3,7 @@ Every method of both clients, once.
 
 A method makes a request (`asks`), or is a procedure that yields requests, one or `Several`,
 and is sent results (`follows`). A blocking client carries it out at once; an awaiting one
-gives a coroutine.
+returns a coroutine.
 """
 
 from __future__ import annotations
@@ -518,7 +518,7 @@ class Requests:
         its name in `names`.
 
         Args:
-            map: such as `load_map` gives it.
+            map: a map, such as `load_map` returns.
             names: of points; None for all that can be read. A program that polls some of
                 them at a high rate makes a `RegisterMap` of these.
             max_in_flight: as for `execute_many`.
@@ -564,7 +564,7 @@ class Requests:
         change on this connection comes between.
 
         Args:
-            map: such as `load_map` gives it.
+            map: a map, such as `load_map` returns.
             values: by name, such as ``{"setpoint": 21.5}``; each becomes the nearest that its
                 scale can tell (`Point.encode`).
             multiple: True to write single coils and registers with functions 15 and
@@ -632,7 +632,7 @@ class Blocking(Requests):
 
 
 class Awaiting(Requests):
-    """A client whose methods give coroutines."""
+    """A client whose methods return coroutines."""
 
     async def _refuse(self, error: Exception) -> Any:
         raise error

@@ -3,7 +3,7 @@ The short way for a single request whose answer can only be its own, through C o
 
 A way around the conversation while that has nothing to say: nothing in flight, nothing
 half received, no late answer that may still come. What is not plainly the answer is handed
-over to the conversation, bytes and all, which goes on waiting and says what it was.
+over to the conversation with all received bytes; the conversation goes on waiting.
 """
 
 from __future__ import annotations

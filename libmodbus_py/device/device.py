@@ -374,7 +374,7 @@ class Device:
             count: how many.
 
         Raises:
-            whatever it raises: an ExceptionResponse where clients may not read.
+            the exceptions of `before_read`: an ExceptionResponse where clients may not read.
         """
         if self._before_read is not None:
             with self.mapping.lock:

@@ -245,7 +245,7 @@ class Holes:
         return count >= REPEATEDLY
 
     def error_of(self, span: Span) -> ModbusError | None:
-        """Return why a span cannot be read; None if nothing is known against it."""
+        """Return why a span cannot be read; None if no hole is known in it."""
         hole = self.refused.get(span)
         return None if hole is None else hole.copied_error
 

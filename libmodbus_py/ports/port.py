@@ -119,7 +119,7 @@ class Port(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Restore the settings of the line and close the port; any number of times."""
+        """Restore the settings of the line and close the port; may be called repeatedly."""
 
     @abstractmethod
     def abandon(self) -> None:

@@ -3,8 +3,8 @@ Frames: a unit and a PDU as bytes on TCP, UDP, an RTU line or an ASCII line.
 
 Bytes only; no socket, no clock. A framer has one direction of one connection:
 
-* ``encode(frame)`` gives the bytes to send;
-* ``feed(data)`` takes received bytes in any pieces and gives the frames that
+* ``encode(frame)`` returns the bytes to send;
+* ``feed(data)`` takes received bytes in any pieces and returns the frames that
   are complete, oldest first. Bytes that are no frame raise FrameError, once
   the frames before them have been given; ``feed(b"")`` asks for it;
 * ``silence()`` says that the line has been quiet for a while. It is a hint;
@@ -119,7 +119,7 @@ class Framer(ABC):
 
     def feed(self, data: bytes) -> list[Frame]:
         """
-        Take received bytes, give the frames they complete.
+        Take received bytes, and return the frames that they complete.
 
         Raises:
             FrameError: bytes that are no frame, and no frame to give.

@@ -54,7 +54,7 @@ class GivenContext:
         return expiry(tunnel)
 
     def acceptance(self) -> Acceptance:
-        """Return what tells later whether the certificate of a new connection is still good."""
+        """Return what checks later whether the certificate of a new connection is still good."""
         return Acceptance(lambda: None)
 
     def warn_of_end(self) -> None:

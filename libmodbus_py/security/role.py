@@ -49,7 +49,7 @@ def role_of(certificate: bytes) -> str | None:
     Return the role in a certificate that was accepted otherwise.
 
     Args:
-        certificate: X.509 in DER, as ``ssl.SSLSocket.getpeercert(True)`` gives it.
+        certificate: X.509 in DER, as ``ssl.SSLSocket.getpeercert(True)`` returns it.
 
     Returns:
         The role; None if there is none, which is a caller without a role (R-23).

@@ -182,7 +182,7 @@ class Security:
         return self.loaded.accepts(certificate)
 
     def acceptance(self) -> Acceptance:
-        """Return what tells later whether the certificate of a new connection is still good."""
+        """Return what checks later whether the certificate of a new connection is still good."""
         return Acceptance(lambda: self.loaded)
 
     def warn_of_end(self) -> None:

@@ -249,7 +249,7 @@ class AuditFile:
         os.close(before)
 
     def close(self) -> None:
-        """Close the file. Any number of times."""
+        """Close the file; may be called any number of times."""
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
             with contextlib.suppress(OSError):

@@ -203,7 +203,7 @@ class ServerStatistics:
         closed_slow: connections closed because a frame or a TLS handshake took too long.
         closed_out_of_step: connections closed because of an invalid header.
         closed_untrusted: TLS connections closed because the certificate of their client had expired
-            or was trusted no more.
+            or was not trusted any more.
         paused: how often a client was not read because it did not take its answers.
         throttled: how often a client exceeded `requests_per_second`.
         reflected: datagrams not answered because they came from a port of servers, or were answers

@@ -147,7 +147,7 @@ class Peers:
             self._add(client, f"{host}:{port}", shared, make)
 
     def close(self) -> None:
-        """Close all connections; any number of times."""
+        """Close all connections; may be called any number of times."""
         if self._poller.closed:
             return
         for peer in list(self._idle):
@@ -358,7 +358,7 @@ class Peer:
         peers.watch(self, self._descriptor, POLLIN)
 
     def close(self) -> None:
-        """Close the connection at once; any number of times."""
+        """Close the connection at once; may be called any number of times."""
         if self._descriptor < 0:
             return
         self._session.close()

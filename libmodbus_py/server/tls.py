@@ -87,14 +87,14 @@ class Handshakes:
         self._check_certificates()
 
     def close(self) -> None:
-        """Check certificates no more. Any number of times."""
+        """Stop checking certificates; may be called any number of times."""
         self.statistics.certificate_ends.pop(self._place, None)
         if self._next_check is not None:
             self._next_check.cancel()
             self._next_check = None
 
     def acceptance(self) -> Acceptance:
-        """Return what tells later whether a client's certificate is still good."""
+        """Return what checks later whether a client's certificate is still good."""
         return Acceptance(lambda: self.security.loaded)
 
     def begin(self, session: TlsSession) -> Tunnel:
@@ -108,7 +108,7 @@ class Handshakes:
         return self.security.to_client()
 
     def end(self, session: TlsSession) -> None:
-        """Remove a handshake that succeeded or failed. Any number of times."""
+        """Remove a handshake that succeeded or failed; may be called any number of times."""
         self._count -= _removed(self._half_open, session)
         _removed(self._line, session)
 
@@ -117,7 +117,7 @@ class Handshakes:
         self._established[session] = None
 
     def forget(self, session: TlsSession) -> None:
-        """Check the certificate of a closed connection no more. Any number of times."""
+        """Stop checking the certificate of a closed connection; may be called repeatedly."""
         self._established.pop(session, None)
 
     def _check_certificates(self) -> None:
@@ -333,7 +333,7 @@ class TlsSession:
         self._finish()
 
     def check_certificate(self) -> None:
-        """Close the connection if the client's certificate has expired or is trusted no more."""
+        """Close the connection if the client's certificate has expired or is not trusted."""
         if (reason := self._acceptance.refusal()) is not None:
             self._handshakes.statistics.closed_untrusted += 1
             logger.info("%s: connection closed: %s", self.address, reason)

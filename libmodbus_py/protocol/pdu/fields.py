@@ -161,7 +161,7 @@ def counted(base: int, at: int) -> LengthRule:
 
 
 def unknown_length(head: bytes) -> int:
-    """A rule: nothing in the PDU tells its length."""
+    """A rule: nothing in the PDU determines its length."""
     return 0
 
 

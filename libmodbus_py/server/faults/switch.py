@@ -110,7 +110,7 @@ class FaultSwitch:
             self.version += 1
 
     def remove(self, switched: Switched) -> None:
-        """Take away faults that were switched on; any number of times."""
+        """Remove faults that were switched on; may be called any number of times."""
         with self._changing:
             self._change([each for each in self._switched if each is not switched])
 
@@ -154,5 +154,5 @@ class Switched:
         self.switch_off()
 
     def switch_off(self) -> None:
-        """Take them away again; any number of times."""
+        """Remove them again; may be called any number of times."""
         self._switch.remove(self)
