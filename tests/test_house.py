@@ -337,3 +337,15 @@ def _prose(path: Path) -> Iterator[str]:
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             yield node.value
+
+
+def test_docstrings_have_no_quotation_marks_of_other_texts() -> None:
+    """A text in pieces, as an error has, is no docstring: its quotation marks would be shown."""
+    found = [
+        str(path.relative_to(ROOT))
+        for path in (ROOT / "libmodbus_py").rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
+        if re.search(r'"\n *" ', ast.get_docstring(node, clean=False) or "")
+    ]
+    assert found == []

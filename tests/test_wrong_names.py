@@ -28,7 +28,9 @@ from libmodbus_py import (
     Server,
 )
 from libmodbus_py.fleet import DeviceConfig, Fleet
+from libmodbus_py.listen import listen
 from libmodbus_py.protocol.close_names import named_arguments
+from libmodbus_py.scan import scan, search
 from libmodbus_py.serve import Allow, AuditFile
 from tests.support.cases import each_case
 from tests.support.commands import run
@@ -68,6 +70,27 @@ def test_a_wrong_name_of_an_argument(make: Callable[..., Any], named: str, meant
     assert "did you mean " in str(raised.value)
     assert meant in str(raised.value).partition("did you mean ")[2]
     assert raised.value.__cause__ is None
+
+
+@each_case(
+    ("function", "named", "meant"),
+    [
+        (listen, "stopbits", "rtu:///dev/ttyUSB0?stop_bits=..."),
+        (listen, "captures", "did you mean capture?"),
+        (scan, "bytesize", "rtu:///dev/ttyUSB0?data_bits=..."),
+        (scan, "baud_rates", "did you mean baudrates?"),
+        (search, "read_timeout", "did you mean timeout?"),
+        (search, "stopbits", "rtu:///dev/ttyUSB0?stop_bits=..."),
+    ],
+)
+def test_a_wrong_name_of_an_argument_of_a_function(
+    function: Callable[..., Any], named: str, meant: str
+) -> None:
+    with pytest.raises(TypeError) as raised:
+        function(URL, **{named: 1})
+    assert str(raised.value).startswith(f"'{named}' must be one of ")
+    assert meant in str(raised.value)
+    assert "url" in inspect.signature(function).parameters
 
 
 def test_other_errors_of_calls_are_those_of_python() -> None:

@@ -131,8 +131,7 @@ LINES: dict[str, Callable[[], Any]] = {
 
 
 def _demo(_: argparse.Namespace) -> int:
-    """Run every example on every line; return 0 if all answers are those of the examples,"
-    " else 1."""
+    """Run every example on every line; return 0 if all responses are as expected, otherwise 1."""
     version = ".".join(map(str, loaded_version()))
     print(f"libmodbus {version}: a client and a server with a register mapping, on three lines")
     right = True

@@ -72,8 +72,7 @@ def _run(arguments: Sequence[str] | None) -> int:
 
 
 def _is_interrupt(error: BaseException | None) -> bool:
-    """Return True if Ctrl-C caused an error: while a class is made Python replaces it by"
-    " another."""
+    """Return True if Ctrl-C caused an error, which may have replaced KeyboardInterrupt."""
     seen: set[int] = set()  # errors that are raised again may cause each other
     while error is not None and id(error) not in seen:
         if isinstance(error, KeyboardInterrupt):

@@ -6,11 +6,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import wraps
-from typing import Any, TypeVar
+from typing import ParamSpec, TypeVar
 
-__all__ = ["SERIAL_SETTINGS", "close_option", "close_to", "named_arguments", "unknown_option"]
+__all__ = [
+    "SERIAL_SETTINGS",
+    "close_option",
+    "close_to",
+    "named_arguments",
+    "named_parameters",
+    "unknown_option",
+]
 
 Class = TypeVar("Class", bound=type)
+Parameters = ParamSpec("Parameters")
+Result = TypeVar("Result")
 
 OTHER_SPELLINGS = {
     **dict.fromkeys(("baud", "baud_rate", "speed", "bps"), "baudrate"),
@@ -81,29 +90,35 @@ def named_arguments(cls: Class) -> Class:
     """
     made: Callable[..., None] = getattr(cls, "__init__")  # noqa: B009 (as below)
 
-    @wraps(made)
-    def init(self: Any, /, *arguments: Any, **named: Any) -> None:
+    setattr(cls, "__init__", named_parameters(made))  # noqa: B010 (type checkers refuse an assignment)
+    return cls
+
+
+def named_parameters(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
+    """Decorate a function as `named_arguments` decorates a class."""
+
+    @wraps(function)
+    def call(*arguments: Parameters.args, **named: Parameters.kwargs) -> Result:
         try:
-            made(self, *arguments, **named)
+            return function(*arguments, **named)
         except TypeError as error:
             # Raised by the call itself, not within.
             if error.__traceback__ is None or error.__traceback__.tb_next is not None:
                 raise
-            refused = _refused(made, named)
+            refused = _refused(function, named)
             if refused is None:
                 raise
             raise refused from None
 
-    setattr(cls, "__init__", init)  # noqa: B010 (type checkers refuse an assignment)
-    return cls
+    return call
 
 
-def _refused(made: Callable[..., None], named: Iterable[str]) -> TypeError | None:
+def _refused(function: Callable[..., object], named: Iterable[str]) -> TypeError | None:
     """Return the error for the first argument that a function does not take, if there is one."""
     from inspect import Parameter, signature
 
-    parameters = [*signature(made).parameters.values()][1:]
+    parameters = [*signature(function).parameters.values()]
     if any(each.kind is Parameter.VAR_KEYWORD for each in parameters):
         return None
-    known = [each.name for each in parameters]
+    known = [each.name for each in parameters if each.name != "self"]
     return next((unknown_option(name, known) for name in named if name not in known), None)

@@ -17,6 +17,7 @@ from ...ports.endpoint import Endpoint, parse_to_listen
 from ...ports.outage import REOPEN_AFTER, Outage
 from ...ports.waiting import READ, Ready, Steps, Waker, Woken, of_system, run
 from ...ports.waiting_async import run_async
+from ...protocol.close_names import named_parameters
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.logs import HarmlessLogger
 from ...system import make_poller
@@ -285,6 +286,7 @@ class Clock:
         return now + self._offset
 
 
+@named_parameters
 def listen(
     url: str,
     *,

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from ...ports.endpoint import parse
 from ...protocol.callbacks import checked_callback
 from ...protocol.checks import integer
+from ...protocol.close_names import named_parameters
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...security.security import Security
@@ -337,6 +338,7 @@ def _longest(place: Place, units: int) -> float:
     return (units + 2) * _each(place) + place.timeout + delay
 
 
+@named_parameters
 def scan(
     url: str,
     *,

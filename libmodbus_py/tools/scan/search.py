@@ -12,6 +12,7 @@ from ...ports.endpoint import parse
 from ...ports.schemes import SERIAL_DEFAULTS
 from ...protocol.callbacks import checked_callback
 from ...protocol.checks import integer
+from ...protocol.close_names import named_parameters
 from ...protocol.errors import (
     NO_UNIT,
     Acknowledge,
@@ -228,6 +229,7 @@ class _EndedError(Exception):
     """The search of a table ends early; the argument is the reason."""
 
 
+@named_parameters
 def search(
     url: str,
     *,
