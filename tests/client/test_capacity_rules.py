@@ -54,6 +54,45 @@ def test_it_begins_with_one_and_doubles_while_all_places_are_used() -> None:
     assert not made.learns_from_one
 
 
+def test_it_doubles_once_as_many_were_answered_as_were_in_flight() -> None:
+    made = capacity()
+    made.note_replies([(started(made, 3)[0], ANSWER)], 1, 0.1)
+    assert made.now == 2
+    first, second = started(made, 3, 3)
+    made.note_replies([(first, ANSWER)], 2, 0.1)
+    assert made.now == 2
+    made.note_replies([(second, ANSWER)], 1, 0.1)
+    assert made.now == 4
+
+
+def test_it_does_not_grow_where_a_request_beside_others_was_lost() -> None:
+    for in_flight, expected in ((2, 2), (1, 4)):
+        made = capacity()
+        made.note_replies([(started(made, 3)[0], ANSWER)], 1, 0.1)
+        first, second = started(made, 3, 3)
+        made.note_replies([(first, LATE), (second, ANSWER)], in_flight, 0.1)
+        assert made.now == expected
+
+
+@each_case(("answers", "expected"), [(1, 8), (1000, 8), (1001, 16)])
+def test_one_loss_in_1000_answers_is_no_sign(answers: int, expected: int) -> None:
+    talk = Talk(max_in_flight=None)
+    made, statistics = talk.conversation.capacity, talk.statistics
+    for _ in range(4):
+        made.note_replies([(each, ANSWER) for each in started(made, *[3] * made.now)], 1, 0.1)
+    for count in (5000, answers):
+        assert made.now == 16
+        statistics.responses += count
+        first = started(made, *[3] * 16)[0]
+        assert made.takes(LATE, first)
+        assert made.next_trial() is not None
+        is_taken, _ = made.conclude(ANSWER)
+        assert is_taken
+    assert made.now == expected
+    assert statistics.falls == (expected < 16)
+    assert not made.is_growing
+
+
 def test_it_stays_while_places_are_free() -> None:
     made = capacity()
     made.note_replies([(started(made, 3)[0], ANSWER)], 1, 0.1)
@@ -123,7 +162,11 @@ def test_after_each_trial_without_an_answer_fewer_losses_are_tried() -> None:
     assert lost(made) == 15
     assert made.next_trial() is not None
     made.conclude(ANSWER)
-    assert lost(made) == 0
+    for expected in (0, 1):
+        assert lost(made) == expected
+        assert made.next_trial() is not None
+        made.conclude(LATE)
+        made.silent.clear()
 
 
 def test_a_unit_that_is_silent_alone_is_tried_again_once_it_answered() -> None:
