@@ -438,10 +438,7 @@ class Conversation:
     def _has_time(self, batch: Batch, until: float, now: float) -> bool:
         """Return True if a batch waits longer than an attempt, and so for the next one."""
         deadline = batch.wait_until
-        if deadline <= until or self.connection.refusal(now, deadline) is not None:
-            return False
-        self._wake(deadline)
-        return True
+        return deadline > until and self.connection.refusal(now, deadline) is None
 
     def lost(self, error: ModbusConnectionError, now: float, *, by_itself: bool = True) -> None:
         """The connection ended: requests in flight fail, the queue waits for the next one."""

@@ -130,6 +130,27 @@ def test_an_answer_in_time_shows_that_an_early_one_was_a_copy() -> None:
         assert batch.outcomes == [[number]]
 
 
+def test_copies_beside_answers_in_time_leave_the_speed_of_a_port_as_it_is_set() -> None:
+    talk = Talk("rtu:///dev/nowhere?baudrate=9600", is_timed=True, timeout=1)
+    batch = talk.ask(1)
+    talk.wait(0.005)
+    talk.come(value(77))
+    talk.wait(0.02)
+    talk.come(value(1))
+    assert batch.outcomes == [[1]]
+    talk.ask(2)
+    talk.wait(2)  # nobody answers
+    batch = talk.ask(3)
+    talk.wait_for(3)
+    talk.wait(0.005)
+    talk.come(value(77))
+    talk.wait(0.02)
+    assert not batch.is_done
+    talk.come(value(3))
+    talk.wait(0.2)
+    assert batch.outcomes == [[3]]
+
+
 def test_an_answer_is_a_sign_of_life_on_lines_over_networks() -> None:
     talk = Talk("rtu+tcp://192.0.2.1", timeout=1)
     for number in range(1, 8):

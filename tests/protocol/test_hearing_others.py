@@ -71,6 +71,9 @@ def test_our_request_is_found_with_its_last_byte() -> None:
         framer = unit_5()
         assert framer.scan(request[:-1]) == []
         assert framer.scan(request[-1:]) == [Frame(request[0], request[1:-2])]
+        # Also as the second of two, though an answer that begins so would be longer.
+        longer = rtu("05 03 FA00 0001")
+        assert [_named(each) for each in framer.scan(OURS + longer)] == ["request 5 03"] * 2
         # And as the first of two.
         assert framer.scan(request + OURS[:3]) == [Frame(request[0], request[1:-2])]
 
