@@ -40,10 +40,10 @@ __all__ = ["Conversation", "Pace", "forbidden"]
 
 BUSY = (Acknowledge, ServerDeviceBusy)
 
-# So many bytes that belong to no request are no accident: the connection is flooded.
+# A connection with more bytes than this that belong to no request is flooded.
 MAX_UNASKED = 1 << 16
 
-# A host that drops connections without an answer will do so again: then all waiting batches fail.
+# After so many connections in a row that end without an answer, all waiting batches fail.
 LOSSES_BEFORE_END = 3
 
 

@@ -13,25 +13,25 @@ from collections import deque
 
 __all__ = ["Suspicion"]
 
-# So many of the last answers may come again, and more of a unit that answers fast: those of so many
-# seconds.
+# Answers that may come again: this many of the last ones at least, and those of this many seconds,
+# which are more from a unit that answers fast.
 RECENT, LONGEST_COPY = 16, 0.05
 
-# So many requests are remembered with their answers, and so many answers that different requests
-# have in common.
+# The most requests that are remembered with their answers, and the most answers that different
+# requests have in common.
 REMEMBERED, MOST_COMMON = 1024, 64
 
-# Answers that took less than this share of the shortest time, or on average of the usual time.
+# Answers are too fast below this share of the shortest time, and, on average, of the usual time.
 EARLY, FASTER = 0.5, 0.75
 
-# How much one answer counts in the average of the last ones, and in that of all; one that took
-# very long counts as so many times the usual.
+# The weight of one answer in the average of the last ones, and in that of all; an answer that took
+# longer than this multiple of the usual time counts as that multiple.
 OF_LAST, OF_USUAL, OUTLIER = 1 / 8, 1 / 64, 3.0
 
-# How far times deviate from the usual one: these are multiples of the average deviation.
+# Multiples of the average deviation by which times differ from the usual one by chance, and never.
 BY_CHANCE, NEVER = 1.25, 4.0
 
-# The true answer is awaited for so much longer than usual, at least: a share of that, and seconds.
+# The true answer is awaited for at least this share of the usual time longer, and so many seconds.
 SHARE_LATER, LEAST_LATER = 0.25, 0.001
 
 # Unit, function and length of an answer; unit and request.
@@ -69,12 +69,12 @@ class Times:
         self.are_shorter = last < FASTER * usual and last < usual - BY_CHANCE * self.deviation
 
     def believe(self, took: float) -> None:
-        """Let an answer of this time be no reason for doubt."""
+        """Let an answer that takes this time cause no doubt from now on."""
         self.earliest = min(self.earliest, EARLY * took)
         self.are_shorter = False
 
     def start_anew(self, took: float) -> None:
-        """Take it that answers are that fast from now on."""
+        """Assume that answers take this time from now on."""
         self.usual = self.last = took
         self.are_shorter = False
 

@@ -16,17 +16,17 @@ from typing import Any, Generic, Protocol, TypeVar
 
 __all__ = ["Discipline", "FairByHost", "FirstCome", "Precedence", "WaitingRoom", "rest_after"]
 
-# What a trial may cost others at least, in seconds: a few requests of a fast line.
+# The least delay that a trial may cause for others, in seconds: a few requests of a fast line.
 SHORTEST_TRIAL = 0.02
 
-# How much of the longest time that an answer took counts when the next one came.
+# The share of the longest response time that is kept with each further answer.
 FADING = 0.95
 
-# Of so many trials of a unit one waits to the end, even if others wait: the unit may have become
-# slower than all others.
+# One of so many trials of a unit waits for its whole timeout, even if others wait: the unit may
+# have become slower than all others.
 TRIALS_BEFORE_LONG = 16
 
-# Beyond it every rest is the longest one.
+# After so many doublings, every rest is the longest one.
 MOST_DOUBLINGS = 20
 
 

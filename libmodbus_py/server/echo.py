@@ -11,14 +11,14 @@ from ..protocol.returned import AwaitedEcho
 
 __all__ = ["EchoWatch"]
 
-# So many answers come back one after the other as if each were a request. Then the next answer is
-# tried: its last byte is held back. No client sends part of a request before it has all of the
-# answer, so what comes back without that byte is an echo. A client gets its answer a little later,
-# and the next trial only after so many times as many answers.
+# The number of answers in a row that come back as if they were requests, before the next answer is
+# tried: its last byte is held back. No client sends part of a request before it has the whole
+# answer, so what comes back without that byte is an echo. A trial delays an answer, and so the next
+# one follows only after this multiple of that number.
 MOST_RETURNS, MORE_RETURNS = 64, 8
 
-# The last byte is held back for so many times the longest time that an answer took to come back,
-# and so many seconds.
+# The last byte is held back for this multiple of the longest time that an answer took to come back,
+# and this many seconds more.
 LONGER, LATER = 1.25, 0.01
 
 # More bytes during a trial are no echo of answers.
