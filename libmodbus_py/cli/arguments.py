@@ -67,7 +67,7 @@ def flag(name: str) -> str:
 
 
 def given(options: argparse.Namespace, names: Collection[str]) -> dict[str, Any]:
-    """Return those of the options that were typed."""
+    """Return the options that were typed."""
     return {name: value for name in names if (value := getattr(options, name, None)) is not None}
 
 
@@ -144,7 +144,7 @@ class _Form(argparse.Action):
 
 def with_forms(parser: argparse.ArgumentParser, words: Sequence[str]) -> list[str]:
     """
-    Return the words typed, in which no --csv or --json takes the word behind it by mistake.
+    Return the words typed, changed so that --csv and --json take only a file as their value.
 
     The word behind is a file only if its suffix or its beginning says so; a path below /dev is a
     serial port.

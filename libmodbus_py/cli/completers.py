@@ -51,7 +51,7 @@ def parities(**_: Any) -> list[str]:
 
 
 def lists_of_parities(prefix: str, **_: Any) -> list[str]:
-    """Return the parities behind those of the list that are typed already."""
+    """Return the words that continue a list of parities that was begun."""
     before, comma, _last = prefix.rpartition(",")
     return [f"{before}{comma}{each}" for each in parities() if each not in before.split(",")]
 

@@ -31,7 +31,7 @@ STYLES = {"heading": "1", "option": "36", "command": "36"}
 
 
 class Help(argparse.HelpFormatter):
-    """Help in which all texts are filled anew, below a usage line without the single options."""
+    """Formats help: every text fills the width, and the usage line names no single options."""
 
     def __init__(self, prog: str, **options: Any) -> None:
         super().__init__(prog, **{"width": _columns() - 2, **options})
@@ -80,7 +80,7 @@ def coloured(text: str, stream: TextIO) -> str:
 
 
 def tell_defaults(parser: argparse.ArgumentParser) -> None:
-    """Add the default values to the texts of a parser and those of its commands."""
+    """Add the default values to the help texts of a parser and of its commands."""
     for action in parser._actions:
         usual = action.__dict__.pop("usual", None)
         if usual is not None and (text := _shown(usual(action.dest))):

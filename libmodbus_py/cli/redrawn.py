@@ -27,7 +27,7 @@ class Redrawn:
 
     def draw(self, lines: Sequence[tuple[str, bool]]) -> None:
         """
-        Draw lines, as many as there is room for.
+        Draw the lines that fit on the terminal.
 
         Args:
             lines: each with True if it is bold.

@@ -70,7 +70,7 @@ def _least(action: argparse.Action) -> int:
 
 
 def _has_room(action: argparse.Action, count: int) -> bool:
-    """Return True if the word behind an option with so many values is completed as another."""
+    """Return True if an option takes another value after those that were typed."""
     is_completed = action.nargs == "?" and hasattr(action, "completer")
     return count < (1 if is_completed else _least(action))
 

@@ -100,7 +100,7 @@ def _answer(context: Context, sub: int, data: int) -> int:
 
 
 def _questions(context: Context) -> dict[str, Callable[[], Named]]:
-    """Return what can be asked without a change in the device."""
+    """Return the requests that change nothing in the device."""
     from ...protocol.pdu import SubFunction
 
     counters = range(SubFunction.BUS_MESSAGE_COUNT, SubFunction.BUS_CHARACTER_OVERRUN_COUNT + 1)

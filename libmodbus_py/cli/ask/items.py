@@ -149,7 +149,7 @@ class Words:
         return [self._of_point(self.map[each]) for each in self.map.group(name)]
 
     def sources_of(self, items: Iterable[Item]) -> list[Item]:
-        """Return the points that scale those of some items, each before those that it scales."""
+        """Return the points that scale the items, each before the points that it scales."""
         if self.map is None:
             return []
         from ...maps.sources import sources_of

@@ -69,7 +69,7 @@ def _bytes_of(word: str) -> bytes:
 
 
 def _hint(digits: str) -> str:
-    """Return what was meant by half a byte: of a number, both bytes of a field are typed."""
+    """Return a hint for half a byte: a number must be typed with both bytes of its field."""
     if not re.fullmatch("[0-9A-Fa-f]+", digits):
         return ""
     try:

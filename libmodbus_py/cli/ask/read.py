@@ -66,7 +66,7 @@ def add_command(commands: Any) -> None:
         " have; on a terminal in a table",
     )
     group.add_argument(
-        "--count", type=_polls, metavar="N", help="end after so many polls; implies --watch"
+        "--count", type=_polls, metavar="N", help="end after N polls; implies --watch"
     )
     group.add_argument(
         "--for",

@@ -18,7 +18,7 @@ __all__ = ["ask_units", "client_of", "fail", "reason_of", "units_of"]
 
 def units_of(options: argparse.Namespace) -> list[int]:
     """
-    Return the units that were typed, or that of the URL, which is 1 unless it names one.
+    Return the units that were typed, otherwise the unit of the URL, which is 1 by default.
 
     Raises:
         ValueError: the URL or an option is wrong.

@@ -56,7 +56,7 @@ class HostRange:
 
 def host_range(text: str) -> HostRange | None:
     """
-    Return the hosts of a range such as 192.0.2.0/24 or 192.0.2.0/24:1502; None if it is none.
+    Return the hosts of a range such as 192.0.2.0/24 or 192.0.2.0/24:1502; None for other text.
 
     Raises:
         ValueError: the range is wrong, or has too many hosts.
@@ -80,7 +80,7 @@ def host_range(text: str) -> HostRange | None:
 
 def may_go_on(hosts: HostRange, *, is_confirmed: bool) -> bool:
     """
-    Return True if so many hosts may be tried; the user of a terminal is asked.
+    Return True if all these hosts may be tried; on a terminal, ask the user if there are many.
 
     Raises:
         ValueError: there are many hosts, and no terminal to ask at.

@@ -238,7 +238,7 @@ def _scan_place(options: argparse.Namespace, report: _Report, url: str) -> None:
 
 
 def _chosen(options: argparse.Namespace, *, is_serial: bool) -> dict[str, Any]:
-    """Return what is tried: as typed, else the usual for a quick scan, else everything."""
+    """Return the arguments of the scan: as typed, usual ones if it is quick, or the defaults."""
     chosen = {name: getattr(options, name) for name in ("baudrates", "parities", "units")}
     if not options.quick:
         return chosen

@@ -29,7 +29,7 @@ def address_like(example: str) -> Callable[[str], Address]:
 
 
 class OneAddress(argparse.Action):
-    """Sets an address, and refuses a second one, in place of which argparse forgets the first."""
+    """Sets an address, and refuses a second one; argparse alone would forget the first."""
 
     def __call__(
         self,

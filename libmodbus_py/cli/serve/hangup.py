@@ -101,7 +101,7 @@ class Hangup:
 
 @contextlib.contextmanager
 def noted() -> Iterator[Hangup]:
-    """Note SIGHUP in place of ending the program, while a command starts."""
+    """Note SIGHUP while a command starts, instead of ending the program."""
     hangup = Hangup()
     try:
         yield hangup

@@ -27,7 +27,7 @@ def add_argument(command: argparse.ArgumentParser) -> None:
 @contextlib.contextmanager
 def kept(path: str | None, devices: Callable[[], Any]) -> Iterator[None]:
     """
-    Set the values of devices to those of a file, and keep them there while the block runs.
+    Load the values of devices from a file, and save them to it while the block runs.
 
     Args:
         devices: returns the devices that are served now.

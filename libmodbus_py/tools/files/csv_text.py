@@ -89,7 +89,7 @@ class CsvText:
 
     def cells(self, row: CsvRow) -> list[str]:
         """
-        Return the cells of a row, at most as many as there are headings.
+        Return the cells of a row, at most one for each heading.
 
         Raises:
             WrongValue: the row has more cells.

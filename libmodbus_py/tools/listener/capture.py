@@ -41,7 +41,7 @@ MAX_INTERFACES = 256
 
 
 class CaptureError(ValueError):
-    """A file is no capture of this package; the message says what is wrong, and at which byte."""
+    """A file is not a capture of this package; the message names the error and the byte."""
 
 
 def _padded(data: bytes) -> bytes:

@@ -248,7 +248,7 @@ class Listener:
         return _ignore if self._writer is None else partial(self._record, link)
 
     def _record(self, link: int, heard: Heard) -> None:
-        """Write to the capture, which ends when it cannot be written; the line goes on."""
+        """Write to the capture; if that fails, end the capture, but continue to listen."""
         if self._writer is None or self.capture_error is not None:
             return
         try:

@@ -162,7 +162,7 @@ class Pairing:
         return outcome
 
     def damage(self, began: float, ended: float, data: bytes) -> None:
-        """Take bytes that are no frame, instead of a response or beside it."""
+        """Record bytes that form no frame, which arrived instead of a response or with one."""
         alone = damage_alone(began, data)
         if (asked := self.due) is None:
             self.done.append(alone)

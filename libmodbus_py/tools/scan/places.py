@@ -125,7 +125,7 @@ def places(
     security: Security | None = None,
 ) -> list[Place]:
     """
-    Return the endpoint with each setting; those of the URL hold unless others are given.
+    Return the endpoint with each setting; the URL gives the settings that no argument gives.
 
     Raises:
         TypeError, ValueError: a setting is out of range, or is given for a network.

@@ -137,7 +137,7 @@ class _Tables(Walk[Extent]):
                 raise
 
     def _table(self, prober: Prober, table: str, most: int) -> str:
-        """Search a table with so many requests; return why it ended early."""
+        """Search a table with a limited number of requests; return why the search ended early."""
         cells = Cells(TABLES[table].most_read)
         begun = prober.requests
         ended = _EARLY

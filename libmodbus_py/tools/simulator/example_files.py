@@ -36,7 +36,7 @@ def path_of(name: str) -> str:
 
 def map_file(word: str) -> str:
     """
-    Return the path of a register map: that of an example for a word without folder and suffix.
+    Return the path of a register map; a word without folder and suffix names an example.
 
     Raises:
         ValueError: there is no example of that name.

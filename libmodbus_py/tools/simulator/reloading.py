@@ -123,7 +123,7 @@ class Reloader:
         }
 
     def _exchanged(self, simulation: Simulation) -> list[str]:
-        """Serve the new devices; this runs in the loop, so that no client writes meanwhile."""
+        """Serve the new devices, from within the event loop, so that no client can write."""
         done = threading.Event()
         outcome: list[str] = []
 

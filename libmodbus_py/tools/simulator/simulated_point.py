@@ -57,7 +57,7 @@ class SimulatedPoint:
 
     @cached_property
     def stop(self) -> int:
-        """The address behind its last value."""
+        """The address after the last value."""
         return self.point.cells.stop
 
     @cached_property

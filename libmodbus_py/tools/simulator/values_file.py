@@ -82,7 +82,7 @@ class ValuesFile:
         self.abandon()
 
     def abandon(self) -> None:
-        """Close the file's lock; the copy of a forked child is not that of its parent."""
+        """Close the lock without saving; in a forked child, the parent keeps its lock."""
         descriptor, self._lock = self._lock, None
         if descriptor is not None:
             os.close(descriptor)

@@ -43,7 +43,7 @@ _TYPES: dict[str, dict[str, Any]] = {
 
 class Laid(NamedTuple):
     """
-    The points of a model, and what is left.
+    The points of a model, with the number of registers that they use, and notes.
 
     Attributes:
         points: in the order of their addresses.

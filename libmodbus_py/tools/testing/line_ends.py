@@ -28,7 +28,7 @@ def open_line() -> tuple[int, int, str]:
 
 
 def read_what_is_there(far: int) -> bytes:
-    """Read what is there; return no bytes if there are none."""
+    """Return the bytes that can be read without waiting, possibly none."""
     try:
         return os.read(far, 4096)
     except BlockingIOError:
