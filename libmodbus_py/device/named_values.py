@@ -18,7 +18,7 @@ from .access import Access
 from .mapping import Mapping
 from .ranges import joined
 from .scaled_bounds import ScaledBounds
-from .values_after import cells_after, source_after
+from .values_after import NOTHING, Written, cells_after, source_after
 
 __all__ = ["check_points", "known_point", "set_values", "value_of", "zeros_for"]
 
@@ -105,20 +105,33 @@ def set_values(
         point = changed[name]
         source = source_after(point, points, mapping, written)
         encoded.append(encoded_change(point, values[name], source))
-        written.update(_places(encoded[-1], cells_after(point, mapping, written)))
+        if name in scales:
+            written.update(_places(encoded[-1], mapping, written))
     check_overlaps(encoded)
-    touched = [Access(each.table, each.address, len(each.cells)) for each in changed.values()]
-    bounds.check(touched, written, mapping)
-    for point in changed.values():
-        cells = [written[point.table, address] for address in point.cells]
-        getattr(mapping, point.table)[point.cells.start : point.cells.stop] = cells
+    if bounds.scales:
+        for change in encoded:
+            written.update(_places(change, mapping, written))
+        touched = [Access(each.table, each.address, len(each.cells)) for each in changed.values()]
+        bounds.check(touched, written, mapping)
+    for change in encoded:
+        cells = change.point.cells
+        getattr(mapping, change.point.table)[cells.start : cells.stop] = _cells(change, mapping)
 
 
-def _places(change: Encoded, before: list[Any]) -> Iterator[tuple[tuple[str, int], Any]]:
-    """Yield the places that the new value of a point takes, with their contents."""
+def _cells(change: Encoded, mapping: Mapping, written: Written = NOTHING) -> list[Any]:
+    """Return all cells of a point with a new value, with the bits that it leaves alone."""
     point, cells, masks = change
-    if masks is not None:
-        pairs = zip(before, masks, strict=True)
-        cells = [kept & ~mask | bits for (kept, mask), bits in zip(pairs, cells, strict=True)]
-    for address, cell in zip(point.cells, cells, strict=True):
-        yield (point.table, address), cell
+    if masks is None:
+        return cells
+    before = cells_after(point, mapping, written)
+    pairs = zip(before, masks, strict=True)
+    return [kept & ~mask | bits for (kept, mask), bits in zip(pairs, cells, strict=True)]
+
+
+def _places(
+    change: Encoded, mapping: Mapping, written: Written
+) -> Iterator[tuple[tuple[str, int], Any]]:
+    """Yield the places that the new value of a point takes, with their contents."""
+    cells = _cells(change, mapping, written)
+    for address, cell in zip(change.point.cells, cells, strict=True):
+        yield (change.point.table, address), cell
