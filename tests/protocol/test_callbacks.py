@@ -71,6 +71,10 @@ def device(**hooks: Any) -> Device:
     return Device(Mapping(holding_registers=10), **hooks)
 
 
+def registered(**rules: Any) -> None:
+    pdu.register(type("Own", (pdu.RawRequest,), {"function": 0x6D, **rules}))
+
+
 TAKING: dict[str, Callable[[Any], object]] = {
     **{
         name: partial(lambda name, call: device(**{name: call}), name)
@@ -96,6 +100,8 @@ TAKING: dict[str, Callable[[Any], object]] = {
     "scanning": lambda call: scanning(URL, on_progress=call),
     "searching": lambda call: searching(URL, on_progress=call),
     "Separator": lambda call: Separator("rtu", call),
+    "request_length": lambda call: registered(request_length=staticmethod(call)),
+    "response_length": lambda call: registered(response_length=staticmethod(call)),
 }
 
 

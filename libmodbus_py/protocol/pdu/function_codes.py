@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Any, TypeVar
 from weakref import WeakSet
 
-from ..callbacks import log_failure
+from ..callbacks import checked_callback, log_failure
 from ..errors import IllegalDataAddress, IllegalDataValue, IllegalFunction
 from .fields import IN_C, MAX_PDU, AddressError, LengthRule
 from .files import ReadFifoQueue, ReadFileRecords, WriteFileRecords
@@ -81,7 +81,8 @@ def register(request: Kind) -> Kind:
             that has no class yet.
 
     Raises:
-        TypeError: no such class.
+        TypeError: no such class; or a length rule is no function, or one that does not run when it
+            is called (``async def``).
         ValueError: the function is none, or is taken.
     """
     if not (isinstance(request, type) and issubclass(request, Request)):
@@ -89,6 +90,8 @@ def register(request: Kind) -> Kind:
     function = getattr(request, "function", 0)
     if function not in range(1, 128):
         raise ValueError(f"{request.__name__}: function must be in 1..127, not {function!r}")
+    for name in ("request_length", "response_length"):
+        checked_callback((request.__name__, name), getattr(request, name, None))
     taken = REQUESTS.get(function)
     if taken is not None and taken is not request:
         raise ValueError(f"{request.__name__}: function {function} is {taken.__name__}")
