@@ -4,7 +4,7 @@ Names that are close to one that is not known.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
@@ -53,6 +53,12 @@ SERIAL_SETTINGS = frozenset(
 )
 """Settings that are part of the URL of a serial port, for classes that take none of them."""
 
+LONGEST = 64
+"""Characters of a name that is compared with others; comparing longer ones takes long."""
+
+URLS = frozenset(("url", "to", "devices", "routes", "security"))
+"""Names of arguments beside which a setting of a serial port may be expected."""
+
 
 def close_to(name: object, known: Iterable[str], prefix: str = "") -> str:
     """
@@ -63,16 +69,17 @@ def close_to(name: object, known: Iterable[str], prefix: str = "") -> str:
     """
     from difflib import get_close_matches
 
-    close = get_close_matches(name, known, 3) if isinstance(name, str) else []
+    is_comparable = isinstance(name, str) and len(name) <= LONGEST
+    close = get_close_matches(str(name), known, 3) if is_comparable else []
     return f"; did you mean {' or '.join(prefix + each for each in close)}?" if close else ""
 
 
-def close_option(name: str, known: Iterable[str]) -> str:
+def close_option(name: str, known: Collection[str]) -> str:
     """Return the end of a message about an option that is not known: which one may be meant."""
     meant = OTHER_SPELLINGS.get(name.lower(), name)
     if meant in known:
         return f"; did you mean {meant}?"
-    if meant in SERIAL_SETTINGS:
+    if meant in SERIAL_SETTINGS and not URLS.isdisjoint(known):
         return f"; {meant} is part of the URL of a serial port: rtu:///dev/ttyUSB0?{meant}=..."
     return close_to(name, known)
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ...protocol.checks import integer, shown
+from ...protocol.close_names import close_option
 from ...protocol.mistakes import Path, WrongType, WrongValue, inside, item
 from .toml_lines import shown_key
 
@@ -117,7 +118,8 @@ class Keys(Mapping[str, Key]):
         """
         for name in given:
             if name not in self._keys:
-                reason = f"no such key; allowed are {', '.join(self._keys)}"
+                close = close_option(name, self._keys)
+                reason = f"no such key; allowed are {', '.join(self._keys)}{close}"
                 raise WrongValue.about((*path, shown_key(name)), reason)
         for key in self._keys.values():
             if key.default is REQUIRED and key.name not in given:

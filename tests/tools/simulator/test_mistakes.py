@@ -28,8 +28,14 @@ BROKEN = [
     ("unit = []", "unit must hold at least one"),
     ("[unit]", "unit must be a list of tables: [[unit]]"),
     ("unit = [1]", "unit[0] must be a table, not 1"),
-    ("units = []", "units: no such key; allowed are unit, fault, roles, defaults"),
-    ("'my unit' = []", "'my unit': no such key; allowed are unit, fault, roles, defaults"),
+    (
+        "units = []",
+        "units: no such key; allowed are unit, fault, roles, defaults; did you mean unit?",
+    ),
+    (
+        "'my unit' = []",
+        "'my unit': no such key; allowed are unit, fault, roles, defaults; did you mean unit?",
+    ),
     ("[[unit]]\nid = 248", "unit[0].id must be in 0..247, or 255, not 248"),
     ("[[unit]]\nid = -1", "unit[0].id must be in 0..255, not -1"),
     ("[[unit]]\nid = '1'", "unit[0].id must be an integer in 0..255, not str"),
@@ -44,7 +50,8 @@ BROKEN = [
         "[[unit]]\nnames = 'x'",
         "unit[0].names: no such key; allowed are id, name, description, exception_status,"
         " server_id, identification, defaults, map, values, moves, coils, discrete_inputs,"
-        " holding_registers, input_registers, file, fifo, fault, roles",
+        " holding_registers, input_registers, file, fifo, fault, roles;"
+        " did you mean name or moves?",
     ),
     ("[[unit]]\nexception_status = 256", "unit[0].exception_status must be in 0..255, not 256"),
     ("[[unit]]\nserver_id = 1", "unit[0].server_id must be a table, not 1"),
@@ -100,7 +107,7 @@ BROKEN = [
         " encoding, padding, scale, offset, units, access, minimum, maximum, description, missing,"
         " plausible_minimum, plausible_maximum, never_falls, scale_from, scale_as, states, bits,"
         " bit, byte, time_zone, interval, group, unit,"
-        " value, values, counter, sine, random_walk, copy",
+        " value, values, counter, sine, random_walk, copy; did you mean value or scale?",
     ),
     (
         "[[unit]]\n[[unit.coils]]\naddress = 0\nvalues = [true, 2]",
@@ -166,7 +173,8 @@ BROKEN = [
     (HOLDING + "counter = 1", f"{AT}.counter must be a table, not 1"),
     (
         HOLDING + "counter = { stop = 1 }",
-        f"{AT}.counter.stop: no such key; allowed are step, interval, start, wrap",
+        f"{AT}.counter.stop: no such key; allowed are step, interval, start, wrap;"
+        " did you mean step?",
     ),
     (HOLDING + "counter = { step = 0 }", f"{AT}.counter.step must not be 0"),
     (
@@ -281,7 +289,7 @@ BROKEN = [
     (
         "[[unit]]\n[[unit.file]]\nnumber = 1\nrecord = 0\ncounter = {}",
         "unit[0].file[0].counter: no such key; allowed are number, record, count, value, values,"
-        " type, order, encoding, padding, access",
+        " type, order, encoding, padding, access; did you mean count?",
     ),
     (
         "[[unit]]\n[[unit.file]]\nnumber = 1\nrecord = 0\n[[unit.file]]\nnumber = 2\nrecord = 0\n"
