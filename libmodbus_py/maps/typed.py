@@ -8,7 +8,7 @@ import json
 import math
 import reprlib
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..protocol.checks import shown
 from ..protocol.json_text import each_once
@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
     from .point import Point
 
-__all__ = ["json_value", "typed_register", "typed_value"]
+__all__ = ["json_value", "typed_register", "typed_value", "typed_values"]
+
+Each = TypeVar("Each")
 
 
 def typed_value(point: Point, text: str) -> Any:
@@ -52,6 +54,23 @@ def typed_value(point: Point, text: str) -> Any:
     return _exact(text)
 
 
+def typed_values(point: Point, text: str) -> Any:
+    """
+    Return the value of a point that a text says; a list if the point has several.
+
+    Several values are separated by commas. Named bits contain commas themselves, and so may the
+    names of states: these are a JSON array.
+
+    Raises:
+        ValueError: as `typed_value`.
+    """
+    if point.count == 1:
+        return typed_value(point, text)
+    if point.bits is not None or (point.states is not None and text.lstrip().startswith("[")):
+        return _json(text, list, "array")
+    return [typed_value(point, word.strip()) for word in text.split(",")]
+
+
 def _state(states: Mapping[int, str], text: str) -> str | int:
     if text in states.values():
         return text
@@ -65,7 +84,7 @@ def _state(states: Mapping[int, str], text: str) -> str | int:
 def _named_bits(text: str) -> dict[str, int]:
     """Return the bits of "door=1, mode=5", or of a JSON object."""
     if text.lstrip().startswith("{"):
-        return _object(text)
+        return _json(text, dict, "object")
     found: list[tuple[str, int]] = []
     for each in text.split(","):
         name, separator, value = each.partition("=")
@@ -93,13 +112,16 @@ def json_value(point: Point, value: Any) -> Any:
     return value_of(value, kind) if isinstance(value, str) else value
 
 
-def _object(text: str) -> dict[str, int]:
+def _json(text: str, kind: type[Each], name: str) -> Each:
+    """Return the object or array that a text contains as JSON."""
     try:
-        found: dict[str, int] = json.loads(text, object_pairs_hook=each_once)
+        found = json.loads(text, object_pairs_hook=each_once)
     except WrongValue as mistake:
         raise mistake.under(("value",)) from None
     except (ValueError, RecursionError):
-        raise ValueError(f"value must be a JSON object, not {reprlib.repr(text)}") from None
+        found = None
+    if not isinstance(found, kind):
+        raise ValueError(f"value must be a JSON {name}, not {reprlib.repr(text)}")
     return found
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from ...device.values_after import cells_after
 from ...maps.point import Point
-from ...maps.typed import typed_register, typed_value
+from ...maps.typed import typed_register, typed_value, typed_values
 from ...protocol.spelling import shown
 from ...protocol.tables import TABLES
 from ...protocol.values import readings, value_type
@@ -25,17 +25,16 @@ MOST_TEXT = 2000
 
 def set_point(unit: ShownUnit, point: Point, text: str) -> None:
     """
-    Set a point to the value that a text says; several values are separated by commas.
+    Set a point to the value that a text says, or to several, as `typed_values` takes them.
 
     Raises:
         ValueError: the text is no such value, or the device computes the value itself.
     """
     _check_length(text)
-    words = [each.strip() for each in text.split(",")] if point.count > 1 else [text]
-    values = [typed_value(point, word) for word in words]
+    value = typed_values(point, text)
     with unit.device.mapping as mapping:
         try:
-            unit.device.update({point.name: values if point.count > 1 else values[0]})
+            unit.device.update({point.name: value})
         except TypeError as error:
             raise ValueError(str(error)) from None
         _check_set(unit, point, cells_after(point, mapping))

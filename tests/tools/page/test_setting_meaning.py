@@ -21,6 +21,8 @@ MAP = RegisterMap(
         Point("clock", H, 2, type="unix32"),
         Point("local", H, 4, type="date48", time_zone="Europe/Berlin"),
         Point("flag", H, 7, bit=3),
+        Point("doors", H, 8, count=2, bits={0: "door, left", 1: "b"}),
+        Point("modes", H, 10, count=2, states={0: "off, idle", 1: "on"}),
     ]
 )
 
@@ -36,6 +38,13 @@ TYPED: list[tuple[str, str, Any]] = [
     ("clock", "2026-07-01T14:00:00+02:00", NOON),
     ("local", "2026-07-01T12:00:00Z", NOON),
     ("flag", "on", True),
+    (
+        "doors",
+        '[{"door, left": 1, "b": 0}, {"door, left": 0, "b": 1}]',
+        [{"door, left": True, "b": False}, {"door, left": False, "b": True}],
+    ),
+    ("modes", "on, 0", ["on", "off, idle"]),
+    ("modes", '["off, idle", "on"]', ["off, idle", "on"]),
 ]
 
 REFUSED = [
@@ -46,6 +55,12 @@ REFUSED = [
     ("clock", "noon"),
     ("clock", "2026-07-01T12:00:00"),
     ("flag", "2"),
+    ("doors", "b=1, b=1"),
+    ("doors", '{"b": 1}'),
+    ("doors", '[{"b": 1, "b": 0}, {}]'),
+    ("doors", '[{"b": 1}]'),
+    ("modes", '["on"'),
+    ("modes", "[" * 1900),
 ]
 
 
