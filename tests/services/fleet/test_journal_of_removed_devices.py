@@ -4,6 +4,7 @@ Devices all of whose readings were deleted: a journal forgets them when the next
 
 from __future__ import annotations
 
+import contextlib
 import sqlite3
 import time
 from pathlib import Path
@@ -50,9 +51,9 @@ def test_devices_without_readings_are_forgotten_with_their_points(path: str) -> 
     file, first = opened(path)
     assert names(path) == {"kept": 2}
     file.write([poll("other", first, count=3), poll("gone", first + 3)], {}, first)
-    read = [
-        (each.readings[0].device, len(each.readings)) for each in JournalReader(path).read(0, 99)
-    ]
+    with contextlib.closing(JournalReader(path)) as reader:
+        polls = reader.read(0, 99)
+    read = [(each.readings[0].device, len(each.readings)) for each in polls]
     assert read == [("kept", 2), ("other", 3), ("gone", 2)]
     assert [each.value for each in history(path, "gone", "p1", 0, 1e12)] == [0.1]
     file.close()
