@@ -24,16 +24,25 @@ KNOWN = ["unit", "timeout", "retries"]
         ("SLAVE_ID", "; did you mean unit?"),
         ("retry_count", "; did you mean retries?"),
         ("timeuot", "; did you mean timeout?"),
-        ("baud", "; baudrate is part of the URL of a serial port: rtu:///dev/ttyUSB0?baudrate=..."),
-        ("parity", "; parity is part of the URL of a serial port: rtu:///dev/ttyUSB0?parity=..."),
+        (
+            "url baud",
+            "; baudrate is part of the URL of a serial port: rtu:///dev/ttyUSB0?baudrate=...",
+        ),
+        (
+            "url parity",
+            "; parity is part of the URL of a serial port: rtu:///dev/ttyUSB0?parity=...",
+        ),
+        ("parity", ""),
         ("endian", ""),
         ("xyz", ""),
     ],
 )
 def test_an_option_is_named_by_what_other_packages_call_it(name: str, end: str) -> None:
-    assert close_option(name, KNOWN) == end
-    error = unknown_option(name, KNOWN)
-    assert str(error) == f"'{name}' must be one of unit, timeout, retries{end}"
+    *others, name = name.split()
+    known = [*KNOWN, *others]
+    assert close_option(name, known) == end
+    error = unknown_option(name, known)
+    assert str(error) == f"'{name}' must be one of {', '.join(known)}{end}"
 
 
 def test_up_to_three_names_are_close() -> None:
