@@ -9,13 +9,20 @@ from __future__ import annotations
 
 import argparse
 
-from ..ports.schemes import CLIENT_OPTIONS, OTHER_NAMES, SECURITY_OPTIONS, SERIAL_OPTIONS
+from ..ports.schemes import (
+    CLIENT_OPTIONS,
+    OTHER_NAMES,
+    SCHEMES,
+    SECURITY_OPTIONS,
+    SERIAL_OPTIONS,
+    shape_of,
+)
 from . import completers
 from .help import VerbatimHelp
 
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
     from typing import Any, TypeVar
 
     from ..ports.schemes import Option
@@ -30,19 +37,31 @@ __all__ = [
 ]
 # fmt: on
 
-URLS = """\
-URL: tcp://HOST[:502], tls://HOST[:802], udp://HOST[:502], rtu+tcp://HOST:PORT,
-     ascii+tcp://HOST:PORT, rtu+udp://HOST:PORT, rtu:///dev/ttyUSB0,
-     ascii:///dev/ttyUSB0; or just HOST, HOST:PORT or /dev/ttyUSB0.
+
+def _indented(words: Iterable[str]) -> str:
+    """Return words behind "URL:", in lines of at most 79 characters."""
+    lines = ["URL:"]
+    for word in words:
+        if len(lines[-1]) + 1 + len(word) > 79:
+            lines.append("    ")
+        lines[-1] += f" {word}"
+    return "\n".join(lines)
+
+
+def _listed(shapes: Iterable[str]) -> str:
+    """Return an enumeration of URLs, with what may be typed instead of one."""
+    return _indented(f"{', '.join(shapes)}; or just HOST, HOST:PORT or /dev/ttyUSB0.".split())
+
+
+URLS = f"""\
+{_listed(shape_of(scheme) for scheme in SCHEMES)}
      Settings follow a question mark, as in "tcp://192.0.2.10?unit=7&timeout=2"
      or "rtu:///dev/ttyUSB0?baudrate=9600&parity=N". Their names are those of
      the options above, with _ in place of -. Quote such a URL, because shells
      interpret &. An option overrides the setting in the URL."""
 """The end of each --help of a client."""
 
-SCHEMES_OF_URLS = """\
-URL: tcp://, rtu+tcp://, ascii+tcp://, udp://, rtu+udp://, tls://, rtu:// or
-     ascii://; or just HOST, HOST:PORT or /dev/ttyUSB0."""
+SCHEMES_OF_URLS = _listed(f"{scheme}://" for scheme in SCHEMES)
 """The schemes, for commands that listen."""
 
 SHORT = {"unit": "-u", "baudrate": "-b", "parity": "-p", "data_bits": "-d", "stop_bits": "-s"}

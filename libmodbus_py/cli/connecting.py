@@ -7,7 +7,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from ..ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
+from ..ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS, TRANSPORTS
 from .arguments import REPEATED, checked, flag, given
 
 if TYPE_CHECKING:
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from ..client.blocking import Context
     from ..ports.endpoint import Endpoint
+    from ..ports.schemes import Option, Transport
 
 __all__ = ["OF_SERVERS", "connected", "endpoint_of", "with_options"]
 
@@ -23,10 +24,10 @@ OF_SERVERS = (*SERIAL_OPTIONS, *SECURITY_OPTIONS)
 
 ALL = (*CLIENT_OPTIONS, *OF_SERVERS)
 
-OF_TRANSPORTS = {"serial": SERIAL_OPTIONS, "tls": SECURITY_OPTIONS}
+OF_TRANSPORTS: dict[Transport, Mapping[str, Option]] = {
+    name: rules.options for name, rules in TRANSPORTS.items() if rules.options
+}
 """Transport -> the options that it alone has."""
-
-PLACES = {"serial": "serial ports", "tls": "tls:// URLs"}
 
 
 def endpoint_of(options: argparse.Namespace) -> Endpoint:
@@ -82,10 +83,9 @@ def with_options(
     for transport, own in OF_TRANSPORTS.items():
         useless = [name for name in typed if name in own]
         if useless and not any(each.transport == transport for each in endpoints):
+            wanted = "serial ports" if TRANSPORTS[transport].is_serial else f"{transport}:// URLs"
             places = ", ".join(map(str, endpoints))
-            raise ValueError(
-                f"{flag(useless[0])} applies to {PLACES[transport]} only, not to {places}"
-            )
+            raise ValueError(f"{flag(useless[0])} applies to {wanted} only, not to {places}")
     return [_overridden(each, typed) for each in endpoints]
 
 

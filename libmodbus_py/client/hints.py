@@ -7,11 +7,12 @@ from __future__ import annotations
 import errno
 import re
 
+from ..ports.schemes import SCHEMES
 from ..protocol.framing import crc16
 
 __all__ = ["explain", "explain_end"]
 
-PLAIN = ("tcp", "rtu+tcp", "ascii+tcp")
+PLAIN = tuple(scheme for scheme, (_, transport) in SCHEMES.items() if transport == "tcp")
 """The schemes of connections without TLS."""
 
 ASCII_FRAME = rb":[0-9A-Fa-f]{6}"

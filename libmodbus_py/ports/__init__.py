@@ -2,7 +2,8 @@
 Ports: TCP, TLS, UDP and serial, and how to wait for them.
 
     endpoint       URLs of endpoints: transport, framing and options
-    schemes        the tables of schemes, transports and options of URLs
+    schemes        the tables of schemes, transports and options of URLs; `TRANSPORTS` names the
+                   file of each transport, such as sockets, tls and serial
     hosts          hosts that are this machine
     making         the port of a client, made for its endpoint
     port           the base class of ports; the silence of a line

@@ -1,7 +1,7 @@
 """
 Endpoints as URLs, alike for clients, servers and the command line.
 
-::
+The schemes are those of `SCHEMES` in `schemes`, among them::
 
     tcp://HOST:PORT    rtu+tcp://HOST:PORT    ascii+tcp://HOST:PORT
     udp://HOST:PORT    rtu+udp://HOST:PORT

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 __all__ = [
     "ASCII_DEFAULTS", "CLIENT_OPTIONS", "DEFAULT_PORT", "OTHER_NAMES", "PARITIES", "SCHEMES",
     "SECURE_PORT", "SECURITY_OPTIONS", "SERIAL_DEFAULTS", "SERIAL_OPTIONS", "TRANSPORTS", "Option",
-    "Scheme", "Transport", "TransportRules", "character_bits", "framing_of",
-    "parity_of",
+    "Scheme", "Transport", "TransportRules", "character_bits", "framing_of", "parity_of",
+    "shape_of",
 ]
 # fmt: on
 
@@ -168,6 +168,19 @@ TRANSPORTS: dict[Transport, TransportRules] = {
     "tls": TransportRules("tls.TlsPort", SECURITY_OPTIONS, SECURE_PORT, is_secure=True),
     "serial": TransportRules("serial.SerialPort", SERIAL_OPTIONS, 0, is_serial=True),
 }
+
+
+def shape_of(scheme: Scheme) -> str:
+    """
+    Return how URLs of a scheme look, for help texts: ``tcp://HOST[:502]``.
+
+    Schemes such as rtu+tcp are for serial device servers, which have no usual port.
+    """
+    rules = TRANSPORTS[SCHEMES[scheme][1]]
+    if rules.is_serial:
+        return f"{scheme}:///dev/ttyUSB0"
+    return f"{scheme}://HOST:PORT" if "+" in scheme else f"{scheme}://HOST[:{rules.port}]"
+
 
 CLIENT_OPTIONS: dict[str, Option] = {
     "unit": _number("unit that is addressed, 0..255"),

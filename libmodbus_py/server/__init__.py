@@ -4,7 +4,8 @@ Answers clients: bytes in, bytes out, on any number of endpoints in one asyncio 
 In the order in which a request goes through::
 
     server       Server: devices at any number of endpoints
-    serving      Serving: opens endpoints, and serves in a loop, in a thread, or for ever
+    serving      Serving: opens endpoints, and serves in a loop, in a thread, or for ever;
+                 `ENDPOINTS` has the endpoint of each transport, from the file of its name
     background   a server in a thread of its own
     garbage      excludes what does not change from garbage collection
     signals      signal handlers in the loop; the previous ones are restored afterwards

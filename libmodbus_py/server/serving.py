@@ -125,8 +125,8 @@ class Serving(ABC):
         Serve while the ``async with`` block runs.
 
         Args:
-            urls: the endpoints: tcp, rtu+tcp, ascii+tcp, udp, tls with port 0 for a free
-                one; rtu, ascii for serial ports with their settings.
+            urls: the endpoints, of any scheme: hosts with port 0 for a free one, and serial ports
+                with their settings.
 
         Raises:
             TypeError, ValueError: a URL is wrong or has options of clients, or there is none.

@@ -11,8 +11,10 @@ from typing import get_args
 import pytest
 
 from libmodbus_py import Context
+from libmodbus_py.cli.arguments import SCHEMES_OF_URLS, URLS
 from libmodbus_py.client.blocking import (
     AsciiContext,
+    Client,
     RtuContext,
     TcpContext,
     TlsContext,
@@ -20,11 +22,18 @@ from libmodbus_py.client.blocking import (
 )
 from libmodbus_py.client.options import AsyncOptions, CheckedOptions, ContextOptions
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.ports.schemes import CLIENT_OPTIONS, SCHEMES, TRANSPORTS, Scheme, Transport
+from libmodbus_py.ports.schemes import (
+    CLIENT_OPTIONS,
+    SCHEMES,
+    TRANSPORTS,
+    Scheme,
+    Transport,
+    shape_of,
+)
 from libmodbus_py.server.serving import ENDPOINTS
 from tests.support.certificates import Papers
 
-KINDS: dict[str, tuple[type[Context], set[str]]] = {
+KNOWN: dict[Scheme, tuple[type[Context], set[str]]] = {
     "tcp": (TcpContext, {"has_transactions"}),
     "rtu+tcp": (TcpContext, set()),
     "ascii+tcp": (TcpContext, set()),
@@ -34,7 +43,13 @@ KINDS: dict[str, tuple[type[Context], set[str]]] = {
     "rtu": (RtuContext, {"is_serial"}),
     "ascii": (AsciiContext, {"is_serial"}),
 }
-"""Scheme -> the class of its contexts, and which of `PROPERTIES` its endpoints have."""
+"""
+Scheme -> the class of its contexts, and which of `PROPERTIES` its endpoints have.
+
+These may not change; of other schemes their own tests tell it.
+"""
+
+URLS_PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "read-and-write.md"
 
 PROPERTIES = ["has_transactions", "is_datagram", "is_secure", "is_serial"]
 
@@ -51,12 +66,27 @@ def test_each_scheme_has_a_context_and_a_port(scheme: Scheme, tmp_path: Path) ->
     url = f"{scheme}:///dev/null" if rules.is_serial else f"{scheme}://h"
     security = {"security": Papers(tmp_path).client()} if rules.is_secure else {}
     context = Context.from_url(url, **security)
-    kind, has = KINDS[scheme]
-    assert type(context) is kind
-    assert {name for name in PROPERTIES if getattr(parse(url), name)} == has
+    assert type(context) not in (Context, Client)
+    if scheme in KNOWN:
+        kind, has = KNOWN[scheme]
+        assert type(context) is kind
+        assert {name for name in PROPERTIES if getattr(parse(url), name)} == has
     module, name = rules.port_class.split(".")
     port = context._driver._port
     assert (type(port).__module__, type(port).__name__) == (f"libmodbus_py.ports.{module}", name)
+
+
+def test_every_scheme_is_in_the_table_of_the_documentation() -> None:
+    text = URLS_PAGE.read_text().partition("| URL | endpoint |")[2]
+    table = text.partition("\n\n")[0]
+    assert [scheme for scheme in SCHEMES if f"`{scheme}://" not in table] == []
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_help_texts_name_every_scheme(scheme: Scheme) -> None:
+    assert f" {scheme}://" in SCHEMES_OF_URLS
+    assert f" {shape_of(scheme)}" in URLS
+    assert max(map(len, f"{SCHEMES_OF_URLS}\n{URLS}".splitlines())) <= 79
 
 
 def test_a_class_of_a_program_does_not_take_a_scheme() -> None:
