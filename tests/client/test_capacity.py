@@ -12,9 +12,13 @@ from typing import Any
 import pytest
 
 from libmodbus_py import ModbusTimeoutError, pdu
+from libmodbus_py.ports.schemes import SCHEMES
 from tests.support.clients import World
-from tests.support.peers import Write, echo, ignore, mbap
+from tests.support.peers import Write, echo, has_header, ignore, mbap
 from tests.support.talk import Talk, tcp
+
+# Requests may be in flight beside others where frames have transaction ids.
+each_scheme = pytest.mark.parametrize("scheme", [*filter(has_header, SCHEMES)])
 
 BUSY = b"\x83\x06"
 
@@ -60,10 +64,13 @@ def echoes(count: int) -> list[list[int]]:
     return [[address] for address in range(count)]
 
 
+@each_scheme
 @pytest.mark.parametrize("places", [1, 2, 4, 8])
-def test_a_device_that_loses_requests_loses_no_value(world: World, places: int) -> None:
+def test_a_device_that_loses_requests_loses_no_value(
+    world: World, scheme: str, places: int
+) -> None:
     device = Device(world, places)
-    peer = world.peer("tcp", device)
+    peer = world.peer(scheme, device)
     with world.connect(peer.url) as context:
         assert context.execute_many(reads(200)) == echoes(200)
         assert context.max_in_flight == places
@@ -73,9 +80,10 @@ def test_a_device_that_loses_requests_loses_no_value(world: World, places: int) 
         assert context.statistics.timeouts == lost
 
 
-def test_a_device_that_takes_many_gets_many(world: World) -> None:
+@each_scheme
+def test_a_device_that_takes_many_gets_many(world: World, scheme: str) -> None:
     device = Device(world, 16)
-    peer = world.peer("tcp", device)
+    peer = world.peer(scheme, device)
     with world.connect(peer.url) as context:
         assert context.max_in_flight == 1
         assert context.execute_many(reads(100)) == echoes(100)
@@ -84,15 +92,17 @@ def test_a_device_that_takes_many_gets_many(world: World) -> None:
         assert context.statistics.falls == context.statistics.retries == 0
 
 
-def test_busy_is_a_sign_too(world: World) -> None:
-    peer = world.peer("tcp", Device(world, 2, BUSY))
+@each_scheme
+def test_busy_is_a_sign_too(world: World, scheme: str) -> None:
+    peer = world.peer(scheme, Device(world, 2, BUSY))
     with world.connect(peer.url) as context:
         assert context.execute_many(reads(50)) == echoes(50)
         assert context.max_in_flight == 2
 
 
-def test_one_that_was_set_is_fixed(world: World) -> None:
-    peer = world.peer("tcp", Device(world, 4))
+@each_scheme
+def test_one_that_was_set_is_fixed(world: World, scheme: str) -> None:
+    peer = world.peer(scheme, Device(world, 4))
     with world.connect(peer.url, max_in_flight=8, timeout=0.3) as context:
         found = context.execute_many(reads(8), return_exceptions=True)
         assert found[:4] == echoes(4)
@@ -100,9 +110,10 @@ def test_one_that_was_set_is_fixed(world: World) -> None:
         assert context.statistics.retries == 0
 
 
-def test_it_is_told_once(world: World, caplog: pytest.LogCaptureFixture) -> None:
+@each_scheme
+def test_it_is_told_once(world: World, scheme: str, caplog: pytest.LogCaptureFixture) -> None:
     device = Device(world, 8)
-    peer = world.peer("tcp", device)
+    peer = world.peer(scheme, device)
     with world.connect(peer.url) as context, caplog.at_level(logging.WARNING):
         context.execute_many(reads(100))
         device._places = 1
@@ -113,9 +124,10 @@ def test_it_is_told_once(world: World, caplog: pytest.LogCaptureFixture) -> None
     assert "8 in flight from now on" in record.getMessage()
 
 
-def test_a_new_connection_begins_anew(world: World) -> None:
+@each_scheme
+def test_a_new_connection_begins_anew(world: World, scheme: str) -> None:
     device = Device(world, 1)
-    peer = world.peer("tcp", device)
+    peer = world.peer(scheme, device)
     with world.connect(peer.url) as context:
         context.execute_many(reads(20))
         assert context.max_in_flight == 1
@@ -125,10 +137,11 @@ def test_a_new_connection_begins_anew(world: World) -> None:
         assert device.most > 4
 
 
-def test_a_device_that_stood_still_keeps_what_it_had(world: World) -> None:
+@each_scheme
+def test_a_device_that_stood_still_keeps_what_it_had(world: World, scheme: str) -> None:
     """Its late answers show that it lost nothing."""
     device = Device(world, 16)
-    peer = world.peer("tcp", device)
+    peer = world.peer(scheme, device)
     with world.connect(peer.url, timeout=0.5) as context:
         context.execute_many(reads(100))
         held: list[tuple[bytes, Write]] = []
@@ -144,14 +157,15 @@ def test_a_device_that_stood_still_keeps_what_it_had(world: World) -> None:
         assert context.max_in_flight >= 8
 
 
-def test_one_dead_request_holds_others_up_once(world: World) -> None:
+@each_scheme
+def test_one_dead_request_holds_others_up_once(world: World, scheme: str) -> None:
     """A trial without an answer says that the number in flight was not the reason."""
 
     def but_five(request: bytes, write: Write) -> None:
         if request[9] != 5:
             write(echo(request))
 
-    peer = world.peer("tcp", but_five)
+    peer = world.peer(scheme, but_five)
     with world.connect(peer.url, timeout=1) as context, world.lasting(1.25, more=0.1):
         found = context.execute_many(reads(100), return_exceptions=True)
         assert isinstance(found[5], ModbusTimeoutError)
@@ -159,8 +173,9 @@ def test_one_dead_request_holds_others_up_once(world: World) -> None:
         assert context.statistics.falls == 0
 
 
-def test_nobody_waits_for_each_of_many_when_nothing_answers(world: World) -> None:
-    peer = world.peer("tcp", ignore)
+@each_scheme
+def test_nobody_waits_for_each_of_many_when_nothing_answers(world: World, scheme: str) -> None:
+    peer = world.peer(scheme, ignore)
     with world.connect(peer.url, timeout=1) as context:
         before = world.now
         found = context.execute_many(reads(16), return_exceptions=True)

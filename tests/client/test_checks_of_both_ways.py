@@ -18,6 +18,7 @@ from libmodbus_py import (
     TcpContext,
     pdu,
 )
+from libmodbus_py.ports.schemes import SCHEMES
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.support.clients import ALL, BLOCKING, EVERYWHERE, World, asking
@@ -84,7 +85,7 @@ def test_a_request_without_an_answer_is_not_waited_for(world: World) -> None:
 
 
 @BLOCKING
-@pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu"])
+@pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_shorter_timeout_of_another_thread_ends_the_wait(kind: str, scheme: str) -> None:
     with peer_at(scheme, ignore) as peer, asking(kind, peer.url, timeout=600) as client:
         failed: list[BaseException] = []

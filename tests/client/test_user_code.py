@@ -12,14 +12,14 @@ from typing import Any
 import pytest
 
 from libmodbus_py import AsyncClient, ModbusError, ModbusTimeoutError, State, pdu
+from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS
 from tests.simulation.network import Network
 from tests.simulation.scripted import OnRequest, Scripted
 from tests.support.cases import each_case
 from tests.support.clients import World, making
-from tests.support.peers import Write, address_of, answer
+from tests.support.peers import Write, address_of, answer, has_header
 
-PLACES = ["tcp", "udp", "rtu", "rtu+tcp", "rtu+udp", "ascii+tcp", "ascii"]
-SCHEMES = pytest.mark.parametrize("scheme", PLACES)
+each_scheme = pytest.mark.parametrize("scheme", SCHEMES)
 
 
 class Mistake(Exception):
@@ -40,7 +40,7 @@ def with_mistake(name: str) -> pdu.ReadHoldingRegisters:
 
 def replying(scheme: str, outcome: str) -> OnRequest:
     """Return what answers all reads, but one of register 5 in another way."""
-    around = 7 if scheme in ("tcp", "udp") else 1
+    around = 7 if has_header(scheme) else 1
 
     def reply(request: bytes, write: Write) -> None:
         if address_of(request, scheme) != b"\x00\x05" or outcome == "answer":
@@ -65,7 +65,7 @@ def outcome_of(call: Callable[[], object]) -> object:
 METHODS = ["encode", "expects_response", "decode_response", "repeatable", "__str__"]
 
 
-@SCHEMES
+@each_scheme
 @each_case(("kind", "name", "outcome"), [
     (kind, name, outcome)
     for kind in ("python", "asyncio")
@@ -75,7 +75,8 @@ METHODS = ["encode", "expects_response", "decode_response", "repeatable", "__str
 def test_a_mistake_in_a_class_is_met_by_its_caller(
     scheme: str, kind: str, name: str, outcome: str
 ) -> None:
-    if outcome == "close" and "tcp" not in scheme:
+    rules = TRANSPORTS[SCHEMES[scheme][1]]  # type: ignore[index]
+    if outcome == "close" and (rules.is_serial or rules.is_datagram):
         return
     with making(kind) as world:
         peer = world.peer(scheme, replying(scheme, outcome))
@@ -127,7 +128,7 @@ def broken_log() -> Iterator[None]:
 
 @pytest.mark.usefixtures("broken_log")
 @pytest.mark.parametrize("hook", [None, "trace", "on_state", "may_send"])
-@pytest.mark.parametrize("scheme", ["tcp", "rtu"])
+@each_scheme
 def test_a_log_handler_that_fails_fails_no_call(
     world: World, scheme: str, hook: str | None
 ) -> None:

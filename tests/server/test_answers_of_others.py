@@ -4,13 +4,14 @@ Servers on a line with other units: what these ask and answer is neither carried
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import pytest
 
 from libmodbus_py import Context, Device, Gateway, Mapping, Route, Server
+from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS
 from tests.simulation.stage import LineEnd, Stage
 from tests.support.talk import ascii_frame, rtu
 
@@ -30,6 +31,59 @@ TRAFFIC = [
 ]
 
 
+LINES = {
+    scheme: (rtu if framing == "rtu" else ascii_frame, TRANSPORTS[transport])
+    for scheme, (framing, transport) in SCHEMES.items()
+    if framing in ("rtu", "ascii")
+}
+"""Scheme -> what makes its frames, and the rules of its transport."""
+
+each_line = pytest.mark.parametrize("scheme", LINES)
+each_stream = pytest.mark.parametrize(
+    "scheme", [each for each, (_, rules) in LINES.items() if not rules.is_datagram]
+)
+
+
+def place_on(scheme: str) -> str:
+    """Return the URL of a server."""
+    is_serial = LINES[scheme][1].is_serial
+    return f"{scheme}://{'/dev/line?baudrate=115200' if is_serial else '10.0.0.1:1502'}"
+
+
+@contextmanager
+def saying(stage: Stage, url: str) -> Iterator[Callable[..., bytes]]:
+    """Yield what writes something at once, and returns what is answered."""
+    if "/dev/line" in url:
+        master = LineEnd(stage.line("/dev/line"))
+
+        def say(*data: bytes) -> bytes:
+            master.heard = b""
+            master.write(b"".join(data))
+            stage.pass_time(2)
+            return master.heard
+
+        yield say
+        return
+    with stage.talk(url) as client:
+
+        def send(*data: bytes) -> bytes:
+            client.sendall(b"".join(data))
+            stage.pass_time(2)
+            heard = b""
+            while client.has_input():
+                heard += client.recv(300)
+            return heard
+
+        yield send
+
+
+def damaged(frame: bytes) -> bytes:
+    """Return a frame with another CRC or LRC."""
+    if not frame.startswith(b":"):
+        return frame[:-1] + bytes([frame[-1] ^ 1])
+    return frame[:-3] + (b"1" if frame[-3:-2] == b"0" else b"0") + frame[-2:]
+
+
 @contextmanager
 def served(stage: Stage, *urls: str) -> Iterator[tuple[Server, Mapping, list[Any]]]:
     mapping = Mapping(holding_registers=4)
@@ -38,6 +92,22 @@ def served(stage: Stage, *urls: str) -> Iterator[tuple[Server, Mapping, list[Any
     server = Server({1: device})
     with server.background(*urls or (LINE,)):
         yield server, mapping, writes
+
+
+@pytest.mark.parametrize(
+    "scheme",
+    [each for each, (made, rules) in LINES.items() if made is rtu and not rules.is_serial],
+)
+def test_answers_of_others_in_one_connection_count_no_error(stage: Stage, scheme: str) -> None:
+    """As a serial device server passes them on that hears its own line."""
+    url = place_on(scheme)
+    with served(stage, url) as (server, _mapping, writes), saying(stage, url) as say:
+        for request, answer in TRAFFIC:
+            assert say(request) == b""
+            assert say(answer) == b""
+            assert say(READ) == rtu("01 03 02 0000"), request.hex()
+        assert writes == []
+        assert server.statistics.bad_frames == 0
 
 
 @pytest.mark.parametrize("pause", [0.0, 0.002, 0.03])
@@ -62,41 +132,37 @@ def test_a_clean_line_with_other_units_counts_no_error(stage: Stage, pause: floa
             assert master.heard == rtu(f"01 08 00{counter:02X} {count:04X}")
 
 
-@pytest.mark.parametrize("scheme", ["rtu", "ascii"])
+@each_line
 @pytest.mark.parametrize("unit", [0, 1, 2])
 @pytest.mark.parametrize("body", ["80", "80 01", "83 02", "FF", "FF 0B"])
 def test_a_good_frame_that_is_no_request_is_no_damage(
     stage: Stage, scheme: str, unit: int, body: str
 ) -> None:
     """A function of 80h or more, with a right CRC, is of another unit or of nobody's."""
-    made = ascii_frame if scheme == "ascii" else rtu
-    with served(stage, LINE.replace("rtu:", f"{scheme}:")) as (server, _mapping, writes):
-        master = LineEnd(stage.line("/dev/line"))
+    made, url = LINES[scheme][0], place_on(scheme)
+    with (
+        served(stage, url) as (server, _mapping, writes),
+        saying(stage, url) as say,
+    ):
         for _ in range(3):
-            master.write(made(f"{unit:02X} {body}"))
-            stage.pass_time(0.1)
-            assert master.heard == b""
-            master.write(made("01 03 0001 0001"))
-            stage.pass_time(0.1)
-            assert master.heard == made("01 03 02 0000")
-            master.heard = b""
+            assert say(made(f"{unit:02X} {body}")) == b""
+            assert say(made("01 03 0001 0001")) == made("01 03 02 0000")
         assert server.statistics.bad_frames == 0
         assert writes == []
-        master.write(made("01 08 000C 0000"))
-        stage.pass_time(0.1)
-        assert master.heard == made("01 08 000C 0000")
+        assert say(made("01 08 000C 0000")) == made("01 08 000C 0000")
 
 
+@each_stream
 @pytest.mark.parametrize("unit", [1, 2])
-def test_damage_with_such_a_function_is_counted(stage: Stage, unit: int) -> None:
+def test_damage_with_such_a_function_is_counted(stage: Stage, scheme: str, unit: int) -> None:
     """A function of 80h or more and a wrong CRC."""
-    with served(stage) as (server, _mapping, _writes):
-        master = LineEnd(stage.line("/dev/line"))
-        master.write(rtu(f"{unit:02X} 80")[:-1] + b"\x00")
-        stage.pass_time(0.1)
-        master.write(READ)
-        stage.pass_time(0.1)
-        assert master.heard == rtu("01 03 02 0000")
+    made, url = LINES[scheme][0], place_on(scheme)
+    with (
+        served(stage, url) as (server, _mapping, _writes),
+        saying(stage, url) as say,
+    ):
+        assert say(damaged(made(f"{unit:02X} 80"))) == b""
+        assert say(made("01 03 0001 0001")) == made("01 03 02 0000")
         assert server.statistics.bad_frames == 1
 
 
@@ -143,56 +209,46 @@ def test_a_frame_in_a_request_is_not_written_through_a_gateway(stage: Stage, hea
         assert list(mapping.holding_registers) == [0] * 4
 
 
-@pytest.mark.parametrize("scheme", ["rtu+tcp", "rtu+udp"])
+@each_line
 def test_a_loopback_that_holds_a_write_comes_back_whole(stage: Stage, scheme: str) -> None:
-    with served(stage, f"{scheme}://10.0.0.1:1502") as (server, _, writes):
-        for data in (b"\1\2", WRITE, WRITE * 20):
-            frame = rtu("01 08 0000" + data.hex())
-            with stage.talk(f"{scheme}://10.0.0.1:1502") as client:
-                client.sendall(frame)
-                received = b""
-                while len(received) < len(frame):
-                    received += client.recv(300)
-                assert received == frame
+    made, url = LINES[scheme][0], place_on(scheme)
+    write = made("01 06 0001 0003")
+    with (
+        served(stage, url) as (server, _, writes),
+        saying(stage, url) as say,
+    ):
+        for data in (b"\1\2", write * 2, write * 10):
+            frame = made("01 08 0000" + data.hex())
+            assert say(frame) == frame
         assert writes == []
         assert server.statistics.bad_frames == 0
 
 
-@pytest.mark.parametrize("scheme", ["rtu", "ascii", "rtu+tcp", "ascii+tcp"])
+@each_stream
 @pytest.mark.parametrize("is_gateway", [False, True])
 def test_only_the_last_of_the_requests_that_wait_is_answered(
     stage: Stage, scheme: str, is_gateway: bool
 ) -> None:
     """All came before the server could look: whoever sent another one has given up the first."""
-    frame = rtu if scheme.startswith("rtu") else ascii_frame
+    frame, url = LINES[scheme][0], place_on(scheme)
     requests = [frame(f"01 06 0001 {number:04X}") for number in (5, 6, 7)]
     answer = frame("01 06 0001 0007")
-    serial = "+" not in scheme
-    url = f"{scheme}:///dev/line?baudrate=115200" if serial else f"{scheme}://10.0.0.1:1502"
     behind = ("tcp://10.0.0.2:502",) if is_gateway else (url,)
-    with served(stage, *behind) as (_, mapping, _writes):
-        gateway = Gateway([Route("tcp://10.0.0.2:502", units="1")])
+    with served(stage, *behind) as (_, mapping, _writes), ExitStack() as stack:
         if is_gateway:
-            with gateway.background(url):
-                assert answers(stage, url, b"".join(requests)) == answer
-        else:
-            assert answers(stage, url, b"".join(requests)) == answer
+            gateway = Gateway([Route("tcp://10.0.0.2:502", units="1")])
+            stack.enter_context(gateway.background(url))
+        say = stack.enter_context(saying(stage, url))
+        assert say(*requests) == answer
         assert mapping.holding_registers[1] == 7
 
 
-def answers(stage: Stage, url: str, data: bytes) -> bytes:
-    if "+" not in url:
-        master = LineEnd(stage.line("/dev/line"))
-        master.write(data)
-        stage.pass_time(2)
-        return master.heard
-    with stage.talk(url, timeout=2) as client:
-        client.sendall(data)
-        stage.pass_time(2)
-        return client.recv(300)
-
-
-def test_a_request_to_another_unit_takes_back_the_answer_that_waits(stage: Stage) -> None:
-    with served(stage):
-        assert answers(stage, LINE, READ + rtu("02 03 0000 0001")) == b""
-        assert answers(stage, LINE, READ + rtu("02 03 0000 0001") + READ) == rtu("01 03 02 0000")
+@each_stream
+def test_a_request_to_another_unit_takes_back_the_answer_that_waits(
+    stage: Stage, scheme: str
+) -> None:
+    frame, url = LINES[scheme][0], place_on(scheme)
+    mine, other = frame("01 03 0001 0001"), frame("02 03 0000 0001")
+    with served(stage, url), saying(stage, url) as say:
+        assert say(mine, other) == b""
+        assert say(mine, other, mine) == frame("01 03 02 0000")

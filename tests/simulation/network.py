@@ -18,9 +18,10 @@ from unittest.mock import patch
 
 from libmodbus_py.client import options as client_options
 from libmodbus_py.client.shortcut import Shortcut
+from libmodbus_py.ports import tls
 from libmodbus_py.ports.endpoint import Endpoint, parse
-from libmodbus_py.ports.making import make_port
 from libmodbus_py.ports.port import Port
+from libmodbus_py.ports.schemes import Transport
 from libmodbus_py.protocol.errors import ModbusConnectionError
 from libmodbus_py.server import serial as serial_server
 from libmodbus_py.server import serving, tcp, udp
@@ -32,7 +33,7 @@ from libmodbus_py.services.gateway import gateway
 from .events import Events
 from .lines import MemorySerialPort, SerialLine
 from .loop import Descriptors, VirtualLoop, run
-from .ports import MemoryTcpPort, MemoryUdpPort, MemoryWaker
+from .ports import MemoryTcpPort, MemoryTlsPort, MemoryUdpPort, MemoryWaker
 from .processes import HOST, StoppableLoop
 from .sockets import DELAY, MemoryDatagrams, MemoryEpoll, MemoryListener, MemorySocket, pair
 
@@ -211,6 +212,7 @@ class Network:
             patch.object(Shortcut, "__init__", _in_python(Shortcut.__init__)),
             # The phases of polls come of the time of day.
             patch.object(fleet, "time", SimpleNamespace(time=self.time_of_day)),
+            patch.object(tls, "time", SimpleNamespace(monotonic=lambda: self.events.now)),
             patch.object(
                 journal_file,
                 "time",
@@ -220,8 +222,13 @@ class Network:
             yield
 
     def _make_port(self, endpoint: Endpoint, settings: Any) -> Port:
-        ports = {"tcp": self._tcp_port, "udp": self._udp_port, "serial": self._serial_port}
-        return ports.get(endpoint.transport, make_port)(endpoint, settings)
+        ports: dict[Transport, Callable[[Endpoint, Any], Port]] = {
+            "tcp": self._tcp_port,
+            "tls": self._tls_port,
+            "udp": self._udp_port,
+            "serial": self._serial_port,
+        }
+        return ports[endpoint.transport](endpoint, settings)
 
     def _tcp_port(self, endpoint: Endpoint, settings: Any) -> Port:
         return MemoryTcpPort(
@@ -231,6 +238,17 @@ class Network:
             host=endpoint.host,
             port=endpoint.port,
             keepalive=settings.keepalive,
+        )
+
+    def _tls_port(self, endpoint: Endpoint, settings: Any) -> Port:
+        return MemoryTlsPort(
+            self.descriptors,
+            self.connect,
+            self.waker,
+            host=endpoint.host,
+            port=endpoint.port,
+            keepalive=settings.keepalive,
+            security=tls.security_of(endpoint, settings.security),
         )
 
     def _udp_port(self, endpoint: Endpoint, settings: Any) -> Port:

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from libmodbus_py.ports.sockets import TcpPort, UdpPort
+from libmodbus_py.ports.tls import ClientSecurity, TlsPort
 from libmodbus_py.ports.waiting import READ, WRITE, Ready, Steps, Waker, Woken, milliseconds
 from libmodbus_py.protocol.errors import ModbusConnectionError
 
@@ -21,7 +22,7 @@ from .events import Events
 from .loop import Descriptors
 from .sockets import MemorySocket
 
-__all__ = ["Connect", "MemoryTcpPort", "MemoryUdpPort", "MemoryWaker"]
+__all__ = ["Connect", "MemoryTcpPort", "MemoryTlsPort", "MemoryUdpPort", "MemoryWaker"]
 
 Connect = Callable[[str, int], tuple[MemorySocket | None, int]]
 """Returns for a host and a port: a socket, which is connected once it is writable; or an errno."""
@@ -124,6 +125,16 @@ class MemoryTcpPort(_InMemory, TcpPort):
 
     def __init__(self, *parts: Any, host: str, port: int, keepalive: float | None) -> None:
         TcpPort.__init__(self, host, port, keepalive)
+        self._join(*parts)
+
+
+class MemoryTlsPort(_InMemory, TlsPort):
+    """A `TlsPort` on a network in memory."""
+
+    def __init__(
+        self, *parts: Any, host: str, port: int, keepalive: float | None, security: ClientSecurity
+    ) -> None:
+        TlsPort.__init__(self, host, port, keepalive, security)
         self._join(*parts)
 
 

@@ -8,9 +8,11 @@ from collections.abc import Callable
 from typing import Any
 
 from libmodbus_py.ports.endpoint import parse
+from tests.support.secured import with_certificates
 
 from .lines import Party
 from .network import Network
+from .secure import SecureEnd
 from .sockets import MemorySocket
 
 __all__ = ["OnRequest", "Scripted", "Write"]
@@ -35,7 +37,7 @@ class Scripted(Party):
         requests: all that came, oldest first; `times` when, in seconds.
         connections: how many were made.
         ends: this side of those that were not dropped.
-        url: with the port that it got.
+        url: with the port that it got; for tls with the certificates of a client, too.
     """
 
     def __init__(self, network: Network, url: str, on_request: OnRequest) -> None:
@@ -45,7 +47,7 @@ class Scripted(Party):
         self.times: list[float] = []
         self.connections: int = 0
         self._network = network
-        self.ends: list[MemorySocket] = []
+        self.ends: list[MemorySocket | SecureEnd] = []
         endpoint = parse(url)
         self._has_header = endpoint.framing == "tcp"
         if endpoint.transport == "serial":
@@ -53,7 +55,8 @@ class Scripted(Party):
             self._line = network.line(endpoint.device)
             self._line.join(self)
         else:
-            self.url = network.listen(url, self._accept)
+            self._is_secure = endpoint.is_secure
+            self.url = with_certificates(network.listen(url, self._accept))
 
     def drop_all(self) -> None:
         """Reset every connection, as a crash does."""
@@ -76,8 +79,9 @@ class Scripted(Party):
         else:
             call(*args)
 
-    def _accept(self, end: MemorySocket, address: tuple[str, int]) -> None:
+    def _accept(self, accepted: MemorySocket, address: tuple[str, int]) -> None:
         self.connections += 1
+        end = SecureEnd(accepted) if self._is_secure else accepted
         self.ends.append(end)
         pending = bytearray()
 
@@ -108,7 +112,7 @@ class Scripted(Party):
         self.on_request(request, write)
 
 
-def _send(end: MemorySocket, data: bytes | None) -> None:
+def _send(end: MemorySocket | SecureEnd, data: bytes | None) -> None:
     if end.is_closed:
         return
     if data is None:
@@ -120,7 +124,7 @@ def _send(end: MemorySocket, data: bytes | None) -> None:
         end.close()
 
 
-def _received(end: MemorySocket) -> bytes:
+def _received(end: MemorySocket | SecureEnd) -> bytes:
     try:
         return end.recv(4096)
     except OSError:

@@ -22,13 +22,16 @@ from functools import partial
 from typing import Any, Self
 
 from libmodbus_py import framing
+from libmodbus_py.ports.schemes import framing_of
 from libmodbus_py.tools.testing.line_ends import open_line, read_what_is_there, write_all
+
+from .secured import Sealing, with_certificates
 
 # fmt: off
 __all__ = [
     "UNKNOWN_FUNCTION", "Answer", "FakeServer", "FakeUnit", "LinePeer", "OnRequest", "Peer",
-    "TcpPeer", "UdpPeer", "Write", "address_of", "answer", "answering", "dead", "echo", "ignore",
-    "mbap", "peer_at", "refusing", "until", "url_of",
+    "TcpPeer", "UdpPeer", "Write", "address_of", "answer", "answering", "dead", "echo",
+    "has_header", "ignore", "mbap", "peer_at", "refusing", "until", "url_of",
 ]
 # fmt: on
 
@@ -82,18 +85,23 @@ def echo(request: bytes, **changed: int) -> bytes:
     return mbap(request, b"\x03\x02" + request[8:10], **changed)
 
 
+def has_header(scheme: str) -> bool:
+    """Return True if the frames of a scheme begin with that of Modbus/TCP."""
+    return framing_of(f"{scheme}://") in ("tcp", "udp")
+
+
 def address_of(request: bytes, scheme: str) -> bytes:
     """Find the address in a request to read registers."""
     if scheme.startswith("ascii"):
         return bytes.fromhex(request[5:9].decode())
-    at = 8 if scheme in ("tcp", "udp") else 2
+    at = 8 if has_header(scheme) else 2
     return request[at : at + 2]
 
 
 def answer(request: bytes, scheme: str, unit: int | None = None) -> bytes:
     """Answer a read of one register with its address; as that unit, not the one asked."""
     pdu = b"\x03\x02" + address_of(request, scheme)
-    if scheme in ("tcp", "udp"):
+    if has_header(scheme):
         return mbap(request, pdu) if unit is None else mbap(request, pdu, unit=unit)
     if scheme.startswith("ascii"):
         body = bytes([int(request[1:3], 16) if unit is None else unit]) + pdu
@@ -183,17 +191,18 @@ class TcpPeer(Peer):
     Answers all connections.
 
     Args:
-        scheme: of the URL. "tcp" has each request cut out whole; else whatever came together
-            is one.
+        scheme: of the URL. "tcp" and "tls" have each request cut out whole; else whatever came
+            together is one.
     """
 
     def __init__(self, on_request: OnRequest, scheme: str = "tcp") -> None:
         super().__init__(on_request)
-        self._is_cut = scheme == "tcp"
+        self._is_cut = has_header(scheme)
+        self._sealings: dict[socket.socket, Sealing] | None = {} if scheme == "tls" else None
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._selector.register(self._listener, selectors.EVENT_READ)
         self.port: int = self._listener.getsockname()[1]
-        self.url = f"{scheme}://127.0.0.1:{self.port}"
+        self.url = with_certificates(f"{scheme}://127.0.0.1:{self.port}")
         self._peers: dict[socket.socket, bytearray] = {}
 
     def drop_all(self) -> None:
@@ -215,6 +224,8 @@ class TcpPeer(Peer):
             peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self.connections += 1
             self._peers[peer] = bytearray()
+            if self._sealings is not None:
+                self._sealings[peer] = Sealing()
             self._selector.register(peer, selectors.EVENT_READ)
             return
         peer = key.fileobj  # type: ignore[assignment]
@@ -228,9 +239,19 @@ class TcpPeer(Peer):
             self._end(peer)
             return
         try:
-            self._cut(peer, data)
+            self._cut(peer, self._decrypted(peer, data))
         except OSError:
             self._end(peer)
+
+    def _decrypted(self, peer: socket.socket, data: bytes) -> bytes:
+        if self._sealings is None:
+            return data
+        sealing = self._sealings[peer]
+        plain = sealing.take(data)
+        peer.sendall(sealing.outgoing())
+        if sealing.is_ended:
+            raise ConnectionResetError
+        return plain
 
     def _cut(self, peer: socket.socket, data: bytes) -> None:
         write = partial(self._write, peer)
@@ -254,11 +275,16 @@ class TcpPeer(Peer):
         if data is None:
             self._end(peer)
         elif peer in self._peers:
+            if self._sealings is not None:
+                self._sealings[peer].seal(data)
+                data = self._sealings[peer].outgoing()
             with contextlib.suppress(OSError):
                 peer.sendall(data)
 
     def _end(self, peer: socket.socket) -> None:
         if self._peers.pop(peer, None) is not None:
+            if self._sealings is not None:
+                del self._sealings[peer]
             self._selector.unregister(peer)
             peer.close()
 

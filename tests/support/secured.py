@@ -1,0 +1,87 @@
+"""
+The server's side of TLS for peers that tests write, without a socket: bytes in, bytes out.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ssl
+import tempfile
+from functools import cache
+from pathlib import Path
+
+from .certificates import Papers, client, server
+
+__all__ = ["Sealing", "with_certificates"]
+
+
+@cache
+def _directory() -> tempfile.TemporaryDirectory[str]:
+    """Return a directory that exists until the process ends."""
+    return tempfile.TemporaryDirectory(prefix="papers")
+
+
+@cache
+def _context() -> ssl.SSLContext:
+    papers = Papers(Path(_directory().name))
+    files = papers.files(server())
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(files.cert, files.key)
+    context.load_verify_locations(papers.ca)
+    context.verify_mode = ssl.CERT_REQUIRED
+    return context
+
+
+@cache
+def _query() -> str:
+    return Papers(Path(_directory().name) / "client").url("", client())
+
+
+def with_certificates(url: str) -> str:
+    """Return the URL of a peer with all that a client needs to connect there."""
+    return f"{url}{_query()}&server_name=localhost" if url.startswith("tls:") else url
+
+
+class Sealing:
+    """
+    One connection of a server.
+
+    Attributes:
+        is_ended: the client said goodbye, or is refused.
+    """
+
+    def __init__(self) -> None:
+        self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
+        self._tls = _context().wrap_bio(self._incoming, self._outgoing, server_side=True)
+        self._is_open = False
+        self.is_ended: bool = False
+
+    def take(self, data: bytes) -> bytes:
+        """Return what was decrypted of what came."""
+        self._incoming.write(data)
+        found = b""
+        try:
+            if not self._is_open:
+                self._tls.do_handshake()
+                self._is_open = True
+            while piece := self._tls.read(16_384):
+                found += piece
+            self.is_ended = True
+        except ssl.SSLWantReadError:
+            pass
+        except ssl.SSLError:
+            self.is_ended = True
+        return found
+
+    def seal(self, data: bytes) -> None:
+        """Encrypt what is to be sent: see `outgoing`."""
+        self._tls.write(data)
+
+    def end(self) -> None:
+        """Say goodbye."""
+        with contextlib.suppress(ssl.SSLError):
+            self._tls.unwrap()
+
+    def outgoing(self) -> bytes:
+        """Return the records to send."""
+        return self._outgoing.read()
