@@ -51,7 +51,7 @@ from ..protocol.pdu.interface import OBJECT_NAMES, ReadDeviceIdCode, pages
 from .access import ACCESSES, Access, Touched
 from .auditing import answer_audited, values_at
 from .authorization import Asked, Authorization, Authorize, UnauthorizedError
-from .caller import Caller
+from .caller import Auditor, Caller
 from .event_log import EventLog
 from .hooks import EVERYTHING, Hook, HookCall, places, timed
 from .mapping import Mapping, Table
@@ -60,7 +60,7 @@ from .point_index import PointIndex, RuledCells
 from .point_rules import PointRules
 from .ranges import joined
 from .record_file import RecordFile
-from .reply import Answered, Watched, make_tally, replier
+from .reply import Answered, Watched, answer_in_c, make_tally, reply
 
 __all__ = ["Device", "DeviceOptions"]
 
@@ -310,17 +310,21 @@ class Device:
             SystemExit, KeyboardInterrupt: a hook or handler did.
         """
         function = pdu[0]
-        log = caller.log
-        if log is None:
-            log = self._own_log()
-            log.note_frame()
+        log = caller.log or self._own_log()
         if function & 0x80:
+            if not log.is_serial:
+                log.note_frame()
             return b""
         log.note_request(broadcast=caller.is_broadcast)
         listening = log.listen_only
         restart = pdu[:3] == _RESTART and not caller.is_broadcast
         ignored = (listening and not restart) or (caller.is_broadcast and not _is_write(function))
-        response = b"" if ignored else self._respond_audited(pdu, log, caller)
+        if ignored:
+            response = b""
+        elif caller.auditor is None:
+            response = self._respond(pdu, log, caller)
+        else:
+            response = self._respond_audited(pdu, log, caller, caller.auditor)
         silent = caller.is_broadcast or listening or log.listen_only
         log.note_response(pdu, response, silent=silent)
         if restart and response[:1] == pdu[:1]:
@@ -348,14 +352,11 @@ class Device:
             ModbusConnectionError: libmodbus failed in memory.
         """
         with self.mapping.lock:
-            return replier().answer(self.mapping, self._watched, self._tally, unit, data, start)
+            return answer_in_c(self.mapping, self._watched, self._tally, unit, data, start)
 
     def refuse(self, pdu: bytes, code: int, caller: Caller = _UNKNOWN) -> bytes:
         """Answer a request that would be answered with an exception 1..255; nothing is executed."""
-        log = caller.log
-        if log is None:
-            log = self._own_log()
-            log.note_frame()
+        log = caller.log or self._own_log()
         log.note_request(broadcast=False)
         refusal = bytes([pdu[0] | 0x80, code])
         log.note_response(pdu, refusal, silent=False)
@@ -391,10 +392,9 @@ class Device:
                 tally.requests = tally.refused = 0
         return self._log
 
-    def _respond_audited(self, pdu: bytes, log: EventLog, caller: Caller) -> bytes:
-        auditor = caller.auditor
-        if auditor is None:
-            return self._respond(pdu, log, caller)
+    def _respond_audited(
+        self, pdu: bytes, log: EventLog, caller: Caller, auditor: Auditor
+    ) -> bytes:
         respond = partial(self._respond, pdu, log, caller)
         has_rules = self._guard is not None
         return answer_audited(
@@ -459,7 +459,7 @@ class Device:
                 if not isinstance(response, bytes) or not 1 <= len(response) <= MAX_PDU:
                     raise ValueError(f"no response PDU: {reprlib.repr(response)}")
             elif type(request) in ACCESSES:
-                response = replier().reply(pdu, self.mapping)
+                response = reply(pdu, self.mapping)
             else:
                 raise IllegalFunction(function=request.function)
             if touched is not None and self._after_write is not None:

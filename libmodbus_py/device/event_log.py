@@ -125,7 +125,7 @@ class EventLog:
     # --- what happens on the line --------------------------------------------------------
 
     def note_frame(self) -> None:
-        """Count a valid frame, for any unit."""
+        """Count a valid frame on a serial line, for any unit; on TCP one that is no request."""
         counters = self._counters
         counters[BUS_MESSAGES] = counters[BUS_MESSAGES] + 1 & 0xFFFF
 
@@ -139,8 +139,10 @@ class EventLog:
         self._log(event)
 
     def note_request(self, *, broadcast: bool) -> None:
-        """Count a request for this device, which is processed next."""
+        """Count a request for this device, which is processed next; on TCP with its frame."""
         counters = self._counters
+        if not self.is_serial:
+            counters[BUS_MESSAGES] = counters[BUS_MESSAGES] + 1 & 0xFFFF
         counters[SERVER_MESSAGES] = counters[SERVER_MESSAGES] + 1 & 0xFFFF
         self._log(RECEIVED | BROADCAST if broadcast else RECEIVED)
 

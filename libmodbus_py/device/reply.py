@@ -15,7 +15,7 @@ from ..binding.library import check, ffi, lib, make
 from ..system import call_in_children
 from .mapping import TABLE_NUMBERS, Mapping, runs
 
-__all__ = ["Answered", "Replier", "Watched", "make_tally", "replier"]
+__all__ = ["Answered", "Replier", "Watched", "answer_in_c", "make_tally", "replier", "reply"]
 
 _HEADER = struct.Struct(">HHHB")
 
@@ -68,15 +68,20 @@ class Replier:
 
     libmodbus 3.1.6 sends and receives on it like on any socket; both ends are non-blocking, because
     it would wait for ever on a full one.
+
+    Attributes:
+        struct: the replier_t.
+        answers: where it puts them.
+        all, unused_tally: for a request that may be answered without being counted.
     """
 
     _pair: tuple[socket.socket, ...] = ()
 
     def __init__(self) -> None:
         self._answers = ffi.new("uint8_t[]", ROOM)
-        self._characters = ffi.cast("char *", self._answers)  # which unpack to bytes
-        self._unused_tally = make_tally()
-        self._all = Watched()
+        self.answers: Any = ffi.cast("char *", self._answers)  # which unpack to bytes
+        self.unused_tally: Any = make_tally()
+        self.all: Watched = Watched()
         self._open()
 
     def close(self) -> None:
@@ -84,6 +89,11 @@ class Replier:
             end.close()
 
     __del__ = close
+
+    def renew(self) -> None:
+        """Replace the socketpair, in which answers may still lie."""
+        self.close()
+        self._open()
 
     def _open(self) -> None:
         self._pair = inner, outer = socket.socketpair()
@@ -93,35 +103,11 @@ class Replier:
         check(lib.modbus_set_socket(self._context, inner.fileno()))
         # libmodbus sleeps for this time after an illegal request; 0 is refused.
         check(lib.modbus_set_response_timeout(self._context, 0, 1))
-        self._struct = ffi.new("replier_t *")
-        self._struct.context = self._context
-        self._struct.outlet = outer.fileno()
-        self._struct.answers = self._answers
-        self._struct.room = ROOM
-
-    def answer(
-        self, mapping: Mapping, watched: Watched, tally: Any, unit: int, data: bytes, start: int
-    ) -> Answered:
-        """
-        Answer the requests of Modbus/TCP from ``data[start]`` on, up to the first that
-        is not for libmodbus, watched, not for this unit or not complete.
-
-        Hold the mapping's lock.
-        """
-        struct = self._struct
-        end = lib.answer_chunk(
-            struct, mapping._struct, watched.struct, tally, unit, data, start, len(data)
-        )
-        if end == -1:  # answers may still lie in the pair
-            self.close()
-            self._open()
-            check(end)
-        return end, ffi.unpack(self._characters, struct.size), struct.requests, struct.refused
-
-    def reply(self, pdu: bytes, mapping: Mapping) -> bytes:
-        """Answer one request that `decode_request` found good. Hold the mapping's lock."""
-        data = _HEADER.pack(0, 0, 1 + len(pdu), 1) + pdu
-        return self.answer(mapping, self._all, self._unused_tally, 1, data, 0)[1][_HEADER.size :]
+        self.struct: Any = ffi.new("replier_t *")
+        self.struct.context = self._context
+        self.struct.outlet = outer.fileno()
+        self.struct.answers = self._answers
+        self.struct.room = ROOM
 
 
 _local = threading.local()
@@ -134,6 +120,33 @@ def replier() -> Replier:
     except AttributeError:
         made = _local.replier = Replier()
     return made
+
+
+def answer_in_c(
+    mapping: Mapping, watched: Watched, tally: Any, unit: int, data: bytes, start: int
+) -> Answered:
+    """
+    Answer the requests of Modbus/TCP from ``data[start]`` on, up to the first that
+    is not for libmodbus, watched, not for this unit or not complete.
+
+    Hold the mapping's lock.
+    """
+    own = replier()
+    struct = own.struct
+    end = lib.answer_chunk(
+        struct, mapping._struct, watched.struct, tally, unit, data, start, len(data)
+    )
+    if end == -1:
+        own.renew()
+        check(end)
+    return end, ffi.unpack(own.answers, struct.size), struct.requests, struct.refused
+
+
+def reply(pdu: bytes, mapping: Mapping) -> bytes:
+    """Answer one request that `decode_request` found good. Hold the mapping's lock."""
+    own = replier()
+    data = _HEADER.pack(0, 0, 1 + len(pdu), 1) + pdu
+    return answer_in_c(mapping, own.all, own.unused_tally, 1, data, 0)[1][_HEADER.size :]
 
 
 def _renew_repliers() -> None:

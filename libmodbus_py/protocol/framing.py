@@ -193,8 +193,8 @@ def _note(found: list[Frame | FrameError], error: FrameError) -> None:
         found.append(error)
 
 
-UNIT, FUNCTION = 6, 7
-"""The positions of unit and function code in a frame with an MBAP header."""
+TRANSACTION, UNIT, FUNCTION = slice(0, 2), 6, 7
+"""The positions of transaction id, unit and function code in a frame with an MBAP header."""
 
 _HEADER = struct.Struct(">HHH")
 _PREFIX = struct.Struct(">HHHB")

@@ -11,7 +11,7 @@ from operator import itemgetter
 
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
-from ..protocol.framing import FUNCTION, UNIT, Frame, cut, is_one_frame, split
+from ..protocol.framing import FUNCTION, TRANSACTION, UNIT, Frame, cut, is_one_frame, mbap, split
 from ..security.describing import CertificateHolder
 from .by_frame import ByFrame
 from .framed import FOUND_AT_ONCE
@@ -66,8 +66,9 @@ class Singles:
             count, start = self._answer_run(waiting, first, chunk, start)
             if count == 0:
                 session, request = waiting[first]
+                number = int.from_bytes(request[TRANSACTION], "big")
                 try:
-                    session.take_one(request, 0)
+                    session.answer(Frame(request[UNIT], request[FUNCTION:], number))
                 except (
                     BaseException
                 ) as error:  # raised by a hook; the other requests are still answered
@@ -83,13 +84,13 @@ class Singles:
     ) -> tuple[int, int]:
         """Answer the first requests, all of one unit, in C; return their number, and the rest."""
         unit = chunk[start + UNIT]
-        device = self._units.without_faults(unit)
+        device = self._units.in_c[unit]
         if device is None or chunk[start + FUNCTION] not in device.in_c:
             return 0, start
         start, answers, count, refused = device.answer_chunk(chunk, start, unit)
         if count == 1:
             waiting[first][0].write(answers)
-        else:
+        elif count:
             asking = waiting[first : first + count]
             for (session, _), answer in zip(asking, split(answers), strict=True):
                 session.write(answer)
@@ -102,7 +103,8 @@ class ByChunk:
     """
     A session of Modbus/TCP. Arguments as for `ByFrame`, whose framing is "tcp" here.
 
-    It is the channel of the inner session that answers requests which C leaves.
+    Requests that C leaves are answered one by one, and where faults or a trace need to see each
+    frame, by an inner session, whose channel this is.
 
     Args:
         singles: takes requests that come alone.
@@ -121,7 +123,7 @@ class ByChunk:
         self._units = units
         self._statistics = statistics
         self._singles = singles
-        # The session for requests that C leaves; made when the first such request comes.
+        # The session for faults, damage and traces; from when it is made, for all that C leaves.
         self._by_frame: ByFrame | None = None
         self._pending = b""  # the beginning of a frame, or bytes that were not searched yet
         self._is_behind = False
@@ -152,16 +154,18 @@ class ByChunk:
         start, size, taken, is_lost = 0, len(data), 0, False
         try:
             while (start := self._answer_in_c(data, start)) < size and taken < FOUND_AT_ONCE:
-                end = self.take_one(data, start)
+                found: list[Frame | FrameError] = []
+                end = cut(data, start, found, 1)
                 if end == start:
                     taken = 0
                     break
+                self.answer(found[0])
                 start = size if self._is_over else end
                 taken += 1
         except FrameError as error:
             is_lost = self._statistics.requests > before
             if not is_lost:  # else the requests before it count first
-                self._answer_found([error])
+                self.answer(error)
                 raise
         self._pending = data[start:]
         self._is_behind = start < size and (taken == FOUND_AT_ONCE or is_lost)
@@ -170,20 +174,22 @@ class ByChunk:
             self._channel.follow()
         return self._statistics.requests - before
 
-    def take_one(self, data: bytes, start: int) -> int:
-        """
-        Answer the request that begins at `start`, without C, and return where it ends.
-
-        Returns:
-            `start`, if the request is not complete.
-
-            Raises:
-                FrameError: the bytes at `start` are no frame, and the stream must be closed.
-        """
-        found: list[Frame | FrameError] = []
-        if (end := cut(data, start, found, 1)) > start:
-            self._answer_found(found)
-        return end
+    def answer(self, found: Frame | FrameError) -> None:
+        """Answer a request without C, or note damage."""
+        if (
+            isinstance(found, FrameError)
+            or self._by_frame is not None
+            or self._units.faults is not None
+            or self.trace is not None
+        ):
+            by_frame = self._rest()
+            by_frame.tell_received([found])
+            by_frame.take([found])
+            return
+        self._statistics.requests += 1
+        if (answer := self._units.answer(found, self._channel)) is not None:
+            self._statistics.refused += answer.pdu[0] >> 7
+            self.write(mbap(answer.transaction, answer.unit, answer.pdu))
 
     def follow(self) -> None:
         """Note that an answer is delayed from now on, or no longer."""
@@ -206,7 +212,7 @@ class ByChunk:
         """Answer the requests from `start` on, up to the first that C leaves; return its start."""
         while len(data) - start > FUNCTION and not self._is_held:
             unit = data[start + UNIT]
-            device = self._units.without_faults(unit)
+            device = self._units.in_c[unit]
             if device is None or data[start + FUNCTION] not in device.in_c:
                 break
             end, answers, requests, refused = device.answer_chunk(data, start, unit)
@@ -219,12 +225,6 @@ class ByChunk:
             self._statistics.refused += refused
             start = end
         return start
-
-    def _answer_found(self, found: list[Frame | FrameError]) -> None:
-        by_frame = self._by_frame or self._rest()
-        if self.trace is not None:
-            by_frame.tell_received(found)
-        by_frame.take(found)
 
     def _rest(self) -> ByFrame:
         if self._by_frame is None:

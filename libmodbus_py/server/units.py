@@ -93,7 +93,12 @@ class Units:
 
 
 class TcpUnits:
-    """The units of an endpoint with MBAP headers."""
+    """
+    The units of an endpoint with MBAP headers.
+
+    Attributes:
+        in_c: unit -> its device, if C may answer requests to it; else None.
+    """
 
     delimiter = None
 
@@ -109,26 +114,17 @@ class TcpUnits:
         self._refuses = units.unknown == "refuse"
         self._on_unauthorized = units.on_unauthorized
         self._auditor = units.auditor
-        self._without_faults: dict[int, Device | None] = {**self._units}
-        self._any_without_faults = units.any
-        if self.faults is not None:
-            self._leave_out(self.faults)
-        if self._auditor is not None:  # C reports no write
-            self._without_faults, self._any_without_faults = {}, None
+        self.in_c: list[Device | None] = [self._device_in_c(unit) for unit in range(0x100)]
 
-    def _leave_out(self, faults: Faults) -> None:
-        """Set units with faults to None, so that the device for all does not answer them either."""
-        for unit in range(0x100):
-            if faults.concern(unit):
-                self._without_faults[unit] = None
+    def _device_in_c(self, unit: int) -> Device | None:
+        has_faults = self.faults is not None and self.faults.concern(unit)
+        if has_faults or self._auditor is not None:  # C reports no write
+            return None
+        return self.device(unit)
 
     def device(self, unit: int) -> Device | None:
         """Return the device of a unit, if there is one."""
         return self._units.get(unit, self._any)
-
-    def without_faults(self, unit: int) -> Device | None:
-        """Return the device of a unit, if its answers have no faults."""
-        return self._without_faults.get(unit, self._any_without_faults)
 
     def has(self, unit: int) -> bool:
         """Return True if requests to a unit are answered, as all are on a network."""

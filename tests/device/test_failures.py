@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from libmodbus_py import Device, Mapping, pdu
-from libmodbus_py.device import device as device_module
+from libmodbus_py.device import reply
 from libmodbus_py.device.reply import replier
 from libmodbus_py.serve import RecordFile
 from tests.device.devices import caller_on, new_device, words
@@ -103,7 +103,7 @@ class TestFailures:
             raise OSError("no descriptor left")
 
         with monkeypatch.context() as patch:
-            patch.setattr(device_module, "replier", fail)
+            patch.setattr(reply, "replier", fail)
             assert device.answer(b"\x03" + words(100, 1)) == b"\x83\4"
             assert device.answer(b"\x03" + words(0, 1, 1)) == b"\x83\3"
         assert device.answer(b"\x03" + words(100, 1)) == b"\x03\2\0\0"
@@ -117,9 +117,9 @@ class TestFailures:
 
         def work() -> None:
             own = replier()
-            outlet, own._struct.outlet = own._struct.outlet, -1
+            outlet, own.struct.outlet = own.struct.outlet, -1
             answers.append(device.answer(b"\x03" + words(100, 1)))
-            assert own._struct.outlet != -1, outlet
+            assert own.struct.outlet != -1, outlet
             answers.extend(device.answer(b"\x03" + words(address, 1)) for address in (101, 100))
 
         thread = threading.Thread(target=work)  # which has a replier of its own
