@@ -28,7 +28,7 @@ class JournalError(Exception):
 
 
 class JournalDamaged(JournalError):
-    """The file of a journal is damaged."""
+    """The file of a journal is damaged, or another program has deleted or replaced it."""
 
 
 class JournalTrouble(JournalError):

@@ -113,7 +113,7 @@ class Journal:
         self._batch: list[JournalPoll] = []
         self._noting: asyncio.Future[None] | None = None
         self._damage: JournalDamaged | None = None
-        self._moved = ""
+        self._moved: str | None = None
         self._told_until = -math.inf
         self._pause = FIRST_PAUSE
         self._wake = asyncio.Event()
@@ -186,7 +186,7 @@ class Journal:
             begun: Begun = await self._writing.call(self._file.open, outputs)
         except JournalDamaged as error:
             moved = await self._writing.call(self._file.set_aside)
-            logger.error("%s; it is kept as %s, and a new journal begins", error, moved)
+            _tell_replaced(error, moved)
             begun = await self._writing.call(self._file.open, outputs)
         return begun
 
@@ -418,12 +418,18 @@ class Journal:
         places = {each.name: each.confirmed for each in self._places}
         await self._reading.call(self._reader.close)
         first = self._batch[0].first if self._batch else self.next_id
-        if not self._moved:
-            self._moved = await self._writing.call(self._file.set_aside)
+        moved = self._moved
+        if moved is None:
+            moved = self._moved = await self._writing.call(self._file.set_aside)
         await self._writing.call(self._file.open, places, first)
-        logger.error("%s; it is kept as %s, and a new journal begins", error, self._moved)
-        self._damage, self._moved = None, ""
+        _tell_replaced(error, moved)
+        self._damage, self._moved = None, None
 
     def _settle(self) -> None:
         if self._noting is not None and not self._noting.done():
             self._noting.set_result(None)
+
+
+def _tell_replaced(error: JournalError, moved: str) -> None:
+    kept = f"it is kept as {moved}, and a" if moved else "a"
+    logger.error("%s; %s new journal begins", error, kept)

@@ -56,6 +56,12 @@ FREED = 500
 # Bytes of changes that a person who reads for hours may keep from being merged.
 LARGEST_WAL = 1 << 27
 
+Identity = tuple[int, int]
+"""Device and inode of a file."""
+
+WITH_IDENTITY = ("", "-wal")
+"""Ends of the names of files without which a journal is lost: the database and its changes."""
+
 SCHEMA = """
 CREATE TABLE device (
     id INTEGER PRIMARY KEY,
@@ -166,6 +172,7 @@ class JournalFile:
         self._points: dict[str, Points] = {}
         self._labels: dict[str, str] = {}
         self._to_delete = 0.0
+        self._identity: list[Identity] = []
 
     # --- life -------------------------------------------------------------------------------
 
@@ -185,7 +192,9 @@ class JournalFile:
             self._take_lock()
             with raised(self.path):
                 self._database = self._connected()
-                return self._begin(outputs, first)
+                begun = self._begin(outputs, first)
+                self._identity = [_identity_of(f"{self.path}{each}") for each in WITH_IDENTITY]
+                return begun
         except JournalDamaged as error:
             was_journal = self._was_used
             self.close()
@@ -199,6 +208,10 @@ class JournalFile:
     def _take_lock(self) -> None:
         path = f"{self.path}-lock"
         try:
+            if self._lock >= 0 and not _is_at(path, self._lock):
+                # Another program may have the lock of this name by now.
+                os.close(self._lock)
+                self._lock = -1
             if self._lock < 0:
                 # Some other file must not be taken for a damaged journal.
                 self._was_used = os.path.exists(path)
@@ -289,7 +302,7 @@ class JournalFile:
 
     def set_aside(self) -> str:
         """
-        Close a damaged file and give it another name, which is returned.
+        Close a damaged file and give it another name, which is returned; empty if it is gone.
 
         Raises:
             JournalTrouble: it cannot be renamed.
@@ -301,11 +314,14 @@ class JournalFile:
                 database.close()
         with raised(self.path):
             self._take_lock()
+            if self._identity and not self._is_own(0) and self._is_own(1):
+                # Changes of a file that is gone would be merged into the one in its place.
+                os.unlink(f"{self.path}-wal")
             moved = _free_name(f"{self.path}-damaged")
             for ending in ("", "-wal", "-shm"):
                 with contextlib.suppress(FileNotFoundError):
                     os.rename(f"{self.path}{ending}", f"{moved}{ending}")
-        return moved
+            return moved if os.path.exists(moved) else ""
 
     @property
     def _used(self) -> sqlite3.Connection:
@@ -351,9 +367,11 @@ class JournalFile:
 
         Raises:
             JournalTrouble: nothing was written; it may be possible later.
-            JournalDamaged: nothing was written.
+            JournalDamaged: nothing was written; the file is damaged, or another program has
+                deleted or replaced it.
         """
         with raised(self.path):
+            self._check_identity()
             if labels is not None:
                 self._forget()  # the points of devices may have changed too
             with self._transaction():
@@ -363,6 +381,18 @@ class JournalFile:
                 self._used.executemany(SET_PLACE, places.items())
             self._to_delete = min(1e6, self._to_delete + DELETED_FOR_EACH * len(rows))
             return self._delete(confirmed)
+
+    def _check_identity(self) -> None:
+        """Raise JournalDamaged if what is written would not be found under the file's name."""
+        if not (self._is_own(0) and self._is_own(1)):
+            raise JournalDamaged(f"{self.path}: was deleted or replaced while it was in use")
+
+    def _is_own(self, at: int) -> bool:
+        """Return True if a file still is the one that was opened."""
+        try:
+            return _identity_of(f"{self.path}{WITH_IDENTITY[at]}") == self._identity[at]
+        except FileNotFoundError:
+            return False
 
     def _row(self, poll: JournalPoll) -> Row | None:
         name = poll.readings[0].device
@@ -487,6 +517,18 @@ def _size_of(path: str) -> int:
     with contextlib.suppress(FileNotFoundError):
         return os.path.getsize(path)
     return 0
+
+
+def _identity_of(path: str) -> Identity:
+    found = os.stat(path)
+    return found.st_dev, found.st_ino
+
+
+def _is_at(path: str, descriptor: int) -> bool:
+    try:
+        return os.path.samestat(os.stat(path), os.fstat(descriptor))
+    except FileNotFoundError:
+        return False
 
 
 def _free_name(path: str) -> str:

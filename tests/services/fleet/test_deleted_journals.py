@@ -1,0 +1,154 @@
+"""
+The files of a journal that somebody deletes or replaces while a fleet writes to them and a page
+reads them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import Fleet
+from libmodbus_py.services.fleet.journal import journal as journals
+from libmodbus_py.services.fleet.journal.errors import JournalError
+from libmodbus_py.services.fleet.journal.journal_file import JournalFile
+from libmodbus_py.services.fleet.journal.journal_reader import JournalReader
+from libmodbus_py.services.fleet.journal_past import past_in
+from tests.services.fleet.fleets import until
+from tests.services.fleet.journals import Inline, polls
+from tests.services.fleet.test_journal import Broker, in_journal, run_for
+from tests.tools.page.tables import Plant, visited
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> str:
+    return str(tmp_path / "fleet.db")
+
+
+@pytest.fixture
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Disks take no time."""
+    monkeypatch.setattr(journals, "WriterThread", Inline)
+
+
+def delete(path: str, *endings: str) -> None:
+    for each in endings:
+        os.unlink(f"{path}{each}")
+
+
+async def polled(broker: Broker, count: int) -> None:
+    """Wait until an output has received so many more readings, in simulated time."""
+    most = len(broker.ids) + count
+    await until(lambda: len(broker.ids) >= most)
+
+
+@pytest.mark.usefixtures("inline")
+@pytest.mark.parametrize("endings", [("", "-wal", "-shm"), ("", "-wal", "-shm", "-lock"), ("",)])
+def test_a_journal_that_was_deleted_is_replaced(
+    path: str, endings: tuple[str, ...], caplog: pytest.LogCaptureFixture
+) -> None:
+    broker, away = Broker(), Broker("away", is_away=True)
+
+    async def lose(fleet: Fleet) -> None:
+        delete(path, *endings)
+        await polled(broker, 20)
+        assert fleet.statistics.journal is not None
+        assert fleet.statistics.journal.trouble == ""
+        away.is_away = False
+        await until(lambda: fleet.statistics.outputs["away"].waiting == 0)
+
+    fleet = run_for(path, 100, broker, away, change=lose)
+    kept = in_journal(path)
+    assert kept == broker.ids[-len(kept) :]
+    assert 15 <= len(kept) < len(broker.ids)
+    # What was behind the last entry in memory is delivered, too.
+    assert away.ids == broker.ids
+    assert fleet.statistics.journal is not None
+    assert fleet.statistics.journal.dropped == 0
+    told = f"{path}: was deleted or replaced while it was in use; a new journal begins"
+    assert caplog.text.count(told) == 1
+
+
+@pytest.mark.usefixtures("inline")
+def test_a_journal_whose_changes_were_deleted_is_kept(
+    path: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The changes are in the file -wal, which is merged once it is closed."""
+    broker = Broker()
+
+    async def lose(fleet: Fleet) -> None:
+        delete(path, "-wal")
+        await polled(broker, 20)
+
+    run_for(path, 100, broker, change=lose)
+    assert in_journal(f"{path}-damaged") + in_journal(path) == broker.ids
+    assert caplog.text.count(f"it is kept as {path}-damaged, and a new journal begins") == 1
+
+
+@pytest.mark.usefixtures("inline")
+def test_another_file_in_its_place_is_kept(path: str, tmp_path: Path) -> None:
+    """Somebody has copied an older journal there, and has forgotten that the fleet runs."""
+    run_for(path, 100, Broker())
+    older = in_journal(path)
+    copy = tmp_path / "copy.db"
+    copy.write_bytes(Path(path).read_bytes())
+    broker = Broker()
+
+    async def restore(fleet: Fleet) -> None:
+        os.rename(copy, path)
+        await polled(broker, 20)
+
+    run_for(path, 100, broker, change=restore)
+    assert in_journal(f"{path}-damaged") == older
+    kept = in_journal(path)
+    assert kept == broker.ids[-len(kept) :] != []
+
+
+def test_the_journal_of_another_program_in_its_place_is_left_alone(path: str) -> None:
+    """All its files were deleted, and a second fleet was started."""
+    first, second = JournalFile(path, 1e9, 10**9), JournalFile(path, 1e9, 10**9)
+    with contextlib.closing(first), contextlib.closing(second):
+        first.open([])
+        first.write(polls(10**9, 3), {}, 0)
+        delete(path, "", "-wal", "-shm", "-lock")
+        second.open([])
+        second.write(polls(10**9, 3), {}, 0)
+        for _ in range(2):
+            with pytest.raises(JournalError, match="was deleted or replaced"):
+                first.write(polls(2 * 10**9, 3), {}, 0)
+        with pytest.raises(JournalError, match="is used by another program"):
+            first.set_aside()
+        second.write(polls(3 * 10**9, 3), {}, 0)
+        assert len(in_journal(path)) == 12
+
+
+def test_a_reader_that_has_it_open_ends_in_peace(path: str) -> None:
+    file, reader = JournalFile(path, 1e9, 10**9), JournalReader(path)
+    with contextlib.closing(file), contextlib.closing(reader):
+        file.open([])
+        file.write(polls(1, 3), {}, 0)
+        assert len(reader.read(0, 2)) == 1
+        delete(path, "", "-wal", "-shm")
+        assert [each.first for each in reader.read(1, 100)] == [3, 5]
+        reader.close()
+        with pytest.raises(JournalError, match="cannot be opened"):
+            reader.read(0, 2)
+
+
+def test_a_page_shows_what_is_in_memory(path: str) -> None:
+    file = JournalFile(path, 1e9, 10**9)
+    plant = Plant(older=past_in(path))
+    now = time.time()
+    with contextlib.closing(file), visited(plant) as visitor:
+        file.open([])
+        file.write(polls(1, 3, time=now - 60), {}, 0)
+        plant.values.describe([("a", "p1", "V")])
+        plant.put("a", "p1", 5, at=now - 1)
+        assert len(visitor.history(["a", "p1"], 100)["values"]) == 4
+        delete(path, "", "-wal", "-shm")
+        for _ in range(2):
+            assert len(visitor.history(["a", "p1"], 100)["values"]) == 1
