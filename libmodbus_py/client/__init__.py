@@ -17,8 +17,7 @@ From the caller to the wire:
     blocking_driver    waits with poll, for any thread; forks, Ctrl-C
     asyncio_driver     waits in an event loop, with one reader and one timer
       alarm            one timer, for clients, gateways and fleets
-    shortcut           the short way of blocking clients, when nothing needs deciding
-      libmodbus        the same in one call of C
+    shortcut           the short way of blocking clients, in one call of C or without
     lone_request       the short way of asyncio clients
     plain_answers      answers that may come on both short ways
     conversation       which request may be sent when, and its outcome; no socket, no clock

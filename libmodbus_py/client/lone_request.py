@@ -68,7 +68,7 @@ class LoneRequest:
             ModbusConnectionError: the port is gone.
         """
         self._number = self._matching.next_number()
-        self._adu = self._answers.frame(batch.unit, self._number, batch.pdus[0])
+        self._adu = self._answers.frame(self._number, batch.unit, batch.pdus[0])
         self._matching.unasked = 0
         self._sent = now
         self._statistics.requests += 1

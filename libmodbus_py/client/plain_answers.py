@@ -20,6 +20,8 @@ KNOWN = frozenset(bytes([code]) for code in (1, 2, 3, 4, 5, 6, 15, 16, 17, 22, 2
 
 PduIn = Callable[[bytes, int, int], bytes]
 
+FrameOf = Callable[[int, int, bytes], bytes]
+
 
 class PlainAnswers:
     """
@@ -30,6 +32,8 @@ class PlainAnswers:
 
     Attributes:
         is_line: True if frames have no transaction ids.
+        frame: returns the frame of a request; is called with its transaction id, which only some
+            frames have, the unit, and the PDU.
         pdu_in: returns the PDU of an answer that is all that was received, or an empty one; is
             called with the bytes, the unit, and the transaction id.
     """
@@ -37,14 +41,14 @@ class PlainAnswers:
     def __init__(self, parts: Parts) -> None:
         framer = make_framer(parts.endpoint.framing, "client")
         self.is_line: bool = framer.has_broadcast
-        self.pdu_in: PduIn = pdu_with_crc if self.is_line else pdu_with_header
-        self._encode = framer.encode
+        encode = framer.encode
+        self.frame: FrameOf = mbap
+        self.pdu_in: PduIn = pdu_with_header
+        if self.is_line:
+            self.frame = lambda _, unit, pdu: encode(Frame(unit, pdu))
+            self.pdu_in = pdu_with_crc
         self._silence = parts.port.silence
         self._matching = parts.matching
-
-    def frame(self, unit: int, number: int, pdu: bytes) -> bytes:
-        """Return the frame of a request; `number` is its transaction id, if frames have one."""
-        return self._encode(Frame(unit, pdu)) if self.is_line else mbap(number, unit, pdu)
 
     def is_own(self, unit: int, request: bytes, answer: bytes, since: float, now: float) -> bool:
         """Return True unless an answer on a line may be that to an earlier request."""

@@ -8,21 +8,23 @@ over to the conversation with all received bytes; the conversation goes on waiti
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING, Any, Protocol
 
-from ..ports.port import Port
-from ..ports.waiting import Waker, Woken
+from ..binding.library import ffi, lib
+from ..ports.port import Port, lost
+from ..ports.waiting import LONGEST, Waker, Woken
 from ..protocol.errors import ModbusConnectionError, ModbusError
+from ..protocol.framing import pdu_with_crc
 from ..protocol.pdu import Request
 from .batch import Batch
-from .libmodbus import NativeCarrier
 from .plain_answers import PlainAnswers
 
 if TYPE_CHECKING:
     from .options import Parts
     from .timeouts import Timeouts
 
-__all__ = ["Carrier", "Shortcut"]
+__all__ = ["Carrier", "NativeCarrier", "Shortcut"]
 
 # Around a PDU on a line, at least: a unit and a CRC.
 LEAST_AROUND = 3
@@ -68,7 +70,7 @@ class PythonCarrier:
         if self._port.has_input():
             return None
         try:
-            self._port.send([self._answers.frame(unit, number, pdu)], self._waker.now())
+            self._port.send([self._answers.frame(number, unit, pdu)], self._waker.now())
             is_sent = self._port.resume_at is None and not self._port.has_unsent
             if is_sent and self._waker.is_ready(timeout):
                 self.received = self._port.receive()
@@ -78,6 +80,45 @@ class PythonCarrier:
             pass
         data = self.received[0] if len(self.received) == 1 else b""
         return self._answers.pdu_in(data, unit, number)
+
+
+class NativeCarrier:
+    """
+    See `Carrier`. One call of C, without the GIL; on serial lines libmodbus sends.
+
+    Args:
+        port: a TCP connection, a UDP socket, or a serial port in RTU mode.
+    """
+
+    def __init__(self, port: Port) -> None:
+        self._port = port
+        self._exchange = ffi.new("exchange_t *")
+        self._answer = ffi.buffer(self._exchange.answer)
+        if port.context is not None:
+            self._exchange.context = port.context
+
+    def carry(self, unit: int, number: int, pdu: bytes, timeout: float, waker: int) -> bytes | None:
+        wait = min(timeout, LONGEST)  # the conversation waits for the rest
+        size = lib.exchange(
+            self._exchange, self._port.descriptor, waker, unit, number, pdu, len(pdu), wait
+        )
+        if size > 0:
+            answer: bytes = self._answer[7 : 7 + size]
+            return answer
+        if size < 0:
+            return None
+        got: bytes = self._answer[: self._exchange.got]
+        return pdu_with_crc(got, unit) if self._exchange.context else b""
+
+    @property
+    def received(self) -> list[bytes]:
+        got: bytes = self._answer[: self._exchange.got]
+        return [got] if got else []
+
+    @property
+    def error(self) -> ModbusConnectionError | None:
+        number = self._exchange.error
+        return lost(OSError(number, os.strerror(number))) if number else None
 
 
 class Shortcut:
@@ -177,7 +218,7 @@ class Shortcut:
         assert self._sent is not None
         unit, number, request, pdu, timeouts, since = self._sent
         batch = Batch(unit, [request], timeouts, pdus=[pdu])
-        adu = self._answers.frame(unit, number, pdu)
+        adu = self._answers.frame(number, unit, pdu)
         self._statistics.requests += 1
         self._conversation.adopt(batch, adu, since)
         self._sent = None

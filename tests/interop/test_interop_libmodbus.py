@@ -30,7 +30,7 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.binding.low_level import lib, loaded_version
-from libmodbus_py.client import libmodbus as carrier
+from libmodbus_py.client import shortcut
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.c_programs import compile_c
 from tests.support.cases import each
@@ -383,7 +383,7 @@ def test_native_context_takes_the_short_way_with_what_libmodbus_has(
             ways.append(arguments[5][0])
             return lib.exchange(*arguments)
 
-    monkeypatch.setattr(carrier, "lib", Counting)
+    monkeypatch.setattr(shortcut, "lib", Counting)
     options: dict[str, Any] = {"unit": UNIT, "timeout": TIMEOUT}
     with our_server(transport, {UNIT: make_device()}) as place:
         for check, (function, ask, is_known) in each(asked_of_libmodbus()):

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import ModbusConnectionError
-from libmodbus_py.client import libmodbus
+from libmodbus_py.client import shortcut
 from libmodbus_py.ports.names import Resolve
 from libmodbus_py.ports.sockets import TcpPort, UdpPort
 from libmodbus_py.ports.waiting import (
@@ -420,7 +420,7 @@ def test_c_waits_a_second_at_most(
             given.append(args)
             return 0
 
-    monkeypatch.setattr(libmodbus, "lib", Library)
-    carrier = libmodbus.NativeCarrier(TcpPort("127.0.0.1", 502, None))
+    monkeypatch.setattr(shortcut, "lib", Library)
+    carrier = shortcut.NativeCarrier(TcpPort("127.0.0.1", 502, None))
     assert carrier.carry(1, 1, b"\3\0\0\0\1", timeout, -1) == b""
     assert given[0][-1] == waited
