@@ -143,8 +143,8 @@ class Conversation:
             not self.in_flight
             and self._matching.is_clean
             and self.connection.is_open
-            and not self.is_wanted
-            and not self._trace.is_on
+            and not (self._queue or self._repeats or self.capacity.lost)
+            and not self._trace.is_on()
         )
 
     # --- callers ------------------------------------------------------------------------------
@@ -223,7 +223,7 @@ class Conversation:
             self._wake(self._next_start)
             return []
         adus: list[bytes] = []
-        self._is_traced = self._trace.is_on
+        self._is_traced = self._trace.is_on()
         if self.capacity.lost or self.capacity.is_on_trial:
             self._start_trial(adus, now)
         if not (self.capacity.lost or self.capacity.is_on_trial):

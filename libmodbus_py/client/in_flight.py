@@ -90,7 +90,7 @@ class InFlight(Matching):
         if not self._pending:
             self.unasked += len(data)
         replies: Replies = []
-        is_traced = self._trace.is_on
+        is_traced = self._trace.is_on()
         for each in self._framer.scan(data):
             if isinstance(each, FrameError):
                 self._blame(each, replies)
@@ -142,7 +142,7 @@ class InFlight(Matching):
         All pending requests fail when the stream cannot be understood any more.
         """
         self._statistics.invalid += 1
-        if self._trace.is_on:
+        if self._trace.is_on():
             self._trace.tell("received", error.received)
         if not self._framer.in_step:
             self.is_in_step = False

@@ -197,7 +197,7 @@ class InTurn(Matching):
             if isinstance(each, FrameError):
                 self._note_noise(each)
                 continue
-            if self._trace.is_on:
+            if self._trace.is_on():
                 adu = self._framer.encode(each)
                 self._trace.tell("received", adu, each.unit, each.pdu[0])
             if pending is None:
@@ -245,7 +245,7 @@ class InTurn(Matching):
             self.is_clean = False
         else:
             self._wrong = error
-        if self._trace.is_on:
+        if self._trace.is_on():
             self._trace.tell("received", error.received)
 
     def _note_other(self, unit: int, now: float) -> None:

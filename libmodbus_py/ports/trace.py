@@ -76,9 +76,7 @@ OnTraced = Callable[[Traced], object]
 
 def is_traced(callback: OnTraced | None) -> bool:
     """Return True if there is a callback, or the logger is at DEBUG."""
-    if callback is not None:
-        return True
-    return _is_logged() if _wire is None else _wire.isEnabledFor(DEBUG)
+    return callback is not None or _is_logged()
 
 
 class Trace:
@@ -91,6 +89,9 @@ class Trace:
         endpoint, peer: as in `Traced`.
         callback: called with each ADU, or None.
         later: takes a name and a call, and makes the call later; None to call at once.
+
+    Attributes:
+        is_on: returns True if there is a callback, or the logger is at DEBUG.
     """
 
     def __init__(
@@ -104,14 +105,7 @@ class Trace:
         self._callback = callback
         self._peer = peer
         self._later = later
-
-    @property
-    def is_on(self) -> bool:
-        """True if there is a callback, or the logger is at DEBUG."""
-        if self._callback is not None:
-            return True
-        # As in `is_traced`, which would be one more call for each request.
-        return _is_logged() if _wire is None else _wire.isEnabledFor(DEBUG)
+        self.is_on: Callable[[], bool] = _switch(callback)
 
     def tell(
         self,
@@ -139,18 +133,30 @@ class Trace:
                 log_failure(__name__, "trace(%s) failed", traced)
 
 
-def _is_logged() -> bool:
-    """
-    Return True if the logger is at DEBUG.
+def _switch(callback: OnTraced | None) -> Callable[[], bool]:
+    """Return a function that says if ADUs are reported; each request of a client calls it."""
+    if callback is not None:
+        return lambda: True
+    logger = _logger()
+    return _is_logged if logger is None else partial(logger.isEnabledFor, DEBUG)
 
-    logging is not imported here, because that takes an eighth of the time of importing the whole
+
+def _is_logged() -> bool:
+    """Return True if the logger is at DEBUG."""
+    logger = _logger()
+    return logger is not None and logger.isEnabledFor(DEBUG)
+
+
+def _logger() -> Logger | None:
+    """
+    Return the logger; None if logging has not been imported.
+
+    It is not imported here, because that takes an eighth of the time of importing the whole
     client: a program that has not imported it cannot have set DEBUG.
     """
     global _wire
-    if _wire is None:
-        if "logging" not in sys.modules:
-            return False
+    if _wire is None and "logging" in sys.modules:
         import logging
 
         _wire = logging.getLogger(WIRE)
-    return _wire.isEnabledFor(DEBUG)
+    return _wire
