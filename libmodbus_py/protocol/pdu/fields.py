@@ -116,16 +116,16 @@ def unpack_bits(data: bytes, count: int) -> list[bool]:
     return [bool(data[position >> 3] >> (position & 7) & 1) for position in range(count)]
 
 
-# By the number of registers; made once, because bulk reads do little else.
-_REGISTERS = [struct.Struct(f">{count}H") for count in range(MAX_PDU // 2 + 1)]
+REGISTERS: list[struct.Struct] = [struct.Struct(f">{count}H") for count in range(MAX_PDU // 2 + 1)]
+"""By the number of registers; made once, because bulk reads do little else."""
 
 
 def pack_registers(values: Sequence[int]) -> bytes:
-    return _REGISTERS[len(values)].pack(*values)
+    return REGISTERS[len(values)].pack(*values)
 
 
 def unpack_registers(data: bytes) -> tuple[int, ...]:
-    return _REGISTERS[len(data) // 2].unpack(data)
+    return REGISTERS[len(data) // 2].unpack(data)
 
 
 def exactly(count: int, values: tuple[Any, ...]) -> tuple[Any, ...]:

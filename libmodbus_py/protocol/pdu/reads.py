@@ -11,6 +11,7 @@ from typing import ClassVar, Self, TypeVar
 
 from ..checks import integer
 from .fields import (
+    REGISTERS,
     TABLE_SIZE,
     LengthRule,
     checked_bits,
@@ -22,7 +23,6 @@ from .fields import (
     pack_bits,
     store,
     unpack_bits,
-    unpack_registers,
 )
 from .request import Request
 
@@ -87,7 +87,7 @@ class _ReadRegisters(_Read[list[int]]):
     def _decode_response(self, pdu: bytes) -> list[int]:
         if pdu[1] != 2 * self.count:
             raise self._invalid(f"{pdu[1]} bytes of data")
-        return list(unpack_registers(pdu[2:]))
+        return list(REGISTERS[self.count].unpack_from(pdu, 2))
 
 
 class ReadCoils(_ReadBits):

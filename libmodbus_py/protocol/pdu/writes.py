@@ -13,6 +13,7 @@ from ..checks import integer
 from .fields import (
     MOST_COILS_WRITTEN,
     MOST_REGISTERS_WRITTEN,
+    REGISTERS,
     LengthRule,
     checked_bit,
     checked_bits,
@@ -248,4 +249,4 @@ class ReadWriteRegisters(Request[list[int]]):
     def _decode_response(self, pdu: bytes) -> list[int]:
         if pdu[1] != 2 * self.read_count:
             raise self._invalid(f"{pdu[1]} bytes of data")
-        return list(unpack_registers(pdu[2:]))
+        return list(REGISTERS[self.read_count].unpack_from(pdu, 2))
