@@ -53,7 +53,7 @@ from .auditing import answer_audited, values_at
 from .authorization import Asked, Authorization, Authorize, UnauthorizedError
 from .caller import Auditor, Caller
 from .event_log import EventLog
-from .hooks import EVERYTHING, Hook, HookCall, places, timed
+from .hooks import Hook, HookCall, places, timed
 from .mapping import Mapping, Table
 from .named_values import check_points, known_point, set_values, value_of, zeros_for
 from .point_index import PointIndex, RuledCells
@@ -151,8 +151,8 @@ class Device:
         fifos: ``{pointer address: list of registers}``; change the lists as you like.
         diagnostic_register: the answer to sub-function 2 of function 8, 0..65535.
         in_c: the function codes of requests that `answer_chunk` may answer: all of libmodbus
-            but those with a handler, and those that hooks are to be told of wherever they go;
-            none if something authorizes requests.
+            but those with a handler, and those that hooks or rules want at all addresses that
+            their table has; none if something authorizes requests.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -222,11 +222,18 @@ class Device:
             request.function
             for request, kind in ACCESSES.items()
             if request not in self._handlers
-            and EVERYTHING not in (reads.get(kind.reads), writes.get(kind.writes))
+            and not self._is_whole(kind.reads, reads.get(kind.reads, ()))
+            and not self._is_whole(kind.writes, writes.get(kind.writes, ()))
         )
         if self._guard is not None:
             self.in_c = frozenset()
         self._watched = Watched(self.in_c, reads, writes)
+
+    def _is_whole(self, table: str, ranges: tuple[range, ...]) -> bool:
+        """Return True if ranges, as of `joined`, contain all addresses that a table has."""
+        if not ranges:
+            return False
+        return tuple(joined([*ranges, *getattr(self.mapping, table).ranges])) == ranges
 
     @classmethod
     def of_map(

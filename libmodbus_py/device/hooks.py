@@ -17,7 +17,7 @@ from ..protocol.tables import TABLE_SIZE
 from .access import Access
 from .ranges import joined
 
-__all__ = ["EVERYTHING", "SLOW", "Hook", "HookCall", "places", "timed"]
+__all__ = ["SLOW", "Hook", "HookCall", "places", "timed"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
