@@ -4,12 +4,10 @@ Bounds of points that another register scales, at servers: with the scale as it 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
-import pytest
-
 from libmodbus_py import Device, Point, RegisterMap, pdu
-from libmodbus_py.tools.simulator.device_file import parse
 from tests.support.cases import each_case
 
 H = "holding_registers"
@@ -23,45 +21,7 @@ MAP = RegisterMap(
     ]
 )
 
-FILE = """
-[[unit]]
-[[unit.holding_registers]]
-address = 0
-name = "setpoint"
-type = "int16"
-scale_from = "sf"
-minimum = 5
-maximum = 30
-value = 20
-[[unit.holding_registers]]
-address = 1
-name = "sf"
-type = "int16"
-missing = "sunspec"
-value = -1
-[[unit.holding_registers]]
-address = 2
-name = "limit"
-scale_from = "factor"
-scale_as = "factor"
-maximum = 100
-value = 8
-[[unit.holding_registers]]
-address = 3
-name = "factor"
-scale_from = "sf"
-value = 2
-"""
-
-
-def of_map() -> Device:
-    return Device.of_map(MAP, {"sf": -1, "setpoint": 20, "factor": 2, "limit": 8})
-
-
-def of_file() -> Device:
-    device = parse(FILE).devices
-    assert isinstance(device, Device)
-    return device
+VALUES = {"sf": -1, "setpoint": 20, "factor": 2, "limit": 8}
 
 
 # Request -> the code of the exception, 0 for none. The scale is 0.1, the factor 2.
@@ -89,9 +49,8 @@ REQUESTS: list[tuple[pdu.Request[Any], int]] = [
 
 
 @each_case(("request_", "code"), REQUESTS)
-@pytest.mark.parametrize("make", [of_map, of_file])
 def test_a_write_is_checked_with_the_scale_after_it(
-    make: Any, request_: pdu.Request[Any], code: int
+    make: Callable[[], Device], request_: pdu.Request[Any], code: int
 ) -> None:
     device = make()
     before = list(device.mapping.holding_registers[0:4])

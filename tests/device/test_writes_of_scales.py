@@ -4,6 +4,7 @@ Writes of a value that scales other points, which must not leave their bounds.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -13,6 +14,7 @@ from libmodbus_py.server.server import Server
 from libmodbus_py.tools.page.setting import set_cells, set_point
 from libmodbus_py.tools.page.shown import ShownUnit, shown_of
 from libmodbus_py.tools.simulator.device_file import parse
+from tests.device.scaled import file_of
 from tests.support.cases import each_case
 
 H = "holding_registers"
@@ -28,52 +30,6 @@ MAP = RegisterMap(
 )
 
 VALUES = {"sf": -1, "setpoint": 20, "factor": 0.5, "limit": 10, "free": 2}
-
-FILE = """
-[[unit]]
-[[unit.holding_registers]]
-address = 0
-name = "sf"
-type = "int16"
-missing = "sunspec"
-value = -1
-[[unit.holding_registers]]
-address = 9
-name = "factor"
-scale = 0.1
-scale_from = "sf"
-value = 0.5
-[[unit.holding_registers]]
-address = 20
-name = "setpoint"
-type = "int16"
-scale_from = "sf"
-minimum = 5
-maximum = 30
-value = 20
-[[unit.input_registers]]
-address = 0
-name = "limit"
-scale_from = "factor"
-scale_as = "factor"
-maximum = 100
-value = 10
-[[unit.holding_registers]]
-address = 30
-name = "free"
-scale_from = "sf"
-value = 2
-"""
-
-
-def of_map() -> Device:
-    return Device.of_map(MAP, VALUES)
-
-
-def of_file() -> Device:
-    device = parse(FILE).devices
-    assert isinstance(device, Device)
-    return device
 
 
 def cells(device: Device) -> list[list[int]]:
@@ -104,9 +60,11 @@ CHANGES: list[tuple[str, dict[str, Any], list[tuple[int, int]]]] = [
 
 
 @each_case(("message", "values", "registers"), CHANGES)
-@pytest.mark.parametrize("make", [of_map, of_file])
 def test_a_point_stays_within_its_bounds_whoever_writes_its_scale(
-    make: Any, message: str, values: dict[str, Any], registers: list[tuple[int, int]]
+    make: Callable[[], Device],
+    message: str,
+    values: dict[str, Any],
+    registers: list[tuple[int, int]],
 ) -> None:
     first = cells(make())
     device = make()
@@ -148,8 +106,7 @@ def unit_of(device: Device) -> ShownUnit:
     return shown_of(Server(device)).units[None]
 
 
-@pytest.mark.parametrize("make", [of_map, of_file])
-def test_scale_and_value_may_be_written_together(make: Any) -> None:
+def test_scale_and_value_may_be_written_together(make: Callable[[], Device]) -> None:
     device = make()
     device.update({"sf": 0, "setpoint": 30, "factor": 0.5})
     assert (device["sf"], device["setpoint"], device["limit"]) == (0, 30, 10)
@@ -176,7 +133,7 @@ def test_what_is_outside_already_may_stay_outside(first: dict[str, Any]) -> None
     other = Device.of_map(MAP)
     for name, value in VALUES.items():
         other[name] = value
-    assert cells(other) == cells(of_map())
+    assert cells(other) == cells(Device.of_map(MAP, VALUES))
 
 
 def test_values_are_scaled_by_what_the_cells_of_their_scale_hold() -> None:
@@ -207,7 +164,7 @@ def test_a_scale_may_be_a_part_of_a_register() -> None:
 
 def test_registers_without_a_name_are_set_as_they_are() -> None:
     """The mapping itself, and raw registers on a page, know no bounds."""
-    device = of_map()
+    device = Device.of_map(MAP, VALUES)
     set_cells(unit_of(device), H, 0, "0", "int16", "ABCD")
     assert device["setpoint"] == 200
     mapping = Mapping(holding_registers=range(31), input_registers=range(1))
@@ -217,10 +174,14 @@ def test_registers_without_a_name_are_set_as_they_are() -> None:
 
 
 def test_a_moving_scale_is_computed_before_it_is_used() -> None:
-    text = FILE.replace(
-        'missing = "sunspec"\nvalue = -1',
-        "counter = { step = 1, interval = 9999, start = 1, wrap = 5 }",
-    ).replace("minimum = 5\nmaximum = 30\nvalue = 20\n", "")
+    text = (
+        file_of(MAP, VALUES)
+        .replace(
+            'missing = "sunspec"\nvalue = -1',
+            "counter = { step = 1, interval = 9999, start = 1, wrap = 5 }",
+        )
+        .replace("minimum = 5\nmaximum = 30\nvalue = 20\n", "")
+    )
     device = parse(text.replace("value = 0.5", "").replace("value = 10", "")).devices
     assert isinstance(device, Device)
     device["setpoint"] = 20
