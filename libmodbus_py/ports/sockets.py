@@ -246,22 +246,21 @@ class TcpPort(SocketPort):
         if self.has_unsent:
             self._unsent += data
             return
-        sent = self._send_now(data)
+        try:
+            sent = self._socket.send(data)
+        except BlockingIOError:
+            sent = 0
+        except OSError as error:
+            raise lost(error) from error
         if sent < len(data):
             self._unsent += data[sent:]
             self.has_unsent = True
 
     def go_on(self, now: float) -> None:
-        del self._unsent[: self._send_now(self._unsent)]
-        self.has_unsent = bool(self._unsent)
-
-    def _send_now(self, data: bytes | bytearray) -> int:
-        try:
-            return self._socket.send(data)
-        except BlockingIOError:
-            return 0
-        except OSError as error:
-            raise lost(error) from error
+        unsent = bytes(self._unsent)
+        self._unsent.clear()
+        self.has_unsent = False
+        TcpPort.send(self, [unsent], now)  # TLS has encrypted it
 
 
 class UdpPort(SocketPort):
