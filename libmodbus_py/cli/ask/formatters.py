@@ -318,7 +318,5 @@ def _texts(value: Any, kind: ValueType) -> tuple[str, str]:
 
 
 def _as_json(value: Any) -> Any:
-    """Return a value for JSON: bits are 0 and 1, as coils are."""
-    if isinstance(value, list):
-        return [int(each) if isinstance(each, bool) else each for each in value]
-    return int(value) if isinstance(value, bool) else plain(value)
+    """Return a value for JSON, as outputs of fleets have it: bits are true and false."""
+    return plain(value)
