@@ -41,11 +41,6 @@ def test_json_says_what_was_read(url: str) -> None:
     }
 
 
-def test_json_of_bits_is_0_and_1_as_of_coils(url: str) -> None:
-    done = run("read", url, "input", "0", "--type", "bits16", "--json")
-    assert done.out.endswith(f'"values": [[{", ".join("0" * 16)}]]}}\n')
-
-
 def test_text_that_begins_with_a_dash_follows_two(url: str) -> None:
     run("write", url, "--type", "string:4", "--", "holding", "1210", "-abc")
     done = run("read", url, "holding", "1210", "--type", "string:4")

@@ -55,17 +55,18 @@ def test_points_have_the_values_that_fleets_give_them(url: str, tmp_path: Path) 
         assert type(read[name]) is type(value)
 
 
-@each_case(
-    ("item", "value"),
-    [
-        (("coils", "5"), 1),
-        (("discrete", "1"), 1),
-    ],
-)
-def test_cells_are_numbers(url: str, item: tuple[str, ...], value: int) -> None:
+@each_case("item", [("coils", "5"), ("discrete", "1")])
+def test_cells_are_numbers(url: str, item: tuple[str, str]) -> None:
     (found,) = json.loads(run("read", url, *item, "--json").out)["values"]
-    assert found == value
+    assert found == 1
     assert type(found) is int
+
+
+def test_bits_of_a_type_are_true_and_false(url: str) -> None:
+    (found,) = json.loads(run("read", url, "holding", "0", "--type", "bits16", "--json").out)[
+        "values"
+    ]
+    assert found == [True, False, False, True, *[False] * 12]
 
 
 def test_text_and_csv_have_digits(url: str, tmp_path: Path) -> None:
