@@ -36,6 +36,13 @@ class FullError(Exception):
     """`MOST_STREAMS` pages are open."""
 
 
+class View:
+    """The key of what a page shows. A view that is set again, as another object, is sent whole."""
+
+    def __init__(self, key: Hashable) -> None:
+        self.key = key
+
+
 class PageStream:
     """
     One open page. It has one message at a time; changes that it is too slow to take are dropped.
@@ -43,18 +50,18 @@ class PageStream:
     Attributes:
         name: identifies the page in its requests.
         wake: a descriptor that is readable when there is a message.
-        key: its view.
+        view: what it shows.
     """
 
     def __init__(self) -> None:
         self.name: str = secrets.token_hex(8)
         self._flag = Flag()
         self.wake: int = self._flag.descriptor
-        self.key: Hashable = None
+        self.view = View(None)
         # What the page was sent: whether everything, of which structure, and for which view.
         self.is_behind = True
         self.shown: object = None
-        self.told: Hashable = None
+        self.told: View | None = None
         self._lock = threading.Lock()
         self._message = ""
 
@@ -152,7 +159,7 @@ class Streams:
             raise ValueError("there is no such page any more")
         key = self.source.key(given)
         with self._changed:
-            stream.key = key
+            stream.view = View(key)
             self._is_asked = True
             self._changed.notify_all()
 
@@ -187,21 +194,22 @@ class Streams:
         with self._changed:
             streams = list(self._streams.values())
         common = _encoded(source.changes())
-        keys = [each.key for each in streams]
-        changes = self._changes({key for key in keys if key is not None})
-        for stream, key in zip(streams, keys, strict=True):
-            self._tell(stream, key, common, changes)
+        views = [each.view for each in streams]
+        changes = self._changes({each.key for each in views if each.key is not None})
+        for stream, view in zip(streams, views, strict=True):
+            self._tell(stream, view, common, changes)
 
-    def _tell(self, stream: PageStream, key: Hashable, common: str, changes: Texts) -> None:
+    def _tell(self, stream: PageStream, view: View, common: str, changes: Texts) -> None:
+        key = view.key
         if stream.is_behind or stream.shown is not self._shown:
             message = _message(_encoded(self._everything(stream)), self._all(key))
-        elif stream.told != key:
+        elif stream.told is not view:
             message = _message(common, self._all(key))
         else:
             message = _message(common, changes.get(key, ""))
         stream.is_behind = bool(message) and not stream.offer(message)
         if not stream.is_behind:
-            stream.shown, stream.told = self._shown, key
+            stream.shown, stream.told = self._shown, view
 
     def _changes(self, keys: set[Hashable]) -> Texts:
         self._views = {key: view for key in keys if (view := self._made(key)) is not None}

@@ -42,6 +42,16 @@ def test_rows_come_when_they_are_looked_at_and_change_when_their_values_do() -> 
         assert visitor.seen["rows"]["101"][1:3] == ["21.5", "V"]
 
 
+def test_a_view_that_is_looked_at_again_is_sent_whole() -> None:
+    plant = Plant()
+    plant.values.describe([("meter", f"p{at}", "V") for at in range(500)])
+    with visited(plant) as visitor:
+        for _ in range(2):
+            visitor.look_at("values", 100, 130)
+            visitor.receive(lambda: len(visitor.seen["rows"]) == 30)
+            visitor.seen["rows"] = {}
+
+
 def test_a_view_has_a_bounded_number_of_rows() -> None:
     plant = Plant()
     plant.values.describe([("meter", f"p{at}", "V") for at in range(1000)])

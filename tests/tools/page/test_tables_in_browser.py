@@ -5,7 +5,9 @@ narrow as that of a telephone, with names that are attacks, and with a server th
 
 from __future__ import annotations
 
+import threading
 import time
+from collections.abc import Mapping
 from typing import Any
 
 import pytest
@@ -113,6 +115,53 @@ def test_a_person_looks_at_a_fleet() -> None:
         person.types(Keys.ESCAPE)
         until(lambda: driver.execute_script("return document.querySelector('#chart').hidden"))
         assert [each["message"] for each in console(driver)] == []
+
+
+class HeldSource(TableSource):
+    """Its first search is answered when it is let go: the next requests could overtake it."""
+
+    def __init__(self, plant: Plant) -> None:
+        super().__init__(plant)
+        self.searched: list[str] = []
+        self.go = threading.Event()
+
+    def key(self, given: Mapping[str, Any]) -> Any:
+        if wanted := given["find"]:
+            self.searched.append(wanted)
+            if len(self.searched) == 1:
+                assert self.go.wait(60)
+        return super().key(given)
+
+
+def test_searches_do_not_overtake_each_other() -> None:
+    """The server would go on showing the view of the one that came last."""
+    source = HeldSource(plant_of(3000))
+    with table_page(source) as page, browser() as driver:
+        person = Person(driver)
+        driver.get(page.url)
+        person.sees("#rows", "p1")
+        person.one("#find").send_keys("p1234")
+        until(lambda: source.searched)
+        typed = driver.execute_script("return document.querySelector('#find').value")
+        assert typed == "p1234"
+        assert source.searched == ["p"]
+        source.go.set()
+        until(lambda: person.attribute("#grid", "aria-rowcount") == "2")
+        person.sees("#rows", "p1234")
+        assert source.searched == ["p", "p1234"]
+
+
+def test_the_table_that_is_shown_can_be_chosen_again() -> None:
+    with table_page(TableSource(plant_of(3))) as page, browser() as driver:
+        person = Person(driver)
+        driver.get(page.url)
+        person.sees("#rows", "p2")
+        person.click("#tables button", "Values")
+        person.sees("#rows", "p2")
+        person.one("#find").send_keys("p")
+        person.sees("#rows", "p2")
+        person.one("#find").send_keys(" ")
+        person.sees("#rows", "p2")
 
 
 def test_the_hours_of_the_journal_are_drawn() -> None:

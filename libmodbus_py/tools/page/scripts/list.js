@@ -2,7 +2,7 @@
 
 import { $, asCell, made } from "./elements.js";
 import { HEIGHT, addressOf, indexOf, layOut, layout } from "./layout.js";
-import { post } from "./requests.js";
+import { lookAt } from "./requests.js";
 import { cellRow, fillCell, fillPoint, pointRow, template } from "./rows.js";
 import { has, known, unit, view } from "./state.js";
 
@@ -26,11 +26,7 @@ export function look() {
     first = addressOf(first);
     stop = Math.min(addressOf(stop - 1) + layout.each, 65536);
   }
-  const asked = JSON.stringify([known.stream, view.unit, view.what, first, stop]);
-  if (asked === view.asked) return;
-  view.asked = asked;
-  post("/view", { stream: known.stream, unit: view.unit, what: view.what, first, stop })
-    .catch(() => { view.asked = ""; });
+  lookAt({ stream: known.stream, unit: view.unit, what: view.what, first, stop });
 }
 
 export function clearRows() {

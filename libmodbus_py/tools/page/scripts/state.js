@@ -18,7 +18,7 @@ export const known = {
 // The view: the unit's number, "points" or a table, and its values; the value that is edited, and the
 // cell that has the focus.
 export const view = {
-  unit: undefined, what: "", points: new Map(), moving: new Map(), sparks: new Map(), cells: new Map(), asked: "",
+  unit: undefined, what: "", points: new Map(), moving: new Map(), sparks: new Map(), cells: new Map(),
   edited: null, chosen: null,
 };
 

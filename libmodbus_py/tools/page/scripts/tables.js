@@ -5,7 +5,7 @@ import { connect } from "./connection.js";
 import { $, made } from "./elements.js";
 import { choose, clear, grid, onView, range, setTable, take as takeRows } from "./grid.js";
 import { addToLog } from "./log.js";
-import { post } from "./requests.js";
+import { forgetView, lookAt } from "./requests.js";
 import { known } from "./state.js";
 
 const page = { tables: [], kind: "", title: "", stream: "", figures: {} };
@@ -13,18 +13,21 @@ const page = { tables: [], kind: "", title: "", stream: "", figures: {} };
 // --- what is looked at ---------------------------------------------------------------------------
 
 const finding = () => $("find").value.trim();
-let asked = "";
 let timer = null;
 
 function look() {
   timer = null;
   if (!page.stream || !grid.table) return;
   const [first, stop] = range();
-  const wanted = { stream: page.stream, table: grid.table.name, find: finding(), trouble: $("trouble").checked,
-    first, stop: Math.max(stop, first + 60) };
-  if (JSON.stringify(wanted) === asked) return;
-  asked = JSON.stringify(wanted);
-  post("/view", wanted).catch(() => { asked = ""; });
+  lookAt({ stream: page.stream, table: grid.table.name, find: finding(), trouble: $("trouble").checked,
+    first, stop: Math.max(stop, first + 60) });
+}
+
+// Of a view without rows.
+function lookAfresh() {
+  remember();
+  forgetView();
+  look();
 }
 
 onView(() => { timer = timer || setTimeout(look, 60); });
@@ -34,8 +37,7 @@ function show(name, find) {
   if (find !== undefined) $("find").value = find;
   setTable(table);
   showTabs();
-  remember();
-  look();
+  lookAfresh();
 }
 
 function remember() {
@@ -55,8 +57,8 @@ function showTabs() {
   if (focused >= 0) $("tables").children[focused]?.focus();
 }
 
-$("find").addEventListener("input", () => { clear(); remember(); look(); });
-$("trouble").addEventListener("change", () => { clear(); look(); });
+$("find").addEventListener("input", () => { clear(); lookAfresh(); });
+$("trouble").addEventListener("change", () => { clear(); lookAfresh(); });
 $("finding").addEventListener("submit", (event) => event.preventDefault());
 const isSpark = ([, kind]) => kind === "spark";
 
@@ -95,7 +97,7 @@ function begin(message) {
   page.stream = message.stream;
   known.log = [];
   $("log").replaceChildren();
-  asked = "";
+  forgetView();
   if (message.tables) {
     page.tables = message.tables;
     page.kind = message.kind;

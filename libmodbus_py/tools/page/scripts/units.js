@@ -4,6 +4,7 @@ import { closeChart } from "./chart.js";
 import { closeEditor } from "./editor.js";
 import { $, made } from "./elements.js";
 import { clearRows, rebuild } from "./list.js";
+import { forgetView } from "./requests.js";
 import { TABLES, known, unit, unitName, view } from "./state.js";
 
 function choose(number, what) {
@@ -77,7 +78,7 @@ export function showUnits() {
   if (!here) return;
   const wanted = view.what || what;
   const is = tablesOf(here).some(([each]) => each === wanted);
-  view.asked = "";
+  forgetView();
   choose(here.number, is ? wanted : firstOf(here));
   const options = known.units.map((each) => {
     const option = made("option", unitName(each.number));
