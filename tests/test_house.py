@@ -13,8 +13,10 @@ import re
 import tokenize
 from collections import defaultdict
 from collections.abc import Iterator
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "libmodbus_py"
@@ -52,13 +54,19 @@ CLOCKS = ("tests.simulation", "tests.services.workers.memory_engine")
 FAILING = {"raises", "fail", "warns", "timeout", "fnmatch_lines", "no_fnmatch_line", "wait_for"}
 
 
+@cache
+def parsed(path: Path) -> ast.Module:
+    """Return the syntax tree of a file, which several tests look at."""
+    return ast.parse(path.read_text())
+
+
 class Module:
     """A Python file of this repository, by its dotted name."""
 
     def __init__(self, path: Path) -> None:
         self.path = path.relative_to(ROOT)
         self.name = ".".join(self.path.with_suffix("").parts)
-        self.tree = ast.parse(path.read_text())
+        self.tree = parsed(path)
 
     @cached_property
     def functions(self) -> list[Function]:
@@ -96,24 +104,37 @@ class Module:
                         yield inner
 
 
+@cache
 def modules(*folders: str) -> dict[str, Module]:
     found = [Module(path) for folder in folders for path in sorted((ROOT / folder).rglob("*.py"))]
     return {each.name: each for each in found}
 
 
-TESTS = modules("tests", "fuzz")
+def of_tests() -> dict[str, Module]:
+    return modules("tests", "fuzz")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _forgotten() -> Iterator[None]:
+    """Keep the syntax trees, which take much memory, as long as these tests run."""
+    yield
+    for known in (modules, parsed, failures):
+        known.cache_clear()
 
 
 def _bases(node: ast.ClassDef) -> set[str]:
     return {base.id for base in node.bases if isinstance(base, ast.Name)}
 
 
-FAILURES = {"AssertionError"} | {
-    node.name
-    for module in TESTS.values()
-    for node in ast.walk(module.tree)
-    if isinstance(node, ast.ClassDef) and "AssertionError" in _bases(node)
-}
+@cache
+def failures() -> set[str]:
+    """Return the names of classes of exceptions that fail a test."""
+    return {"AssertionError"} | {
+        node.name
+        for module in of_tests().values()
+        for node in ast.walk(module.tree)
+        if isinstance(node, ast.ClassDef) and "AssertionError" in _bases(node)
+    }
 
 
 class Assertions:
@@ -144,9 +165,9 @@ class Assertions:
                 case _:
                     continue
             for place in places:
-                if place in TESTS:
-                    for definition in TESTS[place].definitions.get(name, ()):
-                        yield TESTS[place], definition
+                if found := of_tests().get(place):
+                    for definition in found.definitions.get(name, ()):
+                        yield found, definition
 
 
 def _conftests(module: Module) -> Iterator[str]:
@@ -161,7 +182,7 @@ def _fails(node: ast.AST) -> bool:
         case ast.Assert():
             return True
         case ast.Raise(exc=ast.Call(func=ast.Name(id=name))):
-            return name in FAILURES
+            return name in failures()
         case ast.Raise(exc=ast.Subscript() | ast.Attribute()):
             return True  # What was kept before, such as the first rule that was broken.
         case ast.Attribute(attr=name):
@@ -185,7 +206,7 @@ def test_no_function_of_the_package_is_long() -> None:
 
 
 def test_few_functions_of_tests_are_long() -> None:
-    found = too_long(TESTS)
+    found = too_long(of_tests())
     assert len(found) <= LONG_FUNCTIONS, found
 
 
@@ -196,7 +217,7 @@ def test_each_file_of_the_package_is_imported_by_another_one() -> None:
         if path.parent.name == "__pycache__":  # where other tests write at the same time
             continue
         text = path.read_text()
-        tree = ast.parse(text) if path.suffix != ".toml" else ast.Module([], [])
+        tree = parsed(path) if path.suffix != ".toml" else ast.Module([], [])
         named |= set(_imported_by(path, tree))
         named |= {
             node.value
@@ -204,18 +225,21 @@ def test_each_file_of_the_package_is_imported_by_another_one() -> None:
             if isinstance(node, ast.Constant) and isinstance(node.value, str)
         }
         named |= set(text.replace('"', " ").replace(":", " ").split()) if not tree.body else set()
-    files = {
-        ".".join(path.relative_to(ROOT).with_suffix("").parts): path
+    named = {given.strip(".") for given in named}
+    files = [
+        path.relative_to(ROOT)
         for path in PACKAGE.rglob("*.py")
         if path.name not in ("__init__.py", "__main__.py")
         if path.stem.isidentifier()  # PyInstaller finds its hook by the name
-    }
-    unused = [
-        str(path.relative_to(ROOT))
-        for name, path in files.items()
-        if not any(given == name or name.endswith(f".{given.strip('.')}") for given in named)
     ]
-    assert unused == []
+    assert [str(path) for path in files if named.isdisjoint(_endings(path))] == []
+
+
+def _endings(path: Path) -> Iterator[str]:
+    """Yield the dotted names by which a module is imported from somewhere."""
+    parts = path.with_suffix("").parts
+    for first in range(len(parts)):
+        yield ".".join(parts[first:])
 
 
 def _imported_by(path: Path, tree: ast.Module) -> Iterator[str]:
@@ -234,7 +258,7 @@ def test_each_test_can_fail() -> None:
     assertions = Assertions()
     found = [
         f"{module.path}:{function.lineno}: {function.name}"
-        for module in TESTS.values()
+        for module in of_tests().values()
         for function in module.tests
         if not assertions.has(module, function)
     ]
@@ -259,11 +283,11 @@ def circle():
     )
     module = Module(Path(__file__))
     module.__dict__.update(tree=tree, name="tests.made_up")
-    TESTS[module.name] = module
+    of_tests()[module.name] = module
     try:
         found = {each.name: Assertions().has(module, each) for each in module.functions}
     finally:
-        del TESTS[module.name]
+        del of_tests()[module.name]
     expected = {"check": True, "through_another": True, "calls_only": False, "circle": False}
     assert found == expected
 
@@ -271,7 +295,7 @@ def circle():
 def test_few_tests_wait_for_real_seconds() -> None:
     found = [
         f"{module.path}:{line}"
-        for module in TESTS.values()
+        for module in of_tests().values()
         if module.name.startswith("tests.")
         and not any(source.startswith(CLOCKS) for source, _ in module.imported.values())
         and not module.name.startswith(CLOCKS)
@@ -322,7 +346,7 @@ def test_a_class_name_exists_once_in_the_package() -> None:
 
 def _docstrings(path: Path) -> Iterator[str]:
     """Yield the docstrings of a file, those of attributes included."""
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(parsed(path)):
         match node:
             case ast.Expr(value=ast.Constant(value=str(text))) if text.strip():
                 yield text
@@ -334,7 +358,7 @@ def _prose(path: Path) -> Iterator[str]:
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type == tokenize.COMMENT:
             yield token.string
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             yield node.value
 
@@ -344,7 +368,7 @@ def test_docstrings_have_no_quotation_marks_of_other_texts() -> None:
     found = [
         str(path.relative_to(ROOT))
         for path in (ROOT / "libmodbus_py").rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text()))
+        for node in ast.walk(parsed(path))
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
         if re.search(r'"\n *" ', ast.get_docstring(node, clean=False) or "")
     ]
