@@ -165,8 +165,15 @@ def ended(loop: asyncio.AbstractEventLoop, tasks: list[asyncio.Task[Any]]) -> No
         assert task.cancelled() or not isinstance(task.exception(), AssertionError)
 
 
-@RAISED
-@TRANSPORTS
+@pytest.mark.parametrize(
+    ("scheme", "error"),
+    [
+        *(("tcp", each) for each in ERRORS),
+        ("rtu", MemoryError()),
+        ("udp", KeyboardInterrupt()),
+    ],
+    ids=lambda each: each if isinstance(each, str) else type(each).__name__,
+)
 def test_no_caller_waits_for_a_client_that_was_thrown_out_of_its_turn(
     scheme: str, error: BaseException
 ) -> None:
