@@ -84,9 +84,15 @@ MayAsk = Callable[[Each], bool]
 
 
 class Discipline(Protocol[Each]):
-    """The requests that wait for a connection, in the order in which they are asked."""
+    """
+    The requests that wait for a connection, in the order in which they are asked.
 
-    def __len__(self) -> int: ...
+    Attributes:
+        waiting: True, as a bool, if a request waits.
+    """
+
+    @property
+    def waiting(self) -> object: ...
 
     def __iter__(self) -> Iterator[Each]: ...
 
@@ -111,34 +117,31 @@ class FirstCome(Generic[Each]):
     """Requests are asked in the order in which they came."""
 
     def __init__(self) -> None:
-        self._queue: deque[Each] = deque()
-
-    def __len__(self) -> int:
-        return len(self._queue)
+        self.waiting: deque[Each] = deque()
 
     def __iter__(self) -> Iterator[Each]:
-        return iter(self._queue)
+        return iter(self.waiting)
 
     def has(self, each: Each) -> bool:
-        return each in self._queue
+        return each in self.waiting
 
     def put(self, each: Each) -> bool:
-        self._queue.append(each)
+        self.waiting.append(each)
         return True
 
     def put_first(self, each: Each) -> None:
         """Add a request that is asked before all others."""
-        self._queue.appendleft(each)
+        self.waiting.appendleft(each)
 
     def pick(self, may_ask: MayAsk[Each] | None = None) -> Each | None:
-        for each in self._queue:
+        for each in self.waiting:
             if may_ask is None or may_ask(each):
-                self._queue.remove(each)
+                self.waiting.remove(each)
                 return each
         return None
 
     def remove(self, each: Each) -> None:
-        self._queue.remove(each)
+        self.waiting.remove(each)
 
 
 class FairByHost(Generic[Guest]):
@@ -155,26 +158,23 @@ class FairByHost(Generic[Guest]):
         self._most_of_client = most_of_client
         self._most = most
         # The host, and within it the client, whose turn is next is first.
-        self._hosts: dict[Hashable, dict[Hashable, deque[Guest]]] = {}
+        self.waiting: dict[Hashable, dict[Hashable, deque[Guest]]] = {}
         self._count = 0
-
-    def __len__(self) -> int:
-        return self._count
 
     def __iter__(self) -> Iterator[Guest]:
         return (
-            each for queues in self._hosts.values() for queue in queues.values() for each in queue
+            each for queues in self.waiting.values() for queue in queues.values() for each in queue
         )
 
     def has(self, each: Guest) -> bool:
-        return each in self._hosts.get(each.host, {}).get(each.client, ())
+        return each in self.waiting.get(each.host, {}).get(each.client, ())
 
     def put(self, each: Guest) -> bool:
         if self._count >= self._most:
             return False
-        queues = self._hosts.get(each.host)
+        queues = self.waiting.get(each.host)
         if queues is None:
-            queues = self._hosts[each.host] = {}
+            queues = self.waiting[each.host] = {}
         queue = queues.get(each.client)
         if queue is None:
             queue = queues[each.client] = deque()
@@ -185,7 +185,7 @@ class FairByHost(Generic[Guest]):
         return True
 
     def pick(self, may_ask: MayAsk[Guest] | None = None) -> Guest | None:
-        for queues in self._hosts.values():
+        for queues in self.waiting.values():
             for queue in queues.values():
                 for each in queue:
                     if may_ask is None or may_ask(each):
@@ -195,7 +195,7 @@ class FairByHost(Generic[Guest]):
         return None
 
     def remove(self, each: Guest) -> None:
-        queues = self._hosts[each.host]
+        queues = self.waiting[each.host]
         queue = queues[each.client]
         if queue[0] is each:
             queue.popleft()
@@ -205,15 +205,15 @@ class FairByHost(Generic[Guest]):
         if not queue:
             del queues[each.client]
             if not queues:
-                del self._hosts[each.host]
+                del self.waiting[each.host]
 
     def _end_turn(self, each: Guest) -> None:
-        queues = self._hosts.get(each.host)
+        queues = self.waiting.get(each.host)
         if queues is None:
             return
         if each.client in queues:
             queues[each.client] = queues.pop(each.client)
-        self._hosts[each.host] = self._hosts.pop(each.host)
+        self.waiting[each.host] = self.waiting.pop(each.host)
 
 
 class Precedence(Generic[Each]):
@@ -229,8 +229,9 @@ class Precedence(Generic[Each]):
         self._queues = queues
         self._place = place
 
-    def __len__(self) -> int:
-        return sum(map(len, self._queues))
+    @property
+    def waiting(self) -> bool:
+        return any(queue.waiting for queue in self._queues)
 
     def __iter__(self) -> Iterator[Each]:
         return chain.from_iterable(self._queues)
@@ -257,7 +258,7 @@ class WaitingRoom(Generic[Member]):
     no two in a row. It makes way when others wait for longer than one of their own answers takes.
 
     Args:
-        limit: called; returns how many requests may be in flight now.
+        limit: called while requests are in flight; returns how many may be now.
         queue: those that wait, trials excepted.
         timeout: called with a request; returns the seconds that it may take.
         ready_at: called with a unit; returns when it may be asked. None if any may be asked at
@@ -266,6 +267,7 @@ class WaitingRoom(Generic[Member]):
 
     Attributes:
         in_flight: how many requests are.
+        trying: the trials in flight, in their order.
         alarm: when `pick` and `overstayed` should be called again; infinite if something else
             must happen first.
     """
@@ -287,7 +289,7 @@ class WaitingRoom(Generic[Member]):
         self._most_trials = most_trials
         self._now: float  # of the last `pick`
         self._trials: deque[Member] = deque()
-        self._trying: dict[Member, None] = {}
+        self.trying: dict[Member, None] = {}
         self._was_trial = False
         # The longest times that answers took, fading: of all units, and of each.
         self._slowest = 0.0
@@ -303,6 +305,16 @@ class WaitingRoom(Generic[Member]):
         if not each.is_trial:
             return self._queue.put(each)
         self._trials.append(each)
+        return True
+
+    def begin(self, each: Member, now: float) -> bool:
+        """Start a new request that is no trial at once; return False if it must wait."""
+        if self._queue.waiting or self._trials or self._is_full():
+            return False
+        if self._ready_at is not None and self._ready_at(each.unit) > now:
+            return False
+        self.in_flight += 1
+        self._was_trial = False
         return True
 
     def remove(self, each: Member) -> bool:
@@ -327,7 +339,7 @@ class WaitingRoom(Generic[Member]):
     def pick(self, now: float) -> Member | None:
         """Remove and return the request to ask now; None if none may be."""
         self.alarm = math.inf
-        if not (self._trials or self._queue) or self.in_flight >= self._limit():
+        if not (self._trials or self._queue.waiting) or self._is_full():
             return None
         self._now = now
         each = self._pick_trial(is_due=True) if self._trials else None
@@ -336,6 +348,9 @@ class WaitingRoom(Generic[Member]):
         if each is None and self._trials:
             each = self._pick_trial(is_due=False)
         return each
+
+    def _is_full(self) -> bool:
+        return self.in_flight > 0 and self.in_flight >= self._limit()
 
     def _may_ask(self, each: Member) -> bool:
         at = 0.0 if self._ready_at is None else self._ready_at(each.unit)
@@ -356,7 +371,7 @@ class WaitingRoom(Generic[Member]):
             if self._was_trial or self._now - first.waits_since < self._timeout(first):
                 return None
         most = 1 if is_due else self._most_trials
-        if most is not None and len(self._trying) >= most:
+        if most is not None and len(self.trying) >= most:
             return None
         each = next((each for each in self._trials if self._may_ask(each)), None)
         if each is not None:
@@ -368,12 +383,12 @@ class WaitingRoom(Generic[Member]):
         self.in_flight += 1
         self._was_trial = each.is_trial
         if each.is_trial:
-            self._trying[each] = None
+            self.trying[each] = None
 
     def end(self, each: Member, took: float | None = None) -> None:
         """Note that a request is over; `took`, if it was answered, says after how many seconds."""
         self.in_flight -= 1
-        self._trying.pop(each, None)
+        self.trying.pop(each, None)
         if took is not None:
             unit = each.unit
             self._slowest = max(took, FADING * self._slowest)
@@ -381,9 +396,9 @@ class WaitingRoom(Generic[Member]):
 
     def overstayed(self, now: float) -> Member | None:
         """Return a trial that must make way now, because others wait; None if none must."""
-        if not self._trying or not self._queue or self.in_flight < self._limit():
+        if not self.trying or not self._queue.waiting or not self._is_full():
             return None
-        each = next((each for each in self._trying if each.misses % TRIALS_BEFORE_LONG), None)
+        each = next((each for each in self.trying if each.misses % TRIALS_BEFORE_LONG), None)
         if each is None:
             return None
         took = max(self._slowest, self._took.get(each.unit, 0.0), SHORTEST_TRIAL)

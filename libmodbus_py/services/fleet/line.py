@@ -148,9 +148,10 @@ class FleetLine:
         now = self._loop.time()
         while (poller := self._room.pick(now)) is not None:
             self._ask(poller, now)
-        if (trial := self._room.overstayed(now)) is not None:
+        if self._room.trying and (trial := self._room.overstayed(now)) is not None:
             self._make_way(trial)
-        self._alarm.set(self._room.alarm, self._loop)
+        if self._room.alarm < self._alarm.at:
+            self._alarm.set(self._room.alarm, self._loop)
 
     def _ask(self, poller: Poller, now: float) -> None:
         if not poller.has_begun:

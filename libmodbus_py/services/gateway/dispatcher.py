@@ -8,7 +8,7 @@ import asyncio
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 
-from ...device.auditing import changes_of, is_change
+from ...device.auditing import changes_of
 from ...device.authorization import Asked, Authorization, Authorize, UnauthorizedError
 from ...device.caller import Auditor, Caller, Executed
 from ...device.device import Device
@@ -156,7 +156,7 @@ class Dispatcher:
         auditor: Auditor,
     ) -> bytes | None:
         """Forward a request, and record it if it is refused at once; if not, `told` does."""
-        changes = may_change(request)
+        changes = request.may_change
         response: bytes | None
         if changes and not auditor.may_change():
             response = self._exception(session, frame.pdu, ServerDeviceFailure.code)
@@ -185,15 +185,15 @@ class Dispatcher:
         age = route.cache if request.is_read else 0.0
         if age and (answer := route.line.cached(route.unit, request, age, now)):
             return answer
-        if session.count >= self.most_of_session:
+        if len(session.asked) >= self.most_of_session:
             route.line.statistics.full += 1
             return self._exception(session, pdu, ServerDeviceBusy.code)
         forwarded = Forwarded(session, number, unit, route.unit, request, now, age)
-        session.note(forwarded, route.line)
+        session.asked[forwarded] = route.line
         code = route.line.put(forwarded, merge=route.merge and request.is_read)
         if not code:
             return None
-        session.forget(forwarded)
+        session.asked.pop(forwarded, None)
         return self._exception(session, pdu, code)
 
     def _exception(self, session: ForwardingSession, pdu: bytes, code: int) -> bytes:
@@ -257,11 +257,6 @@ class Dispatcher:
         return None
 
 
-def may_change(request: RequestBytes) -> bool:
-    """Return True if a request may change a device; one that cannot be decoded may."""
-    return request.known is None or is_change(request.known)
-
-
 def _allows(allow: Allow, asked: Asked) -> bool:
     """Return True if an access is allowed; a request that cannot be decoded is not."""
     return asked.request is not None and allow.allows(asked)
@@ -284,7 +279,7 @@ class Broadcast:
 
     def ask(self, lines: list[GatewayLine]) -> None:
         self._left = len(lines)
-        self._session.note(self._whole, None)
+        self._session.asked[self._whole] = None
         for line in lines:
             part = Forwarded(self, 0, 0, 0, self._request, self._whole.waits_since)
             if line.put(part):
@@ -312,6 +307,9 @@ class ForwardingSession(Framed):
 
     A client without transaction ids that sends another request has given up the earlier one: the
     earlier response is dropped, because the client would take it for the response to the new one.
+
+    Attributes:
+        asked: the unanswered requests, and the lines that they were sent to; None for all lines.
     """
 
     def __init__(
@@ -340,8 +338,7 @@ class ForwardingSession(Framed):
         self.has_ids: bool = endpoint.has_transactions
         self.is_line: bool = endpoint.is_serial
         self._dispatcher = dispatcher
-        # Unanswered requests, and the lines that they were sent to.
-        self._asked: dict[Forwarded, GatewayLine | None] = {}
+        self.asked: dict[Forwarded, GatewayLine | None] = {}
 
     def caller(self, unit: int) -> Caller:
         """Return the origin of a request to a unit."""
@@ -367,36 +364,24 @@ class ForwardingSession(Framed):
 
     @property
     def is_owing(self) -> bool:
-        return bool(self._asked)
-
-    @property
-    def count(self) -> int:
-        """Number of unanswered requests."""
-        return len(self._asked)
-
-    def note(self, forwarded: Forwarded, line: GatewayLine | None) -> None:
-        """Note that a request waits for its response."""
-        self._asked[forwarded] = line
-
-    def forget(self, forwarded: Forwarded) -> None:
-        self._asked.pop(forwarded, None)
+        return bool(self.asked)
 
     def told(self, forwarded: Forwarded, response: bytes | None) -> None:
-        self.forget(forwarded)
-        if may_change(forwarded.request):
+        self.asked.pop(forwarded, None)
+        if forwarded.request.may_change:
             self.record(forwarded.from_unit, forwarded.request, response or b"")
         if response is None and self.has_ids and forwarded.request.is_write:
             response = forwarded.request.response_to_broadcast()
         if response is not None:
             answer = Frame(forwarded.from_unit, response, forwarded.number)
             self._send(answer, self._framer.encode(answer))
-        if not self._asked:
+        if not self.asked:
             self._channel.follow()
 
     def end(self) -> None:
         """Withdraw requests that wait, because the client is gone."""
         super().end()
-        for forwarded in [each for each in self._asked if each.submitted is None]:
+        for forwarded in [each for each in self.asked if each.submitted is None]:
             self._withdraw(forwarded)
 
     def close(self) -> None:
@@ -404,18 +389,18 @@ class ForwardingSession(Framed):
         self._withdraw_all()
 
     def _answer(self, request: Frame) -> Frame | None:
-        if self._asked and not self.has_ids:
+        if self.asked and not self.has_ids:
             self._withdraw_all()
         response = self._dispatcher.ask(self, request)
         return None if response is None else request._replace(pdu=response)
 
     def _withdraw_all(self) -> None:
-        for forwarded in list(self._asked):
+        for forwarded in list(self.asked):
             self._withdraw(forwarded)
 
     def _withdraw(self, forwarded: Forwarded) -> None:
-        line = self._asked.pop(forwarded)
-        if may_change(forwarded.request):
+        line = self.asked.pop(forwarded)
+        if forwarded.request.may_change:
             self.record(forwarded.from_unit, forwarded.request, b"")
         if line is None:
             forwarded.asker = None

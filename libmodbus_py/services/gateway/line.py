@@ -77,14 +77,15 @@ class Forwarded:
         waits_since: when it began to wait.
         asked_at: when it was sent.
         misses: how many times in a row its unit gave no answer, if this is a trial.
+        counters: those of its unit, once it was sent.
         others: equal requests that get the same response.
         first: the equal request that is sent in place of this one; None for this one itself.
     """
 
     # fmt: off
     __slots__ = (
-        "age", "asked_at", "asker", "client", "first", "from_unit", "host", "is_trial", "misses",
-        "number", "others", "request", "state", "submitted", "unit", "waits_since",
+        "age", "asked_at", "asker", "client", "counters", "first", "from_unit", "host", "is_trial",
+        "misses", "number", "others", "request", "state", "submitted", "unit", "waits_since",
     )
     # fmt: on
 
@@ -114,6 +115,7 @@ class Forwarded:
         self.asked_at: float = 0.0
         self.state: int = 0
         self.submitted: Submitted | None = None
+        self.counters: UnitStatistics
 
     @property
     def is_wanted(self) -> bool:
@@ -188,7 +190,9 @@ class GatewayLine:
         if self.is_closed or (is_broadcast and not each.request.is_write):
             return NO_ANSWER
         function = each.request.function
-        state = self._silent.state(unit, function, now)
+        state = UnitState.GOOD
+        if (unit, function) not in self._silent.answering:
+            state = self._silent.state(unit, function, now)
         if state is UnitState.RESTING:
             self.statistics.unit(unit).resting += 1
             return NO_ANSWER
@@ -199,6 +203,9 @@ class GatewayLine:
             each.misses = self._silent.start_trial(unit, function)
             self._room.put(each)
         elif not (merge and self._join(each)):
+            if self._room.begin(each, now):
+                self._ask(each, now)
+                return 0
             if not self._room.put(each):
                 self.statistics.full += 1
                 return BUSY
@@ -261,21 +268,24 @@ class GatewayLine:
             if not each.is_trial:
                 self._leave(each)
             if each.is_trial or now - each.waits_since <= self._longest_wait:
+                self._room.start(each)
                 self._ask(each, now)
             else:
                 self.statistics.full += 1
                 self._refuse(each, BUSY)
-        if (trial := self._room.overstayed(now)) is not None:
+        if self._room.trying and (trial := self._room.overstayed(now)) is not None:
             self._make_way(trial, now)
-        self._alarm.set(self._room.alarm, self._loop)
+        if self._room.alarm < self._alarm.at:
+            self._alarm.set(self._room.alarm, self._loop)
 
     def _ask(self, each: Forwarded, now: float) -> None:
         each.asked_at = now
-        self._room.start(each)
         if each.age:
             each.state = self._cache.state(each.unit)
         self.statistics.in_flight += 1
-        self.statistics.unit(each.unit).requests += 1
+        counters = self.statistics.units.get(each.unit)
+        each.counters = self.statistics.unit(each.unit) if counters is None else counters
+        each.counters.requests += 1
         each.submitted = self._client.submit(
             each.unit, each.request, partial(self._note_done, each)
         )
@@ -316,11 +326,10 @@ class GatewayLine:
         self.statistics.in_flight -= 1
 
     def _conclude(self, each: Forwarded, outcome: Any, now: float) -> None:
-        unit = self.statistics.unit(each.unit)
         if not each.request.is_read:
             self._note_write(each.unit)
         if isinstance(outcome, bytes | ExceptionResponse):
-            self._note_answer(each, unit, now)
+            self._note_answer(each, each.counters, now)
         if isinstance(outcome, bytes):
             if each.age:
                 self._cache.keep(each.unit, each.request.pdu, outcome, each.asked_at, each.state)
@@ -330,17 +339,18 @@ class GatewayLine:
                 self._silent.cancel_trial(each.unit, each.request.function, now)
             each.tell(None)
         elif isinstance(outcome, ExceptionResponse):
-            unit.exceptions += 1
+            each.counters.exceptions += 1
             self._refuse(each, outcome.code)
         else:
-            self._note_failure(each, outcome, unit, now)
+            self._note_failure(each, outcome, each.counters, now)
             is_ours = not isinstance(outcome, ModbusError)
             self._refuse(each, ServerDeviceFailure.code if is_ours else NO_ANSWER)
 
     def _note_answer(self, each: Forwarded, unit: UnitStatistics, now: float) -> None:
         unit.answers += 1
         unit.seconds += now - each.asked_at
-        if self._silent.note_answer(each.unit, each.request.function):
+        asked = each.unit, each.request.function
+        if asked not in self._silent.answering and self._silent.note_answer(*asked):
             what = "" if unit.is_silent else f" function {each.request.function}"
             unit.is_silent = False
             logger.info("%s: unit %d answers%s again", self.url, each.unit, what)

@@ -8,6 +8,7 @@ from functools import lru_cache
 from typing import Any
 
 from ...device.access import Touched, Who, touched
+from ...device.auditing import is_change
 from ...protocol import pdu
 from ...protocol.errors import ExceptionResponse, IllegalDataValue, IllegalFunction
 
@@ -38,10 +39,14 @@ class RequestBytes(pdu.Request[bytes]):
 
     Attributes:
         is_read: True if it reads a table and does nothing else.
+        may_change: True if it may change a device, as one that cannot be decoded may.
     """
 
     # fmt: off
-    __slots__ = ("_is_answered", "function", "is_read", "is_write", "known", "pdu", "repeatable")
+    __slots__ = (
+        "_is_answered", "_usual", "function", "is_read", "is_write", "known", "may_change", "pdu",
+        "repeatable",
+    )
     # fmt: on
 
     def __init__(self, data: bytes, known: pdu.Request[Any] | None) -> None:
@@ -51,7 +56,10 @@ class RequestBytes(pdu.Request[bytes]):
         self.is_read: bool = isinstance(known, READS)
         self.is_write: bool = known is not None and known.is_write  # type: ignore[misc]
         self.repeatable: bool = known is not None and known.repeatable  # type: ignore[misc]
+        self.may_change: bool = known is None or is_change(known)
         self._is_answered = known is None or known.expects_response
+        # Length and start of a valid response to a read: with these, any values are valid.
+        self._usual: tuple[int, bytes] | None = None
 
     @property
     def expects_response(self) -> bool:
@@ -65,8 +73,12 @@ class RequestBytes(pdu.Request[bytes]):
         return self.pdu
 
     def decode_response(self, pdu: bytes) -> bytes:
+        if (len(pdu), pdu[:2]) == self._usual:
+            return pdu
         if self.known is not None:
             self.known.decode_response(pdu)
+            if self.is_read:
+                self._usual = len(pdu), pdu[:2]
         elif not pdu or pdu[0] != self.function:
             raise self._refusal(pdu)
         return pdu

@@ -76,14 +76,17 @@ class SilentUnits:
 
     Args:
         first_rest: seconds; no shorter than the delay of a late response.
+
+    Attributes:
+        answering: the units, and functions of them, whose last request was answered. Of these
+            nothing rests, and another answer changes nothing.
     """
 
     def __init__(self, first_rest: float) -> None:
         self._first = first_rest
         self._units: dict[int, Rest] = {}
         self._functions: dict[tuple[int, int], Rest] = {}
-        # The functions of each unit whose last request was answered.
-        self._answering: dict[int, set[int]] = {}
+        self.answering: set[tuple[int, int]] = set()
 
     def rests(self, unit: int) -> bool:
         """Return True if the whole unit is silent."""
@@ -108,12 +111,7 @@ class SilentUnits:
 
     def note_answer(self, unit: int, function: int) -> bool:
         """Note an answer; return True if the unit or the function was silent before."""
-        answering = self._answering.get(unit)
-        if answering is None:
-            answering = self._answering[unit] = set()
-        answering.add(function)
-        if not (self._units or self._functions):
-            return False
+        self.answering.add((unit, function))
         if self._units.pop(unit, None) is None:
             return self._functions.pop((unit, function), None) is not None
         # What was silent together with the unit may answer again together with it.
@@ -128,10 +126,8 @@ class SilentUnits:
         Returns:
             True if the unit, or the function of a unit that answers others, was not silent yet.
         """
-        answering = self._answering.get(unit)
-        if answering:
-            answering.discard(function)
-        if answering and unit not in self._units:
+        self.answering.discard((unit, function))
+        if any(each == unit for each, _ in self.answering):
             rest = self._functions.setdefault((unit, function), Rest(function))
         else:
             self._functions.pop((unit, function), None)
@@ -139,6 +135,4 @@ class SilentUnits:
         return rest.note_silence(function, now, self._first) and rest.misses == 1
 
     def _rest(self, unit: int, function: int) -> Rest | None:
-        if self._units and (rest := self._units.get(unit)) is not None:
-            return rest
-        return self._functions.get((unit, function)) if self._functions else None
+        return self._units.get(unit) or self._functions.get((unit, function))
