@@ -165,10 +165,18 @@ class Framed(ABC):
             self._found = self._framer.scan(piece)
             if self._is_datagram:
                 self._found += self._framer.scan_silence()
+                self._end_datagram()
         else:
             self._is_quiet = False
             self._found = self._framer.scan_silence()
         self.tell_received(self._found)
+
+    def _end_datagram(self) -> None:
+        """Note what could begin a longer frame: its rest does not come in another datagram."""
+        rest = self._framer.end()
+        is_damaged = bool(self._found) and isinstance(self._found[-1], FrameError)
+        if rest and not is_damaged:  # else it belongs to that damage
+            self._found.append(FrameError("an unfinished frame", received=rest))
 
     def tell_received(self, found: Iterable[Frame | FrameError]) -> None:
         """Report the frames and damage that were found to the trace."""
