@@ -141,10 +141,24 @@ class Covering:
 
     @classmethod
     def read(cls, path: Path) -> Covering:
-        return cls(**json.loads(path.read_text())) if path.exists() else cls()
+        if not path.exists():
+            return cls()
+        written = json.loads(path.read_text())
+        names = list(written["seconds"])
+        tests = {
+            key: {line: [names[number] for number in each] for line, each in lines.items()}
+            for key, lines in written.pop("tests").items()
+        }
+        return cls(tests=tests, **written)
 
     def write(self, path: Path) -> None:
-        path.write_text(json.dumps(vars(self)))
+        """Write all to a file, with numbers in place of the names of tests, which are long."""
+        number = {name: place for place, name in enumerate(self.seconds)}
+        tests = {
+            key: {line: [number[test] for test in each] for line, each in lines.items()}
+            for key, lines in self.tests.items()
+        }
+        path.write_text(json.dumps({**vars(self), "tests": tests}))
 
     def stale(self, paths: list[Path]) -> list[Path]:
         """Return the test files that are new, or have changed."""

@@ -134,6 +134,17 @@ def test_lines_are_known_although_a_function_moves(tank: Path) -> None:
     assert covering.of_lines(tank, 10, 10) == {"test_a.py::test", "test_b.py::test"}
 
 
+def test_what_is_known_of_tests_is_read_as_it_was_written(tank: Path, tmp_path: Path) -> None:
+    (fill, _) = functions(tank)
+    names = "test_a.py::test", "test_b.py::test"
+    covering = Covering(dict.fromkeys(names, "digest"), {names[0]: 0.5, names[1]: 1.0})
+    covering.tests[fill.key] = {"2": [names[1]], "8": list(names)}
+    covering.digests[fill.key] = {"test_a.py": fill.digest}
+    covering.write(tmp_path / "written")
+    assert Covering.read(tmp_path / "written") == covering
+    assert Covering.read(tmp_path / "other") == Covering()
+
+
 def test_the_same_seed_draws_the_same() -> None:
     first, again, other = (
         list(map(str, chosen(["services/gateway"], 5, seed))) for seed in (1, 1, 2)
