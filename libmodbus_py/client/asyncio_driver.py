@@ -123,33 +123,33 @@ class AsyncioDriver:
         """
         done = self._bind().create_future()
         try:
-            self._begin_call(batch, done)
+            self.ask(batch, done)
             if not batch.is_done:
                 await done
         finally:
             if not batch.is_done:
                 self.withdraw(batch)
 
-    def ask(self, batch: Batch, on_done: Callable[[], object]) -> None:
+    def ask(self, batch: Batch, caller: Future[None] | Callable[[], object]) -> None:
         """
-        Send the requests of a batch; `on_done` is called once it is settled, perhaps from here.
+        Send the requests of a batch.
 
-        An `on_done` that fails is logged.
+        Args:
+            caller: its result is set, or it is called, once the batch is settled, perhaps from
+                here. One that fails is logged.
 
         Raises:
             RuntimeError: the client belongs to another event loop.
         """
-        self._bind()
+        if asyncio.get_running_loop() is not self._loop:
+            self._bind()
+        self._callers[batch] = caller
+        batch.on_done = self._ended.append
         try:
-            self._begin_call(batch, on_done)
+            self._enter(self._add, batch)
         except BaseException:
             self._callers.pop(batch, None)
             raise
-
-    def _begin_call(self, batch: Batch, caller: Future[None] | Callable[[], object]) -> None:
-        self._callers[batch] = caller
-        batch.on_done = self._ended.append
-        self._enter(self._add, batch)
 
     def _add(self, batch: Batch) -> None:
         conversation, now = self._conversation, self._now()
@@ -335,7 +335,9 @@ class AsyncioDriver:
         self._ended.popleft()
         if caller is not None:
             try:
-                finished("on_done", caller())
+                result = caller()
+                if result is not None:
+                    finished("on_done", result)
             except Exception:
                 log_failure(__name__, "on_done failed")
 
@@ -366,7 +368,7 @@ class AsyncioDriver:
     def _send_alone(self, batch: Batch, now: float) -> None:
         """Send a request the short way, which ends as soon as anything else happens."""
         try:
-            self._lone.send(batch, now)
+            until = self._lone.send(batch, now)
         except ModbusConnectionError as error:
             self._lone.hand_over()
             self._lose(error)
@@ -375,9 +377,9 @@ class AsyncioDriver:
             self._lone.hand_over()
             self._follow_port(now)
             self._set_timer()
-        elif self._lone.until < self._alarm.at:
+        elif until < self._alarm.at:
             assert self._loop is not None
-            self._alarm.set(self._lone.until, self._loop)
+            self._alarm.set(until, self._loop)
 
     def _send(self, adus: list[bytes], now: float) -> None:
         if not adus:

@@ -5,6 +5,7 @@ The requests of one caller, and their outcomes.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
 from ..protocol.errors import ModbusError
@@ -24,6 +25,8 @@ __all__ = [
 
 NOT_ASKED: Final = object()
 """The outcome of a request that has not been settled, or was never sent."""
+
+EXPECTS_RESPONSE = attrgetter("expects_response")
 
 # As many requests and answers of full length as the buffers of two sockets hold: with
 # more, both sides might wait for the other to read before they go on.
@@ -128,8 +131,11 @@ class Batch:
                 for index, request in enumerate(requests)
             ]
         self.pdus: list[bytes] = pdus
-        silent = [is_broadcast or not request.expects_response for request in requests]
-        self.silent: list[bool] | None = silent if True in silent else None
+        self.silent: list[bool] | None = None
+        if is_broadcast:
+            self.silent = [True] * len(requests)
+        elif not all(expected := [*map(EXPECTS_RESPONSE, requests)]):
+            self.silent = [not each for each in expected]
         # A client without answers cannot tell in which order the others were carried out.
         self.limit: int = 1 if self.silent else limit
         self.go_on: bool = go_on

@@ -81,10 +81,12 @@ class InTurn(Matching):
             framer.delimiter = self._delimiter
         return framer
 
-    def accepts(self, unit: int, request: bytes, pdu: bytes, took: float) -> bool:
+    def accepts(self, unit: int, request: bytes, pdu: bytes, since: float, now: float) -> bool:
+        if now < self._silence.left_at:
+            return False
         if self._echo.is_there is not False and not self._echo.accepts(request, pdu):
             return False
-        return self._suspicion.accepts(unit, request, pdu, took)
+        return self._suspicion.accepts(unit, request, pdu, now - since)
 
     # --- asking --------------------------------------------------------------------------
 

@@ -34,6 +34,7 @@ class LoneRequest:
         self.batch: Batch | None = None
         self._port = parts.port
         self._conversation = parts.conversation
+        self._capacity = parts.conversation.capacity
         self._matching = parts.matching
         self._statistics = parts.statistics
         self._answers = PlainAnswers(parts)
@@ -56,24 +57,26 @@ class LoneRequest:
             and batch.silent is None
             and (not self._is_line or batch.pdus[0][:1] in KNOWN)
             and self._conversation.is_plain
-            and not self._conversation.capacity.learns_from_one
+            and not (self._capacity.is_open and self._capacity.learns_from_one)
             and not self._port.has_input()
         )
 
-    def send(self, batch: Batch, now: float) -> None:
+    def send(self, batch: Batch, now: float) -> float:
         """
-        Send the request of a batch.
+        Send the request of a batch, and return when its timeout is over.
 
         Raises:
             ModbusConnectionError: the port is gone.
         """
-        self._number = self._matching.next_number()
+        if not self._is_line:
+            self._number = self._matching.next_number()
         self._adu = self._answers.frame(self._number, batch.unit, batch.pdus[0])
         self._matching.unasked = 0
         self._sent = now
         self._statistics.requests += 1
         self.batch = batch
         self._port.send([self._adu], now)
+        return now + batch.timeouts.timeout
 
     def take(self, chunks: list[bytes], now: float) -> bool:
         """
@@ -89,7 +92,7 @@ class LoneRequest:
         pdu = self._answers.pdu_in(chunks[0], unit, self._number)
         if pdu[:1] != request[:1]:
             return False
-        if self._is_line and not self._answers.is_own(unit, request, pdu, self._sent, now):
+        if self._is_line and not self._matching.accepts(unit, request, pdu, self._sent, now):
             return False
         try:
             outcome = batch.requests[0].decode_response(pdu)

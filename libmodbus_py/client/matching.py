@@ -62,8 +62,14 @@ class Matching(ABC):
         """Return the transaction id of the next request; 0 on lines, which have none."""
         return 0
 
-    def accepts(self, unit: int, request: bytes, pdu: bytes, took: float) -> bool:
-        """Return True unless an answer may be that to an earlier request."""
+    def accepts(self, unit: int, request: bytes, pdu: bytes, since: float, now: float) -> bool:
+        """
+        Return True unless an answer may be that to an earlier request.
+
+        Args:
+            since: when the request was sent.
+            now: when the answer came.
+        """
         return True
 
     def ready_at(self, unit: int) -> float:

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from ..protocol.framing import Frame, make_framer, mbap, pdu_with_crc, pdu_with_header
+from ..protocol.framing import mbap, pdu_with_crc, pdu_with_header, rtu
 
 if TYPE_CHECKING:
     from .options import Parts
@@ -25,7 +25,7 @@ FrameOf = Callable[[int, int, bytes], bytes]
 
 class PlainAnswers:
     """
-    Recognises the answer to the only request that is in flight.
+    Recognises the answer to the only request that is in flight, in any framing but ASCII.
 
     Args:
         parts: of the client.
@@ -39,19 +39,6 @@ class PlainAnswers:
     """
 
     def __init__(self, parts: Parts) -> None:
-        framer = make_framer(parts.endpoint.framing, "client")
-        self.is_line: bool = framer.has_broadcast
-        encode = framer.encode
-        self.frame: FrameOf = mbap
-        self.pdu_in: PduIn = pdu_with_header
-        if self.is_line:
-            self.frame = lambda _, unit, pdu: encode(Frame(unit, pdu))
-            self.pdu_in = pdu_with_crc
-        self._silence = parts.port.silence
-        self._matching = parts.matching
-
-    def is_own(self, unit: int, request: bytes, answer: bytes, since: float, now: float) -> bool:
-        """Return True unless an answer on a line may be that to an earlier request."""
-        if now < self._silence.left_at:
-            return False
-        return self._matching.accepts(unit, request, answer, now - since)
+        self.is_line: bool = not parts.matching.has_ids
+        self.frame: FrameOf = rtu if self.is_line else mbap
+        self.pdu_in: PduIn = pdu_with_crc if self.is_line else pdu_with_header

@@ -164,7 +164,7 @@ class Shortcut:
             None and the outcome; or what the conversation must go on with, and why the
             connection is lost, if it is.
         """
-        number = self._matching.next_number()
+        number = 0 if self._is_line else self._matching.next_number()
         since = self._now()
         if self._is_line:
             if (left := self._silence.over_at - since) > 0:
@@ -179,7 +179,7 @@ class Shortcut:
             self._conversation.add(batch, self._now())
             return batch, None
         now = self._now()
-        if answer and (not self._is_line or self._answers.is_own(unit, pdu, answer, since, now)):
+        if answer and (not self._is_line or self._matching.accepts(unit, pdu, answer, since, now)):
             try:
                 outcome = request.decode_response(answer)
             except ModbusError:

@@ -206,6 +206,12 @@ def mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
     return _PREFIX.pack(transaction, 0, 1 + len(pdu), unit) + pdu
 
 
+def rtu(_transaction: int, unit: int, pdu: bytes) -> bytes:
+    """Put a unit before a PDU and a CRC behind it, unchecked."""
+    body = bytes([unit]) + pdu
+    return body + _CRC.pack(lib.crc16(body, len(body)))
+
+
 def pdu_with_header(data: bytes, unit: int, transaction: int) -> bytes:
     """Return the PDU of one whole frame with an MBAP header that names both; else nothing."""
     pdu = data[_PREFIX.size :]
@@ -215,7 +221,8 @@ def pdu_with_header(data: bytes, unit: int, transaction: int) -> bytes:
 
 def pdu_with_crc(data: bytes, unit: int, _transaction: int = 0) -> bytes:
     """Return the PDU of one whole RTU frame of this unit; nothing if the bytes are none."""
-    return data[1:-2] if len(data) > 4 and data[0] == unit and not crc16(data) else b""
+    size = len(data)
+    return data[1:-2] if size > 4 and data[0] == unit and not lib.crc16(data, size) else b""
 
 
 def cut(data: bytes | bytearray, start: int, found: list[Frame | FrameError], most: int) -> int:
@@ -372,8 +379,7 @@ class RtuFramer(Framer):
 
     def encode(self, frame: Frame) -> bytes:
         unit, pdu, _ = _check(frame)
-        body = bytes([unit]) + pdu
-        return body + _CRC.pack(crc16(body))
+        return rtu(0, unit, pdu)
 
     def _scan(self) -> None:
         if self._search is None:

@@ -296,9 +296,9 @@ def test_it_changes_nothing(scheme: str, steps: Steps, monkeypatch: pytest.Monke
     alone: list[int] = []
     send = LoneRequest.send
 
-    def counted(self: LoneRequest, batch: Any, now: float) -> None:
+    def counted(self: LoneRequest, batch: Any, now: float) -> float:
         alone.append(batch.unit)
-        send(self, batch, now)
+        return send(self, batch, now)
 
     monkeypatch.setattr(LoneRequest, "send", counted)
     # Two copies of answers in a row are no flood, for a request is sent between them.

@@ -44,8 +44,8 @@ class RequestBytes(pdu.Request[bytes]):
 
     # fmt: off
     __slots__ = (
-        "_is_answered", "_usual", "function", "is_read", "is_write", "known", "may_change", "pdu",
-        "repeatable",
+        "_usual", "expects_response", "function", "is_read", "is_write", "known", "may_change",
+        "pdu", "repeatable",
     )
     # fmt: on
 
@@ -57,13 +57,10 @@ class RequestBytes(pdu.Request[bytes]):
         self.is_write: bool = known is not None and known.is_write  # type: ignore[misc]
         self.repeatable: bool = known is not None and known.repeatable  # type: ignore[misc]
         self.may_change: bool = known is None or is_change(known)
-        self._is_answered = known is None or known.expects_response
+        # Set once, where the base computes it each time.
+        self.expects_response: bool = known is None or known.expects_response  # pyright: ignore
         # Length and start of a valid response to a read: with these, any values are valid.
         self._usual: tuple[int, bytes] | None = None
-
-    @property
-    def expects_response(self) -> bool:
-        return self._is_answered
 
     def touches(self, who: Who) -> Touched:
         """Return the addresses in tables that the request writes and reads."""
