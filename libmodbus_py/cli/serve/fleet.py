@@ -18,17 +18,15 @@ from ...server.signals import Handler, signal_handlers
 from ...services.engine.buckets import Bucket, make_bucket, open_bucket
 from ...services.engine.connection import connected, disconnect, parse_servers
 from ...services.engine.errors import EngineError, EngineGone, NothingThere
-from ...services.fleet.files import FleetFile, FleetFileError
+from ...services.fleet.files import FleetFile
 from ...services.fleet.fleet import Fleet
 from ...services.fleet.journal.errors import JournalError
 from ...services.fleet.journal.journal import Journal
 from ...services.fleet.outputs.output import Output
 from ...services.workers.polling import BUCKET, Polling
-from ...services.workers.pushing import Pushed, changes, connections_of, push, seen_now, settings_of
+from ...services.workers.pushing import Pushed, changes, connections_of, push, seen_now
 from ...services.workers.records import Connection, FleetSettings, in_key
 from ...services.workers.status import fleet_status, tables
-from ...tools.files.texts import load_file
-from ...tools.files.toml_text import read_toml
 from .. import arguments
 from ..failing import CommandError
 from ..help import VerbatimHelp
@@ -122,7 +120,7 @@ def poll(
         hangup: noted since the command started.
     """
     servers = parse_servers(options.engine)
-    settings = load_file(options.file, _settings, FleetFileError)
+    settings = FleetSettings.of_file(file.engine)
     connections = connections_of(file.devices, settings.lease)
     for zone in options.zone:
         in_key(zone)
@@ -141,13 +139,6 @@ def poll(
             hangup,
         )
     )
-
-
-def _settings(text: str) -> FleetSettings:
-    given = read_toml(text).get("engine", {})
-    if not isinstance(given, dict):
-        raise TypeError("engine must be a table")
-    return settings_of(given)
 
 
 def _waited_for(running: Coroutine[Any, Any, int]) -> int:

@@ -9,7 +9,7 @@ Fleet files: devices and outputs, described in TOML.
                                 [[device.point]] tables with the keys of `Point`
     journal, keep, journal_size
                                 as `journal.Journal`: path, keep, size
-    [engine]                    for several machines, see `workers.pushing`
+    [engine]                    for several machines, see `engine_table`
     [output.json] [output.csv] [output.mqtt] ...
                                 as `outputs.kinds`; [[output.json]] for several of a kind;
                                 "${NAME}" stands for a variable of the environment
@@ -47,6 +47,7 @@ from ...tools.files.toml_text import read_toml
 from ...tools.simulator.example_files import map_file
 from .config import DeviceConfig, checked
 from .devices_csv import DeviceRow, device_rows
+from .engine_table import ENGINE
 from .journal.journal import KEEP_BOUNDS, SIZE_BOUNDS, Journal
 from .outputs.exclusive import file_at, shared, used
 from .outputs.kinds import KINDS, made, output_keys
@@ -78,12 +79,14 @@ class FleetFile:
         outputs: the kind of each output, and the arguments of its class, secrets included.
         journal: the arguments of the `Journal`; empty if there is none.
         sources: the files that were read, which no output may use.
+        engine: the table ``[engine]``, for fleets on several machines; empty if there is none.
     """
 
     devices: list[DeviceConfig]
     outputs: list[tuple[str, dict[str, Any]]] = field(default_factory=list, repr=False)
     journal: dict[str, str] = field(default_factory=dict)
     sources: frozenset[str] = field(default=frozenset(), repr=False)
+    engine: dict[str, Any] = field(default_factory=dict)
 
     def made_outputs(self) -> list[Output]:
         """Return new outputs; each can be used by one fleet only."""
@@ -156,7 +159,8 @@ class _Reader:
         self._check(devices)
         self._devices = {each.name: each for each in devices}
         outputs = self._outputs(given.get("output", {}))
-        return FleetFile(devices, outputs, self._journal(given), frozenset(self._sources))
+        journal, engine = self._journal(given), given.get("engine", {})
+        return FleetFile(devices, outputs, journal, frozenset(self._sources), engine)
 
     def _check(self, devices: list[DeviceConfig]) -> None:
         try:
@@ -368,6 +372,6 @@ FILE = Keys(
             _output_tables,
             "a table for each output: [output.KIND], or several: [[output.KIND]]",
         ),
-        Key("engine", text="options of several machines that share a fleet"),
+        Key("engine", ENGINE.read, "options of several machines that share a fleet"),
     ]
 )

@@ -5,31 +5,21 @@ Writes a fleet file to the bucket: only what differs from its contents.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, NamedTuple
 
 from ...client.options import CheckedOptions
-from ...protocol.checks import integer, seconds
-from ...protocol.mistakes import WrongType, WrongValue
 from ..engine.buckets import Bucket
 from ..engine.errors import EngineError, EngineGone
 from ..fleet.config import DeviceConfig, by_connection, devices_to_json
-from .records import (
-    LONGEST_LEASE,
-    SETTINGS,
-    SHORTEST_LEASE,
-    Connection,
-    FleetSettings,
-    OnLoss,
-    in_key,
-)
+from .records import SETTINGS, Connection, FleetSettings, in_key
 from .view import BucketView, Entry
 from .worker import Put
 
 if TYPE_CHECKING:
     from ..engine.buckets import Change
 
-__all__ = ["Pushed", "changes", "connections_of", "push", "seen_now", "settings_of"]
+__all__ = ["Pushed", "changes", "connections_of", "push", "seen_now"]
 
 # Attempts while others push at the same time.
 MOST_TRIES = 5
@@ -42,8 +32,6 @@ TIMEOUT = 10.0
 # The part of a lease that the timeout of a device may take.
 LONGEST_ANSWER = 0.3
 
-KEYS = ("lease", "on_engine_loss", "commands", "max_age", "max_bytes")
-
 
 class Pushed(NamedTuple):
     """The numbers of connections that were added, changed and deleted."""
@@ -51,38 +39,6 @@ class Pushed(NamedTuple):
     new: int
     changed: int
     gone: int
-
-
-def settings_of(given: Mapping[str, Any]) -> FleetSettings:
-    """
-    Return the settings in the table ``[engine]`` of a fleet file.
-
-    Raises:
-        TypeError, ValueError: a value is invalid; the message begins with its key.
-    """
-    for key in given:
-        if key not in KEYS:
-            raise WrongValue.about(("engine", key), f"no such key; allowed are {', '.join(KEYS)}")
-    usual = FleetSettings()
-    lease = seconds(("engine", "lease"), given.get("lease", usual.lease))
-    if not SHORTEST_LEASE <= lease <= LONGEST_LEASE:
-        wanted = f"{SHORTEST_LEASE}..{LONGEST_LEASE}"
-        raise WrongValue(("engine", "lease"), f"must be in {wanted} s, not {lease}")
-    on_loss = given.get("on_engine_loss", usual.on_engine_loss)
-    if on_loss not in get_args(OnLoss):
-        allowed = " or ".join(get_args(OnLoss))
-        raise WrongValue(("engine", "on_engine_loss"), f"must be {allowed}, not {on_loss!r}")
-    commands = given.get("commands", usual.commands)
-    if not isinstance(commands, bool):
-        raise WrongType(("engine", "commands"), f"must be true or false, not {commands!r}")
-    results: dict[str, Any] = {}
-    if "max_age" in given:
-        results["max_age"] = seconds(("engine", "max_age"), given["max_age"], high=3.2e8)
-    if "max_bytes" in given:
-        results["max_bytes"] = integer(
-            ("engine", "max_bytes"), given["max_bytes"], 1 << 16, 1 << 50
-        )
-    return FleetSettings(lease, on_loss, commands, results)
 
 
 def connections_of(devices: Iterable[DeviceConfig], lease: float) -> list[Connection]:

@@ -20,6 +20,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 from ...protocol.checks import number
 from ...protocol.json_text import SORTED_JSON, json_text
+from ..fleet.engine_table import LONGEST_LEASE, SHORTEST_LEASE, OnLoss
 
 __all__ = [
     "SETTINGS",
@@ -42,17 +43,16 @@ FORMAT = 1
 
 SETTINGS = "settings"
 
-State = Literal["here", "ended"]
+LIMITS = ("max_age", "max_bytes")
+"""The limits of the stream of readings."""
 
-OnLoss = Literal["stop", "continue"]
+State = Literal["here", "ended"]
 
 # The default limit of NATS is 1 MiB.
 MAX_VALUE = 1 << 20
 
 _TOKEN = re.compile(r"[A-Za-z0-9_-]{1,60}")
 _DIGEST = re.compile(r"[0-9a-f]{32}")
-
-SHORTEST_LEASE, LONGEST_LEASE = 0.5, 60.0
 
 
 class RecordError(ValueError):
@@ -86,6 +86,15 @@ class FleetSettings:
     on_engine_loss: OnLoss = "stop"
     commands: bool = False
     results: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of_file(cls, engine: Mapping[str, Any]) -> FleetSettings:
+        """Return the settings in a checked table ``[engine]`` of a fleet file."""
+        results = {name: engine[name] for name in LIMITS if name in engine}
+        return cls(
+            **{name: value for name, value in engine.items() if name not in LIMITS},
+            results=results,
+        )
 
     def encode(self) -> bytes:
         return _encode(

@@ -14,6 +14,7 @@ from ...device.record_file import RecordFile
 from ...maps.point import Point
 from ...maps.sources import scale_mistakes
 from ...protocol.checks import integer
+from ...protocol.close_names import close_to
 from ...protocol.mistakes import Path, WrongValue, inside
 from ...protocol.pdu.interface import OBJECT_NAMES
 from ...protocol.tables import TABLES
@@ -174,5 +175,5 @@ def _object_id(path: Path, key: str) -> int:
     if number not in OBJECT_NAMES and not 0x80 <= number <= 0xFF:
         names = ", ".join(numbers)
         reason = f"no such key; allowed are {names}, and the numbers 0..6, 128..255"
-        raise WrongValue.about(path, reason)
+        raise WrongValue.about(path, reason + close_to(key, numbers))
     return number

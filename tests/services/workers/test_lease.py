@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from libmodbus_py.services.workers.lease import Lease
-from libmodbus_py.services.workers.pushing import settings_of
 from libmodbus_py.services.workers.records import (
     SETTINGS,
     Connection,
@@ -172,40 +171,3 @@ class TestView:
         assert view.members["a.1"].beat == 2
         assert view.seen["worker.a.1"] == (2, 5.0)
         assert view.revision == 2
-
-
-class TestSettings:
-    def test_usual_settings(self) -> None:
-        assert settings_of({}) == FleetSettings(10.0, "stop", False, {})
-
-    def test_all_of_them(self) -> None:
-        given = {
-            "lease": 0.5,
-            "on_engine_loss": "continue",
-            "commands": True,
-            "max_age": 60,
-            "max_bytes": 1 << 16,
-        }
-        limits = {"max_age": 60, "max_bytes": 1 << 16}
-        assert settings_of(given) == FleetSettings(0.5, "continue", True, limits)
-        assert settings_of({"lease": 60}).lease == 60
-
-    @pytest.mark.parametrize(
-        ("given", "error", "text"),
-        [
-            ({"leases": 1}, ValueError, "engine.leases: no such key; allowed are lease, "),
-            ({"lease": 0.4}, ValueError, "engine.lease must be in 0.5..60.0 s, not 0.4"),
-            ({"lease": 61}, ValueError, "engine.lease must be in 0.5..60.0 s, not 61"),
-            ({"lease": "1"}, TypeError, "engine.lease"),
-            ({"on_engine_loss": "wait"}, ValueError, "must be stop or continue, not 'wait'"),
-            ({"commands": 1}, TypeError, "engine.commands must be true or false, not 1"),
-            ({"max_age": 0}, ValueError, "engine.max_age"),
-            ({"max_bytes": 1}, ValueError, "engine.max_bytes"),
-        ],
-    )
-    def test_what_is_wrong_is_named(
-        self, given: dict[str, Any], error: type[Exception], text: str
-    ) -> None:
-        with pytest.raises(error) as caught:
-            settings_of(given)
-        assert text in str(caught.value)

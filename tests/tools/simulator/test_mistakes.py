@@ -75,7 +75,7 @@ BROKEN = [
         "[[unit]]\nidentification = { Vendor = 'x' }",
         "unit[0].identification.Vendor: no such key; allowed are VendorName, ProductCode,"
         " MajorMinorRevision, VendorUrl, ProductName, ModelName, UserApplicationName, and the"
-        " numbers 0..6, 128..255",
+        " numbers 0..6, 128..255; did you mean VendorUrl or VendorName?",
     ),
     (
         "[[unit]]\nidentification = { 7 = 'x' }",
