@@ -89,7 +89,7 @@ def _named_bits(text: str) -> dict[str, int]:
     for each in text.split(","):
         name, separator, value = each.partition("=")
         if not separator:
-            raise ValueError(f"value must be like name=1, other=0, not {text!r}")
+            raise ValueError(f"value must be like name=1, other=0, or a JSON object, not {text!r}")
         value = value.strip().lower()
         bits = BITS[value] if value in BITS else number_of("value", value)
         found.append((name.strip(), bits))
