@@ -299,20 +299,20 @@ JUNK = st.sampled_from(
 @example(b'name,address\n"' + b"a" * 400_000)
 def test_anything_else_is_a_mistake(tmp_path: Path, content: bytes) -> None:
     told: list[str] = []
-    began = time.monotonic()
+    began = time.process_time()
     for name in ("meter.csv", "meter.toml"):
         try:
             loaded(tmp_path, content, name)
         except MapError as error:
             told.append(str(error))
     assert all(len(each) < 1000 for each in told)
-    assert time.monotonic() - began < 10
+    assert time.process_time() - began < 10
 
 
 def test_a_large_file_takes_no_time(tmp_path: Path) -> None:
-    began = time.monotonic()
+    began = time.process_time()
     points = [Point(f"p{at}", H, at) for at in range(9_000)]
     assert len(loaded(tmp_path, csv_text(points))) == 9_000
     assert len(loaded(tmp_path, toml_text(points[:4_000]), "meter.toml")) == 4_000
-    # A second and a half on a quiet machine; not the square of their number.
-    assert time.monotonic() - began < 20
+    # A second and a half is usual; not the square of their number.
+    assert time.process_time() - began < 20

@@ -118,9 +118,9 @@ def test_a_random_walk_after_a_year_is_quick() -> None:
     )
     inputs(device, 0, 100)
     clock.now += 365 * 86400
-    start = time.monotonic()
+    start = time.process_time()
     assert all(0 <= value <= 9 for value in inputs(device, 0, 100))
-    assert time.monotonic() - start < 5
+    assert time.process_time() - start < 5
 
 
 def test_a_random_walk_turns_round_at_its_limits() -> None:
