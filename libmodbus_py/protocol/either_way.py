@@ -183,8 +183,8 @@ class RtuEitherWay:
         """Return the end of a frame that begins here; 0 or less if none does."""
         for scan in (self._asking, self._answering):
             state = SILENT if self._is_quiet else GOES_ON
-            end, start = _look(scan, data, at, fresh, state)
-            if start == at and end > 0:
+            end, _ = _look(scan, data, at, fresh, state)
+            if end > 0:
                 return end
         return 0
 

@@ -112,7 +112,11 @@ def test_names_and_parts_are_typed(keys: dict[str, Any], text: str, cells: list[
 
 WRONG_NAMES = [
     ({"states": {0: "off", 1: "on"}}, "On", "value must be one of off, on, or a number, not 'On'"),
-    ({"bits": {0: "door"}}, "door", "value must be like name=1, other=0, or a JSON object, not 'door'"),
+    (
+        {"bits": {0: "door"}},
+        "door",
+        "value must be like name=1, other=0, or a JSON object, not 'door'",
+    ),
     ({"bits": {0: "door"}}, "door=shut", "value must be a number, not 'shut'"),
     ({"bit": 3}, "2", "value must be one of 0, 1, off, on, false, true, not '2'"),
     ({"type": "unix32"}, "2026-07-01", "value must be a date and time with a time zone, such as"),

@@ -103,6 +103,12 @@ def test_a_decimal_number_is_finite_unless_it_is_called_infinite() -> None:
         decimal_of("x")
 
 
+@each_case("text", ["", "12", "1 0", "x", "-1", "0x1"])
+def test_bits_are_digits_0_and_1(text: str) -> None:
+    with pytest.raises(ValueError, match=r"^value must be digits 0 and 1, lowest bit first, not"):
+        value_of(text, value_type("bits16"))
+
+
 @each_case("text", ["2026-07-01T12:00:00", "2026-07-01", "noon", ""])
 def test_a_time_has_a_time_zone(text: str) -> None:
     with pytest.raises(ValueError, match=r"^value must be a date and time with a time zone"):
