@@ -288,11 +288,18 @@ def _defined(statement: ast.AST) -> frozenset[str]:
     )
 
 
+def _is_declared(node: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
+    """Return True if a function is for type checkers only, such as an overload."""
+    return all(
+        isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant) for each in node.body
+    )
+
+
 def _children(node: ast.AST) -> Iterator[ast.AST]:
     """Yield what may be changed within a node."""
     match node:
         case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name):
-            if name not in _PRINTED:
+            if name not in _PRINTED and not _is_declared(node):
                 arguments = node.args
                 yield from arguments.defaults
                 yield from (each for each in arguments.kw_defaults if each is not None)

@@ -99,6 +99,18 @@ def take(waiting: list[int]) -> bool:
     }
 
 
+def test_functions_for_type_checkers_are_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "tank.py"
+    path.write_text(
+        """
+@overload
+def fill(level: int, count: int = 1) -> list[int]: ...
+def fill(level, count=2): return [level] * count
+"""
+    )
+    assert {each.line for each in mutants(path)} == {4}
+
+
 def test_each_tuning_constant_is_one_of_the_package() -> None:
     defined = {
         name.id
