@@ -92,7 +92,12 @@ def _check(frame: Frame) -> Frame:
 
 
 class Framer(ABC):
-    """The base of all framers, which keeps frames and errors in the order of their bytes."""
+    """
+    The base of all framers, which keeps frames and errors in the order of their bytes.
+
+    Attributes:
+        rest: the bytes that wait for the rest of their frame.
+    """
 
     # True if unit 0 addresses every unit, as on a serial line.
     has_broadcast = True
@@ -102,19 +107,19 @@ class Framer(ABC):
     in_step = True
 
     def __init__(self) -> None:
-        self._buffer = bytearray()
+        self.rest: bytearray = bytearray()
         self._found: list[Frame | FrameError] = []
         self._held: FrameError | None = None
 
     @property
     def pending(self) -> int:
         """The number of bytes that wait for the rest of their frame."""
-        return len(self._buffer)
+        return len(self.rest)
 
     def end(self) -> bytes:
         """Return the bytes that wait for the rest of their frame, which does not come."""
-        rest = bytes(self._buffer)
-        self._buffer.clear()
+        rest = bytes(self.rest)
+        self.rest.clear()
         return rest
 
     def feed(self, data: bytes) -> list[Frame]:
@@ -137,7 +142,7 @@ class Framer(ABC):
 
     def scan(self, data: bytes) -> list[Frame | FrameError]:
         """Take received bytes; return frames and errors, in the order of the bytes."""
-        self._buffer += data
+        self.rest += data
         self._scan()
         found, self._found = self._found, []
         return found
@@ -169,8 +174,8 @@ class Framer(ABC):
 
     def _reject(self, why: str, count: int, *, overrun: bool = False) -> None:
         """Drop the first bytes."""
-        self._report(why, self._buffer[:count], overrun=overrun)
-        del self._buffer[:count]
+        self._report(why, self.rest[:count], overrun=overrun)
+        del self.rest[:count]
 
     def _give(self) -> list[Frame | FrameError]:
         found, self._found = self._found, []
@@ -297,14 +302,14 @@ class TcpFramer(Framer):
 
     def _scan(self) -> None:
         if not self.in_step:
-            self._reject("stream out of step", len(self._buffer))
+            self._reject("stream out of step", len(self.rest))
             return
         try:
-            del self._buffer[: cut(self._buffer, 0, self._found, len(self._buffer))]
+            del self.rest[: cut(self.rest, 0, self._found, len(self.rest))]
         except FrameError as error:
             self.in_step = False
             _note(self._found, error)
-            self._buffer.clear()
+            self.rest.clear()
 
     def _scan_silence(self) -> None:
         """Ignore silence, which ends no frame on TCP."""
@@ -321,8 +326,8 @@ class UdpFramer(TcpFramer):
     max_size = MAX_PDU + 7
 
     def _scan(self) -> None:
-        datagram = bytes(self._buffer)
-        self._buffer.clear()
+        datagram = bytes(self.rest)
+        self.rest.clear()
         found: list[Frame | FrameError] = []
         with contextlib.suppress(FrameError):
             if cut(datagram, 0, found, 1) == len(datagram):
@@ -395,11 +400,11 @@ class RtuFramer(Framer):
             self._in_run = False
 
     def _scan_requests(self, search: RequestSearch, *, is_silent: bool) -> None:
-        data = bytes(self._buffer)
+        data = bytes(self.rest)
         if search.is_one_request(data):
             self._found.append(tuple.__new__(Frame, (data[0], data[1:-2], 0)))
             self._in_run = False
-            self._buffer.clear()
+            self.rest.clear()
             return
         pieces, count = search.search(data, is_silent=is_silent)
         for start, end, kind in pieces:
@@ -411,10 +416,10 @@ class RtuFramer(Framer):
                 made = Frame(unit, pdu) if kind == "request" else Overheard(unit, pdu)
                 self._found.append(made)
             self._in_run = kind == "damage"
-        del self._buffer[:count]
+        del self.rest[:count]
 
     def _scan_answers(self, state: int) -> None:
-        data, scan, begin = bytes(self._buffer), self._scanner, 0
+        data, scan, begin = bytes(self.rest), self._scanner, 0
         while begin < len(data):
             end = scan.next(data, begin, state)
             self._skip(data, begin, start := scan.start)
@@ -434,7 +439,7 @@ class RtuFramer(Framer):
         found, the front may still be completed.
         """
         self._scan_answers(SILENT)
-        data, scan = bytes(self._buffer), self._scanner
+        data, scan = bytes(self.rest), self._scanner
         if scan.next(data, 0, AT_END) > 0:
             self._skip(data, 0, scan.start)
             self._forget(scan.start)
@@ -454,7 +459,7 @@ class RtuFramer(Framer):
             self._in_run = end != fresh  # silence ends a run
 
     def _forget(self, count: int) -> None:
-        del self._buffer[:count]
+        del self.rest[:count]
         self._scanner.fresh = max(self._scanner.fresh - count, -1)
 
 
@@ -552,37 +557,37 @@ class AsciiFramer(Framer):
     def _scan(self) -> None:
         while True:
             self._skip_to_colon()
-            end = self._buffer.find(b"\r")
-            if end < 0 or end + 1 == len(self._buffer):
+            end = self.rest.find(b"\r")
+            if end < 0 or end + 1 == len(self.rest):
                 break
             self._take(end)
-        if len(self._buffer) >= self.max_size:
+        if len(self.rest) >= self.max_size:
             why = f"a frame of more than {self.max_size} characters"
-            self._reject(why, len(self._buffer), overrun=True)
+            self._reject(why, len(self.rest), overrun=True)
 
     def _scan_silence(self) -> None:
         """Drop an unfinished frame: no gap may be longer than a second (2.5.2.1)."""
-        if self._buffer:
-            self._reject("an unfinished frame", len(self._buffer))
+        if self.rest:
+            self._reject("an unfinished frame", len(self.rest))
 
     def _skip_to_colon(self) -> None:
         """Begin the buffer with the last colon before its first CR that has one."""
-        end = self._buffer.find(b"\r")
-        while end >= 0 and self._buffer.find(b":", 0, end) < 0:
-            del self._buffer[: end + 1]
-            end = self._buffer.find(b"\r")
-        last = end if end >= 0 else len(self._buffer)
-        first = self._buffer.find(b":", 0, last)
+        end = self.rest.find(b"\r")
+        while end >= 0 and self.rest.find(b":", 0, end) < 0:
+            del self.rest[: end + 1]
+            end = self.rest.find(b"\r")
+        last = end if end >= 0 else len(self.rest)
+        first = self.rest.find(b":", 0, last)
         if first < 0:
-            self._buffer.clear()
+            self.rest.clear()
             return
-        del self._buffer[:first]
-        if colon := self._buffer.rfind(b":", 0, last - first):
+        del self.rest[:first]
+        if colon := self.rest.rfind(b":", 0, last - first):
             self._reject("a colon inside a frame", colon, overrun=colon > self.max_size)
 
     def _take(self, end: int) -> None:
-        digits = bytes(self._buffer[1:end])
-        if self._buffer[end + 1] != self._delimiter:
+        digits = bytes(self.rest[1:end])
+        if self.rest[end + 1] != self._delimiter:
             self._reject("a frame without its delimiter", end + 1)
         elif not self._digits.fullmatch(digits):
             self._reject("a frame with other characters than pairs of digits", end + 2)
@@ -593,7 +598,7 @@ class AsciiFramer(Framer):
             self._reject("a frame with a wrong LRC", end + 2)
         else:
             self._found.append(Frame(body[0], body[1:-1]))
-            del self._buffer[: end + 2]
+            del self.rest[: end + 2]
 
 
 _FRAMERS: dict[str, Callable[[], Framer]] = {

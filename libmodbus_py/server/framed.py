@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import asyncio
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 
 from ..protocol.errors import FrameError
 from ..protocol.framing import Frame, Framing, Overheard, RtuFramer, make_framer
@@ -65,6 +65,7 @@ class Framed(ABC):
         self._held: tuple[Frame, bytes] | None = None  # the answer to the last request so far
         self._is_heard = True  # True once the silence after the latest bytes is awaited
         self._found: list[Frame | FrameError] = []
+        self._owed: Collection[object] = ()  # requests whose answers are still to come
         self._has_ended = False
 
     @property
@@ -75,9 +76,9 @@ class Framed(ABC):
             if self.is_held:
                 return SessionState.HELD
             # A line has noise, and silence ends a frame that has begun.
-            if self._framer.quiet is None and self._framer.pending:
+            if self._framer.quiet is None and self._framer.rest:
                 return SessionState.UNFINISHED
-        return SessionState.OWING if self.is_owing else SessionState.READING
+        return SessionState.OWING if self._owed else SessionState.READING
 
     @property
     def _is_behind(self) -> bool:
@@ -89,14 +90,10 @@ class Framed(ABC):
         """True while an answer is delayed, and with it all that follow."""
         return False
 
-    @property
-    def is_owing(self) -> bool:
-        """True while an answer is still to come."""
-        return False
-
     def receive(self, data: bytes) -> int:
         if data:
-            self._stop_timer()
+            if self._timer is not None:
+                self._timer.cancel()
             self._unsearched += data
             self._is_heard = False
             if self._at_once is not None and len(self._unsearched) > self._at_once:
@@ -142,7 +139,8 @@ class Framed(ABC):
         if self._has_ended:
             return
         self._has_ended = True
-        self._stop_timer()
+        if self._timer is not None:
+            self._timer.cancel()
         self.tell_rest(self._unsearched)
         self._unsearched, self._found = b"", []
 
@@ -169,7 +167,8 @@ class Framed(ABC):
         else:
             self._is_quiet = False
             self._found = self._framer.scan_silence()
-        self.tell_received(self._found)
+        if self._trace is not None:
+            self.tell_received(self._found)
 
     def _end_datagram(self) -> None:
         """Note what could begin a longer frame: its rest does not come in another datagram."""
@@ -195,10 +194,6 @@ class Framed(ABC):
                 self.tell_received(self._framer.scan(unsearched))
             if rest := self._framer.end():
                 self._trace.tell("received", rest)
-
-    def _stop_timer(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
 
     def _note_silence(self) -> None:
         """Make the channel call `receive` in its turn, so that the requests are counted."""

@@ -339,6 +339,7 @@ class ForwardingSession(Framed):
         self.is_line: bool = endpoint.is_serial
         self._dispatcher = dispatcher
         self.asked: dict[Forwarded, GatewayLine | None] = {}
+        self._owed = self.asked
 
     def caller(self, unit: int) -> Caller:
         """Return the origin of a request to a unit."""
@@ -362,10 +363,6 @@ class ForwardingSession(Framed):
             changes = changes_of(request.known, caller)
             auditor.note(Executed(caller, request.pdu, response, changes, is_change))
 
-    @property
-    def is_owing(self) -> bool:
-        return bool(self.asked)
-
     def told(self, forwarded: Forwarded, response: bytes | None) -> None:
         self.asked.pop(forwarded, None)
         if forwarded.request.may_change:
@@ -375,7 +372,7 @@ class ForwardingSession(Framed):
         if response is not None:
             answer = Frame(forwarded.from_unit, response, forwarded.number)
             self._send(answer, self._framer.encode(answer))
-        if not self.asked:
+        if self._is_datagram and not self.asked:  # no other channel waits for that
             self._channel.follow()
 
     def end(self) -> None:
