@@ -130,7 +130,6 @@ class SilentUnits:
         if any(each == unit for each, _ in self.answering):
             rest = self._functions.setdefault((unit, function), Rest(function))
         else:
-            self._functions.pop((unit, function), None)
             rest = self._units.setdefault(unit, Rest(function))
         return rest.note_silence(function, now, self._first) and rest.misses == 1
 
