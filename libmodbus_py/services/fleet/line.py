@@ -126,9 +126,12 @@ class FleetLine:
         poller.planned = poller.waits_since = planned
         poller.is_trial = poller.state is DeviceState.DOWN
         connects = self.client.statistics.connects
-        poller.begin(self._loop.time(), id(self.client), connects)
-        if poller.rest_until > self._loop.time():
+        now = self._loop.time()
+        poller.begin(now, id(self.client), connects)
+        if poller.rest_until > now:
             self._rest(poller)
+        elif not (self._is_closed or poller.is_trial) and self._room.begin(poller, now):
+            self._ask(poller, now)
         else:
             self._room.put(poller)
             self._go_on()
@@ -147,6 +150,7 @@ class FleetLine:
             return
         now = self._loop.time()
         while (poller := self._room.pick(now)) is not None:
+            self._room.start(poller)
             self._ask(poller, now)
         if self._room.trying and (trial := self._room.overstayed(now)) is not None:
             self._make_way(trial)
@@ -158,7 +162,6 @@ class FleetLine:
             assert poller.planned is not None
             self._statistics.note_start(max(0.0, now - poller.planned))
         poller.asked_at = now
-        self._room.start(poller)
         poller.submitted = self.client_of(poller).submit(
             poller.config.unit, poller.next_request, partial(self._note_done, poller)
         )
