@@ -25,6 +25,9 @@ class Request(Generic[Result]):
         repeatable: True if it may be sent again when its answer was lost: a
             device that gets it twice ends as if it had got it once.
 
+    Attributes:
+        expects_response: True if a server answers it, unless it is a broadcast.
+
     Constructors raise TypeError or ValueError, naming the argument and its
     range; ``str()`` of a request says what is asked, for messages.
     """
@@ -36,11 +39,7 @@ class Request(Generic[Result]):
     response_length: ClassVar[LengthRule]
     is_write: ClassVar[bool] = False
     repeatable: ClassVar[bool] = False
-
-    @property
-    def expects_response(self) -> bool:
-        """True if a server answers it."""
-        return True
+    expects_response: bool = True
 
     def encode(self) -> bytes:
         """Encode the request PDU."""

@@ -88,7 +88,7 @@ class Diagnostics(Request[bytes]):
         store(self, sub_function=sub_function)
 
     @property
-    def expects_response(self) -> bool:
+    def expects_response(self) -> bool:  # type: ignore[override]
         return self.sub_function != SubFunction.FORCE_LISTEN_ONLY
 
     request_length: ClassVar[LengthRule] = in_c(_diagnostics_length, lib.DIAGNOSTICS)

@@ -57,8 +57,7 @@ class RequestBytes(pdu.Request[bytes]):
         self.is_write: bool = known is not None and known.is_write  # type: ignore[misc]
         self.repeatable: bool = known is not None and known.repeatable  # type: ignore[misc]
         self.may_change: bool = known is None or is_change(known)
-        # Set once, where the base computes it each time.
-        self.expects_response: bool = known is None or known.expects_response  # pyright: ignore
+        self.expects_response: bool = known is None or known.expects_response
         # Length and start of a valid response to a read: with these, any values are valid.
         self._usual: tuple[int, bytes] | None = None
 
