@@ -86,6 +86,35 @@ IMPOSSIBLE: list[tuple[str, object, type[Exception]]] = [
 ]
 
 
+SECONDS = ("frame_timeout", "handshake_timeout", "idle_timeout", "certificate_interval")
+
+
+@pytest.mark.parametrize("name", SECONDS)
+def test_times_are_a_millisecond_to_a_day(name: str) -> None:
+    for value in (0.001, 1, 86_400):
+        made: Any = Limits(**{name: value})  # type: ignore[arg-type]
+        assert getattr(made, name) == value
+    for value in (0, 0.0009, -1, 86_400.1):
+        with pytest.raises(ValueError, match=name):
+            Limits(**{name: value})  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=name):
+        Limits(**{name: "5"})  # type: ignore[arg-type]
+
+
+def test_limits_unless_given() -> None:
+    made = Limits()
+    assert [getattr(made, name) for name in SECONDS] == [5, 5, 3600, 60]
+    assert (made.when_full, made.max_unsent, made.allow) == ("close-idle", 65536, ())
+    assert (made.max_connections, made.connections_per_address) == (None, None)
+    assert made.requests_per_second is None
+
+
+@pytest.mark.parametrize(("most", "of_address"), [(1, 8), (80, 8), (89, 8), (90, 9), (1000, 100)])
+def test_an_address_may_have_a_tenth_of_all_connections(most: int, of_address: int) -> None:
+    assert Limits(max_connections=most).connections_of_address() == of_address
+    assert Limits(max_connections=most, connections_per_address=3).connections_of_address() == 3
+
+
 def test_a_limit_that_cannot_be_is_named() -> None:
     for name, value, error in IMPOSSIBLE:
         with pytest.raises(error, match=name):
