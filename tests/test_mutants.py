@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from fuzz.covering import Covering, functions
-from fuzz.mutants import DECIDING, Running, chosen, files_beside, judged
+from fuzz.mutants import DECIDING, Running, Trial, chosen, files_beside, judged
 from fuzz.mutations import TUNING, mutants
 
 ROOT = Path(__file__).parent.parent
@@ -183,6 +183,29 @@ def test_tests_in_folders_of_the_test_folder_are_beside_too() -> None:
     drawn = chosen(["server/faults/delivery.py"], 1, seed=1)
     found = {str(path) for path in files_beside(drawn)}
     assert {"tests/server/faults/test_delivery.py", "tests/simulation/test_world.py"} <= found
+
+
+def test_tests_with_the_name_of_the_module_come_first() -> None:
+    path = Path("libmodbus_py/client/waiting_room.py")
+    mutant = next(each for each in mutants(path) if "misses - 1" in str(each))
+    (function,) = [each for each in functions(path) if each.key.endswith(":.rest_after")]
+    seconds = {
+        "tests/client/test_turns.py::fast": 0.1,
+        "tests/client/test_waiting_room.py::slow": 3.0,
+        "tests/client/test_full_waiting_room.py::fast": 0.2,
+        "tests/client/test_turns.py::slow": 0.3,
+        "tests/server/test_waiting_room.py::elsewhere": 0.1,
+    }
+    covering = Covering(seconds=seconds)
+    covering.tests[function.key] = {str(mutant.line - function.first): list(seconds)}
+    covering.digests[function.key] = {name.partition("::")[0]: function.digest for name in seconds}
+    names = [name.rpartition("/")[2] for name in Trial(covering, Path("."), 1).tests_of(mutant)]
+    assert names == [
+        "test_full_waiting_room.py::fast",
+        "test_waiting_room.py::slow",
+        "test_turns.py::fast",
+        "test_turns.py::slow",
+    ]
 
 
 TRYING = """
