@@ -4,7 +4,8 @@
 Mutants are drawn at random from the files that decide, or from those named: a folder of the
 package, a file, or FILE:LINE. For each mutant those tests run that execute the changed line and
 stand in the test folder beside, or in the simulated world; those in files with the name of the
-module come first, then the fastest, and the first failure ends it. A mutant that no test notices survives, and is listed.
+module come first, then the fastest, and the first failure ends it. A mutant that no test notices
+survives, and is listed.
 
 Why this is no library: mutmut 3 changes functions only, through copies that tests of signatures
 and of pickling see, and draws no samples; cosmic-ray runs one command for all mutants, however few

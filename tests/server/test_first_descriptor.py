@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import socket
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -40,7 +41,7 @@ def test_the_connection_of_a_client_may_be_the_first_descriptor(ends_well: bool)
             for number in range(3):
                 client.sendall(adu(READ, number))
                 assert client.recv(100) == adu(ANSWER, number)
-            assert os.path.basename(os.readlink("/proc/self/fd/0")).startswith("socket:")
+            assert stat.S_ISSOCK(os.fstat(0).st_mode)
             if not ends_well:
                 client.sendall(b"\xff" * 7)
             else:

@@ -10,6 +10,7 @@ import pytest
 
 from libmodbus_py import Context, Route, Server
 from libmodbus_py.serve import AuditEvent
+from libmodbus_py.services.gateway.line import GatewayLine
 from tests.services.gateway.gates import LINE, adu, gated, gateway, small
 from tests.services.gateway.test_line import READ, TIMEOUT, Asker, Plant, answer_of
 from tests.simulation.stage import Stage
@@ -121,6 +122,26 @@ def test_lines_that_were_replaced_are_closed(stage: Stage) -> None:
             assert list(made.traffic.lines) == [f"tcp://10.0.0.{number}:502"]
             assert not made._closing
         made.change_routes([route])
+
+
+def test_a_gateway_has_ended_when_all_its_lines_are_closed(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = ["tcp://10.0.0.1:502", "tcp://10.0.0.2:502"]
+    closed: list[str] = []
+    close = GatewayLine.close
+
+    async def slowly(line: GatewayLine) -> None:
+        await asyncio.sleep(50 if line.url == lines[0] else 1)
+        await close(line)
+        closed.append(line.url)
+
+    monkeypatch.setattr(GatewayLine, "close", slowly)
+    with gateway([Route(lines[0], "1")]) as (made, _):
+        made.change_routes([Route(lines[1], "1")])
+        stage.pass_time(1)
+        assert closed == []
+    assert sorted(closed) == lines
 
 
 def test_a_request_for_an_end_that_came_is_told_so() -> None:
