@@ -510,6 +510,27 @@ class TestDevices:
         run(main())
 
 
+class TestLostLease:
+    @pytest.mark.parametrize(("on_engine_loss", "times"), [("stop", 1), ("continue", 0)])
+    def test_devices_are_taken_back_unless_polls_go_on(
+        self, monkeypatch: pytest.MonkeyPatch, on_engine_loss: str, times: int
+    ) -> None:
+        taken: list[float] = []
+        monkeypatch.setattr(Fleet, "take_back", lambda fleet: taken.append(now()))
+
+        async def main() -> None:
+            settings = FleetSettings(LEASE, on_engine_loss=on_engine_loss)  # type: ignore[arg-type]
+            bucket = filled(connection("pump"), on_engine_loss=on_engine_loss)
+            async with at_work(bucket, settings=settings) as worker:
+                await until(lambda: names(worker))
+                bucket.error = EngineGone("gone")
+                await asyncio.sleep(3 * LEASE)
+                assert len(taken) == times
+                bucket.error = None
+
+        run(main())
+
+
 class TestReport:
     def test_it_reports_what_its_fleet_does(self) -> None:
         async def main() -> None:
