@@ -28,6 +28,9 @@ PACKAGE = "libmodbus_py"
 FOLDER = "MUTANTS_COVERING"
 """The environment variable that names the folder for what is written down."""
 
+FORMAT = 2
+"""Of the file that `Covering` writes; one of another format is not read."""
+
 
 @dataclass(frozen=True)
 class Function:
@@ -144,6 +147,8 @@ class Covering:
         if not path.exists():
             return cls()
         written = json.loads(path.read_text())
+        if written.pop("format", 1) != FORMAT:
+            return cls()
         names = list(written["seconds"])
         tests = {
             key: {line: [names[number] for number in each] for line, each in lines.items()}
@@ -158,7 +163,7 @@ class Covering:
             key: {line: [number[test] for test in each] for line, each in lines.items()}
             for key, lines in self.tests.items()
         }
-        path.write_text(json.dumps({**vars(self), "tests": tests}))
+        path.write_text(json.dumps({"format": FORMAT, **vars(self), "tests": tests}))
 
     def stale(self, paths: list[Path]) -> list[Path]:
         """Return the test files that are new, or have changed."""

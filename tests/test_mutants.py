@@ -5,6 +5,7 @@ The tool that changes the package in single places finds what a test notices, an
 from __future__ import annotations
 
 import ast
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -144,6 +145,12 @@ def test_lines_are_known_although_a_function_moves(tank: Path) -> None:
     # Of a function that has changed all its tests count.
     tank.write_text(SOURCE.replace("LIMIT and", "LIMIT or"))
     assert covering.of_lines(tank, 10, 10) == {"test_a.py::test", "test_b.py::test"}
+
+
+def test_a_file_of_another_format_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "written"
+    path.write_text(json.dumps({"files": {"a": "1"}, "seconds": {}, "tests": {}, "digests": {}}))
+    assert Covering.read(path) == Covering()
 
 
 def test_what_is_known_of_tests_is_read_as_it_was_written(tank: Path, tmp_path: Path) -> None:
