@@ -220,7 +220,7 @@ class Trial:
         found = self.covering.of_lines(mutant.path, *mutant.lines)
         near = set(found)
         if not found:
-            near = self._using(mutant)
+            near = self._using(mutant) | self._own(mutant)
             found = near | self.covering.of_file(mutant.path)
         folders = tuple(f"tests/{folder}/" for folder in _beside(mutant.path))
         seconds = self.covering.seconds
@@ -247,6 +247,11 @@ class Trial:
             if words.search(line):
                 found |= self.covering.of_lines(mutant.path, number, number)
         return found
+
+    def _own(self, mutant: Mutant) -> set[str]:
+        """Return the tests of the file that has the name of the mutant's module."""
+        name = f"/test_{mutant.path.stem}.py::"
+        return {test for test in self.covering.seconds if name in test}
 
     def _start(self, mutant: Mutant, tests: dict[str, float]) -> None:
         self._count += 1

@@ -383,8 +383,8 @@ class RtuFramer(Framer):
             self._search.is_ours = is_ours
 
     def encode(self, frame: Frame) -> bytes:
-        unit, pdu, _ = _check(frame)
-        return rtu(0, unit, pdu)
+        unit, pdu, number = _check(frame)
+        return rtu(number, unit, pdu)
 
     def _scan(self) -> None:
         if self._search is None:

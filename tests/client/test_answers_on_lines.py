@@ -141,14 +141,31 @@ def test_copies_beside_answers_in_time_leave_the_speed_of_a_port_as_it_is_set() 
     talk.ask(2)
     talk.wait(2)  # nobody answers
     batch = talk.ask(3)
-    talk.wait_for(3)
-    talk.wait(0.005)
+    talk.wait_for(3)  # and up to 9 ms more
     talk.come(value(77))
     talk.wait(0.02)
     assert not batch.is_done
     talk.come(value(3))
     talk.wait(0.2)
     assert batch.outcomes == [[3]]
+
+
+def test_a_copy_beside_an_answer_says_nothing_of_a_later_silence() -> None:
+    """The unit was silent; so what comes too early afterwards is still no answer."""
+    talk = Talk("rtu:///dev/nowhere?baudrate=9600", is_timed=True, timeout=1)
+    batch = talk.ask(1)
+    talk.wait(0.005)
+    talk.come(value(77))
+    talk.wait(0.02)
+    talk.come(value(1))
+    assert batch.outcomes == [[1]]
+    talk.ask(2)
+    talk.wait(2)
+    batch = talk.ask(3)
+    talk.wait_for(3)  # and up to 9 ms more
+    talk.come(value(78))
+    talk.wait(2)
+    assert kinds(batch) == [ModbusTimeoutError]
 
 
 def test_an_answer_is_a_sign_of_life_on_lines_over_networks() -> None:

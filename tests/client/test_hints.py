@@ -52,6 +52,22 @@ def test_the_request_that_came_back_is_recognised(scheme: str) -> None:
     assert explain(scheme, sent, sent) == "the request itself came back; echo=True?"
 
 
+@pytest.mark.parametrize(
+    ("record", "is_tls"),
+    [
+        ("14 03 00 0001", True),
+        ("17 03 04 0001", True),
+        ("13 03 03 0001", False),  # no kind of a record
+        ("18 03 03 0001", False),
+        ("16 02 03 0001", False),  # no version: TLS 1.0 to 1.3 are 3.1 to 3.4
+        ("16 03 05 0001", False),
+        ("16 03 03 00", False),
+    ],
+)
+def test_a_record_of_tls_is_recognised_by_its_header(record: str, is_tls: bool) -> None:
+    assert ("tls://" in explain("tcp", SENT["tcp"], bytes.fromhex(record))) is is_tls
+
+
 @pytest.mark.parametrize("noise", ["FE", "00 FF 00 FF", "9A C4 F0 70" * 10])
 def test_noise_on_a_serial_line_is_recognised(noise: str) -> None:
     hint = explain("rtu", SENT["rtu"], bytes.fromhex(noise))

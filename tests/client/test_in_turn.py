@@ -249,6 +249,18 @@ def test_who_is_withdrawn_may_answer_as_late_as_who_is_not() -> None:
     assert len(talk.sent) == 2
 
 
+def test_an_answer_that_came_by_itself_is_accepted_unless_it_may_be_another_one() -> None:
+    """The short way asks so; what is not accepted is looked at by the conversation."""
+    talk = Talk("rtu:///dev/nowhere?baudrate=9600&silence=0", is_timed=True)
+    read, equal = bytes.fromhex("03 006B 0001"), bytes.fromhex("01 0001 0003")
+    talk.matching._silence.sent(8, 0.0)
+    assert not talk.matching.accepts(1, read, bytes.fromhex("03 02 0007"), 0.0, 0.009)
+    assert not talk.matching.accepts(1, equal, equal, 0.0, 0.1)
+    assert talk.matching.accepts(1, read, bytes.fromhex("03 02 0007"), 0.0, 0.1)
+    # Now it is known that requests do not come back.
+    assert talk.matching.accepts(1, equal, equal, 0.0, 0.1)
+
+
 # --- silence after a failure -----------------------------------------------------------
 
 

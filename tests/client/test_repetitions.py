@@ -4,8 +4,8 @@ Requests that are sent again, in bytes and times: when, and what becomes of thos
 
 from __future__ import annotations
 
-from libmodbus_py import FrameError, ModbusTimeoutError
-from tests.support.talk import LINE, Talk, kinds, tcp, value
+from libmodbus_py import FrameError, ModbusConnectionError, ModbusTimeoutError
+from tests.support.talk import LINE, TCP, Talk, kinds, tcp, value
 
 
 def test_all_that_are_due_leave_together() -> None:
@@ -80,3 +80,14 @@ def test_what_nobody_answers_alone_either_is_not_sent_again() -> None:
     # Each of the first ones once, and one of them alone.
     first = [each[8:10] for each in talk.sent[sent:] if each[9] < limit]
     assert len(first) == limit + 1
+
+
+def test_what_waits_behind_a_repetition_fails_with_it_when_no_connection_is_made() -> None:
+    for url in (LINE, TCP):
+        talk = Talk(url, timeout=1, retries=3)
+        batch = talk.ask(1, 2, 3, go_on=True)
+        talk.wait(1.5)
+        talk.lose()
+        talk.fail()
+        assert kinds(batch) == [ModbusConnectionError] * 3
+        assert batch.is_done

@@ -108,6 +108,14 @@ def test_a_frame_without_a_length_ends_with_silence_and_not_where_its_crc_fits_f
         assert requests(heard(whole, size=size)) == [Frame(1, whole[1:-2])]
 
 
+def test_a_refusal_of_others_behind_a_request_is_one_frame() -> None:
+    """Of a function without a class, whose refusal may have any length."""
+    others = rtu("02 C1 11 22 33 44")
+    for size in (1, 999):
+        found = heard(READ + others, size=size)
+        assert found == [ASKED, Overheard(2, others[1:-2])]
+
+
 def test_where_a_frame_without_a_length_ends_is_not_guessed() -> None:
     """
     The answer to a loopback repeats it. Its data are chosen so that the CRC of both together fits
