@@ -64,6 +64,34 @@ def echoes(count: int) -> list[list[int]]:
     return [[address] for address in range(count)]
 
 
+class Clumsy:
+    """Loses both of two requests of which one comes while the other waits for its answer."""
+
+    def __init__(self, world: Any) -> None:
+        self._events = world.network.events
+        self._waiting: list[tuple[bytes, Write]] = []
+
+    def __call__(self, request: bytes, write: Write) -> None:
+        self._waiting.append((request, write))
+        if len(self._waiting) == 1:
+            self._events.after(0.005, self._answer)
+
+    def _answer(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        if len(waiting) == 1:
+            ((request, write),) = waiting
+            write(echo(request))
+
+
+def test_requests_that_are_all_lost_leave_their_places_to_the_others(world: World) -> None:
+    """At most two of these are in flight, also when both are to be asked again alone."""
+    peer = world.peer("tcp", Clumsy(world))
+    with world.connect(peer.url) as context:
+        assert context.execute_many(reads(20), max_in_flight=2) == echoes(20)
+        assert context.statistics.falls == 1
+        assert context.statistics.timeouts >= 2
+
+
 @each_scheme
 @pytest.mark.parametrize("places", [1, 2, 4, 8])
 def test_a_device_that_loses_requests_loses_no_value(

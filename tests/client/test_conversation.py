@@ -787,3 +787,11 @@ def settle_down(talk: Talk) -> None:
             talk.leave_broken()
             talk.open()
     raise AssertionError("somebody waits for ever")
+
+
+def test_a_batch_without_requests_is_over_at_once_on_a_connection_that_stands() -> None:
+    talk = Talk()
+    batch = talk.batch()
+    talk.conversation.add(batch, talk.now)
+    assert batch.is_done
+    assert talk.is_at_rest

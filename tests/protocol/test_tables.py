@@ -26,6 +26,8 @@ def test_reads_take_no_more(name: str) -> None:
     rules = TABLES[name]
     request = rules.read(TABLE_SIZE - rules.most_read, rules.most_read)
     assert len(request.encode()) == 5
+    result = [index % 2 for index in range(rules.most_read)]
+    assert request.decode_response(request.encode_response(result)) == result
     for address, count in ((0, rules.most_read + 1), (TABLE_SIZE, 1), (TABLE_SIZE - 1, 2)):
         with pytest.raises(ValueError, match="must"):
             rules.read(address, count)
