@@ -62,8 +62,11 @@ BESIDE = {
     "binding": ("client", "server"),
     "device": ("device", "server"),
     "protocol": ("protocol", "client", "server"),
-    # A gateway is a server, too, and many tests of servers try both.
+    # A gateway is a server, too, and many tests of either try both.
     "services/gateway": ("services/gateway", "server"),
+    "server": ("server", "services/gateway"),
+    # Workers are fleets, whose commands and records come over the engine.
+    "services/fleet": ("services/fleet", "services/workers"),
 }
 WORLD = "simulation"
 
