@@ -5,11 +5,17 @@ Histories that are thinned: which values stand for a span of time.
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from libmodbus_py.services.fleet.journal.journal_reader import HistoricalValue, thinned
+from libmodbus_py.services.fleet.journal.errors import JournalError
+from libmodbus_py.services.fleet.journal.journal_reader import (
+    HistoricalValue,
+    history,
+    thinned,
+)
 
 SINCE = 1_700_000_000.0
 
@@ -60,3 +66,15 @@ def test_values_at_the_end_belong_to_the_last_span() -> None:
 def test_no_time_at_all_is_one_span() -> None:
     given = [HistoricalValue(SINCE, number, "good") for number in range(9)]
     assert [each.value for each in thinned(given, SINCE, SINCE, 3)] == [0, 8]
+
+
+@pytest.mark.parametrize("most", [3, 1_000_000])
+def test_three_values_to_a_million_may_be_asked_for(tmp_path: Path, most: int) -> None:
+    with pytest.raises(JournalError):  # there is no such file
+        history(str(tmp_path / "none.db"), "meter", "level", SINCE, SINCE + 1, most)
+
+
+@pytest.mark.parametrize("most", [2, 1_000_001])
+def test_another_number_of_values_is_refused(tmp_path: Path, most: int) -> None:
+    with pytest.raises(ValueError, match="most"):
+        history(str(tmp_path / "none.db"), "meter", "level", SINCE, SINCE + 1, most)

@@ -321,10 +321,14 @@ class TestBucket:
 
         run(main())
 
-    def test_a_worker_alone_looks_at_its_clock_twice_for_each_sign_of_life(self) -> None:
+    @pytest.mark.parametrize("lease", [0.5, LEASE])
+    def test_a_worker_alone_looks_at_its_clock_twice_for_each_sign_of_life(
+        self, lease: float
+    ) -> None:
         async def main() -> None:
             bucket = filled(connection("pump"))
-            async with at_work(bucket) as worker:
+            bucket.write(SETTINGS, FleetSettings(lease).encode())
+            async with at_work(bucket, settings=FleetSettings(lease)) as worker:
                 await until(lambda: names(worker))
                 before = len(bucket.puts)
                 steps = 0
@@ -336,7 +340,7 @@ class TestBucket:
                     return step(*args)
 
                 worker.worker.step = counted  # type: ignore[method-assign]
-                await asyncio.sleep(10 * LEASE)
+                await asyncio.sleep(10 * lease)
                 told = len(bucket.puts) - before
                 assert told == pytest.approx(100, abs=2)
                 assert steps < 2 * told

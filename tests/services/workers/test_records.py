@@ -117,3 +117,16 @@ def test_a_zone_has_sixty_characters_at_most() -> None:
     assert in_key("a" * 60) == "a" * 60
     with pytest.raises(ValueError, match="60 letters"):
         in_key("a" * 61)
+
+
+def test_settings_are_those_of_a_file() -> None:
+    table = {"lease": 3.0, "on_engine_loss": "continue", "commands": True, "max_age": 60.0}
+    made = FleetSettings.of_file(table)
+    assert made == FleetSettings(3.0, "continue", True, {"max_age": 60.0})
+    assert FleetSettings.of_file({"max_bytes": 7}) == FleetSettings(results={"max_bytes": 7})
+    assert FleetSettings.of_file({}) == FleetSettings(10.0, "stop", False, {})
+
+
+def test_a_worker_has_seen_nothing_unless_it_says_so() -> None:
+    made = Member("a.1", "here", ("",), 10.0)
+    assert (made.beat, made.seen, made.report) == (0, 0, {})
