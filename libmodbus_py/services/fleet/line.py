@@ -88,7 +88,8 @@ class FleetLine:
         resting = self._resting.pop(poller, None)
         if resting is not None:
             resting.cancel()
-        self._go_on()
+        # Not at once: the next one may be removed together with this one.
+        self._loop.call_soon(self._go_on)
         return poller
 
     def client_of(self, poller: Poller) -> AsyncClient:
