@@ -79,3 +79,11 @@ def test_no_faults_are_none() -> None:
     faults = Faults({1: [Fault("no_answer")]})
     assert [faults.concern(unit) for unit in (0, 1, 2)] == [False, True, False]
     assert Faults({None: [Fault("no_answer")]}).concern(7)
+
+
+@pytest.mark.parametrize("pdu", [b"\x41\1", b"\x08\0\0\0\7", b"\x07", b"\3"])
+def test_a_fault_everywhere_happens_to_requests_without_an_address(pdu: bytes) -> None:
+    everywhere = Faults({1: [Fault("no_answer")]})
+    assert everywhere.due(Frame(1, pdu), has_transaction=True) is not None
+    in_a_table = Faults({1: [Fault("no_answer", table="coils")]})
+    assert in_a_table.due(Frame(1, pdu), has_transaction=True) is None

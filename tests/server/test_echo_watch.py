@@ -149,3 +149,10 @@ def test_an_ascii_answer_is_judged_by_what_it_says() -> None:
         made.sent(answer, 1.0)
         assert made.without_echo(answer, 1.01) == (b"" if is_certain else answer)
         assert made.has_echo is (True if is_certain else None)
+
+
+def test_the_earliest_request_is_one() -> None:
+    made = EchoWatch("rtu", 0.5, 0.0, 10.0)
+    made.sent(WRITE, 1.0)
+    assert made.without_echo(WRITE, 1.5) == WRITE
+    assert made.has_echo is None

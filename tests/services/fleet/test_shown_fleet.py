@@ -45,6 +45,8 @@ def test_values_and_devices_also_of_one_that_is_down() -> None:
             assert states.rows() == []
             async with fleet:
                 assert [row[1][0] for row in cells(states).values()] == ["new", "new"]
+                place = peer.url.partition("?")[0]
+                assert [states.words(row) for row in states.rows()] == [f"a {place}", f"b {place}"]
                 await until(lambda: fleet.statistics.up == 2)
                 await until(lambda: len(cells(values)) == 6)
                 await until(lambda: cells(values)["b power"][1] == "7")
