@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from libmodbus_py.fleet import FleetFileError, Reading
 from libmodbus_py.services.fleet.files import load
 from libmodbus_py.services.fleet.outputs import influx_server, pump
 from libmodbus_py.services.fleet.outputs.influx import Influx
+from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.services.fleet.outputs.secret_file import SecretFile
 from tests.services.fleet.http_server import NO_CONTENT, Answer, HttpServer, Last, answered, serving
 from tests.support.cases import each_case
@@ -279,3 +281,10 @@ def test_fleets_describe_their_devices(tmp_path: Path) -> None:
         assert lines.startswith(b"modbus,device=b,site=y ")
 
     asyncio.run(go())
+
+
+def test_without_httpx_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "httpx", None)
+    output = Influx(url="http://192.0.2.1:8086", database="plant")
+    with pytest.raises(OutputError, match=r"pip install 'libmodbus-py\[influx\]'"):
+        asyncio.run(output.open())
