@@ -220,13 +220,14 @@ class Trial:
 
     def tests_of(self, mutant: Mutant) -> dict[str, float]:
         """Return the tests that may notice a mutant, and their seconds; the best come first."""
+        seconds = self.covering.seconds
         found = self.covering.of_lines(mutant.path, *mutant.lines)
         near = set(found)
         if not found:
-            near = self._using(mutant) | self._own(mutant)
+            near = self._using(mutant)
+            near |= {test for test in seconds if _is_about(test, mutant.path)}
             found = near | self.covering.of_file(mutant.path)
         folders = tuple(f"tests/{folder}/" for folder in _beside(mutant.path))
-        seconds = self.covering.seconds
         ordered = sorted(
             (test for test in found if test.startswith(folders)),
             key=lambda test: (test not in near, not _is_about(test, mutant.path), seconds[test]),
@@ -250,11 +251,6 @@ class Trial:
             if words.search(line):
                 found |= self.covering.of_lines(mutant.path, number, number)
         return found
-
-    def _own(self, mutant: Mutant) -> set[str]:
-        """Return the tests of the file that has the name of the mutant's module."""
-        name = f"/test_{mutant.path.stem}.py::"
-        return {test for test in self.covering.seconds if name in test}
 
     def _start(self, mutant: Mutant, tests: dict[str, float]) -> None:
         self._count += 1
