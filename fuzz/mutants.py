@@ -228,17 +228,26 @@ class Trial:
             near |= {test for test in seconds if _is_about(test, mutant.path)}
             found = near | self.covering.of_file(mutant.path)
         folders = tuple(f"tests/{folder}/" for folder in _beside(mutant.path))
-        ordered = sorted(
-            (test for test in found if test.startswith(folders)),
-            key=lambda test: (test not in near, not _is_about(test, mutant.path), seconds[test]),
+        beside = sorted(
+            (test for test in found if test.startswith(folders)), key=seconds.__getitem__
         )
-        tests: dict[str, float] = {}
-        total = 0.0
+        likely = [test for test in beside if test in near]
+        likely.sort(key=lambda test: not _is_about(test, mutant.path))
+        tests = self._within(likely, self.budget / 2, {})
+        return self._within(beside, self.budget, tests)
+
+    def _within(
+        self, ordered: Sequence[str], budget: float, tests: dict[str, float]
+    ) -> dict[str, float]:
+        """Add the first tests for which there is time, at least one, to those already chosen."""
+        total = sum(tests.values()) + 0.01 * len(tests)
         for test in ordered:
-            total += seconds[test] + 0.01
-            if total > self.budget and tests:
+            if test in tests:
+                continue
+            total += self.covering.seconds[test] + 0.01
+            if total > budget and tests:
                 break
-            tests[test] = seconds[test]
+            tests[test] = self.covering.seconds[test]
         return tests
 
     def _using(self, mutant: Mutant) -> set[str]:
