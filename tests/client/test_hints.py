@@ -4,11 +4,14 @@ What bytes that answer nothing look like. The frames are those of the specificat
 
 from __future__ import annotations
 
+import errno
+
 import pytest
 
+from libmodbus_py import ModbusConnectionError
 from libmodbus_py.client.hints import explain
 from libmodbus_py.protocol.errors import in_hex
-from tests.support.talk import ascii_frame, rtu
+from tests.support.talk import Talk, ascii_frame, rtu, tcp
 
 # Read register 6Bh, three of them, and what is answered (application protocol, 6.3).
 PDU = "03 006B 0003"
@@ -84,3 +87,26 @@ def test_at_most_32_bytes_are_in_hex() -> None:
     assert in_hex(bytes(32)) == " ".join(["00"] * 32)
     assert in_hex(bytes(33)) == " ".join(["00"] * 32) + " ... (33 bytes)"
     assert len(in_hex(bytes(600))) < 120
+
+
+@pytest.mark.parametrize(
+    ("answered", "asks", "by_itself", "is_told"),
+    [
+        (False, True, True, True),
+        (True, True, True, False),
+        (False, False, True, False),
+        (False, True, False, False),
+    ],
+)
+def test_tls_is_named_where_a_request_was_answered_by_the_end_of_a_new_connection(
+    answered: bool, asks: bool, by_itself: bool, is_told: bool
+) -> None:
+    talk = Talk()
+    if answered:
+        talk.ask(1)
+        talk.come(tcp(talk.sent[0]))
+    if asks:
+        talk.ask(2)
+    error = ModbusConnectionError("closed by the other side", errno=errno.ECONNRESET)
+    talk.lose(error, by_itself=by_itself)
+    assert ("does it want tls://?" in str(error)) is is_told

@@ -5,7 +5,7 @@ Requests that are sent again, in bytes and times: when, and what becomes of thos
 from __future__ import annotations
 
 from libmodbus_py import FrameError, ModbusConnectionError, ModbusTimeoutError
-from tests.support.talk import LINE, TCP, Talk, kinds, tcp, value
+from tests.support.talk import LINE, TCP, Talk, kinds, rtu, tcp, value
 
 
 def test_all_that_are_due_leave_together() -> None:
@@ -91,3 +91,15 @@ def test_what_waits_behind_a_repetition_fails_with_it_when_no_connection_is_made
         talk.fail()
         assert kinds(batch) == [ModbusConnectionError] * 3
         assert batch.is_done
+
+
+def test_a_repetition_is_not_sent_once_its_caller_has_left() -> None:
+    for url, busy in ((LINE, rtu("01 83 06")), (TCP, None)):
+        talk = Talk(url, timeout=1, busy_retries=3)
+        batch = talk.ask(1)
+        talk.come(busy or tcp(talk.sent[0], "83 06"))
+        assert not batch.is_done
+        talk.cancel(batch)
+        talk.wait(10)
+        assert len(talk.sent) == 1
+        assert talk.is_at_rest
