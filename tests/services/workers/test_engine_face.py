@@ -154,12 +154,12 @@ async def _write(url: str, key: str, value: bytes) -> None:
 
 
 WRONG = [
-    ("lease = 0.1", "fleet.toml, line 4: engine.lease must be in 0.5..60.0 s, not 0.1"),
+    ("lease = 0.1", "fleet.toml, line 4: engine.lease must be in 0.5..60 seconds, not 0.1"),
     ('lease = "long"', "line 4: engine.lease must be a number of seconds, not str"),
     ("leese = 1", "line 4: engine.leese: no such key; allowed are lease, on_engine_loss"),
     (
         'on_engine_loss = "hope"',
-        "line 4: engine.on_engine_loss must be stop or continue, not 'hope'",
+        "line 4: engine.on_engine_loss must be one of stop, continue, not 'hope'",
     ),
     ("commands = 1", "line 4: engine.commands must be true or false, not 1"),
     ("max_bytes = 1", "line 4: engine.max_bytes must be in 65536.."),
