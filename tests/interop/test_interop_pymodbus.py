@@ -21,6 +21,7 @@ from pymodbus.pdu.device import ModbusControlBlock
 from pymodbus.pdu.diag_message import RestartCommunicationsOptionRequest
 from pymodbus.pdu.file_message import FileRecord
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
+from pymodbus.server.requesthandler import ServerRequestHandler
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from libmodbus_py import (
@@ -961,11 +962,20 @@ class TestWherePymodbusServerErrs:
 
     @pinned(8)
     def test_answer_to_force_listen_only_is_not_taken_for_the_next_one(
-        self, control: Any, transport: str
+        self, control: Any, transport: str, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        # It answers, though nobody may, and goes on answering.
+        # It answers, though nobody may, and goes on answering. If it did so only after the next
+        # request, both answers would come as one run of bytes.
+        has_answered, send = threading.Event(), ServerRequestHandler.server_send
+
+        def sent(self: ServerRequestHandler, *arguments: Any) -> None:
+            send(self, *arguments)
+            has_answered.set()
+
+        monkeypatch.setattr(ServerRequestHandler, "server_send", sent)
         with pymodbus_server(transport) as context:
             assert context.diagnostics(SubFunction.FORCE_LISTEN_ONLY) == 0
+            assert has_answered.wait(30)
             assert context.diagnostics(0, 0xA537) == 0xA537
             assert context.read_coils(12, 1) == [True]
 
