@@ -73,7 +73,7 @@ class RequestBytes(pdu.Request[bytes]):
             return pdu
         if self.known is not None:
             self.known.decode_response(pdu)
-            if self.is_read:
+            if type(self.known) in READS:  # a class of a user may judge the values, too
                 self._usual = len(pdu), pdu[:2]
         elif not pdu or pdu[0] != self.function:
             raise self._refusal(pdu)

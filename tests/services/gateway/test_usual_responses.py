@@ -9,7 +9,8 @@ import random
 import pytest
 
 from libmodbus_py import ExceptionResponse, InvalidResponse
-from libmodbus_py.services.gateway.raw_request import request_of
+from libmodbus_py.pdu import ReadHoldingRegisters
+from libmodbus_py.services.gateway.raw_request import RequestBytes, request_of
 from libmodbus_py.services.gateway.silent_units import SilentUnits, UnitState
 from tests.support.cases import each_case
 
@@ -50,6 +51,25 @@ def test_a_bad_response_is_refused_also_after_a_good_one(
         assert asked.decode_response(good) == good
     with pytest.raises(ExceptionResponse):
         asked.decode_response(bytes([good[0] | 0x80, 2]))
+
+
+class Judged(ReadHoldingRegisters):
+    """A user's class, which refuses values that its device cannot have."""
+
+    function = 0x41
+
+    def _decode_response(self, pdu: bytes) -> list[int]:
+        if (values := super()._decode_response(pdu))[0] > 100:
+            raise InvalidResponse("more than 100")
+        return values
+
+
+def test_a_class_of_a_user_judges_every_response() -> None:
+    asked = RequestBytes(bytes.fromhex("41 0000 0001"), Judged(0, 1))
+    good, bad = bytes.fromhex("41 02 0064"), bytes.fromhex("41 02 0065")
+    assert asked.decode_response(good) == good
+    with pytest.raises(InvalidResponse, match="more than 100"):
+        asked.decode_response(bad)
 
 
 def test_the_echo_of_a_write_must_be_that_of_this_write() -> None:
