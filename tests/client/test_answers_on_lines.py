@@ -130,7 +130,8 @@ def test_an_answer_in_time_shows_that_an_early_one_was_a_copy() -> None:
         assert batch.outcomes == [[number]]
 
 
-def test_copies_beside_answers_in_time_leave_the_speed_of_a_port_as_it_is_set() -> None:
+def silent_after_a_copy() -> Talk:
+    """Return a talk whose unit sent a copy beside its answer, and then nothing to a request."""
     talk = Talk("rtu:///dev/nowhere?baudrate=9600", is_timed=True, timeout=1)
     batch = talk.ask(1)
     talk.wait(0.005)
@@ -139,7 +140,12 @@ def test_copies_beside_answers_in_time_leave_the_speed_of_a_port_as_it_is_set() 
     talk.come(value(1))
     assert batch.outcomes == [[1]]
     talk.ask(2)
-    talk.wait(2)  # nobody answers
+    talk.wait(2)
+    return talk
+
+
+def test_copies_beside_answers_in_time_leave_the_speed_of_a_port_as_it_is_set() -> None:
+    talk = silent_after_a_copy()
     batch = talk.ask(3)
     talk.wait_for(3)  # and up to 9 ms more
     talk.come(value(77))
@@ -152,15 +158,7 @@ def test_copies_beside_answers_in_time_leave_the_speed_of_a_port_as_it_is_set() 
 
 def test_a_copy_beside_an_answer_says_nothing_of_a_later_silence() -> None:
     """The unit was silent; so what comes too early afterwards is still no answer."""
-    talk = Talk("rtu:///dev/nowhere?baudrate=9600", is_timed=True, timeout=1)
-    batch = talk.ask(1)
-    talk.wait(0.005)
-    talk.come(value(77))
-    talk.wait(0.02)
-    talk.come(value(1))
-    assert batch.outcomes == [[1]]
-    talk.ask(2)
-    talk.wait(2)
+    talk = silent_after_a_copy()
     batch = talk.ask(3)
     talk.wait_for(3)  # and up to 9 ms more
     talk.come(value(78))
