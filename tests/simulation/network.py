@@ -8,6 +8,7 @@ import asyncio
 import contextlib
 import errno
 import itertools
+import random
 import socket
 from collections.abc import Callable, Coroutine, Iterator
 from dataclasses import replace
@@ -71,6 +72,7 @@ class Network:
 
     def __init__(self, seed: int = 0) -> None:
         self.events: Events = Events(seed)
+        self._seed = seed
         self.descriptors: Descriptors = Descriptors()
         self.lines: dict[str, SerialLine] = {}
         self.unreachable: set[str] = set()
@@ -218,6 +220,7 @@ class Network:
                 "time",
                 SimpleNamespace(time=self.time_of_day, monotonic=lambda: self.events.now),
             ),
+            _seeded(self._seed),
         ):
             yield
 
@@ -314,6 +317,17 @@ class Network:
     def _take_datagram(self, end: MemorySocket, source: ADDRESS, receiver: MemoryDatagrams) -> None:
         while end.is_readable:
             receiver.put(end.recv(65_536), source)
+
+
+@contextlib.contextmanager
+def _seeded(seed: int) -> Iterator[None]:
+    """Have the package choose alike each time, such as how long clients pause."""
+    state = random.getstate()
+    random.seed(seed)
+    try:
+        yield
+    finally:
+        random.setstate(state)
 
 
 def _any_line(*_: object) -> None:

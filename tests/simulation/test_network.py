@@ -50,6 +50,23 @@ def test_a_blocking_client_is_answered(url: str) -> None:
     assert len(peer.requests) == 1
 
 
+def test_pauses_between_attempts_to_connect_are_those_of_the_seed() -> None:
+    def times(seed: int) -> list[float]:
+        network = Network(seed)
+        peer = Scripted(network, "tcp://10.0.0.1", lambda request, write: peer.drop_all())
+
+        async def main() -> None:
+            async with AsyncClient(peer.url, timeout=10) as plc:
+                for _ in range(5):
+                    with pytest.raises(ModbusConnectionError):
+                        await plc.read_coils(0, 1)
+
+        network.run(main)
+        return peer.times
+
+    assert times(1) == times(1) != times(2)
+
+
 def test_waiting_for_an_answer_takes_simulated_seconds_only() -> None:
     network = Network()
     peer = Scripted(network, "tcp://10.0.0.1", lambda request, write: None)

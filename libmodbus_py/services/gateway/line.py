@@ -172,6 +172,7 @@ class GatewayLine:
         self._done: list[Forwarded] = []
         self._alarm = Alarm(self._go_on)
         self._outage = Outage(logger, self.url)
+        self._open_since = 0.0
         self.is_closed: bool = False
 
     # --- requests -----------------------------------------------------------------------------
@@ -360,7 +361,8 @@ class GatewayLine:
     ) -> None:
         if isinstance(error, ModbusTimeoutError):
             unit.timeouts += 1
-            self._note_silence(each, now)
+            if each.is_trial or self._had_time(each, now):
+                self._note_silence(each, now)
             return
         if isinstance(error, FrameError | InvalidResponse):
             unit.invalid += 1
@@ -370,6 +372,10 @@ class GatewayLine:
             logger.error("%s: %s failed", self.url, each.request, exc_info=error)
         if each.is_trial:
             self._note_silence(each, now)
+
+    def _had_time(self, each: Forwarded, now: float) -> bool:
+        """Return False if a request waited for the connection for most of its timeout."""
+        return now - max(each.asked_at, self._open_since) >= self._client.timeout / 2
 
     def _note_silence(self, silent: Forwarded, now: float) -> None:
         """Let what gave no answer rest, and refuse the requests that wait for it."""
@@ -398,6 +404,7 @@ class GatewayLine:
             self._outage.begin(error)
         elif state is State.CONNECTED:
             self._tell_state("")
+            self._open_since = self._loop.time()
             self._outage.end()
 
     def _tell_state(self, trouble: str) -> None:

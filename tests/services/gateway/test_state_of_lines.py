@@ -94,6 +94,28 @@ def test_a_line_that_is_lost_at_each_request_is_opened_every_two_seconds() -> No
     plant.run(main)
 
 
+def test_a_unit_that_had_little_of_the_timeout_is_not_silent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Because the connection took most of it."""
+    monkeypatch.setattr("tests.simulation.network.CONNECTING", 0.8)
+    plant = Plant("tcp://10.0.0.1")
+    plant.url = f"{plant.peer.url}?timeout=1"
+    plant.delay = 0.3
+
+    async def main() -> None:
+        asker = Asker()
+        plant.ask(1, asker)
+        await asyncio.sleep(1.5)
+        assert asker.answers == ["830b"]
+        assert (plant.unit(1).timeouts, plant.unit(1).is_silent) == (1, False)
+        plant.ask(1, asker)
+        await asyncio.sleep(1)
+        assert asker.answers[1:] == [answer_of(1, 2)]
+
+    plant.run(main)
+
+
 def test_a_client_that_is_gone_has_its_broadcast_recorded_once(stage: Stage) -> None:
     events: list[AuditEvent] = []
     with gated(stage, audit=events.append) as (gate, _, url):
