@@ -10,6 +10,7 @@ import contextlib
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from functools import partial
 from typing import Any, NamedTuple
 
 import pytest
@@ -69,6 +70,7 @@ from tests.support.interop import (
     restore_through,
     tried,
 )
+from tests.support.peers import until
 
 FRAMERS = {
     "tcp": FramerType.SOCKET,
@@ -964,18 +966,23 @@ class TestWherePymodbusServerErrs:
     def test_answer_to_force_listen_only_is_not_taken_for_the_next_one(
         self, control: Any, transport: str, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        # It answers, though nobody may, and goes on answering. If it did so only after the next
-        # request, both answers would come as one run of bytes.
-        has_answered, send = threading.Event(), ServerRequestHandler.server_send
+        # It answers, though nobody may, and goes on answering. The answer is held until the
+        # client waits no more, and has come before the next request leaves.
+        held: Future[Callable[[], object]] = Future()
+        send = ServerRequestHandler.server_send
 
-        def sent(self: ServerRequestHandler, *arguments: Any) -> None:
-            send(self, *arguments)
-            has_answered.set()
+        def hold(self: ServerRequestHandler, *arguments: Any) -> None:
+            if held.done():
+                send(self, *arguments)
+                return
+            loop = asyncio.get_running_loop()
+            held.set_result(partial(loop.call_soon_threadsafe, send, self, *arguments))
 
-        monkeypatch.setattr(ServerRequestHandler, "server_send", sent)
+        monkeypatch.setattr(ServerRequestHandler, "server_send", hold)
         with pymodbus_server(transport) as context:
             assert context.diagnostics(SubFunction.FORCE_LISTEN_ONLY) == 0
-            assert has_answered.wait(30)
+            held.result(30)()
+            until(context._driver._port.has_input)
             assert context.diagnostics(0, 0xA537) == 0xA537
             assert context.read_coils(12, 1) == [True]
 
