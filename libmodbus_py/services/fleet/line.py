@@ -218,6 +218,8 @@ class FleetLine:
         elif poller.config.spacing:
             poller.rest_until = now + poller.config.spacing
             self._rest(poller)
+        elif not poller.is_trial and self._room.begin(poller, now):
+            self._ask(poller, now)
         else:
             self._queue.put_first(poller)  # the values of a poll should be read together
 
