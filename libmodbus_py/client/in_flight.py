@@ -119,7 +119,8 @@ class InFlight(Matching):
         self._statistics.late_answers += 1
         if frame.transaction in self._abandoned:
             del self._abandoned[frame.transaction]
-            self._note_life(now)
+            self.unanswered = 0
+            self.answered_at = now
         else:
             self._keep_stray(self._framer.encode(frame))
 

@@ -314,7 +314,7 @@ class InTurn(Matching):
         if isinstance(reply, ModbusError):
             reply.received = bytes(self._received)
         elif isinstance(reply, bytes):
-            self._note_life(now)
+            self.unanswered = 0
             if self._echo.is_there is not False or pending.adu in self._received:
                 self._echo.learn(pending.batch.pdus[pending.index], pending.adu, self._received)
             is_exact = self._wrong is None and not self._framer.pending

@@ -37,7 +37,7 @@ class Matching(ABC):
         has_ids: True if frames carry transaction ids: then any request may be sent at any time.
         alarm: when `expire` must be called; may be too early, never too late.
         unanswered: requests without an answer since the last answer came.
-        answered_at: when the last answer came.
+        answered_at: when the last answer came; 0 where requests take turns.
         unasked: bytes received since the last request was sent, while no answer was pending.
         rest: the beginning of a frame whose end is still to come, where ids are.
         is_in_step: False once the stream of bytes cannot be understood any more.
@@ -134,10 +134,6 @@ class Matching(ABC):
     def _wake(self, at: float) -> None:
         if at < self.alarm:
             self.alarm = at
-
-    def _note_life(self, now: float) -> None:
-        self.unanswered = 0
-        self.answered_at = now
 
     def _time_out(self, pending: Pending, error: ModbusError) -> tuple[Pending, Reply]:
         self._statistics.timeouts += 1

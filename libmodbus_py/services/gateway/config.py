@@ -31,7 +31,7 @@ from ...tools.files.toml_text import read_toml
 from .gateway import Gateway
 from .loops import check_line
 from .options import GatewayOptions
-from .routes import Route, by_unit
+from .routes import Route, check_routes
 
 __all__ = ["FILE", "ROUTE", "GatewayFile", "GatewayFileError", "load", "parse"]
 
@@ -93,7 +93,7 @@ def _parse(text: str, known: Iterable[Route]) -> GatewayFile:
     listen, routes = given.pop("listen", ()), given.pop("route", ())
     if not routes:
         raise WrongValue("route", "must hold at least one table: [[route]]")
-    by_unit(routes, "route")
+    check_routes(routes, "route")
     there = {route.endpoint.url for route in known}
     for at, route in enumerate(routes):
         if route.endpoint.url not in there:

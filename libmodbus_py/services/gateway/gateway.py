@@ -25,7 +25,7 @@ from .line import GatewayLine
 from .loops import check_line
 from .options import GatewayOptions
 from .own_device import own_device
-from .routes import Route, by_unit
+from .routes import Route, check_routes
 from .statistics import GatewayStatistics, UnitStatistics
 
 __all__ = ["Gateway"]
@@ -184,7 +184,7 @@ def _checked(routes: Iterable[Route]) -> list[Route]:
     given = list(routes)
     if not given:
         raise ValueError("routes must hold at least one")
-    by_unit(given)
+    check_routes(given)
     return given
 
 

@@ -17,7 +17,7 @@ from ...protocol.close_names import named_arguments
 from ...protocol.mistakes import WrongType, WrongValue, inside, placed
 from ...protocol.spelling import units_of as units_in
 
-__all__ = ["Route", "by_unit", "parse_route", "units_of"]
+__all__ = ["Route", "check_routes", "parse_route", "units_of"]
 
 # Functions that are forwarded although they access no table: they do not change a device.
 HARMLESS: tuple[int | str, ...] = (
@@ -166,9 +166,9 @@ def parse_route(text: str, units: Iterable[int] | None = None) -> Route:
     return Route(url, typed, device_units if colon else None)
 
 
-def by_unit(routes: Iterable[Route], name: str = "routes") -> dict[int, Route]:
+def check_routes(routes: Iterable[Route], name: str = "routes") -> None:
     """
-    Return the route of each unit.
+    Check that routes can be used together.
 
     Args:
         name: the name of the list, for errors.
@@ -177,7 +177,7 @@ def by_unit(routes: Iterable[Route], name: str = "routes") -> dict[int, Route]:
         TypeError, ValueError: two routes are for the same unit, or lead to the same host and port
             or serial port with different options.
     """
-    found: dict[int, Route] = {}
+    known: set[int] = set()
     places: dict[tuple[str, str, int], tuple[int, str]] = {}
     for at, route in enumerate(routes):
         if not isinstance(route, Route):
@@ -188,8 +188,7 @@ def by_unit(routes: Iterable[Route], name: str = "routes") -> dict[int, Route]:
             reason = f"{name}[{first}] has other options for the same connection: {url}"
             raise WrongValue.about((name, at, "to"), reason)
         for unit in route.ways:
-            if unit in found:
+            if unit in known:
                 reason = f"an earlier route has unit {unit} already"
                 raise WrongValue.about((name, at, "units"), reason)
-            found[unit] = route
-    return found
+            known.add(unit)

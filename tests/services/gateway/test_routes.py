@@ -16,7 +16,7 @@ from libmodbus_py.services.gateway.config import MOST_ROUTES
 from libmodbus_py.services.gateway.config import parse as parse_file
 from libmodbus_py.services.gateway.loops import check_line
 from libmodbus_py.services.gateway.options import GatewayOptions
-from libmodbus_py.services.gateway.routes import by_unit
+from libmodbus_py.services.gateway.routes import check_routes
 
 TCP, LINE = "tcp://192.0.2.1", "rtu:///dev/ttyUSB0"
 
@@ -230,4 +230,4 @@ def test_passed_is_the_old_name_of_traffic() -> None:
 def test_two_spellings_of_one_port_are_one_place() -> None:
     routes = [Route("rtu:///dev/ttyS0", "1"), Route("rtu:///dev/../dev/ttyS0?echo=1", "2")]
     with pytest.raises(ValueError, match=r"routes\[1\].to: routes\[0\] has other options"):
-        by_unit(routes)
+        check_routes(routes)
