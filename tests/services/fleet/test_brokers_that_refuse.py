@@ -47,6 +47,25 @@ def test_a_message_on_which_the_broker_disconnects_is_dropped(narrow: Broker, qo
     run(go())
 
 
+def test_a_connection_is_closed_if_nobody_waits_for_the_broker_any_more() -> None:
+    async def go() -> None:
+        with socket.create_server(("127.0.0.1", 0)) as listening:
+            output = Mqtt(f"mqtt://127.0.0.1:{listening.getsockname()[1]}")
+            opening = asyncio.create_task(output.open())
+            loop = asyncio.get_running_loop()
+            listening.setblocking(False)
+            accepted, _ = await loop.sock_accept(listening)
+            with accepted:
+                await loop.sock_recv(accepted, 1000)
+                opening.cancel()
+                with pytest.raises(asyncio.CancelledError) as left:  # which keeps all that it names
+                    await opening
+                assert left.value
+                assert await asyncio.wait_for(loop.sock_recv(accepted, 1), 10) == b""
+
+    run(go())
+
+
 def test_readings_of_qos_0_are_sent_again_if_the_broker_died_before_it_had_them(
     broker: Broker,
 ) -> None:

@@ -349,7 +349,7 @@ def test_a_damaged_journal_is_replaced_when_a_fleet_begins(
 
 
 def test_a_disk_that_reports_errors_to_a_reader_is_asked_again(
-    path: str, inline: None, monkeypatch: pytest.MonkeyPatch
+    path: str, inline: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     reader = Failing(monkeypatch, JournalReader, "read", None)
     monkeypatch.setattr(journals, "MOST_IN_MEMORY", 3)
@@ -360,6 +360,7 @@ def test_a_disk_that_reports_errors_to_a_reader_is_asked_again(
         away.is_away = False
         await asyncio.sleep(100)
         assert 10 < reader.calls < 250
+        assert "the disk reports an error" in caplog.text
         reader.error = None
         await until(lambda: fleet.statistics.outputs["away"].waiting == 0)
 

@@ -73,6 +73,14 @@ def test_polls_are_read_as_they_were_written(file: JournalFile) -> None:
     reader.close()
 
 
+def test_a_poll_of_a_single_point_is_read_as_it_was_written(file: JournalFile) -> None:
+    every = list(numbered(readings("a", 1000.0)[:1], 7))
+    file.write(every, {}, 0)
+    reader = JournalReader(file.path)
+    assert reader.read(0, 10) == every
+    reader.close()
+
+
 def test_a_poll_that_is_written_again_is_there_once(file: JournalFile) -> None:
     file.write(polls(1, 2), {}, 0)
     file.write(polls(1, 3), {}, 0)

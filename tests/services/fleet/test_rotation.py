@@ -116,6 +116,17 @@ def test_no_file_exceeds_the_size(kind: str, tmp_path: Path) -> None:
     assert told == [str(number) for number in range(1000, 1100)]
 
 
+def test_a_file_that_took_the_place_of_ours_is_not_renamed(tmp_path: Path) -> None:
+    """It may be of another program, and is continued."""
+    path, theirs = tmp_path / "readings", tmp_path / "theirs"
+    theirs.write_text("theirs\n")
+    output = JsonOutput(str(path), rotate="1 kB")
+    write(output, "x" * 900, lambda: theirs.replace(path), 1)
+    assert old(path) == []
+    assert path.read_text().startswith("theirs\n")
+    assert values(path) == ["1"]
+
+
 def test_a_batch_larger_than_the_size_is_written_whole(tmp_path: Path) -> None:
     path = tmp_path / "readings"
     write(JsonOutput(str(path), rotate="1 kB"), "x" * 3000, "y" * 3000)

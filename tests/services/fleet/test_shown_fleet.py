@@ -58,6 +58,8 @@ def test_values_and_devices_also_of_one_that_is_down() -> None:
                 assert up[1] == ["up", "", ""]
                 assert 0 < up[2] <= up[3]
                 assert up[4:] == [2, "0.1 s", 3]
+                told = fleet.devices["b"]
+                assert up[2:4] == [round(told.since, 1), round(told.answered_at, 1)]
 
                 silent.add(2)
                 await until(lambda: fleet.statistics.down == 1)

@@ -27,6 +27,7 @@ from libmodbus_py import (
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.services.gateway.gates import READ_ONE, adu, gated, gateway, numbered, small
+from tests.simulation.network import Network
 from tests.simulation.stage import Stage
 from tests.support.gateways import passage
 from tests.support.peers import until
@@ -178,6 +179,19 @@ def test_a_gateway_of_the_system_that_is_closed_in_the_middle_leaves_no_thread()
             client.sendall(adu(READ_ONE) * 8)
             until(lambda: any(line.in_flight for line in made.traffic.lines.values()))
         assert threading.active_count() == threads
+
+
+def test_routes_that_change_while_it_stops_are_those_of_the_next_run() -> None:
+    network = Network()
+
+    async def main() -> None:
+        made = Gateway([Route("tcp://10.0.0.9", [1])])
+        async with made.serving("tcp://10.0.0.1:502"):
+            made.change_routes([Route("tcp://10.0.0.8", [1])])
+        async with made.serving("tcp://10.0.0.1:502"):
+            assert list(made.traffic.lines) == ["tcp://10.0.0.8:502"]
+
+    network.run(main)
 
 
 def test_a_gateway_can_serve_again_but_not_twice_at_once() -> None:
