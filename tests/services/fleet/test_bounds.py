@@ -4,12 +4,16 @@ Bounds of a fleet that are promised: exactly these values are taken, counted or 
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from libmodbus_py import DeviceConfig, Point, RegisterMap
+from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.buffer import Buffer
 from libmodbus_py.services.fleet.statistics import LATENESS_BOUNDS, FleetStatistics
 from libmodbus_py.tools.files.csv_text import CELLS
+from tests.support.cases import each_case
 
 
 def test_polls_are_counted_by_how_late_they_began() -> None:
@@ -38,6 +42,27 @@ def test_a_buffer_takes_from_one_to_ten_million_readings(most: int) -> None:
     assert len(Buffer(most)) == 0
 
 
+def test_a_buffer_holds_a_hundred_thousand_readings_unless_it_is_told_otherwise() -> None:
+    buffer, one = Buffer(), [Reading(0.0, "meter", "power", 1, "W", "good")]
+    buffer.put(one * 100_000)
+    assert (len(buffer), buffer.dropped) == (100_000, 0)
+    buffer.put(one)
+    assert (len(buffer), buffer.dropped) == (100_000, 1)
+
+
+@each_case(("key", "low", "high"), [("gap", 0, 2000), ("max_registers", 1, 125)])
+def test_the_ends_of_the_range_of_a_key_are_within(key: str, low: int, high: int) -> None:
+    points = RegisterMap([Point("power", "holding_registers", 0)])
+    for value in (low, high):
+        options: dict[str, Any] = {key: value}
+        device = DeviceConfig("meter", "tcp://192.0.2.1", points, **options)
+        assert getattr(device, key) == value
+    for value in (low - 1, high + 1):
+        options = {key: value}
+        with pytest.raises(ValueError, match=rf"{key} must be in {low}\.\.{high}"):
+            DeviceConfig("meter", "tcp://192.0.2.1", points, **options)
+
+
 @pytest.mark.parametrize("most", [0, 10_000_001])
 def test_a_buffer_of_another_size_is_refused(most: int) -> None:
     with pytest.raises(ValueError, match=r"buffer must be in 1\.\.10000000"):
@@ -54,7 +79,7 @@ def test_a_buffer_of_another_size_is_refused(most: int) -> None:
 def test_an_unknown_item_is_answered_with_eight_names(points: int, listed: str) -> None:
     many = RegisterMap([Point(f"p{at}", "holding_registers", at) for at in range(points)])
     with pytest.raises(ValueError, match="items") as refused:
-        DeviceConfig("pump", "tcp://192.0.2.1", many, items=["level"])
+        DeviceConfig("pump", "tcp://192.0.2.1", many, items=("level",))
     assert str(refused.value).endswith(f"the map has no 'level'; it has {listed}")
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import weakref
 
 import pytest
 from hypothesis import given
@@ -16,6 +17,10 @@ from libmodbus_py.services.fleet.schedule import (
     first_time,
     next_time,
 )
+
+
+class Member:
+    """What a timetable contains."""
 
 
 def test_phases_are_spread_evenly() -> None:
@@ -81,16 +86,20 @@ def test_at_most_so_many_at_once() -> None:
     for number in range(10):
         table.put(number, number)
     assert len(table.due(100, 4)) == 4
+    assert len(table) == 6
     assert len(table.due(100, 40)) == 6
     assert table.next_at is None
+    assert len(table) == 0
 
 
 def test_each_has_one_place() -> None:
     table: Timetable[str] = Timetable()
     table.put("a", 1.0)
     table.put("a", 5.0)
-    assert table.due(4.0, 10) == []
     assert table.next_at == 5.0
+    table.put("a", 6.0)
+    assert table.due(5.5, 10) == []
+    assert table.next_at == 6.0
     table.remove("a")
     table.remove("never there")
     assert table.due(9.0, 10) == []
@@ -105,3 +114,39 @@ def test_moving_for_ever_takes_no_memory() -> None:
         table.remove(2)
     assert len(table._heap) < 1000
     assert table.due(1e9, 10) == [(9999, 1)]
+
+
+def test_those_that_are_left_keep_their_order() -> None:
+    table: Timetable[int] = Timetable()
+    for number in range(1000):
+        table.put(number, number * 337 % 1000)
+    for number in range(1000):
+        if number % 10:
+            table.remove(number)
+    assert len(table) == 100
+    expected = sorted((number * 337 % 1000, number) for number in range(0, 1000, 10))
+    assert table.due(1000, 1000) == expected
+
+
+def test_members_that_are_removed_leave_the_memory() -> None:
+    """Thousands of devices are replaced at once."""
+    table: Timetable[Member] = Timetable()
+    members = [Member() for _ in range(1000)]
+    known = [weakref.ref(each) for each in members]
+    for at, each in enumerate(members):
+        table.put(each, 1e6 + at)
+    for each in members:
+        table.remove(each)
+    del members, each
+    assert sum(each() is not None for each in known) <= 100
+
+
+def test_a_member_that_was_moved_a_thousand_times_leaves_the_memory() -> None:
+    table: Timetable[Member] = Timetable()
+    member = Member()
+    known = weakref.ref(member)
+    for at in range(1000):
+        table.put(member, 1e6 + at)
+    table.remove(member)
+    del member
+    assert known() is None
