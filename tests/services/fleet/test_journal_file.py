@@ -5,6 +5,7 @@ used is refused in one line.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sqlite3
 import subprocess
@@ -326,6 +327,45 @@ def test_a_full_disk_leaves_all_as_it_was(file: JournalFile) -> None:
     file._used.execute("PRAGMA max_page_count = 1000000").fetchall()
     file.write(many, {"a": 9}, 0)
     assert asked(file.path, "SELECT count(*) FROM poll") == [(5010,)]
+
+
+def test_a_device_whose_first_poll_was_not_written_has_its_names_later(file: JournalFile) -> None:
+    [[pages]] = file._used.execute("PRAGMA page_count")
+    file._used.execute(f"PRAGMA max_page_count = {pages}").fetchall()
+    with pytest.raises(JournalTrouble, match=r"the disk is full$"):
+        file.write(polls(1, 5000), {}, 0)
+    file._used.execute("PRAGMA max_page_count = 1000000").fetchall()
+    file.write(polls(1, 1), {}, 0)
+    assert asked(file.path, "SELECT device, name FROM reading") == [("a", "p0"), ("a", "p1")]
+
+
+@pytest.mark.parametrize("largest", [100_000, 1_500_000], ids=["half-the-size", "the-bound"])
+def test_changes_that_cannot_be_merged_are_bounded(
+    path: str, monkeypatch: pytest.MonkeyPatch, largest: int
+) -> None:
+    """By half the size of the journal; a small one has some more room."""
+    monkeypatch.setattr(journal_file, "LARGEST_WAL", largest)
+    sizes: list[int] = []
+
+    def fill(file: JournalFile) -> None:
+        for number in range(1, 100_000, 200):
+            file.write(polls(number, 100), {}, 0)
+            sizes.append(os.path.getsize(f"{path}-wal"))
+
+    with contextlib.closing(opened(path, size=2_000_000)) as file:
+        with pytest.raises(JournalTrouble, match="another program has been reading it"):
+            fill(file)
+        assert sizes[-1] <= max(1_000_000, largest) < os.path.getsize(f"{path}-wal")
+
+
+def test_each_damaged_file_keeps_a_name_of_its_own(path: str) -> None:
+    names = []
+    for _ in range(3):
+        file = opened(path)
+        names.append(file.set_aside())
+        file.close()
+    assert names == [f"{path}-damaged", f"{path}-damaged-2", f"{path}-damaged-3"]
+    assert all(Path(name).exists() for name in names)
 
 
 def test_a_damaged_file_is_set_aside(path: str, file: JournalFile) -> None:

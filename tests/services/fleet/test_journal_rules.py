@@ -255,6 +255,18 @@ def test_a_closed_place_is_over_when_all_was_taken() -> None:
     simulated_run(go())
 
 
+def test_a_closed_place_ends_the_wait_of_an_output() -> None:
+    async def go() -> None:
+        place = JournalPlace("x", Shelf(), 0)
+        waiting = asyncio.create_task(place.take(100))
+        await asyncio.sleep(0)
+        assert not waiting.done()
+        place.close()
+        assert await asyncio.wait_for(waiting, 1) == []
+
+    simulated_run(go())
+
+
 # --- histories ------------------------------------------------------------------------------
 
 

@@ -99,6 +99,13 @@ class TestOthers:
         written(output, reading(2))
         assert values(kind, folder / "now") == ["2"]
 
+    def test_a_file_is_continued_behind_its_last_line(self, tmp_path: Path, kind: str) -> None:
+        path = tmp_path / "now"
+        for value in (1, 2, 3):
+            written(KINDS[kind](str(path)), reading(value))
+        assert values(kind, path) == ["1", "2", "3"]
+        assert b"\n\n" not in path.read_bytes()
+
     def test_nothing_is_left_open(self, tmp_path: Path, kind: str) -> None:
         path = tmp_path / "now"
         before = len(os.listdir("/proc/self/fd"))
@@ -148,6 +155,21 @@ def standard_output() -> Iterator[Callable[[int], None]]:
     yield lambda descriptor: os.dup2(descriptor, 1) and None
     os.dup2(kept, 1)
     os.close(kept)
+
+
+def test_a_standard_output_gets_one_header(
+    standard_output: Callable[[int], None], capfd: pytest.CaptureFixture[str]
+) -> None:
+    with capfd.disabled():
+        reading_end, writing_end = os.pipe()
+        standard_output(writing_end)
+        os.close(writing_end)
+        written(CsvOutput("-"), reading(1), reading(2))
+        os.dup2(2, 1)
+        with os.fdopen(reading_end, "rb") as pipe:
+            lines = pipe.read().splitlines(keepends=True)
+    assert lines[0] == HEADER
+    assert [line.split(b",")[3] for line in lines[1:]] == [b"1", b"2"]
 
 
 def test_a_standard_output_that_does_not_block_is_waited_for(
