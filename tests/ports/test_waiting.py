@@ -12,6 +12,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -192,14 +193,25 @@ def addresses(monkeypatch: pytest.MonkeyPatch, *ports: int) -> None:
 
 
 def test_a_dead_address_leaves_the_others_their_share_of_the_time(
-    drive: Drive, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    with dead() as port, socket.create_server(("127.0.0.1", 0)) as listener:
-        addresses(monkeypatch, port, listener.getsockname()[1])
-        made = TcpPort("two-addresses.invalid", 502, None)
-        start = time.monotonic()
-        drive(made.opening(start + 2))
-        assert 1 <= time.monotonic() - start < 2
+    clock = SimpleNamespace(monotonic=lambda: 100.0)
+    monkeypatch.setattr("libmodbus_py.ports.sockets.time", clock)
+    with dead() as port, dead() as other, socket.create_server(("127.0.0.1", 0)) as listener:
+        made = TcpPort("three-addresses.invalid", 502, None)
+        steps = made.opening(106.0)
+        next(steps)
+        addresses = [
+            (socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", number))
+            for number in (port, other, listener.getsockname()[1])
+        ]
+        assert steps.send(addresses)[1:] == (WRITE, 102.0)
+        clock.monotonic = lambda: 102.5
+        assert steps.send(False)[1:] == (WRITE, 104.25)
+        clock.monotonic = lambda: 104.25
+        assert steps.send(False)[1:] == (WRITE, 106.0)
+        with pytest.raises(StopIteration):
+            steps.send(True)
         assert made.descriptor >= 0
         made.close()
 
