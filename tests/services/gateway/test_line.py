@@ -365,6 +365,52 @@ class TestSilentUnits:
 
         plant.run(main)
 
+    def test_a_trial_with_a_damaged_answer_is_followed_by_a_longer_rest(self) -> None:
+        plant = Plant()
+
+        async def main() -> None:
+            plant.silent.add(9)
+            plant.ask(9, Asker())
+            await asyncio.sleep(2)
+            plant.silent.clear()
+            plant.damaging.add(9)
+            tried, early, late = Asker(), Asker(), Asker()
+            plant.ask(9, tried)
+            await asyncio.sleep(0.5)
+            assert tried.answers == [f"83{NO_ANSWER:02x}"]
+            plant.damaging.clear()
+            await asyncio.sleep(3 * TIMEOUT)
+            plant.ask(9, early)
+            assert early.answers == [f"code {NO_ANSWER}"]
+            await asyncio.sleep(2 * TIMEOUT)
+            plant.ask(9, late)
+            await asyncio.sleep(0.5)
+            assert late.answers == [answer_of(9, 3)]
+
+        plant.run(main)
+
+    def test_a_trial_whose_connection_is_lost_is_followed_by_another(self) -> None:
+        plant = Plant("tcp://10.0.0.1")
+        plant.url = plant.peer.url + "?timeout=0.5"
+
+        async def main() -> None:
+            plant.silent.add(9)
+            plant.ask(9, Asker())
+            await asyncio.sleep(2)
+            lost, late = Asker(), Asker()
+            plant.ask(9, lost)
+            await asyncio.sleep(0.1)
+            plant.peer.drop_all()
+            await asyncio.sleep(0.1)
+            assert lost.answers == [f"83{NO_ANSWER:02x}"]
+            plant.silent.clear()
+            await asyncio.sleep(5 * TIMEOUT)
+            plant.ask(9, late)
+            await asyncio.sleep(1)
+            assert late.answers == [answer_of(9, 3)]
+
+        plant.run(main)
+
 
 class TestTurns:
     def test_a_request_that_waits_too_long_is_answered_busy(self) -> None:
@@ -378,6 +424,29 @@ class TestTurns:
             assert [each.answers[0] for each in askers[3:]] == [f"83{BUSY:02x}"] * 2
             assert plant.line.statistics.full == 2
             assert plant.asked == [1, 2, 3]
+
+        plant.run(main)
+
+    def test_a_client_that_leaves_when_it_is_told_so_takes_its_other_requests_with_it(
+        self,
+    ) -> None:
+        plant = Plant(longest_wait=0.01)
+
+        class Leaving(Asker):
+            def told(self, forwarded: Forwarded, response: bytes | None) -> None:
+                super().told(forwarded, response)
+                plant.line.drop(joined.pop())
+
+        asker = Leaving()
+        joined: list[Forwarded] = []
+
+        async def main() -> None:
+            plant.ask(1, Asker())
+            plant.ask(2, asker, merge=True)
+            joined.append(plant.ask(2, asker, merge=True))
+            await asyncio.sleep(1)
+            assert asker.answers == [f"83{BUSY:02x}"]
+            assert (plant.asked, plant.line.statistics.waiting) == ([1], 0)
 
         plant.run(main)
 
@@ -454,6 +523,20 @@ class TestAnswers:
 
         plant.run(main)
 
+    def test_a_read_that_is_to_join_none_is_joined_by_none(self) -> None:
+        """Routes of one line differ in that."""
+        plant = Plant()
+
+        async def main() -> None:
+            alone, other = Asker(), Asker()
+            plant.ask(1, Asker())
+            plant.ask(2, alone)
+            plant.ask(2, other, merge=True)
+            await asyncio.sleep(1)
+            assert (alone.answers, other.answers) == ([answer_of(2, 2)], [answer_of(2, 3)])
+
+        plant.run(main)
+
     @pytest.mark.parametrize("unit", [0, 2])
     def test_a_read_behind_a_write_joins_none_before_it(self, unit: int) -> None:
         plant = Plant()
@@ -522,6 +605,26 @@ class TestAnswers:
             await asyncio.sleep(0.5)
             request = request_of(bytes.fromhex(READ))
             assert plant.asked == [2, 2]
+            assert plant.line.cached(2, request, 9, plant.network.events.now) is None
+
+        plant.run(main)
+
+    def test_an_answer_to_a_read_beside_a_write_is_not_kept(self) -> None:
+        """Both were on their way together: nobody knows which one the device did first."""
+        plant = Plant("tcp://10.0.0.1")
+        plant.url = plant.peer.url + "?max_in_flight=2"
+
+        async def main() -> None:
+            request = request_of(bytes.fromhex(READ))
+            plant.delay = 0.3
+            plant.ask(2, Asker(), WRITE)
+            await asyncio.sleep(0.1)
+            plant.delay = 0.01
+            read = Asker()
+            plant.ask(2, read, age=9)
+            await asyncio.sleep(0.1)
+            assert read.answers == [answer_of(2, 2)]
+            await asyncio.sleep(0.5)
             assert plant.line.cached(2, request, 9, plant.network.events.now) is None
 
         plant.run(main)

@@ -116,6 +116,22 @@ def test_a_unit_that_had_little_of_the_timeout_is_not_silent(
     plant.run(main)
 
 
+def test_a_unit_that_had_most_of_the_timeout_is_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From half of it on."""
+    for connecting, is_silent in ((0.4, True), (0.6, False)):
+        monkeypatch.setattr("tests.simulation.network.CONNECTING", connecting)
+        plant = Plant("tcp://10.0.0.1")
+        plant.url = f"{plant.peer.url}?timeout=1"
+        plant.silent.add(1)
+
+        async def main(plant: Plant = plant, is_silent: bool = is_silent) -> None:
+            plant.ask(1, Asker())
+            await asyncio.sleep(1.5)
+            assert (plant.unit(1).timeouts, plant.unit(1).is_silent) == (1, is_silent)
+
+        plant.run(main)
+
+
 def test_a_client_that_is_gone_has_its_broadcast_recorded_once(stage: Stage) -> None:
     events: list[AuditEvent] = []
     with gated(stage, audit=events.append) as (gate, _, url):
