@@ -11,6 +11,7 @@ from libmodbus_py import (
     ExceptionResponse,
     GatewayPathUnavailable,
     GatewayTargetFailedToRespond,
+    IllegalDataAddress,
     Route,
     Server,
 )
@@ -46,6 +47,19 @@ def test_units_go_to_their_lines_and_are_others_there(stage: Stage) -> None:
         assert stage.now - asked == pytest.approx(300, abs=0.1)
         assert made.traffic.no_route == 6
         assert len(made.traffic.lines) == 2  # those with one URL share its connection
+
+
+def test_a_write_to_a_unit_without_a_route_is_no_broadcast(stage: Stage) -> None:
+    device = small()
+    with (
+        passage("tcp", "rtu", device, route={"units": "1-9"}, stage=stage) as through,
+        through.context(10) as context,
+    ):
+        with pytest.raises(GatewayPathUnavailable):
+            context.write_register(0, 7)
+        stage.pass_time(1)
+        assert device.mapping.holding_registers[0] == 0
+        assert through.gateway.traffic.broadcasts == 0
 
 
 def test_the_transaction_id_and_the_unit_come_back(stage: Stage) -> None:
@@ -95,3 +109,36 @@ def test_255_goes_where_a_route_says_it_and_the_gateway_where_it_is_told(stage: 
         assert context.for_unit(255).read_holding_registers(0, 1) == [7]
         for unit in (0, 250):
             assert context.for_unit(unit).read_input_registers(1, 1) == [1]
+
+
+def test_on_a_line_the_gateway_answers_its_units_and_leaves_others_to_their_devices(
+    stage: Stage,
+) -> None:
+    """The answer to a write looks like the write, and so does the same write again."""
+    device = small()
+    with (
+        Server({1: small()}).background("tcp://10.0.0.9:0") as behind,
+        gateway([Route(behind.urls[0], "1")], LINE, own_units=[250]) as (made, _),
+        Server({7: device}).background(LINE),
+        Context.from_url(LINE, unit=7) as context,
+    ):
+        for _ in range(2):
+            context.write_register(0, 5)
+        assert device.mapping.holding_registers[0] == 5
+        assert (made.traffic.requests, made.traffic.no_route) == (2, 2)
+        for _ in range(2):
+            context.for_unit(1).write_register(0, 5)
+        for _ in range(2):
+            with pytest.raises(IllegalDataAddress):
+                context.for_unit(250).write_register(0, 5)
+        assert (made.traffic.requests, made.traffic.no_route) == (6, 2)
+
+
+def test_rtu_over_tcp_to_a_unit_without_a_route_is_refused_each_time(stage: Stage) -> None:
+    with (
+        passage("rtu+tcp", "tcp", {1: small()}, route={"units": "1"}, stage=stage) as through,
+        through.context(7) as context,
+    ):
+        for _ in range(2):
+            with pytest.raises(GatewayPathUnavailable):
+                context.write_register(0, 5)

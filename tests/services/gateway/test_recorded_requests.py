@@ -1,0 +1,109 @@
+"""
+What a gateway writes to the audit trail: each write with its outcome, and each read that a rule
+refuses.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from libmodbus_py import (
+    Access,
+    ExceptionResponse,
+    GatewayTargetFailedToRespond,
+    IllegalDataAddress,
+    IllegalFunction,
+    Rules,
+)
+from libmodbus_py.serve import Allow, AuditEvent
+from tests.services.gateway.gates import READ_ONE, adu, gated, small
+from tests.simulation.stage import Stage
+from tests.support.gateways import passage
+
+WRITE = bytes.fromhex("06 0001 0007")
+
+
+@pytest.fixture
+def events() -> list[AuditEvent]:
+    return []
+
+
+def told(events: list[AuditEvent]) -> list[tuple[str, int | None, int | None, str]]:
+    return [(each.event, each.unit, each.function, each.result) for each in events]
+
+
+def test_a_write_is_recorded_with_its_outcome(stage: Stage, events: list[AuditEvent]) -> None:
+    with (
+        passage(
+            "tcp",
+            "rtu",
+            {1: small()},
+            line_options="timeout=0.2",
+            stage=stage,
+            audit=events.append,
+        ) as through,
+        through.context(1) as context,
+    ):
+        context.write_register(0, 5)
+        with pytest.raises(GatewayTargetFailedToRespond):
+            context.for_unit(2).write_register(0, 5)
+        with pytest.raises(GatewayTargetFailedToRespond):  # it rests
+            context.for_unit(2).write_register(0, 5)
+        context.for_unit(0).write_register(0, 5)
+        context.read_holding_registers(0, 1)
+    silent = "gateway target device failed to respond (exception 11)"
+    assert told(events) == [
+        ("write", 1, 6, "ok"),
+        ("write", 2, 6, silent),
+        ("write", 2, 6, silent),
+        ("write", 0, 6, "sent"),
+    ]
+
+
+def test_reads_are_recorded_that_a_rule_refuses_and_no_others(
+    stage: Stage, events: list[AuditEvent]
+) -> None:
+    rules = Rules({None: Allow(read=[Access("holding_registers", 0, 100)])})
+    with (
+        passage(
+            "tcp",
+            "rtu",
+            {1: small()},
+            line_options="timeout=0.2",
+            stage=stage,
+            authorize=rules,
+            audit=events.append,
+        ) as through,
+        through.context(1) as context,
+    ):
+        context.read_holding_registers(0, 1)
+        with pytest.raises(IllegalFunction):
+            context.read_coils(0, 1)
+        with pytest.raises(IllegalFunction):
+            context.write_register(0, 1)
+        with pytest.raises(IllegalDataAddress):
+            context.read_holding_registers(90, 1)
+        for _ in range(2):
+            with pytest.raises(ExceptionResponse):
+                context.for_unit(2).read_holding_registers(0, 1)
+    refused = "illegal function (exception 1)"
+    assert told(events) == [("refused", 1, 1, refused), ("write", 1, 6, refused)]
+
+
+def test_a_write_whose_client_is_gone_is_recorded_once(
+    stage: Stage, events: list[AuditEvent]
+) -> None:
+    """While it waits, and after it was sent."""
+    with gated(stage, audit=events.append) as (gate, _, url):
+        with stage.talk(url) as first, stage.talk(url) as second:
+            first.sendall(adu(WRITE))
+            assert stage.until(lambda: gate.asked)
+            second.sendall(adu(READ_ONE) + adu(WRITE))
+            stage.pass_time(1)
+            assert events == []
+        stage.pass_time(1)
+        assert told(events) == [("write", 1, 6, "no answer")]
+        gate.open()
+        stage.pass_time(5)
+    assert told(events) == [("write", 1, 6, "no answer"), ("write", 1, 6, "ok")]
+    assert gate.kinds == ["write"]
