@@ -142,3 +142,20 @@ def test_rtu_over_tcp_to_a_unit_without_a_route_is_refused_each_time(stage: Stag
         for _ in range(2):
             with pytest.raises(GatewayPathUnavailable):
                 context.write_register(0, 5)
+
+
+@pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt])
+def test_a_rule_that_ends_the_program_ends_it(stage: Stage, error: type[BaseException]) -> None:
+    def authorize(asked: object) -> bool:
+        raise error
+
+    def ask() -> None:
+        with (
+            gateway([Route(LINE, "1")], "tcp://10.0.0.1:0", authorize=authorize) as (_, url),
+            stage.talk(url) as client,
+        ):
+            client.sendall(adu(READ_ONE))
+            assert client.receive(1) == b""
+
+    with pytest.raises(error):
+        ask()

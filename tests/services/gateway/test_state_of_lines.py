@@ -143,6 +143,7 @@ def test_a_client_that_is_gone_has_its_broadcast_recorded_once(stage: Stage) -> 
             assert events == []
             client.close()
             stage.pass_time(1)
+            assert [each.unit for each in events] == [0]
             gate.open()
             stage.pass_time(5)
         writes = [each for each in events if each.unit == 0]
