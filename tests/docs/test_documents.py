@@ -74,6 +74,17 @@ def test_every_page_is_in_the_navigation() -> None:
     assert sorted(in_nav(project["nav"])) == pages
 
 
+EXTRAS = re.compile(r"(?:libmodbus-py|'\.)\[([\w,]+)\]")
+"""What pip installs: the package or its folder, and extras."""
+
+
+@each_case("path", DOCUMENTS, ids=NAMES)
+def test_extras_exist(path: Path) -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    named = {extra for found in EXTRAS.findall(path.read_text()) for extra in found.split(",")}
+    assert named <= project["optional-dependencies"].keys()
+
+
 def headings(path: Path) -> set[str]:
     return {
         re.sub(r"[^\w\- ]", "", line.lstrip("# ").lower()).replace(" ", "-")
