@@ -192,17 +192,25 @@ class InTurn(Matching):
                 self._doubts[unit] = now + timeout, timeout
         self._late += data[: MAX_KEPT - len(self._late)]
         self.unasked += len(data)
+        if self._trace.is_on():
+            self._tell_unasked(data)
+
+    def _tell_unasked(self, data: bytes) -> None:
+        framer = self._make_framer()
+        found = [*framer.scan(data), *framer.scan_silence()]
+        for each in found:
+            self._tell(each)
+        if not found:  # too short for a frame
+            self._trace.tell("received", data)
 
     def _judge(self, found: list[Frame | FrameError], now: float) -> None:
         for each in found:
             pending = self._pending
+            if self._trace.is_on():
+                self._tell(each)
             if isinstance(each, FrameError):
                 self._note_noise(each)
-                continue
-            if self._trace.is_on():
-                adu = self._framer.encode(each)
-                self._trace.tell("received", adu, each.unit, each.pdu[0])
-            if pending is None:
+            elif pending is None:
                 self._statistics.late_answers += 1
                 self._is_noisy = True
                 self.is_clean = False
@@ -219,6 +227,12 @@ class InTurn(Matching):
                 self._note_other_function(pending, each)
             else:
                 self._weigh(pending, each.pdu, now)
+
+    def _tell(self, found: Frame | FrameError) -> None:
+        if isinstance(found, FrameError):
+            self._trace.tell("received", found.received)
+        else:
+            self._trace.tell("received", self._framer.encode(found), found.unit, found.pdu[0])
 
     def _weigh(self, pending: Pending, pdu: bytes, now: float) -> None:
         """Take an answer; one that may be that to an earlier request only if no other follows."""
@@ -247,8 +261,6 @@ class InTurn(Matching):
             self.is_clean = False
         else:
             self._wrong = error
-        if self._trace.is_on():
-            self._trace.tell("received", error.received)
 
     def _note_other(self, unit: int, now: float) -> None:
         """Another unit's answer does not end the wait (serial line, 2.4.1)."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 import pytest
 
 from libmodbus_py import FrameError, IllegalDataAddress, InvalidResponse, ModbusTimeoutError, pdu
+from libmodbus_py.ports.trace import Traced
 from tests.support.talk import (
     ASCII,
     LINE,
@@ -653,3 +654,14 @@ def test_a_failure_closes_the_short_way_for_a_while() -> None:
     talk.wait(1.1)
     assert answered(talk, value(1))
     assert not Talk(LINE, trace=print).conversation.is_plain
+
+
+@pytest.mark.parametrize("late", [value(1), b"\xfe\x01"], ids=["an answer", "noise"])
+def test_what_comes_unasked_is_traced_too(late: bytes) -> None:
+    told: list[Traced] = []
+    talk = Talk(LINE, timeout=1, trace=told.append)
+    failed(talk)
+    talk.come(late)
+    assert [each.adu for each in told if each.direction == "received"] == [late]
+    assert told[-1].unit == (1 if late == value(1) else None)
+    assert told[-1].function == (3 if late == value(1) else None)
