@@ -65,7 +65,10 @@ class Bucket:
     def step(self, at: float) -> list[Put]:
         """One step whose writes all succeed; return those that are not about its own lease."""
         told = []
-        for put in self.worker.step(at):
+        is_early, active = at < self.worker.due, self.worker.active
+        puts = self.worker.step(at)
+        assert not is_early or (puts, self.worker.active) == ([], active), "it was due"
+        for put in puts:
             known = self.latest.get(put.key)
             assert put.last == (known.revision if known else 0)
             self.write(put.key, put.value, at)
@@ -251,6 +254,15 @@ class TestSlots:
         assert bucket.steps(*every(0.0, 10.4, 0.1)) == []
         puts = bucket.steps(10.5, 10.6)
         assert written(puts) == {"worker.b.1": "ended", LINE.slot.key: "m.1"}
+
+    def test_who_stood_still_waits_a_lease_before_it_says_that_others_ended(self) -> None:
+        bucket = Bucket(LINE)
+        bucket.member("o.1", 0.0)
+        bucket.hold(LINE, "o.1")
+        bucket.steps(*every(0.0, 2.0))
+        # It sees its own values again, and so would have seen those of others from here on.
+        assert bucket.steps(*every(31.0, 41.0)) == []
+        assert written(bucket.steps(*every(42.0, 43.0)))["worker.o.1"] == "ended"
 
     def test_a_slot_is_handed_over_and_polled_no_more(self) -> None:
         bucket = Bucket(LINE, OTHER)
