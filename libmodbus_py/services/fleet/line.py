@@ -79,7 +79,7 @@ class FleetLine:
     def add(self, poller: Poller) -> None:
         self.pollers[poller.name] = poller
 
-    def remove(self, name: str) -> Poller:
+    def remove(self, name: str) -> None:
         """Remove a device, and withdraw its request."""
         poller = self.pollers.pop(name)
         if poller.submitted is not None:
@@ -90,7 +90,6 @@ class FleetLine:
             resting.cancel()
         # Not at once: the next one may be removed together with this one.
         self._loop.call_soon(self._go_on)
-        return poller
 
     def client_of(self, poller: Poller) -> AsyncClient:
         """Return a client with the timeout of a device."""

@@ -33,13 +33,17 @@ class Plant:
     Attributes:
         asked: time, unit and address of each request.
         silent: units that give no answer.
+        mute: addresses that no unit answers.
+        damaging: units whose answers have wrong check bytes.
     """
 
     def __init__(self, url: str = "rtu:///dev/line", options: str = "?timeout=0.5") -> None:
         self.network = Network(1)
         self.asked: list[tuple[float, int, int]] = []
         self.silent: set[int] = set()
+        self.mute: set[int] = set()
         self.refusing: set[int] = set()
+        self.damaging: set[int] = set()
         self.delay = 0.02
         self.delays: dict[int, float] = {}
         self.peer = Scripted(self.network, url, self._answer)
@@ -52,7 +56,7 @@ class Plant:
         unit, body = (request[6], request[7:]) if has_ids else (request[0], request[1:-2])
         address = int.from_bytes(body[1:3], "big")
         self.asked.append((self.now, unit, address))
-        if unit in self.silent:
+        if unit in self.silent or address in self.mute:
             return
         pdu = b"\x03\x02\x00" + bytes([unit])
         if unit in self.refusing:
@@ -60,6 +64,8 @@ class Plant:
         answer = rtu(bytes([unit, *pdu]).hex())
         if has_ids:
             answer = request[:4] + (len(pdu) + 1).to_bytes(2, "big") + bytes([unit]) + pdu
+        if unit in self.damaging:
+            answer = answer[:-1] + bytes([answer[-1] ^ 1])
         write(answer, self.delays.get(unit, self.delay))
 
     @property
@@ -141,6 +147,42 @@ def test_a_device_rests_between_its_requests_and_others_are_asked() -> None:
         assert max(others) < 0.2
 
     plant.run(main, plant.device(1, MAP, spacing=0.3), plant.device(2, interval=0.1))
+
+
+def test_a_device_rests_between_its_polls() -> None:
+    plant = Plant()
+
+    async def main() -> None:
+        await asyncio.sleep(20)
+        assert len(plant.times(1)) > 25
+        assert min(gaps(plant.times(1))) >= 0.6 + plant.delay - 0.01
+
+    plant.run(main, plant.device(1, spacing=0.6, interval=0.5))
+
+
+def test_a_damaged_answer_holds_its_device_for_a_timeout_and_no_other() -> None:
+    plant = Plant(options="?timeout=2")
+
+    async def main() -> None:
+        plant.damaging.add(1)
+        await asyncio.sleep(60)
+        assert min(gaps(plant.times(1))) >= 2.0
+        assert len(plant.times(1)) >= 15
+        assert max(gaps(plant.times(2))) < 0.2
+
+    plant.run(main, plant.device(1, MAP), plant.device(2, interval=0.1))
+
+
+def test_a_device_that_is_alone_is_asked_again_after_a_damaged_answer() -> None:
+    plant = Plant(options="?timeout=2")
+
+    async def main() -> None:
+        plant.damaging.add(1)
+        await asyncio.sleep(25)
+        assert len(plant.times(1)) >= 3
+        assert 2.0 <= gaps(plant.times(1))[0] < 2.2
+
+    plant.run(main, plant.device(1, MAP, interval=10.0))
 
 
 def test_a_poll_whose_time_comes_before_the_last_is_over_is_skipped() -> None:
@@ -234,6 +276,35 @@ class TestSilentDevices:
 
         plant.run(main, plant.device(9), plant.device(1, interval=0.05))
 
+    def test_one_is_tried_at_a_time(self) -> None:
+        """Also where several requests may be on their way."""
+        plant = Plant("tcp://10.0.0.1", "?timeout=5&max_in_flight=4")
+
+        async def main() -> None:
+            plant.silent.update((1, 2, 3))
+            await asyncio.sleep(60)
+            tries = [at for at, *_ in plant.asked[3:]]
+            assert len(tries) >= 5
+            assert min(gaps(tries)) >= 5.0
+
+        plant.run(main, *(plant.device(unit) for unit in (1, 2, 3)))
+
+    def test_the_second_request_of_a_try_makes_way_too(self) -> None:
+        plant = Plant()
+
+        async def main() -> None:
+            plant.silent.add(9)
+            await asyncio.sleep(10)
+            begun = plant.now
+            plant.silent.clear()
+            plant.mute.add(9)
+            while plant.fleet.devices["device 9"].state is not DeviceState.UP:
+                await asyncio.sleep(0.05)
+            assert plant.asked[-1][1] == 1
+            assert max(gaps([at for at in plant.times(1) if at >= begun])) < 0.25
+
+        plant.run(main, plant.device(9, MAP), plant.device(1, interval=0.1))
+
     def test_silence_at_the_beginning_ends_a_poll(self) -> None:
         plant = Plant()
 
@@ -312,6 +383,38 @@ class TestChanges:
 
         plant.run(main, silent, good)
 
+    def test_one_that_rests_between_its_requests_can_be_removed(self) -> None:
+        plant = Plant()
+        resting, other = plant.device(1, MAP, spacing=0.5), plant.device(2)
+
+        async def main() -> None:
+            while not plant.times(1):
+                await asyncio.sleep(0.01)
+            await asyncio.sleep(0.2)
+            plant.fleet.replace([other])
+            await asyncio.sleep(5)
+            assert len(plant.times(1)) == 1
+            assert len(plant.times(2)) >= 4
+
+        plant.run(main, resting, other)
+
+    def test_a_silent_device_rests_on_when_the_connection_is_another(self) -> None:
+        plant = Plant("tcp://10.0.0.1", "?timeout=0.5")
+
+        async def main() -> None:
+            plant.silent.add(9)
+            await asyncio.sleep(20)
+            while plant.units()[-1] != 9:
+                await asyncio.sleep(0.01)
+            await asyncio.sleep(1)
+            plant.peer.drop_all()
+            since = plant.now
+            await asyncio.sleep(10)
+            assert len(plant.units(since)) >= 8
+            assert 9 not in plant.units(since)
+
+        plant.run(main, plant.device(9), plant.device(1))
+
     def test_a_connection_that_stands_again_has_its_devices_asked_at_once(self) -> None:
         plant = Plant("tcp://10.0.0.1", "?timeout=0.5&max_pause=0.5")
 
@@ -382,3 +485,14 @@ class TestLease:
             assert plant.fleet.statistics.held >= 8
 
         plant.run(main, plant.device(1), plant.device(2), may_ask=lambda key: False)
+
+    def test_who_may_ask_nothing_has_polled_once_at_once(self) -> None:
+        plant = Plant()
+
+        async def main() -> None:
+            fleet = Fleet([plant.device(1), plant.device(2)], may_ask=lambda key: False)
+            await asyncio.wait_for(fleet.run(once=True), 10)
+            assert (fleet.statistics.held, fleet.statistics.polls) == (2, 0)
+            assert plant.asked == []
+
+        plant.network.run(main)
