@@ -15,6 +15,7 @@ from libmodbus_py import (
     Route,
     Server,
 )
+from libmodbus_py.ports.trace import Traced
 from tests.services.gateway.gates import LINE, READ_ONE, adu, gateway, numbered, small
 from tests.simulation.stage import Stage
 from tests.support.gateways import passage
@@ -142,6 +143,18 @@ def test_rtu_over_tcp_to_a_unit_without_a_route_is_refused_each_time(stage: Stag
         for _ in range(2):
             with pytest.raises(GatewayPathUnavailable):
                 context.write_register(0, 5)
+
+
+def test_half_a_request_of_a_client_that_leaves_is_traced(stage: Stage) -> None:
+    traced: list[Traced] = []
+    half = adu(READ_ONE)[:9]
+    with gateway([Route(LINE, "1")], "tcp://10.0.0.1:0", trace=traced.append) as (_, url):
+        with stage.talk(url) as client:
+            client.sendall(half)
+            stage.pass_time(1)
+            assert traced == []
+        stage.pass_time(1)
+    assert [(each.direction, each.adu) for each in traced] == [("received", half)]
 
 
 @pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt])

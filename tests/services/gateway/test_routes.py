@@ -61,6 +61,12 @@ def test_units_may_be_others_on_the_line(
     assert Route(TCP, units, device_units).ways == ways
 
 
+def test_routes_are_equal_however_their_units_were_given() -> None:
+    routes = [Route(TCP, "1-3", each) for each in ("11-13", [11, 12, 13], iter((11, 12, 13)))]
+    assert [each.device_units for each in routes] == [(11, 12, 13)] * 3
+    assert routes[0] == routes[1] == routes[2]
+
+
 @pytest.mark.parametrize(
     ("options", "error", "text"),
     [
