@@ -4,12 +4,14 @@ The polls of one device, answer by answer: what is asked first, what it is taken
 
 from __future__ import annotations
 
+import weakref
 from typing import Any
 
 import pytest
 
 from libmodbus_py import IllegalDataAddress, ModbusTimeoutError, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig
+from libmodbus_py.maps.register_map import PointPlan
 from libmodbus_py.services.fleet.poller import DeviceState, Poller, Reads
 
 NAMES = ("a", "b", "c")
@@ -182,3 +184,20 @@ def test_ids_go_up_from_the_first(poller: Poller) -> None:
     assert [each.id for each in poller.readings(9.0, 41)] == [41, 42, 43]
     poll(poller, [1], [2], [3])
     assert [each.id for each in poller.readings(9.0)] == [0, 0, 0]
+
+
+def test_plans_for_sets_of_points_are_made_once_and_bounded() -> None:
+    """Points with intervals of their own may be due together in thousands of sets."""
+    points = RegisterMap(Point(f"p{at}", "holding_registers", at) for at in range(8))
+    reads = Reads(DeviceConfig("meter", "tcp://192.0.2.1", points))
+    known: list[weakref.ref[PointPlan]] = []
+    for number in range(1, 256):
+        due = tuple(at for at in range(8) if number >> at & 1)
+        plan = reads.plan_of(due)
+        assert list(plan.names) == [f"p{at}" for at in due]
+        assert reads.plan_of(due) is plan
+        known.append(weakref.ref(plan))
+        if number == 64:
+            assert all(each() is not None for each in known)
+        del plan
+    assert sum(each() is not None for each in known) <= 64
