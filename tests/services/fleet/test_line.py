@@ -14,6 +14,7 @@ import pytest
 from libmodbus_py import DeviceConfig, Fleet, Point, RegisterMap
 from libmodbus_py.client import waiting_room
 from libmodbus_py.services.fleet.poller import DeviceState
+from libmodbus_py.services.fleet.schedule import first_time
 from tests.services.fleet.fleets import while_polled
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
@@ -117,6 +118,20 @@ def test_each_device_is_polled_at_its_interval() -> None:
         assert len(plant.asked) - statistics.polls in (0, 1)
 
     plant.run(main, plant.device(1), plant.device(2, interval=2.0))
+
+
+def test_a_device_is_polled_at_the_same_time_of_day_on_each_machine() -> None:
+    plant = Plant()
+
+    async def main() -> None:
+        await asyncio.sleep(30)
+        wall = plant.network.time_of_day() - plant.now
+        phase = first_time("device 1", 7.0, 0.0, 0.0)
+        assert plant.times(1)
+        for at in plant.times(1):
+            assert (at + wall) % 7.0 == pytest.approx(phase, abs=0.01)
+
+    plant.run(main, plant.device(1, interval=7.0))
 
 
 def test_the_requests_of_a_poll_go_out_one_after_the_other() -> None:

@@ -199,5 +199,4 @@ def test_plans_for_sets_of_points_are_made_once_and_bounded() -> None:
         known.append(weakref.ref(plan))
         if number == 64:
             assert all(each() is not None for each in known)
-        del plan
-    assert sum(each() is not None for each in known) <= 64
+        assert sum(each() is not None for each in known) <= 64
