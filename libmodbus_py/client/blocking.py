@@ -348,7 +348,8 @@ class UdpContext(Context, schemes=("udp", "rtu+udp")):
 
     The network may lose or double datagrams. A request that gets no answer is a
     ModbusTimeoutError; `retries` sends those again that may be carried out twice.
-    Damaged datagrams and those of other hosts do not end the wait.
+    Datagrams of other hosts do not end the wait, and neither do damaged ones; with the frames
+    of RTU, a damaged answer ends it, as it does on a serial line.
 
     Args:
         host: a name, an IPv4 or an IPv6 address; the port may be in it, as in "192.0.2.1:1502".

@@ -15,6 +15,7 @@ from libmodbus_py import (
     Context,
     Device,
     ExceptionResponse,
+    FrameError,
     InvalidResponse,
     Mapping,
     ModbusTimeoutError,
@@ -108,6 +109,18 @@ def test_an_answer_in_two_datagrams_is_one(world: World) -> None:
     peer = world.peer("rtu+udp", answering(lambda request: [ANSWER[:3], ANSWER[3:]]))
     with world.connect(peer.url, unit=1, timeout=30) as client:
         assert read(client, 0) == 555
+
+
+def test_a_damaged_answer_ends_the_wait_as_on_a_line(world: World) -> None:
+    damaged = ANSWER[:-1] + bytes([ANSWER[-1] ^ 1])
+    peer = world.peer("rtu+udp", answering(lambda request: [damaged]))
+    with (
+        world.connect(peer.url, unit=1, timeout=30) as client,
+        world.lasting(0, more=1),
+        pytest.raises(FrameError) as caught,
+    ):
+        read(client, 0)
+    assert caught.value.received == damaged
 
 
 def test_another_units_answer_is_none(world: World) -> None:
