@@ -347,6 +347,19 @@ class TestSilentDevices:
 
 
 class TestChanges:
+    def test_devices_may_change_before_they_are_polled(self) -> None:
+        plant = Plant()
+
+        async def main() -> None:
+            fleet = Fleet([plant.device(1), plant.device(2)])
+            fleet.replace([plant.device(2)])
+            fleet.add([plant.device(3)])
+            async with fleet:
+                await asyncio.sleep(5)
+            assert set(plant.units()) == {2, 3}
+
+        plant.network.run(main)
+
     def test_a_device_that_is_removed_is_asked_no_more(self) -> None:
         plant = Plant()
         one, two = plant.device(1), plant.device(2)
