@@ -42,39 +42,41 @@ IN_FLIGHT = 16
 
 class AsyncClient(Handle[AsyncioDriver], Awaiting):
     """
-    A client of one unit, for asyncio: `Context` with ``await``.
+    A client of one unit for asyncio, whose methods are coroutines.
 
-    Connects when entered (``async with``) or used, again on the next request after the
-    connection was lost or counts as dead, and closes on exit. All who wait for a
-    connection share one attempt and its failure. The next one comes 0.1 s later,
-    then 0.2 s, and so on up to `max_pause`, somewhat less at random, until an answer came;
-    a request that cannot wait so long fails at once.
+    It connects when it is entered (``async with``) or first used, connects again with the next
+    request after the connection was lost or is considered dead, and closes on exit. All requests
+    that wait for a connection share one attempt to connect, and fail together if it fails. The
+    pause before the next attempt is 0.1 s, then 0.2 s, and so on up to `max_pause`, each
+    shortened by a random amount; pauses begin at 0.1 s again after a response. A request that
+    cannot wait that long fails at once.
 
-    On "tcp" and "udp" up to `max_in_flight` requests wait for their answers together,
-    which come in any order. On serial lines, and these over TCP, it is one request
-    at a time, and after a failure the line must be silent for `timeout` before the same unit
-    is asked again: an answer that is still to come would be taken for its own. Requests
-    get a slot in the order in which they were made.
+    With the framings "tcp" and "udp", up to `max_in_flight` requests are pending at the same
+    time, and may be answered in any order. On serial lines, and on serial lines behind TCP or UDP,
+    requests are sent one at a time. After a failure there, the line must be silent for `timeout`
+    before the same unit gets another request, because a late response could be mistaken for the
+    response to that request. Requests are sent in the order in which they were made.
 
-    A request may be cancelled at any time, by ``asyncio.timeout`` for one. Its answer is
-    dropped when it comes, and the others notice nothing.
+    A request may be cancelled at any time, for example by ``asyncio.timeout``. Its response is
+    dropped when it arrives, and other requests are not affected.
 
-    A client belongs to the event loop that uses it first, and to one thread. One that was
-    not closed issues a ResourceWarning, and closes, when it is garbage collected.
+    A client belongs to the event loop that first uses it, and to one thread. A client that was
+    not closed issues a ResourceWarning and closes when it is garbage collected.
 
-    Every request raises, apart from what its method names:
+    Besides the exceptions that its method names, every request can raise:
 
-    * TypeError, ValueError: an argument, named with its range; nothing was sent.
-    * ExceptionResponse: the server refused; the subclass says why.
-    * ModbusTimeoutError: no complete answer within `timeout`.
-    * ModbusConnectionError: no connection, or it was lost meanwhile, with errno.
-    * FrameError, InvalidResponse: the answer was none.
-    * RuntimeError: another event loop.
+    * TypeError, ValueError: an argument is wrong; the message names it and its range, and nothing
+      was sent.
+    * ExceptionResponse: the server refused the request; the subclass tells why.
+    * ModbusTimeoutError: no complete response arrived within `timeout`.
+    * ModbusConnectionError: the connection could not be established or was lost, with errno.
+    * FrameError, InvalidResponse: what arrived is not a valid response.
+    * RuntimeError: the client belongs to another event loop.
 
     Args:
-        url: where, such as "tcp://192.0.2.10?unit=17", "rtu:///dev/ttyUSB0?baudrate=9600"
+        url: a URL such as "tcp://192.0.2.10?unit=17" or "rtu:///dev/ttyUSB0?baudrate=9600"
             (`libmodbus_py.ports.endpoint`).
-        options: `unit`, `timeout` and others, which win over those of the URL; see
+        options: `unit`, `timeout` and others, which take precedence over those of the URL; see
             `client.options.Options`.
 
     Raises:
@@ -95,11 +97,12 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
 
     async def connect(self) -> None:
         """
-        Connect, unless connected. Requests do so by themselves.
+        Connect, unless the client is connected. Requests connect by themselves if necessary.
 
         Raises:
-            ModbusConnectionError: with errno.
-            RuntimeError: another event loop.
+            ModbusConnectionError: the connection could not be established, with errno; or the
+                client is closed.
+            RuntimeError: the client belongs to another event loop.
         """
         batch = Batch(self.unit, [], self._timeouts)
         await self._driver.run(batch)
@@ -108,18 +111,18 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
 
     async def close(self) -> None:
         """
-        Close for good; requests in flight fail at once. May be called any number of times.
+        Close the client for good; pending requests fail at once. May be called repeatedly.
 
         Raises:
-            RuntimeError: another event loop.
+            RuntimeError: the client belongs to another event loop.
         """
         await self._driver.close()
 
     def abandon(self) -> None:
         """
-        In a forked child: close its descriptors, with no effect on the parent's connection.
+        Close the descriptors of a forked child, with no effect on the parent's connection.
 
-        Every child does this when it is forked; nothing is left to do.
+        Every child does this by itself when it is forked, so that programs need not call it.
         """
         self._driver.abandon()
 
@@ -157,18 +160,23 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         self, unit: int, request: pdu.Request[Any], on_done: Callable[[], object]
     ) -> Submitted:
         """
-        Send a request, and do not wait: for programs that forward thousands of requests, because a
-        task for each would be expensive.
+        Send a request without waiting for its response.
+
+        This is for programs that forward thousands of requests, for which a task each would be
+        expensive.
 
         Args:
-            unit: 0..255, the unit of the request.
-            request: any object of `libmodbus_py.pdu`.
-            on_done: called once when the outcome is known, perhaps before this method returns.
-                It must not block. What it raises is logged.
+            unit: the unit of the request, 0..255.
+            request: any request object of `libmodbus_py.pdu`.
+            on_done: called once when the outcome is known, possibly before this method returns.
+                It must not block. Exceptions that it raises are logged.
+
+        Returns:
+            The submitted request, whose `outcome` can be called from `on_done` on.
 
         Raises:
             TypeError, ValueError: the request cannot be sent.
-            RuntimeError: another event loop.
+            RuntimeError: the client belongs to another event loop.
         """
         if type(unit) is not int or not 0 <= unit <= 255:
             unit = integer("unit", unit, 0, 255)
@@ -180,29 +188,30 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
 
     @property
     def has_ids(self) -> bool:
-        """True if frames carry transaction ids: any unit may be asked at any time."""
+        """True if frames carry transaction ids, so that any unit may be asked at any time."""
         return self._matching.has_ids
 
     @property
     def room(self) -> int:
         """
-        The most requests to submit together now: `max_in_flight`, or 0 for a while.
+        The most requests that should be pending now: `max_in_flight`, or 0 for a while.
 
-        It is 0 while a request that was lost beside others is asked again alone: others that are
-        submitted meanwhile are sent behind it, whatever its answer says about their unit.
+        It is 0 while a request that was lost while others were pending is sent again alone.
+        Requests that are submitted meanwhile are sent after it, even if its outcome shows that
+        their unit does not answer.
         """
         return self._conversation.room
 
     def ready_at(self, unit: int) -> float:
         """
-        Return when a unit may be asked, in the time of the event loop; 0.0 if at once.
+        Return when a unit may get a request, in the time of the event loop; 0.0 if at once.
 
-        On a line a unit is left alone for one `timeout` after a failure, because nothing tells its
-        late answer from the next one. A request that is submitted earlier waits for that, and all
-        others with it.
+        On a serial line, a unit gets no request for one `timeout` after a failure, because its
+        late response could not be told from the next one. A request that is submitted earlier
+        waits for that time, and so do all requests behind it.
 
         Args:
-            unit: 0..255.
+            unit: the unit, 0..255.
         """
         return self._matching.ready_at(unit)
 
@@ -321,11 +330,11 @@ class Submitted:
 
     @property
     def outcome(self) -> Any:
-        """Its result, or the exception that `AsyncClient.execute` would raise, once it is known."""
+        """Return the result, or the exception that `AsyncClient.execute` would raise."""
         return self._batch.outcomes[0]
 
     def withdraw(self) -> None:
-        """Drop the request: `on_done` is not called, and a later answer is dropped."""
+        """Drop the request: `on_done` is not called, and a late response is ignored."""
         self._driver.withdraw(self._batch)
 
 

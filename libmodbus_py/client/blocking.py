@@ -59,33 +59,36 @@ Result = TypeVar("Result")
 
 class Context(Handle[BlockingDriver], Blocking):
     """
-    A client of one unit: `TcpContext`, `TlsContext`, `UdpContext`, `RtuContext`, `AsciiContext`.
+    The base of the blocking clients, each of which talks to one unit.
 
-    Connects when entered (``with``) or used, again on the next request after the
-    connection was lost or counts as dead, and closes on exit. Safe from any thread: one
-    request at a time, the others wait. After a fork the child connects anew and the
-    parent notices nothing. Ctrl-C takes effect at once.
+    The subclasses are `TcpContext`, `TlsContext`, `UdpContext`, `RtuContext`, `AsciiContext` and
+    `Client`. A context connects when it is entered (``with``) or first used, connects again with
+    the next request after the connection was lost or is considered dead, and closes on exit.
+    It may be used from any thread: requests are sent one at a time, and the others wait. After a
+    fork, the child opens its own connection, and the parent is not affected. Ctrl-C takes effect
+    at once.
 
     Addresses are 0-based, 0..65535; times are in seconds; the options are those of
     `client.options.ContextOptions`.
 
-    Every request raises, apart from what its method names:
+    Besides the exceptions that its method names, every request can raise:
 
-    * TypeError, ValueError: an argument, named with its range; nothing was sent. Contexts
-      raise them, too, when they are made.
-    * ExceptionResponse: the server refused; the subclass says why.
-    * ModbusTimeoutError: no complete answer within `timeout`.
-    * ModbusConnectionError: no connection, or it was lost meanwhile, with errno.
-    * FrameError, InvalidResponse: the answer was none.
-    * RuntimeError: from a signal handler or callback within a request of this thread.
+    * TypeError, ValueError: an argument is wrong; the message names it and its range, and nothing
+      was sent. Constructors raise them, too.
+    * ExceptionResponse: the server refused the request; the subclass tells why.
+    * ModbusTimeoutError: no complete response arrived within `timeout`.
+    * ModbusConnectionError: the connection could not be established or was lost, with errno.
+    * FrameError, InvalidResponse: what arrived is not a valid response.
+    * RuntimeError: a signal handler or callback has sent a request while this thread was
+      waiting for another one.
 
-    After a request without a good answer, a unit on a serial line is only asked again when the
-    line has been silent for `timeout`: an answer that is still to come would be taken for that
-    to the next request. Other units need not wait for that.
+    If a unit on a serial line has not given a valid response, its next request is not sent before
+    the line has been silent for `timeout`, because a late response could be mistaken for the
+    response to that request. Requests to other units do not wait.
 
-    Every answer is checked in full: id, unit, function, length, byte count, echo. With `native`
-    a request that libmodbus knows is sent and its answer awaited in one call of C,
-    without the GIL; on serial lines libmodbus sends it.
+    Every response is checked in full: transaction id, unit, function, length, byte count and
+    echo. With `native`, a request that libmodbus supports is sent, and its response awaited, in
+    one call of C without the GIL; on serial lines libmodbus sends it.
     """
 
     # Scheme -> the class that `from_url` makes.
@@ -111,11 +114,12 @@ class Context(Handle[BlockingDriver], Blocking):
     @staticmethod
     def from_url(address: str, **options: Unpack[UrlOptions]) -> Context:
         """
-        Make the context for a URL (`libmodbus_py.ports.endpoint`).
+        Return a context for a URL (`libmodbus_py.ports.endpoint`), of the class for its scheme.
 
         Args:
-            address: such as "tcp://192.0.2.10?unit=17" or "rtu:///dev/ttyUSB0?baudrate=9600".
-            options: as for the class; they win over those of the URL.
+            address: a URL such as "tcp://192.0.2.10?unit=17" or
+                "rtu:///dev/ttyUSB0?baudrate=9600".
+            options: the options of that class; they take precedence over those of the URL.
 
         Raises:
             TypeError, ValueError: the URL or an option is wrong.
@@ -128,10 +132,11 @@ class Context(Handle[BlockingDriver], Blocking):
 
     def connect(self) -> None:
         """
-        Connect, unless connected. Requests do so by themselves.
+        Connect, unless the client is connected. Requests connect by themselves if necessary.
 
         Raises:
-            ModbusConnectionError: with errno.
+            ModbusConnectionError: the connection could not be established, with errno; or the
+                client is closed.
         """
         batch = Batch(self.unit, [], self._timeouts)
         self._driver.run(batch)
@@ -140,9 +145,9 @@ class Context(Handle[BlockingDriver], Blocking):
 
     def close(self) -> None:
         """
-        Close for good; may be called any number of times, from any thread and signal handler.
+        Close the client for good. May be called repeatedly, from any thread or signal handler.
 
-        Requests that wait for an answer or a connection fail at once.
+        Requests that wait for a response or a connection fail at once.
         """
         self._driver.close()
 
@@ -277,12 +282,12 @@ class Context(Handle[BlockingDriver], Blocking):
 
 class Client(Context):
     """
-    A client for any URL: what `AsyncClient` is with ``await``.
+    A blocking client for any URL; its counterpart for asyncio is `AsyncClient`.
 
     Args:
         url: such as "tcp://192.0.2.10?unit=17" or "rtu:///dev/ttyUSB0?baudrate=9600"
             (`libmodbus_py.ports.endpoint`).
-        options: those of `TcpContext`, or on a serial line of `RtuContext`; they take
+        options: the options of `TcpContext`, or of `RtuContext` on a serial port; they take
             precedence over those of the URL.
 
     Raises:
@@ -298,12 +303,15 @@ class TcpContext(Context, schemes=("tcp", "rtu+tcp", "ascii+tcp")):
     A client over TCP.
 
     Args:
-        host: a name with all its addresses, an IPv4 or an IPv6 address; the port may be in it, as
-            in "192.0.2.1:1502".
+        host: a host name, all of whose addresses are tried, or an IPv4 or IPv6 address; it may
+            contain the port, as in "192.0.2.1:1502".
         port: 1..65535.
-        framing: "tcp" (MBAP); "rtu" or "ascii" for such a line behind a
+        framing: "tcp" (with the MBAP header); "rtu" or "ascii" for a serial line behind a
             serial device server.
         options: `unit`, `timeout` and others; see `client.options.ContextOptions`.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range.
     """
 
     def __init__(
@@ -322,18 +330,21 @@ class TcpContext(Context, schemes=("tcp", "rtu+tcp", "ascii+tcp")):
 
 class TlsContext(Context, schemes=("tls",)):
     """
-    A client over TLS: Modbus Security. Both sides prove who they are by certificates.
+    A client over TLS (Modbus Security). Both sides authenticate each other by certificates.
 
-    A refused certificate is a ModbusConnectionError (errno EKEYREJECTED) that says which and
-    why: the server's when connecting, one's own at the first request, if the server
-    speaks TLS 1.3.
+    A certificate that is refused raises a ModbusConnectionError (errno EKEYREJECTED) whose message
+    tells which one, and why. The server's certificate is checked while connecting; with TLS 1.3, a
+    server reports that it refuses the client's only when the first request is sent.
 
     Args:
-        host: a name with all its addresses, an IPv4 or an IPv6 address; the port may be in it, as
-            in "192.0.2.1:1502".
+        host: a host name, all of whose addresses are tried, or an IPv4 or IPv6 address; it may
+            contain the port, as in "192.0.2.1:1502".
         port: 1..65535.
-        options: `security`, which it needs, `unit`, `timeout` and others; see
+        options: `security`, which is required, `unit`, `timeout` and others; see
             `client.options.ContextOptions`.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range, or no `security`.
     """
 
     def __init__(
@@ -344,17 +355,21 @@ class TlsContext(Context, schemes=("tls",)):
 
 class UdpContext(Context, schemes=("udp", "rtu+udp")):
     """
-    A client over UDP: the frames of Modbus/TCP, each in a datagram.
+    A client over UDP: each datagram contains one frame of Modbus/TCP.
 
-    The network may lose or double datagrams. A request that gets no answer is a
-    ModbusTimeoutError; `retries` sends those again that may be carried out twice.
-    Datagrams of other hosts do not end the wait, and neither do damaged ones; with the frames
-    of RTU, a damaged answer ends it, as it does on a serial line.
+    The network may lose or duplicate datagrams. A request without a response raises a
+    ModbusTimeoutError; with `retries`, requests that may be executed twice are sent again.
+    Datagrams from other hosts are ignored, and so are damaged ones; with RTU frames, however, a
+    damaged response ends the request, as it does on a serial line.
 
     Args:
-        host: a name, an IPv4 or an IPv6 address; the port may be in it, as in "192.0.2.1:1502".
+        host: a host name, an IPv4 or an IPv6 address; it may contain the port, as in
+            "192.0.2.1:1502".
         port: 1..65535.
         options: `unit`, `timeout` and others; see `client.options.ContextOptions`.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range.
     """
 
     def __init__(
@@ -365,16 +380,19 @@ class UdpContext(Context, schemes=("udp", "rtu+udp")):
 
 class RtuContext(Context, schemes=("rtu",)):
     """
-    A client on a serial line in RTU mode; libmodbus opens, configures and sends.
+    A client on a serial line in RTU mode. libmodbus opens and configures the port, and sends.
 
     Args:
-        device: such as "/dev/ttyUSB0"; locked while open, so that no two
-            programs talk at once.
-        baudrate: bits per second.
+        device: the path of the port, such as "/dev/ttyUSB0"; it is locked while it is open, so
+            that no two programs use it at once.
+        baudrate: bits per second, 1..4000000.
         options: `unit`, `timeout` and others, see `client.options.ContextOptions`; and
             `parity` ("E"), `data_bits` (8), `stop_bits` (1), `rs485`, `rts_delay`, `echo` and
-            `silence`, see `ports.serial.SerialPort`. Let `timeout` be more than the
-            slowest unit needs, for a late answer cannot be told from the next one.
+            `silence`, see `ports.serial.SerialPort`. `timeout` should be longer than the slowest
+            unit takes, because a late response cannot be told from the next one.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range.
     """
 
     def __init__(self, device: str, baudrate: int = 19200, **options: Unpack[RtuOptions]) -> None:
@@ -385,9 +403,9 @@ class AsciiContext(Context, schemes=("ascii",)):
     """
     A client on a serial line in ASCII mode, which libmodbus lacks.
 
-    libmodbus opens and configures the port; this package does the talking.
-    Arguments as for `RtuContext`, but `data_bits` is 7 and `silence` 0 by default: ASCII
-    frames have marks of their own.
+    libmodbus opens and configures the port; this package sends and receives. The arguments and
+    exceptions are those of `RtuContext`, but the defaults of `data_bits` and `silence` are 7 and
+    0, because ASCII frames have start and end characters.
     """
 
     def __init__(self, device: str, baudrate: int = 19200, **options: Unpack[RtuOptions]) -> None:

@@ -53,9 +53,9 @@ class Pace:
     The pace at which requests follow each other, in seconds.
 
     Attributes:
-        turnaround: duration of a request that is not answered.
-        request_spacing: between the starts of two requests, at least.
-        connect_delay: between connecting and the first request.
+        turnaround: the duration of a request that gets no response.
+        request_spacing: the minimum time between the starts of two requests.
+        connect_delay: the time between connecting and the first request.
         timeouts_before_reconnect: timeouts in a row after which a connection counts as dead;
             a serial port never does.
     """

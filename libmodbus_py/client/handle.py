@@ -58,14 +58,18 @@ class Handle(Generic[Driving]):
         self, unit: int, *, timeout: float | None = None, retries: int | None = None
     ) -> Self:
         """
-        Return a handle to another unit, 0..255, on the same connection.
+        Return a handle to another unit on the same connection.
 
-        Unit 0 is a broadcast on serial lines: writes only, which return after
-        the turnaround. Closing either handle closes the connection of both.
+        Closing either handle closes the connection of both.
 
         Args:
+            unit: 0..255; 0 is a broadcast on serial lines: only writes can be sent, and they
+                return after the turnaround.
             timeout: seconds, 0.001..86400; None to share this handle's.
             retries: 0..100; None to share this handle's.
+
+        Raises:
+            TypeError, ValueError: an argument of the wrong type or range.
         """
         handle = copy.copy(self)
         handle.unit = unit
@@ -75,10 +79,10 @@ class Handle(Generic[Driving]):
     @property
     def unit(self) -> int:
         """
-        The unit that is asked, 0..255; settable.
+        The unit to which requests are sent, 0..255; settable.
 
         Raises:
-            TypeError, ValueError: when set to something else.
+            TypeError, ValueError: it is set to anything else.
         """
         return self._unit
 
@@ -93,7 +97,7 @@ class Handle(Generic[Driving]):
 
     @property
     def timeout(self) -> float:
-        """Seconds that one request may take, connecting included; settable."""
+        """The seconds that one request may take, connecting included, 0.001..86400; settable."""
         return self._timeouts.timeout
 
     @timeout.setter
@@ -113,17 +117,17 @@ class Handle(Generic[Driving]):
 
     @property
     def statistics(self) -> Statistics:
-        """The statistics of the connection; live."""
+        """The statistics of the connection, which it keeps up to date."""
         return self._statistics
 
     @property
     def max_in_flight(self) -> int:
-        """The most requests that wait for their answers together: as set, or as found out."""
+        """The most requests that may be pending together, as set or as found out by now."""
         return self._conversation.limit
 
     @property
     def late_answers(self) -> int:
-        """Number of answers that were dropped, because their request had been given up."""
+        """The number of responses that were dropped because their request had been given up."""
         return self._statistics.late_answers
 
     def __repr__(self) -> str:
@@ -134,72 +138,76 @@ class Handle(Generic[Driving]):
 
     def execute(self, *args: Any, **kwargs: Any) -> Any:
         """
-        Send any request object of `libmodbus_py.pdu`.
+        Send any request object of `libmodbus_py.pdu`, and return its result.
 
         Args:
-            timeout, retries: of this request; None for those of the handle.
+            request: the request object.
+            timeout: seconds for this request, 0.001..86400; None for the handle's.
+            retries: retries of this request, 0..100; None for the handle's.
 
         Returns:
-            What the method of the same name returns.
+            The result that the client's method for the same function returns.
         """
         raise NotImplementedError
 
     def read_many(self, *args: Any, **kwargs: Any) -> Any:
         """
-        Read many things in few requests.
+        Read many items with few requests.
 
         Args:
-            items: a `Plan`; or what makes one, such as
+            items: a `Plan`, or the items of one, such as
                 ``{"level": ("holding_registers", 100, 1, "float32"), "valves": ("coils", 0, 8)}``.
-            max_in_flight, return_exceptions: as for `execute_many`; a ModbusError stands in
-                the place of what was to come with a failed request.
-            options: of the plan, where `items` is none: `gap`, `forbidden`,
+            max_in_flight, return_exceptions: as for `execute_many`; each item of a failed
+                request gets a ModbusError in place of its values.
+            options: the options of `Plan`, unless `items` is one: `gap`, `forbidden`,
                 `max_registers`, `max_bits`.
 
         Returns:
-            A list of values for each item, in their order; a dict where `items`
-            was a mapping.
+            A list of values for each item, in the order of the items; a dict by name if `items`
+            is a mapping.
 
         Raises:
-            TypeError, ValueError: as of `Plan`; registers that hold no such value.
+            TypeError, ValueError: an argument is wrong, as for `Plan`; or registers hold no value
+                of the type of an item.
             IllegalDataAddress: a merged request covers cells that the device
-                lacks. With a `Plan`, what is refused is found by halving the request: it is
-                left out with `return_exceptions` (`Plan.unreadable`), else it is named in
-                `names` of the error.
+                lacks. With a `Plan`, the items that the device refuses are found by halving the
+                request; with `return_exceptions` they are left out (`Plan.unreadable`), otherwise
+                the first of them is named in `names` of the error.
         """
         raise NotImplementedError
 
     def watch(self, *args: Any, **kwargs: Any) -> Any:
         """
-        Read the same again and again, at a steady pace.
+        Read the same points or items again and again, at a steady pace.
 
-        ``for values in plc.watch(meter, every=1)``; with `AsyncClient` ``async for``.
+        ``for values in plc.watch(meter, every=1)``; ``async for`` with an `AsyncClient`.
 
-        The first values are read at once, those after them after one interval, two and so on, from
-        start to start. Where the device or the program takes longer, the polls that are late are
-        left out.
+        The first values are read at once; later polls start at whole multiples of the interval
+        after the first one. If the device or the program takes longer than that, the polls that it
+        misses are skipped.
 
-        A device that does not answer ends nothing: the reasons stand in place of the values,
-        and the client connects again by itself. The loop ends when the client is closed, also from
-        another thread or task, and may be left in any way.
+        If the device does not answer, the loop goes on: it yields errors in place of values,
+        and the client connects again by itself. The loop ends when the client is closed, even by
+        another thread or task, and may be left at any time.
 
         Args:
-            what: a `RegisterMap`, a `Plan`, or what makes one, as for `read_many`.
-            every: seconds from one poll to the next, 0.01..86400; of points with an interval of
-                their own (`Point.interval`), that from one read to the next. Polls then come at the
+            what: a `RegisterMap`, a `Plan`, or the items of one, as for `read_many`.
+            every: seconds from one poll to the next, 0.01..86400. A point with an interval of its
+                own (`Point.interval`) is read at that interval instead: polls then come at the
                 shortest interval, and points that are not due keep their values.
-            names: of the points of the map; None for all that can be read.
+            names: the names of the points of the map to read; None for all readable points.
             max_in_flight: as for `execute_many`.
-            options: of the plan: `gap`, `forbidden`, `max_registers`, `max_bits`.
+            options: the options of `Plan`: `gap`, `forbidden`, `max_registers`, `max_bits`.
 
         Returns:
-            An iterator. Of a map it yields what `read_map` returns with ``return_exceptions=True``,
-            in a dict whose `fell` has the names of totals (`Point.never_falls`) that were read
-            twice because they are smaller than before; else what `read_many` returns so.
+            An iterator. For a map, it yields what `read_map` returns with
+            ``return_exceptions=True``, in a dict whose attribute `fell` has the names of totals
+            (`Point.never_falls`) that are smaller than before, even when they were read a second
+            time. Otherwise it yields what `read_many` returns with ``return_exceptions=True``.
 
         Raises:
-            TypeError, ValueError: an argument, before anything is sent. The iterator itself raises
-                ValueError for registers that hold no value of their type, if `what` is no map.
+            TypeError, ValueError: an argument is wrong; nothing was sent. If `what` is no map, the
+                iterator itself raises ValueError for registers that hold no value of their type.
         """
         raise NotImplementedError
 

@@ -42,46 +42,48 @@ class Options(TypedDict, total=False):
     The options that all clients have; times are in seconds.
 
     Keys:
-        unit: 0..255, the unit that is asked; 1 by default. 0 is a broadcast on serial lines:
-            writes only, which return after the turnaround.
-        timeout: 0.001..86400, for one request from the call to the end of its answer,
-            connecting included; waiting for others' requests does not count. 1 by default.
-        retries: how often a request is sent again after no answer, a damaged one, or a
-            connection lost meanwhile, 0..100; only what may be sent twice
+        unit: the unit to which requests are sent, 0..255; 1 by default. 0 is a broadcast on
+            serial lines: only writes can be sent, and they return after the turnaround.
+        timeout: the longest time that one request may take, 0.001..86400, from the call to the
+            end of its response, including the time to connect, but not the time it waits for
+            other requests. 1 by default.
+        retries: how often a request is sent again if there was no response or a damaged one, or
+            if the connection was lost, 0..100; only requests that may be sent twice
             (``pdu.Request.repeatable``). 0 by default.
-        busy_retries: how often a request is repeated that was refused with Acknowledge
+        busy_retries: how often a request is sent again that was refused with Acknowledge
             or ServerDeviceBusy, 0..100, after 0.1, 0.2, 0.4, 0.8, 1, 1... s. 0 by default.
-        max_in_flight: 1..256, the number of requests that wait for their answers together, and 1
-            where frames carry no transaction id. None by default, which finds out how many the
-            device takes: 1 at first, twice as many while answers come, up to 16 for
-            `AsyncClient` (TCP guide, 4.3.3), and as `execute_many` says for contexts. A
-            request that gets no answer beside others is sent once more, alone, if it may be
-            sent twice (``pdu.Request.repeatable``), whatever `retries` is.
-        turnaround: duration of a request that gets no answer (serial line, 2.4.1). 0.1 by
+        max_in_flight: the number of requests that may be pending at the same time, 1..256; only
+            1 where frames carry no transaction id. None by default, which finds out how many the
+            device can handle: 1 at first, doubled as long as responses arrive, up to 16 for
+            `AsyncClient` (TCP guide, 4.3.3), and up to the argument of `execute_many` for
+            contexts. A request that gets no response while others are pending is sent once more
+            alone, if it may be sent twice (``pdu.Request.repeatable``), whatever `retries` is.
+        turnaround: the duration of a request that gets no response (serial line, 2.4.1). 0.1 by
             default.
         request_spacing: the minimum time between the starts of two requests, for devices that
-            need a rest. 0 by default.
-        connect_delay: between connecting and the first request, for devices that need to
-            get ready. 0 by default. Neither counts within `timeout`.
-        timeouts_before_reconnect: after so many in a row, requests that were cancelled
-            included, a connection over a network counts as dead, 1..1000000: the next
-            request goes over a new one. 3 by default.
+            need a pause; it does not count towards `timeout`. 0 by default.
+        connect_delay: the time between connecting and the first request, for devices that need
+            to get ready; it does not count towards `timeout`. 0 by default.
+        timeouts_before_reconnect: the number of timeouts in a row, cancelled requests included,
+            after which a network connection is considered dead, 1..1000000: the next request
+            opens a new one. 3 by default.
         max_pause: the longest pause before the next attempt to connect; pauses begin at 0.1 s
-            and double. 0 for none. 0 by default for contexts, 30 for `AsyncClient`.
-        keepalive: of silence after which TCP probes whether the other side is there,
-            1..32767; None for never. 30 by default.
-        accept_unit: "any" takes answers from another unit than the one asked, as some
-            devices on TCP are unit 255 for every request; "same" by default.
-        delimiter: the byte behind CR in ASCII frames; 10 by default, which is LF. A delimiter
-            set with `diagnostics(3, ...)` is followed.
-        security: the own certificate and the trusted ones, only for "tls"; the URL may say
-            it instead. `GivenContext` is for programs that must use a context of theirs.
+            and double. 0 means no pauses. 0 by default for contexts, 30 for `AsyncClient`.
+        keepalive: the duration of silence after which TCP probes whether the peer is still
+            there, 1..32767; None for never. 30 by default.
+        accept_unit: "any" accepts responses from a unit other than the one addressed, because
+            some TCP devices answer every request as unit 255; "same" by default.
+        delimiter: the byte after CR in ASCII frames; 10 by default, which is LF. The client uses
+            a new delimiter once it has set it with `diagnostics(3, ...)`.
+        security: the client's own certificate and those it trusts, for "tls" only; the URL may
+            name them instead. `GivenContext` is for programs that must use an SSL context of
+            their own.
         trace: called with a `Traced` for every ADU sent and received; the logger
-            ``libmodbus_py.wire`` has the same at DEBUG.
-        on_state: called with each new `State`, and the ModbusError that led to it or
+            ``libmodbus_py.wire`` gets the same at DEBUG.
+        on_state: called with each new `State`, and with the ModbusError that led to it or
             None. It must not block.
-        statistics: where to count, for programs that make one client after the other for the
-            same place; a new one by default.
+        statistics: the `Statistics` in which to count, for programs that make several clients
+            for the same endpoint, one after the other; a new one by default.
     """
 
     unit: int
@@ -108,9 +110,9 @@ class ContextOptions(Options, total=False):
     The options of contexts.
 
     Keys:
-        native: True by default, which lets a request that may go the short way be carried in
-            one call of C; False has the framers of this package carry all. Both check
-            every answer in full.
+        native: True by default: requests that libmodbus supports are sent, and their responses
+            awaited, in one call of C. With False, the framers of this package handle all
+            requests. Both check every response in full.
     """
 
     native: bool
@@ -121,9 +123,9 @@ class AsyncOptions(Options, total=False):
     The options of `AsyncClient`.
 
     Keys:
-        may_send: called right before bytes are sent, and before connecting; while it returns
-            False, requests fail unsent, with ModbusConnectionError (EPERM). For programs of
-            which only one at a time may send requests. It must not block.
+        may_send: called right before bytes are sent, and before connecting. While it returns
+            False, requests are not sent and raise ModbusConnectionError (EPERM). For several
+            programs of which only one at a time may send requests. It must not block.
     """
 
     may_send: Callable[[], bool] | None
@@ -188,7 +190,7 @@ class CheckedOptions:
     @classmethod
     def of(cls, endpoint: Endpoint, options: Mapping[str, Any], **usual: Any) -> CheckedOptions:
         """
-        Take what an endpoint's URL says, and the options, which win.
+        Return the options of an endpoint's URL and the given ones, which take precedence.
 
         Raises:
             TypeError, ValueError: an option of the wrong name, type or range.
@@ -216,7 +218,7 @@ def _check_security(security: object) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """The parts of a client, its driver excepted."""
+    """The parts of a client, except its driver."""
 
     endpoint: Endpoint
     port: Port
@@ -232,10 +234,10 @@ def assembled(endpoint: Endpoint, settings: CheckedOptions, most: int) -> Parts:
     Make the parts.
 
     Args:
-        most: in flight, where the settings leave it open.
+        most: the most requests in flight, unless the settings contain a number.
 
     Raises:
-        TypeError, ValueError: the endpoint, or an option that it cannot have.
+        TypeError, ValueError: the endpoint is wrong, or an option does not apply to it.
     """
     port = make_port(endpoint, settings)
     statistics = Statistics() if settings.statistics is None else settings.statistics

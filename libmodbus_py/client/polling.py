@@ -51,8 +51,8 @@ class Polls(Iterator[Values], Generic[Values]):
     """
     An endless iterator over the values of a device, made by `watch` of a blocking client.
 
-    It ends when the client is closed, from any thread and from signal handlers. It holds nothing
-    between two values, so that a loop over it may be left in any way.
+    It ends when the client is closed, which any thread and signal handlers may do. It holds no
+    resources between two values, so that a loop over it may be left at any time.
     """
 
     def __init__(
@@ -87,8 +87,8 @@ class AwaitedPolls(AsyncIterator[Values], Generic[Values]):
     """
     An endless asynchronous iterator over the values of a device, made by `watch` of `AsyncClient`.
 
-    It ends when the client is closed. It holds nothing between two values, so that a loop over it
-    may be left in any way; a wait for the next values may be cancelled, and begun again.
+    It ends when the client is closed. It holds no resources between two values, so that a loop over
+    it may be left at any time; waiting for the next values may be cancelled and started again.
     """
 
     def __init__(

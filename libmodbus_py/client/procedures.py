@@ -39,7 +39,7 @@ class ChangeRegister(NamedTuple):
     """
     A holding register that is read, changed and written, because the device has no function 22.
 
-    No other such step on the connection comes between.
+    No other such step on the connection comes in between.
     """
 
     request: pdu.MaskWriteRegister

@@ -38,9 +38,11 @@ OnState = Callable[[State, ModbusError | None], object]
 
 class Reconnecting:
     """
-    After an attempt that failed, or a connection that ended before it was any good,
-    the next attempt waits: 0.1 s, doubled each time up to `max_pause`, and up to a fifth
-    less at random, so that a hundred clients do not come back at once.
+    The state of a connection, and the pauses before attempts to connect again.
+
+    After an attempt that failed, or a connection that ended before a response came over it, there
+    is a pause of 0.1 s, doubled each time up to `max_pause`, and shortened by up to a fifth at
+    random, so that a hundred clients do not connect again at the same moment.
 
     Args:
         place: the other side, for messages.

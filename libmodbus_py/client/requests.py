@@ -185,7 +185,7 @@ class Requests:
         """
         Set a holding register to (current AND and_mask) OR (or_mask AND NOT and_mask).
 
-        Function 22, modbus_mask_write_register.
+        Function 22, modbus_mask_write_register; both masks are 0..65535.
         """
         return pdu.MaskWriteRegister(address, and_mask, or_mask)
 
@@ -211,13 +211,13 @@ class Requests:
         Run a diagnostic sub-function (function 8).
 
         Args:
-            sub_function: 0..65535; `pdu.SubFunction` names them.
-            data: 0..65535; FF00h makes a restart clear the event log, and a
-                new ASCII delimiter stands in the high byte.
+            sub_function: 0..65535; `pdu.SubFunction` names those of the specification.
+            data: 0..65535; FF00h makes sub-function 1 (restart) clear the event log, too, and
+                sub-function 3 expects the new ASCII delimiter in the high byte.
 
         Returns:
-            The data of the answer; `data` for "force listen only", which
-            is not answered. `execute(pdu.Diagnostics(0, data))` echoes up to 250 bytes.
+            The data of the response; `data` itself for sub-function 4 (force listen only), which
+            gets no response. `execute(pdu.Diagnostics(0, data))` echoes up to 250 bytes.
         """
         word = integer("data", data, 0, 0xFFFF).to_bytes(2, "big")
         answer = yield pdu.Diagnostics(sub_function, word)
@@ -239,8 +239,8 @@ class Requests:
         Read the identifier and the run status of the device (function 17, modbus_report_slave_id).
 
         Returns:
-            With an identifier of one byte; ``pdu.ServerId.split(answer.data, length)``
-            for devices that have a longer one.
+            The response, split after an identifier of one byte; use
+            ``pdu.ServerId.split(result.data, length)`` for a device whose identifier is longer.
         """
         return pdu.ReportServerId()
 
@@ -249,13 +249,14 @@ class Requests:
         self, records: Sequence[tuple[int, int, int]]
     ) -> pdu.Request[list[list[int]]]:
         """
-        Read pieces of files (function 20, by this package).
+        Read records of files (function 20, which libmodbus lacks).
 
         Args:
-            records: 1..35 tuples (file 1..65535, first record 0..9999, length).
+            records: 1..35 tuples (file 1..65535, first record 0..9999, number of records
+                1..124). All records together must fit into one response.
 
         Returns:
-            The registers of each piece.
+            For each tuple the list of its records, 0..65535 each.
         """
         return pdu.ReadFileRecords(records)  # type: ignore[arg-type]
 
@@ -264,16 +265,17 @@ class Requests:
         self, records: Sequence[tuple[int, int, Iterable[int]]]
     ) -> pdu.Request[None]:
         """
-        Write pieces of files (function 21, by this package).
+        Write records of files (function 21, which libmodbus lacks).
 
         Args:
-            records: tuples (file 1..65535, first record 0..9999, values).
+            records: tuples (file 1..65535, first record 0..9999, values), with 1..122 values of
+                0..65535 each. All of them must fit into one request.
         """
         return pdu.WriteFileRecords(records)  # type: ignore[arg-type]
 
     @asks
     def read_fifo_queue(self, address: int) -> pdu.Request[list[int]]:
-        """Read the 0..31 registers of a queue, which keeps them (function 24)."""
+        """Read the 0..31 registers of a FIFO queue without removing them (function 24)."""
         return pdu.ReadFifoQueue(address)
 
     @follows
@@ -281,14 +283,17 @@ class Requests:
         self, level: str | int = "basic"
     ) -> Steps[pdu.DeviceIdentification]:
         """
-        Read what a device says about itself (function 43/14), in as many requests as it takes.
+        Read the identification of a device (function 43/14), with as many requests as needed.
 
         Args:
             level: "basic", "regular" or "extended"; or the id of a single object, 0..255.
 
+        Returns:
+            The objects that the device sent; its `complete` is False if some of them are missing.
+
         Raises:
-            InvalidResponse: the device would never come to an end, and what was
-                asked for is not all there.
+            InvalidResponse: the device sends the same objects again and again, or fewer than it
+                announced, and one of the three mandatory objects is missing.
         """
         from ..protocol.pdu.interface import identify
 
@@ -301,10 +306,10 @@ class Requests:
 
         Args:
             mei_type: 0..255; 13 is CANopen.
-            data: sent as it is.
+            data: the bytes after the MEI type; they are sent unchanged.
 
         Returns:
-            The data of the answer.
+            The bytes after the MEI type of the response.
         """
         return pdu.EncapsulatedTransport(mei_type, data)
 
@@ -319,36 +324,37 @@ class Requests:
         return_exceptions: bool = False,
     ) -> Steps[list[Any]]:
         """
-        Send many request objects, several at a time where answers can be told apart.
+        Send many request objects, several at a time if frames carry transaction ids.
 
-        On "tcp" and "udp" up to `max_in_flight` of these requests wait for their
-        answers together, and of all requests no more than the client's own; `timeout` counts
-        for each from when it is sent. Other threads wait until all are done, other tasks have
-        their turns. A server may carry them out in any order: writes that depend on each other
-        need ``max_in_flight=1``. Then, on the other framings, and with a request
-        without an answer among them, they go one after the other.
+        With the framings "tcp" and "udp", up to `max_in_flight` of these requests are pending at
+        the same time, within the client's own `max_in_flight`, which applies to all its requests
+        together. The `timeout` of each request begins when it is sent. On a blocking client,
+        other threads wait until all requests are done; on an `AsyncClient`, requests of other
+        tasks are sent in between. A server may execute the requests in any order, so writes that
+        depend on each other need ``max_in_flight=1``. Requests are sent one after the other with
+        ``max_in_flight=1``, with all other framings, and if one of them gets no response.
 
-        With `return_exceptions` the rest goes on whatever fails. A lost connection fails
-        all that was in flight on it, and a new one carries the rest; an attempt to connect
-        that fails fails the rest.
+        With `return_exceptions`, a failure does not stop the remaining requests. If the
+        connection is lost, the pending requests fail, and the remaining ones are sent over a new
+        connection; if that cannot be established, they fail, too.
 
-        A request that is repeated (`retries`, `busy_retries`) keeps its place among
-        those in flight meanwhile, and no other one overtakes it with ``max_in_flight=1``.
+        A request that is repeated (`retries`, `busy_retries`) counts as pending all the
+        time, so that no other request overtakes it with ``max_in_flight=1``.
 
         Args:
             requests: request objects of `libmodbus_py.pdu`; all are checked before the
                 first is sent.
-            max_in_flight: 1..256; servers need not take more than 16 (TCP guide,
+            max_in_flight: 1..256; servers need not accept more than 16 (TCP guide,
                 section 4.3).
-            return_exceptions: True to return a ModbusError in the place of its
-                result; else the first in the order of requests is raised, nothing more is
-                sent, and answers that are still to come are dropped when they do.
+            return_exceptions: True to return a ModbusError in place of the result of a request
+                that failed. False to raise the first of them, in the order of the requests: then
+                nothing more is sent, and the responses that are still pending are dropped.
 
         Returns:
             The results in the order of the requests.
 
         Raises:
-            TypeError, ValueError: `max_in_flight`, or a request, which is named
+            TypeError, ValueError: `max_in_flight` or a request is wrong; a request is named
                 by its index (``requests[3]``).
         """
         answers: list[Any] = yield Several(requests, max_in_flight, return_exceptions)
@@ -417,13 +423,16 @@ class Requests:
         self, /, table: RegisterTable, address: int, type: TypeName, **layout: Unpack[Layout]
     ) -> Steps[Any]:
         """
-        Read one number, text or list of bits out of registers.
+        Read one number, string, time or list of bits from registers.
 
         Args:
             table: "holding_registers" or "input_registers".
-            address: the first register.
-            type: such as "float32"; see `libmodbus_py.values`.
-            layout: order (ABCD, CDAB, BADC or DCBA); encoding and padding of strings.
+            address: the address of the first register.
+            type: the type of the value, such as "float32"; see `libmodbus_py.values`.
+            layout: `order` (ABCD, CDAB, BADC or DCBA); `encoding` and `padding` of strings.
+
+        Raises:
+            TypeError, ValueError: an argument is wrong, or the registers hold no such value.
         """
         from ..protocol.tables import TABLES
         from ..protocol.values import value_type
@@ -446,15 +455,18 @@ class Requests:
         **text: Unpack[TextOptions],
     ) -> Steps[list[Any]]:
         """
-        Read numbers, text or bits out of registers, in one request.
+        Read values of one type from consecutive registers, with one request.
 
         Args:
             table: "holding_registers" or "input_registers".
-            address: the first register.
-            type: such as "float32"; see `libmodbus_py.values`.
-            count: how many values, up to what 125 registers hold.
+            address: the address of the first register.
+            type: the type of the values, such as "float32"; see `libmodbus_py.values`.
+            count: the number of values, 1 or more; they take up to 125 registers.
             order: ABCD, CDAB, BADC or DCBA.
-            text: encoding and padding of strings.
+            text: `encoding` and `padding` of strings.
+
+        Raises:
+            TypeError, ValueError: an argument is wrong, or the registers hold no such values.
         """
         from ..protocol.tables import TABLES
         from ..protocol.values import value_type
@@ -478,13 +490,16 @@ class Requests:
         **text: Unpack[TextOptions],
     ) -> Steps[None]:
         """
-        Write numbers, text or bits to registers, in one request.
+        Write values of one type to consecutive holding registers, with one request.
 
         Args:
-            table: "holding_registers"; others cannot be written.
-            address: the first register.
-            values: one or more, up to what 123 registers hold.
+            table: "holding_registers", the only table of registers that can be written.
+            address: the address of the first register.
+            values: one or more values, which take up to 123 registers.
             type, order, text: as for `read_values`.
+
+        Raises:
+            TypeError, ValueError: an argument is wrong; nothing was sent.
         """
         from ..protocol.words import table_named
 
@@ -508,33 +523,33 @@ class Requests:
         **options: Unpack[PlanOptions],
     ) -> Steps[dict[str, Any]]:
         """
-        Read points of a register map, in few requests.
+        Read points of a register map with few requests.
 
-        Points that touch or overlap share a request; cells that are in no point are read with
-        a `gap` only. A device refuses a whole request for one cell that it lacks. The points that
-        it refuses are found by halving the request, once. With `return_exceptions` they are then
-        left out, and tried again after a minute, every ten minutes, and after a new connection
-        (`Plan.unreadable` of ``map.plan()``). Else the refusal of the first of them is raised, with
-        its name in `names`.
+        Points that touch or overlap share a request; cells between points are only read if `gap`
+        allows it. A device refuses a whole request because of a single cell that it lacks. The
+        points that it refuses are found once, by halving the request. With `return_exceptions`
+        they are then left out, and tried again after a minute, then every ten minutes, and after a
+        new connection (`Plan.unreadable` of ``map.plan()``). Without it, the refusal of the first
+        of these points is raised, with the name of the point in `names`.
 
         Args:
-            map: a map, such as `load_map` returns.
-            names: of points; None for all that can be read. A program that polls some of
-                them at a high rate makes a `RegisterMap` of these.
+            map: the register map, such as `load_map` returns.
+            names: the names of the points to read; None for all readable points. A program that
+                often reads the same few points should make a `RegisterMap` of them.
             max_in_flight: as for `execute_many`.
-            return_exceptions: True to return the ModbusError of a point that could not be read in
-                place of its value, a ValueError if its registers hold no such value, and a
-                `NoValue` with the reason in place of None; else the first of the former
-                is raised.
-            options: of `Plan`: `gap`, `forbidden`, `max_registers`, `max_bits`.
+            return_exceptions: True to return, in place of a value, a ModbusError if the point
+                could not be read, a ValueError if its registers hold no value of its type, and a
+                `NoValue` with the reason where there is no value. False to raise the first
+                ModbusError or ValueError, and to return None where there is no value.
+            options: the options of `Plan`: `gap`, `forbidden`, `max_registers`, `max_bits`.
 
         Returns:
-            Values by name, scaled, as of `Point.decode`; None if the device says that there is
-            no value, or it is not plausible.
+            The scaled values by name, as `Point.decode` returns them; None if the device reports
+            that there is no value, or if the value is not plausible.
 
         Raises:
-            TypeError, ValueError: no such point, or one that cannot be read; as of `Plan`;
-                registers that hold no such value.
+            TypeError, ValueError: there is no such point, or it cannot be read; an option is wrong;
+                registers hold no value of the point's type.
         """
         plan = _checked_map(map).plan(names, **options)
         from .plan_reading import plan_answers
@@ -554,26 +569,26 @@ class Requests:
         """
         Write values to points of a register map.
 
-        All is checked before the first byte is sent: names, access, types and ranges. The
-        requests follow each other in the order of the map; neighbours share one. A failed
-        one is raised, and those behind it are not sent.
+        Names, access, types and ranges are all checked before the first byte is sent. Requests
+        are sent in the order of the map, and adjacent points share one. If a request fails, its
+        error is raised, and the requests after it are not sent.
 
-        Points with `scale_from` are written with the factor that the device has then: the points
-        that hold it are read first. Parts of registers are written with function 22 (mask write);
-        if the device lacks it, the register is read, changed and written, and no other such
-        change on this connection comes between.
+        Points with `scale_from` are written with the factor that the device has at that time: the
+        points that hold the factors are read first. Parts of registers are written with function 22
+        (mask write register). If the device lacks that function, the register is read, changed and
+        written, and no other such change on this connection comes in between.
 
         Args:
-            map: a map, such as `load_map` returns.
-            values: by name, such as ``{"setpoint": 21.5}``; each becomes the nearest that its
-                scale can tell (`Point.encode`).
-            multiple: True to write single coils and registers with functions 15 and
-                16, too, for devices that lack 5 and 6.
+            map: the register map, such as `load_map` returns.
+            values: the values by name, such as ``{"setpoint": 21.5}``; each is rounded to the
+                nearest value that its scale can represent (`Point.encode`).
+            multiple: True to write even single coils and registers with functions 15 and
+                16, for devices that lack functions 5 and 6.
 
         Raises:
-            TypeError, ValueError: no such point, or one that cannot be written; a value that
-                it cannot have; points that share cells.
-            NoValue: a point of `scale_from` has no value that can be a scale.
+            TypeError, ValueError: there is no such point, or it cannot be written; a value does
+                not fit its point; points share cells.
+            NoValue: a point named by `scale_from` has no value that can be a scale.
         """
         points = _checked_map(map)
         sources = points.scale_sources(values)

@@ -32,30 +32,30 @@ class Statistics:
     Counters of a connection since the client was made; read only.
 
     Attributes:
-        requests: sent, repetitions included.
-        responses: answers that fit, refusals included.
-        exceptions: refusals among them.
-        timeouts: requests that got no answer in time.
+        requests: requests that were sent, repetitions included.
+        responses: valid responses, exception responses included.
+        exceptions: exception responses.
+        timeouts: requests that got no response in time.
         retries: requests that were sent again.
-        falls: how often fewer requests were put in flight, because the device had lost some that
-            were sent beside others.
+        falls: how often the number of requests in flight was reduced, because the device had
+            lost requests that were sent while others were pending.
         echoes: 1 if the connection was found to return what is sent on it (local echo).
-        late_answers: answers to requests that had been given up; dropped.
-        invalid: bytes that were no frame, and frames that were no answer.
-        connects: connections made.
-        failed_connects: attempts that failed.
-        lost: connections that ended by themselves, were given up as dead, or left to a
-            Ctrl-C or a fork.
-        last_success: when the last answer that fits came (time.monotonic), or None.
-        results: ``{(function, result): requests}`` of those that are over, each repetition
-            for itself. Results are "ok"; "exception", a refusal; "timeout"; "invalid", the
-            answer was none; "lost", the connection was; "cancelled", its caller left;
-            "silent", a request without an answer; and "unsent", there was no connection, or the
-            line did not fall silent.
-        answer_times: how many of the `responses` took up to the first of
-            `client.statistics.TIME_BOUNDS` seconds, longer and up to the second, and so on;
-            at last those that took longer than all.
-        answer_seconds: what all of them took together, from sending to the answer.
+        late_answers: responses to requests that had been given up; they were dropped.
+        invalid: runs of bytes that were no frame, and frames that were no valid response.
+        connects: connections that were established.
+        failed_connects: attempts to connect that failed.
+        lost: connections that ended by themselves, were given up as dead, or were abandoned
+            because of Ctrl-C or a fork.
+        last_success: the time of the last valid response (time.monotonic), or None.
+        results: ``{(function, result): number}`` of completed requests; each repetition counts.
+            Results are "ok"; "exception", the server refused; "timeout"; "invalid", the response
+            was not valid; "lost", the connection was lost; "cancelled", the caller gave up;
+            "silent", the request gets no response; and "unsent", there was no connection, or the
+            line did not become silent.
+        answer_times: a histogram of the response times: the number of `responses` that took up
+            to the first of `client.statistics.TIME_BOUNDS` seconds, of those that took longer, up
+            to the second, and so on; the last item counts those above all bounds.
+        answer_seconds: the sum of all response times, from sending to the response, in seconds.
     """
 
     requests: int = 0
@@ -84,7 +84,7 @@ class Statistics:
         self.results[function, result] += 1
 
     def note_answer(self, function: int, result: str, seconds: float, now: float) -> None:
-        """Count an answer that fits and came now, after so many seconds."""
+        """Count a valid response that came now, after so many seconds."""
         self.last_success = now
         self.responses += 1
         self.results[function, result] += 1

@@ -17,9 +17,10 @@ class Timeouts:
     The timeout of a request, and its retries.
 
     Attributes:
-        timeout: seconds for one request.
-        retries: after no answer, a damaged one, or a connection lost meanwhile.
-        busy_retries: after a refusal because the device is busy.
+        timeout: the seconds that one request may take.
+        retries: how often it is sent again if there was no response or a damaged one, or if the
+            connection was lost.
+        busy_retries: how often it is sent again if the device refused it because it is busy.
     """
 
     timeout: float
