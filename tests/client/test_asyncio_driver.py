@@ -41,6 +41,28 @@ def test_a_line_that_must_be_turned_round_is_sent_to_after_its_delay(rs485: str)
     network.run(main)
 
 
+def test_a_request_beside_others_is_sent_before_they_are_answered() -> None:
+    network = Network()
+
+    def answer_both(request: bytes, write: Write) -> None:
+        if len(peer.requests) == 2:
+            for each in peer.requests:
+                answer_tcp(each, write)
+
+    peer = Scripted(network, "tcp://10.0.0.1", answer_both)
+
+    async def main() -> None:
+        async with AsyncClient(peer.url, timeout=10, max_in_flight=2) as plc:
+            first = asyncio.create_task(plc.read_holding_registers(1, 1))
+            await asyncio.sleep(1)
+            assert len(peer.requests) == 1
+            assert await plc.read_holding_registers(2, 1) == [2]
+            assert await first == [1]
+        assert network.events.now < 1002
+
+    network.run(main)
+
+
 def test_a_send_that_fails_is_told_at_once_and_the_next_goes_over_another_connection(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -102,6 +102,15 @@ def test_without_return_exceptions_the_point_is_named(world: World) -> None:
 
 
 @EVERYWHERE
+def test_a_hole_is_found_although_another_request_succeeds(world: World) -> None:
+    points = RegisterMap([Point("far", H, 900), *(Point(f"p{at}", H, at) for at in range(20))])
+    device = Meter(7)
+    with world.connect(world.peer("tcp", device).url) as plc:
+        found = plc.read_map(points, return_exceptions=True)
+        assert good(found) == {"far": 900, **values(7)}
+
+
+@EVERYWHERE
 def test_nothing_more_is_sent_after_the_first_failure(world: World) -> None:
     points = RegisterMap([Point("a", H, 0), Point("b", H, 10), Point("c", H, 20)])
     device = Meter(10)

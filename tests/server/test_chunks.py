@@ -630,6 +630,7 @@ def test_illegal_values_are_refused_in_c(monkeypatch: pytest.MonkeyPatch) -> Non
     assert end.sent == b"".join(
         struct.pack(">HHHBBB", function, 0, 3, 1, function | 0x80, 3) for function in REPLIED
     )
+    assert (end.statistics.requests, end.statistics.refused) == (len(REPLIED), len(REPLIED))
 
 
 def request_of(function: int, count: int) -> bytes:

@@ -84,6 +84,16 @@ def written(folder: Path, fleet: str = FLEET, csv: str = CSV_RIGHT, points: str 
     return folder / "fleet.toml"
 
 
+def test_default_dead_bands_of_points_that_a_device_does_not_read_are_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TEST_MQTT_PASSWORD", "secret")
+    fleet = FLEET.partition('[[device]]\nname = "own"')[0]
+    pump, valve, north = load(written(tmp_path, fleet)).devices
+    assert pump.dead_bands == {"voltage": 0.5, "power": 10}
+    assert valve.dead_bands == north.dead_bands == {"voltage": 0.5}
+
+
 def test_a_file_with_every_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TEST_MQTT_PASSWORD", "secret")
     # One unit has the bands of the defaults that it reads; one has no map of these.
