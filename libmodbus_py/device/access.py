@@ -17,22 +17,23 @@ __all__ = ["ACCESSES", "Access", "TouchRule", "Touched", "Who", "touched", "touc
 @dataclass(frozen=True, slots=True)
 class Access:
     """
-    One run of items that a client reads or writes. Two are equal if they are the same access,
-    whatever the names and the old values are.
+    A range of items that a client reads or writes.
+
+    Two accesses are equal if everything but `names` and `old_values` is equal.
 
     Attributes:
         table: "coils", "discrete_inputs", "holding_registers", "input_registers",
             "fifo" or "file".
-        address: the first one, 0-based; the first record of a file.
+        address: the address of the first item, 0-based; the first record of a file.
         count: the number of items.
         values: the values to write, or written; empty for reads.
-        file: the number of the file, else 0.
+        file: the number of the file; 0 for other tables.
         unit: the unit of the request.
         peer: the client: "192.0.2.7:51234", or the serial port.
         role: the role in the client's certificate; None without a role, or without TLS.
-        names: the names of the device's points that it touches, in the order of their addresses;
-            for hooks.
-        old_values: of a write, the values before it, as many as `values`; for hooks.
+        names: the names of the device's points that the access touches, in the order of their
+            addresses; only set for hooks.
+        old_values: for a write, the previous values, as many as `values`; only set for hooks.
     """
 
     table: str

@@ -28,17 +28,17 @@ MOST_LINES = 20
 @dataclass(frozen=True, slots=True)
 class Asked:
     """
-    A request and its client, about which authorization decides.
+    A request and its client, as they are passed to `authorize`.
 
     Attributes:
         role: the role in the client's certificate; None without a role, or without TLS.
         unit: the unit of the request, 0..255; on serial lines 0 stands for all units.
         peer: the client: "192.0.2.7:51234", or the serial port.
         function: the function code, 0..127.
-        request: the decoded request; None if it cannot be decoded: an unknown function, or wrong
-            lengths, quantities and constants.
-        writes: its writes to tables, files and queues, with the values.
-        reads: its reads from them.
+        request: the decoded request; None if it cannot be decoded because its function is unknown,
+            or a length, quantity or constant is wrong.
+        writes: the accesses that write to tables and files, with the values.
+        reads: the accesses that read tables, files and queues.
     """
 
     role: str | None
@@ -59,8 +59,8 @@ class UnauthorizedError(IllegalFunction):
 
 class Authorization:
     """
-    Decides about each request, and logs refusals, but not more often than
-    `MOST_LINES` times a minute: a client must not be able to fill the log.
+    Decides about each request, and logs refusals, but at most `MOST_LINES` times a minute, so
+    that a client cannot fill the log.
 
     Args:
         authorize: returns True to allow a request, False to refuse it.
@@ -78,9 +78,11 @@ class Authorization:
 
     def check(self, asked: Asked) -> None:
         """
+        Check that a request is allowed.
+
         Raises:
             UnauthorizedError: the request is not allowed.
-                TypeError: `authorize` returned neither True nor False, such as a coroutine.
+            TypeError: `authorize` returned neither True nor False, such as a coroutine.
         """
         allowed = self._authorize(asked)
         if allowed is True:
@@ -88,7 +90,7 @@ class Authorization:
         if allowed is not False:
             # A truthy value may be a mistake, and a mistake must not allow access.
             given = type(allowed).__name__
-            raise TypeError(f"authorize must give True or False, not {given}")
+            raise TypeError(f"authorize must return True or False, not {given}")
         self._tell(asked)
         raise UnauthorizedError("not allowed", function=asked.function)
 

@@ -21,12 +21,13 @@ class Caller(NamedTuple):
     Attributes:
         unit: the unit that was addressed, 0..255.
         peer: the client: "host:port", or the serial port.
-        log: the device's notes about the line, frame included; None for its own about TCP.
-        is_broadcast: True if no answer is sent.
-        role: the role in the client's certificate; None if there is none, or no TLS.
-        on_unauthorized: called for each request that `authorize` does not allow, if it is given.
+        log: the event log of the line on which the request came; None for the device's own.
+        is_broadcast: True if no response is sent.
+        role: the role in the client's certificate; None without a role, or without TLS.
+        on_unauthorized: called for each request that `authorize` does not allow; None for nothing.
         holder: the holder of the client's certificate; None without TLS.
-        auditor: told of each change, and of each request that `authorize` does not allow.
+        auditor: records each change, and each request that `authorize` does not allow; None for
+            no audit.
     """
 
     unit: int = 0
@@ -41,11 +42,11 @@ class Caller(NamedTuple):
 
 class ValueChange(NamedTuple):
     """
-    One run of items that a request writes.
+    A range of items that a request writes.
 
     Attributes:
         access: the table, the addresses and the new values.
-        before: the values before; None if they are not known.
+        before: the previous values; None if they are not known.
     """
 
     access: Access

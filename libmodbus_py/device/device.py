@@ -101,29 +101,29 @@ class DeviceOptions(TypedDict, total=False):
 @named_arguments
 class Device:
     """
-    Answers the requests of one unit. Safe from any thread.
+    A device that answers the requests of one unit. It may be used from any thread.
 
     With `points`, ``device["setpoint"]`` is the value of a point, as `Point.decode` returns it,
-    and ``device["setpoint"] = 21.5`` sets it: this is the device's own side, which may also set
-    what clients only read, and calls no hooks. Requests of clients must keep to the points:
-    exception 2 (illegal data address) for a cell that they may not read or write, and exception 3
-    (illegal data value) for a write after which a point would be out of its `minimum` and
-    `maximum`, whether all of its registers are written or some. A write of a scale (`scale_from`)
-    must leave the points that it scales within their bounds, if they were within. Both come before
-    all hooks. A cell that several points have may be read if one of them may be read; writes are
-    alike.
+    and ``device["setpoint"] = 21.5`` sets it. This is the device's own access: it may also set
+    points that clients can only read, and calls no hooks. Requests of clients are restricted to the
+    points: they get exception 2 (illegal data address) for a cell that they may not read or write,
+    and exception 3 (illegal data value) for a write that would leave a point outside its `minimum`
+    and `maximum`, even if it writes only some of its registers. A write to a scale (`scale_from`)
+    must not move the points that it scales out of their bounds. Both are checked before any hook
+    is called. A cell that belongs to several points may be read if one of them may be read; the
+    same applies to writes.
 
-    Hooks are called with an `Access`, while the mapping is locked; they run in the
-    server's loop, so they should be quick: the first time that one takes 0.1 s or more is logged. A
-    hook that raises an ExceptionResponse class refuses the request with it; any other exception is
-    answered with 4 and logged once, except SystemExit and KeyboardInterrupt, which are passed on.
-    Hooks see only accesses to existing addresses. The same holds for `canopen` and `handlers`.
+    Hooks are called with an `Access` while the mapping is locked. They run in the server's loop, so
+    they should be quick: the first call that takes 0.1 s or more is logged. If a hook raises an
+    ExceptionResponse, the request is refused with it. Any other exception is logged once, and the
+    request gets exception 4; SystemExit and KeyboardInterrupt are passed on. Hooks are only called
+    for accesses to existing addresses. The same holds for `canopen` and `handlers`.
 
     `authorize` is called first for every request, while the mapping is locked: before the hooks,
     and before the client learns which addresses exist. If it returns False, the request gets
-    exception 1 (MB-TCP-Security-v36, R-31). An exception that it raises is treated as one of a
-    hook; any other result than True and False is a mistake, and the request gets exception 4.
-    Of a request that cannot be decoded it gets the function code.
+    exception 1 (MB-TCP-Security-v36, R-31). An exception that it raises is treated like one of a
+    hook; any result other than True or False is a mistake, and the request gets exception 4.
+    For a request that cannot be decoded, it gets the function code.
 
     Args:
         mapping: the four tables.
@@ -132,27 +132,27 @@ class Device:
         identification: ``{object: value}``; objects are names such as
             "VendorName" or ids 0..6, 128..255, values up to 244 bytes or ASCII
             text. The three mandatory objects have defaults.
-        server_id: the answer to function 17.
-        exception_status: the answer to function 7, 0..255.
-        canopen: called with the data of function 43/13, returns the data of the answer.
+        server_id: the response to function 17.
+        exception_status: the response to function 7, 0..255.
+        canopen: called with the data of function 43/13; returns the data of the response.
         handlers: ``{request class: function}`` for classes that were registered
-            with `pdu.register`: called with the request, returns its result.
-        before_write: may refuse a write.
-        after_write: told of a write that was done.
-        before_read: may refresh the values, or refuse; of function 23 it is
-            called before the write, as all that may refuse comes before any change.
-        authorize: returns True if a request is allowed, such as `Rules`; called with an
-            `Asked`. None allows all.
+            with `pdu.register`: the function is called with the request and returns its result.
+        before_write: called before a write, which it may refuse.
+        after_write: called after a write.
+        before_read: called before a read; it may refresh the values or refuse. For function 23 it
+            is called before the write, because nothing may be refused after a change.
+        authorize: called with an `Asked`; returns True if the request is allowed. `Rules` are
+            such a function. None allows all requests.
         points: names, access and bounds of values in the tables; all their cells must exist.
 
     Attributes:
-        mapping, server_id, exception_status: as given, and assignable.
-        files: ``{file number: RecordFile}``, what clients wrote included.
-        fifos: ``{pointer address: list of registers}``; change the lists as you like.
-        diagnostic_register: the answer to sub-function 2 of function 8, 0..65535.
-        in_c: the function codes of requests that `answer_chunk` may answer: all of libmodbus
-            but those with a handler, and those that hooks or rules want at all addresses that
-            their table has; none if something authorizes requests.
+        mapping, server_id, exception_status: as given; they may be assigned.
+        files: ``{file number: RecordFile}``, with all records that clients wrote.
+        fifos: ``{pointer address: list of registers}``; the program may change the lists.
+        diagnostic_register: the response to sub-function 2 of function 8, 0..65535.
+        in_c: the function codes that `answer_chunk` may answer: all functions of libmodbus, except
+            those with a handler, and those for which hooks or rules are called at all addresses
+            of their table; empty if requests are authorized.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -246,10 +246,10 @@ class Device:
         Return a device that has the cells of all points of a map, and no others.
 
         Args:
-            map: the points, such as of `load_map`.
-            values: first values by name, such as ``{"setpoint": 21.5}``; the cells of all others
-                are 0.
-            options: as for a `Device`.
+            map: the points, such as `load_map` returns.
+            values: initial values by name, such as ``{"setpoint": 21.5}``; the cells of all other
+                points are 0.
+            options: the other arguments of `Device`.
 
         Raises:
             KeyError: the map has no such point.
@@ -261,7 +261,7 @@ class Device:
 
     @cached_property
     def points(self) -> RegisterMap:
-        """The points by name; empty unless they were given."""
+        """The points by name; empty if none were given."""
         return NO_POINTS
 
     def __getitem__(self, name: str) -> Any:
@@ -288,14 +288,15 @@ class Device:
 
     def update(self, values: MappingABC[str, Any]) -> None:
         """
-        Set values of points by name, all of them or none; no hook is called.
+        Set values of points by name, all of them or none. No hook is called.
 
-        No request is answered in between.
+        No request is answered while the values are set.
 
         Raises:
             KeyError: there is no such point.
             TypeError, ValueError: a value does not fit its point, points share cells, or a value
-                scales another point, which would leave its bounds; the message names the points.
+                is a scale that would move another point out of its bounds; the message names the
+                points.
         """
         with self.mapping.lock:
             set_values(self.mapping, self.points, values, self._rules.scaled)
@@ -309,12 +310,11 @@ class Device:
             caller: the origin of the request.
 
         Returns:
-            The response, an exception response included; nothing for function
-            codes 128..255, whose exception has no code, for broadcasts, and in
-            listen-only mode.
+            The response, which may be an exception response. Empty for broadcasts, in listen-only
+            mode, and for function codes 128..255, for which there is no exception response.
 
         Raises:
-            SystemExit, KeyboardInterrupt: a hook or handler did.
+            SystemExit, KeyboardInterrupt: a hook or handler raised it.
         """
         function = pdu[0]
         log = caller.log or self._own_log()
@@ -341,19 +341,19 @@ class Device:
 
     def answer_chunk(self, data: bytes, start: int, unit: int) -> Answered:
         """
-        Execute requests of Modbus/TCP, all in one call of C; those of functions `in_c`.
+        Execute requests of Modbus/TCP with the functions `in_c`, all in one call of C.
 
-        Other requests are left for `answer`: functions that libmodbus lacks, those that hooks and
-        handlers want, other frames.
+        It stops at the first frame that `answer` must handle: other functions, other units, and
+        accesses for which hooks or handlers are called.
 
         Args:
             data: frames as received.
-            start: where the first one begins.
-            unit: 0..255, requests to another one are left.
+            start: the index of the first one in `data`.
+            unit: the unit whose requests are executed, 0..255.
 
         Returns:
-            Where the first byte is that was not used; the answers; how many requests
-            there were; how many of them were refused.
+            The index of the first byte that was not used; the responses; the number of requests
+            that were executed; and how many of them were refused.
 
         Raises:
             ModbusConnectionError: libmodbus failed in memory.
@@ -362,7 +362,7 @@ class Device:
             return answer_in_c(self.mapping, self._watched, self._tally, unit, data, start)
 
     def refuse(self, pdu: bytes, code: int, caller: Caller = _UNKNOWN) -> bytes:
-        """Answer a request that would be answered with an exception 1..255; nothing is executed."""
+        """Refuse a request with an exception, 1..255, without executing it; return the response."""
         log = caller.log or self._own_log()
         log.note_request(broadcast=False)
         refusal = bytes([pdu[0] | 0x80, code])
@@ -371,18 +371,19 @@ class Device:
 
     def refresh(self, table: str, address: int, count: int) -> None:
         """
-        Call `before_read`, for a program that looks at values without a request.
+        Call `before_read`, for a program that reads values without a request.
 
         It is called in this thread, with an `Access` without unit, peer and role. Nothing happens
         if the device has no `before_read`.
 
         Args:
             table: "coils", "discrete_inputs", "holding_registers" or "input_registers".
-            address: the first one, 0-based.
-            count: how many.
+            address: the address of the first item, 0-based.
+            count: the number of items.
 
         Raises:
-            the exceptions of `before_read`: an ExceptionResponse where clients may not read.
+            Exception: whatever `before_read` raises, such as an ExceptionResponse if clients may
+                not read there.
         """
         if self._before_read is not None:
             with self.mapping.lock:

@@ -108,7 +108,7 @@ class EventLog:
         self.clear_counters()
 
     def of_connection(self) -> EventLog:
-        """Return a log with these counters and events, but an own mode and delimiter."""
+        """Return a log that shares counters and events, but has its own mode and delimiter."""
         own = EventLog(is_serial=self.is_serial)
         own._events, own._counters = self._events, self._counters
         return own
@@ -152,8 +152,8 @@ class EventLog:
 
         Args:
             request: the request PDU.
-                response: the response PDU; empty if the request was not executed.
-                silent: True if no response is sent.
+            response: the response PDU; empty if the request was not executed.
+            silent: True if no response is sent.
         """
         refused = len(response) == 2 and response[0] & 0x80
         if refused:

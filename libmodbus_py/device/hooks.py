@@ -41,23 +41,23 @@ TABLES = ("coils", "discrete_inputs", "holding_registers", "input_registers", *N
 @named_arguments
 class Hook:
     """
-    A function that is called for some accesses only.
+    A function that is only called for accesses to certain addresses.
 
-    The server answers all others as if there were no hook, Modbus/TCP in C. An access that touches
-    one of these addresses is passed whole. Without any addresses the function is called for every
-    access, as it would be without a `Hook`.
+    The server answers all other requests as if there were no hook, in C for Modbus/TCP. If an
+    access touches one of the addresses, the function gets the whole access. Without any addresses,
+    the function is called for every access, as it would be without a `Hook`.
 
     Args:
-        call: called with an `Access`.
+        call: the function, which is called with an `Access`.
         coils, discrete_inputs, holding_registers, input_registers: addresses in this table,
-            0..65535: a range, or several in a list. ``range(65536)`` is the whole table.
-        files: numbers of files.
-        fifos: pointer addresses of queues.
+            0..65535: a range, or a list of ranges. ``range(65536)`` is the whole table.
+        files: file numbers, 0..65535: a range, or a list of ranges.
+        fifos: pointer addresses of FIFO queues, 0..65535: a range, or a list of ranges.
 
     Attributes:
         call: the function.
-        places: ``{Access.table: ranges}``, in order and without overlaps; of "file" the
-            numbers of the files. None for every access.
+        places: ``{Access.table: ranges}``, in ascending order and without overlaps; for "file",
+            ranges of file numbers. None if the hook is called for every access.
 
     Raises:
         TypeError, ValueError: an argument is wrong.
@@ -122,7 +122,7 @@ class HookCall:
         self._call = timed(name, self.hook.call)
 
     def tell(self, accesses: tuple[Access, ...]) -> None:
-        """Call the hook for those accesses that it wants."""
+        """Call the hook for those accesses that concern it."""
         for access in accesses:
             if self._hears_all or self.hook.wants(access):
                 self._call(access)
@@ -139,13 +139,13 @@ def places(*listeners: HookCall | None) -> dict[str, tuple[range, ...]]:
 
 def timed(name: str, call: Callable[[Given], Result]) -> Callable[[Given], Result]:
     """
-    Return the same function, which logs once, under `name`, when a call took long.
+    Return a function that calls `call`, and logs once, under `name`, when a call took long.
 
-    All functions of the application that devices, servers and gateways call come through here.
+    All functions of the application that devices, servers and gateways call are wrapped here.
 
     Raises:
-        TypeError: it is no function that runs when it is called. A call raises it, too, if it
-            returned a coroutine.
+        TypeError: `call` is no function, or one defined with ``async def``. The returned function
+            raises it, too, if `call` returned a coroutine.
     """
     checked_callback(name, call)
     is_known = False

@@ -54,18 +54,18 @@ class Table(ABC, Generic[Cell]):
     """
     One table of a mapping, indexed by Modbus address.
 
-    Supports ``table[address]``, ``table[start:stop]``, assignment to both,
-    iteration over the values and ``len``, which know of no holes. A missing start
-    or stop of a slice is the table's own. Every access takes the mapping's lock.
+    A table supports ``table[address]``, ``table[start:stop]``, assignment to both,
+    iteration over the values, and ``len``; the last two leave out holes. A missing start
+    or stop of a slice is the start or stop of the table. Every access takes the mapping's lock.
 
     Attributes:
         name: "coils", "discrete_inputs", "holding_registers" or "input_registers".
-        addresses: 0-based, from the first to the last one, holes included.
-        ranges: the existing addresses, in order; ranges that touch are one.
+        addresses: the range from the first address to the last one, 0-based, holes included.
+        ranges: the existing addresses, in ascending order; adjacent ranges are joined.
 
     Raises:
-        IndexError: an address that the table does not have; a hole is named.
-        TypeError, ValueError: a wrong value, or too many or too few values.
+        IndexError: the table does not have an address; the message names the hole, if any.
+        TypeError, ValueError: a value is wrong, or there are too many or too few values.
     """
 
     typecode: ClassVar[Literal["B", "H"]]
@@ -93,11 +93,11 @@ class Table(ABC, Generic[Cell]):
     @abstractmethod
     def view(self) -> memoryview:
         """
-        The cells themselves, not a copy; item 0 is the first address. Cells of holes
-        are included, but no client sees them.
+        The memory of the cells, not a copy; item 0 is the first address. Holes are
+        included, but no client can access them.
 
-        Valid as long as it is kept, whatever becomes of the mapping. The view does
-        not take the lock: write through it inside ``with mapping:``.
+        The view stays valid even when the mapping does not exist any more. It does
+        not take the lock: write to it inside ``with mapping:``.
         """
 
     @abstractmethod
@@ -107,7 +107,7 @@ class Table(ABC, Generic[Cell]):
     def _from_cells(self, cells: memoryview) -> list[Cell]: ...
 
     def has(self, address: int, count: int = 1) -> bool:
-        """Return True if all of the `count` addresses from `address` on exist."""
+        """Return True if `count` addresses, starting at `address`, all exist."""
         at = bisect_right(self._starts, address) - 1
         return at >= 0 and address + count <= self.ranges[at].stop
 
@@ -184,15 +184,15 @@ class BitTable(Table[bool]):
     """
     Coils or discrete inputs: values are True and False.
 
-    An assigned number is stored as 0 or 1, because libmodbus packs cells without a check, and any
-    other value would spill into its neighbours.
+    An assigned number is stored as 0 or 1, because libmodbus packs cells without a check, so that
+    any other value would change neighbouring bits.
     """
 
     typecode: ClassVar[Literal["B", "H"]] = "B"
 
     @property
     def view(self) -> memoryview:
-        """As `Table.view`; read-only, so that no cell can be other than 0 or 1."""
+        """As `Table.view`, but read-only, so that every cell is 0 or 1."""
         return self._cells.toreadonly()
 
     def _to_cell(self, value: object) -> int:
@@ -210,21 +210,22 @@ class RegisterTable(Table[int]):
     """
     Holding or input registers: values are 0..65535.
 
-    `read` and `write` take one value of any type (`values`), `read_values` and
-    `write_values` a list of them at consecutive addresses. Each call is one access: no request sees
-    half of it, and an error changes nothing. The layout is `order`,
-    `encoding` and `padding`, as of `values.value_type`.
+    `read` and `write` handle one value of any type (`values`), `read_values` and
+    `write_values` a list of values at consecutive addresses. Each call is one access: no request
+    is answered in the middle of it, and if it fails, nothing has changed. The layout is `order`,
+    `encoding` and `padding`, as for `values.value_type`.
 
-    Raises, apart from what every table does:
+    Raises, besides the exceptions of `Table`:
         IndexError: the table does not have all the registers.
-        TypeError, ValueError: no such type or layout; as of `values.ValueType`.
+        TypeError, ValueError: the type or layout does not exist, or a value does not fit the
+            type (`values.ValueType`).
     """
 
     typecode: ClassVar[Literal["B", "H"]] = "H"
 
     @property
     def view(self) -> memoryview:
-        """As `Table.view`; writable, in the machine's own byte order."""
+        """As `Table.view`; writable, in the byte order of the machine."""
         return self._cells[:]  # another object: `with` releases a memoryview
 
     def read(self, address: int, type: TypeName, **layout: Unpack[Layout]) -> Any:
@@ -248,7 +249,7 @@ class RegisterTable(Table[int]):
     def write_values(
         self, address: int, values: Iterable[Any], type: TypeName, **layout: Unpack[Layout]
     ) -> None:
-        """Write values of one type, one after the other; none change nothing."""
+        """Write values of one type, one after the other; no values change nothing."""
         registers = value_type(type, **layout).encode_many(values)
         self[self._run(address, len(registers))] = registers
 
@@ -273,26 +274,27 @@ class RegisterTable(Table[int]):
 @named_arguments
 class Mapping:
     """
-    The tables of one device, zero unless values are given.
+    The four tables of one device; all values are zero unless they are given.
 
-    ``with mapping:`` makes several accesses one: no request is answered and no client writes in
-    between.
+    ``with mapping:`` combines several accesses into one: no request is answered in between.
 
     Attributes:
+        coils, discrete_inputs: the tables of bits (`BitTable`).
+        holding_registers, input_registers: the tables of registers (`RegisterTable`).
         lock: the lock that ``with mapping:`` holds. After a fork the child may have another lock,
             and has its own copies of the tables.
 
     Args:
-        coils, discrete_inputs, holding_registers, input_registers: how many
-            of them, from address 0; or the range of their addresses
-            (``range(100, 200)``), within 0..65535; or several ranges, in a list; or
-            what is in them, ``{address: values from there on}``. What lies between is
-            a hole: clients get exception 2 (illegal data address) for it.
+        coils, discrete_inputs, holding_registers, input_registers: the number of
+            items, from address 0; or the range of their addresses
+            (``range(100, 200)``), within 0..65535; or a list of ranges; or
+            values, ``{first address: values}``. Addresses between ranges are holes,
+            for which clients get exception 2 (illegal data address).
 
     Raises:
         TypeError, ValueError: an argument is none of these, or addresses overlap.
 
-    Source: modbus_mapping_new_start_address, with memory of our own.
+    Source: modbus_mapping_new_start_address, but this package allocates the memory.
     """
 
     coils: BitTable
@@ -326,8 +328,9 @@ class Mapping:
         """
         Write all values to a file, so that they survive a restart of the program.
 
-        The file is written aside, forced to the disk, and then takes the place of the former one:
-        it is there wholly, or as before. A new one is readable by its owner only.
+        The values are written to a temporary file, forced to the disk, which then replaces the
+        previous file: if this fails, the previous file is unchanged. A new file is readable by its
+        owner only.
 
         Raises:
             OSError: the file cannot be written.
@@ -339,12 +342,12 @@ class Mapping:
 
     def load(self, path: str | os.PathLike[str]) -> None:
         """
-        Set all values to those of a file that `save` wrote: all of them, or none.
+        Set all values to those of a file that `save` wrote, either all of them or none.
 
         Raises:
             OSError: the file cannot be read.
-            ValueError: it is damaged, of a newer version, or has values for addresses that do not
-                exist here; the message names the file, the line and the key.
+            ValueError: the file is damaged, was written by a newer version, or contains values for
+                addresses that do not exist here; the message names file, line and key.
         """
         from .state_lines import parsed, read_text
 

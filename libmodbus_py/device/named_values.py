@@ -25,6 +25,8 @@ __all__ = ["check_points", "known_point", "set_values", "value_of", "zeros_for"]
 
 def check_points(mapping: Mapping, points: object) -> None:
     """
+    Check that the mapping has all cells of all points.
+
     Raises:
         TypeError: `points` is no RegisterMap.
         ValueError: a point has cells that the mapping lacks; the message names it.
@@ -55,8 +57,10 @@ def zeros_for(map: object) -> Mapping:
 
 def known_point(points: MappingABC[str, Point], name: object) -> Point:
     """
+    Return the point of a name.
+
     Raises:
-        KeyError: there is no point of this name; names close to it are in the message.
+        KeyError: there is no point of this name; the message lists similar names.
     """
     if isinstance(name, str) and name in points:
         return points[name]
@@ -71,7 +75,7 @@ def value_of(mapping: Mapping, points: MappingABC[str, Point], point: Point) -> 
         points: all points of the device, by name, with those that scale others.
 
     Raises:
-        ValueError: its cells hold none of its type.
+        ValueError: its cells hold no value of its type.
     """
     return point.decode(cells_after(point, mapping), source=source_after(point, points, mapping))
 
@@ -87,12 +91,12 @@ def set_values(
 
     Args:
         points: all points of the device, by name.
-        bounds: of those that other points scale.
+        bounds: the bounds of the points that other points scale.
 
     Raises:
         KeyError: there is no such point.
-        TypeError, ValueError: a value does not fit its point, points share cells, or a point that
-            one of these scales would leave its bounds.
+        TypeError, ValueError: a value does not fit its point, points share cells, or a value is a
+            scale that would move another point out of its bounds.
     """
     if not isinstance(values, MappingABC):
         raise WrongType("values", f"must be by names, not {type(values).__name__}")

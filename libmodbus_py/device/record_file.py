@@ -18,17 +18,17 @@ __all__ = ["RecordFile"]
 
 class RecordFile:
     """
-    One file: registers with the record numbers 0..9999, holes allowed.
+    One file: registers with record numbers 0..9999, not all of which need to exist.
 
-    ``file[record]`` reads and writes one record; ``len`` and iteration go over
-    the records that exist, in order.
+    ``file[record]`` reads and writes one record; ``len`` and iteration cover
+    the records that exist, in ascending order.
 
     Args:
-        records: the values 0..65535 from record 0 on, or ``{record: value}``.
+        records: the values, 0..65535, from record 0 on, or ``{record: value}``.
 
     Raises:
-        TypeError, ValueError: a record or value out of range.
-        IndexError: a record that does not exist.
+        TypeError, ValueError: a record or value is out of range.
+        IndexError: a record does not exist.
     """
 
     def __init__(self, records: Iterable[int] | MappingABC[int, int]) -> None:
@@ -55,19 +55,19 @@ class RecordFile:
 
     @property
     def view(self) -> memoryview:
-        """The records from 0 on, not a copy; those that do not exist are 0."""
+        """The memory of the records from 0 on, not a copy; records that do not exist are 0."""
         return memoryview(self._values)
 
     def has(self, record: int, length: int) -> bool:
-        """Return True if all of the `length` records from `record` on exist."""
+        """Return True if `length` records, starting at `record`, all exist."""
         return record + length <= len(self._values) and all(self._exists[record : record + length])
 
     def read(self, record: int, length: int) -> list[int]:
-        """Return `length` records that exist (`has`)."""
+        """Return `length` records, all of which must exist (`has`)."""
         return self._values[record : record + length].tolist()
 
     def write(self, record: int, values: tuple[int, ...]) -> None:
-        """Set records that exist (`has`)."""
+        """Set records, all of which must exist (`has`)."""
         self._values[record : record + len(values)] = array("H", values)
 
     def _existing(self, record: int) -> int:

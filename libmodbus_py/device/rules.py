@@ -48,18 +48,18 @@ Code = tuple[int, int | None]
 @dataclass(frozen=True)
 class Allow:
     """
-    The accesses that a role is allowed; none unless they are listed here.
+    The accesses that a role is allowed. What is not listed is refused.
 
     Args:
-        read: names of tables, "fifo" and "file", which are those as a whole; an `Access` with
-            table, address, count (and file) for a part; or "all".
-        write: the same of "coils", "holding_registers" and "file"; or "all".
-        functions: those that touch no table: codes such as 17, and "8/0" or "43/14" for one
-            sub-function or MEI type; codes of your own; or "all". Functions that touch tables,
-            such as 3 and 16, are allowed by what they read and write; 23 needs both.
+        read: the tables that may be read: names of whole tables, "fifo" and "file" among them;
+            an `Access` with table, address and count (and file) for a part of a table; or "all".
+        write: the same for writes to "coils", "holding_registers" and "file"; or "all".
+        functions: functions that access no table: function codes such as 17, also registered ones;
+            "8/0" or "43/14" for one sub-function or MEI type; or "all". Functions that access
+            tables, such as 3 and 16, are governed by `read` and `write`; function 23 needs both.
 
     Raises:
-        TypeError, ValueError: there is no such table, part of it, or function.
+        TypeError, ValueError: there is no such table, part of a table, or function.
     """
 
     read: Literal["all"] | Iterable[str | Access] = ()
@@ -85,10 +85,10 @@ class Allow:
 
     def allows(self, asked: Asked) -> bool:
         """
-        Return True if a request is allowed, with all its accesses.
+        Return True if a request and all its accesses are allowed.
 
-        A request that cannot be decoded is allowed if any request of its function could be;
-        then the client learns what is wrong with it.
+        A request that cannot be decoded is allowed if some request of its function would be
+        allowed, so that the client learns what is wrong with it.
         """
         if asked.request is None:
             return self._allows_some(asked.function)
@@ -115,7 +115,7 @@ class Allow:
 @named_arguments
 class Rules:
     """
-    Allows a client what its role is allowed, and nothing else: for ``Device(authorize=...)``.
+    The access rights of roles, for ``Device(authorize=...)``: what no rule allows is refused.
 
     ::
 
@@ -126,11 +126,11 @@ class Rules:
         })
 
     Args:
-        roles: ``{role: Allow(...)}``; None stands for clients without a role, such as all
+        roles: ``{role: Allow(...)}``; the role None applies to clients without a role, such as all
             clients without TLS.
 
     Raises:
-        TypeError, ValueError: no such table, or a role that no certificate can have.
+        TypeError, ValueError: a value is no `Allow`, or no certificate can contain the role.
     """
 
     def __init__(self, roles: Mapping[str | None, Allow]) -> None:

@@ -38,9 +38,9 @@ class Address(Generic[Each]):
     Args:
         rate: the number of requests that are answered in a second.
 
-        Attributes:
-            host: the address, as `counted_host` returns it.
-            idle: the connections of the address, in the order in which they became idle.
+    Attributes:
+        host: the address, as `counted_host` returns it.
+        idle: the connections of the address, in the order in which they became idle.
     """
 
     __slots__ = ("_allowance", "_loop", "_paused", "_rate", "_timer", "host", "idle")

@@ -46,18 +46,18 @@ class AuditEvent:
 
     Attributes:
         time: when it happened, in UTC.
-        event: "write", a request that changes a device, carried out or not; "refused", another
+        event: "write", a request that changes a device, executed or not; "refused", any other
             request that `authorize` does not allow; "handshake", a TLS handshake that failed;
             "disallowed", a connection from a network that is not served.
         peer: the client: "192.0.2.7:51234", or the serial port.
         result: "ok"; "sent" for a broadcast; "no answer"; the exception; or why a connection was
             refused.
-        unit, function: of the request; None without one.
-        subject, serial: of the client's certificate; None without one.
-        role: the role in it; None without one.
-        changes: the values that the request writes, and those before. Empty if the function has
-            no addresses.
-        data: the request PDU in hexadecimal digits; empty without one.
+        unit, function: those of the request; None without a request.
+        subject, serial: those of the client's certificate; None without a certificate.
+        role: the role in the certificate; None without a role.
+        changes: the values that the request writes, and the previous ones. Empty if the function
+            has no addresses.
+        data: the request PDU in hexadecimal digits; empty without a request.
     """
 
     time: datetime
@@ -95,10 +95,11 @@ OnAudited = Callable[[AuditEvent], object]
 @named_arguments
 class Audit:
     """
-    Passes events to a function, and knows whether this succeeds.
+    Passes events to a function, and notes whether the function succeeds.
 
-    Events that could not be passed wait, up to 1000, and are passed before the next one. The first
-    failure is logged, and the end of it, with the number of events that were lost.
+    If the function fails, up to 1000 events are kept, and passed to it again before the next one.
+    The log gets a message when it begins to fail, and one when it succeeds again, with the number
+    of events that were lost.
 
     Args:
         call: called with an `AuditEvent` in the server's loop, so it should be quick.
@@ -201,19 +202,19 @@ def audit_of(given: Audit | OnAudited) -> Audit:
 @named_arguments
 class AuditFile:
     """
-    Writes events to a file, one line of JSON each; pass it to `Audit`, or as `audit`.
+    Appends events to a file, one line of JSON each; pass it to `Audit`, or as `audit`.
 
-    Each line is written by one call of the system, at the end of the file, so that several
-    programs can share one. It is not forced to the disk. A line for which there was no room is
-    left as it is, ended, and written again.
+    Each line is appended with one system call, so that several programs can share a file. Lines are
+    not forced to the disk. If the disk is full in the middle of a line, the line stays incomplete,
+    and is written again as a whole later.
 
     Args:
-        path: the file; made if it does not exist, readable by its owner only. A named pipe needs a
-            reader.
+        path: the path of the file, which is made if it does not exist, readable by its owner only.
+            A named pipe needs a reader.
 
     Raises:
         OSError: the file cannot be opened.
-        ValueError: it is another file, such as that of a device or a key.
+        ValueError: the file contains something else, such as a device file or a key.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -227,7 +228,7 @@ class AuditFile:
         Write an event.
 
         Raises:
-            OSError: it could not be written whole.
+            OSError: the event could not be written completely.
         """
         line = event.json().encode() + b"\n"
         if self._is_cut:  # an earlier line was: this one must not be taken for its rest
@@ -239,10 +240,10 @@ class AuditFile:
 
     def reopen(self) -> None:
         """
-        Open the file again, as after a rotation.
+        Open the file again, for example after a rotation.
 
         Raises:
-            OSError: the file cannot be opened; the former one stays open.
+            OSError: the file cannot be opened; the previous one stays open.
         """
         opened = self._opened()
         self._descriptor, before = opened, self._descriptor

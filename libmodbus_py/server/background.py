@@ -26,9 +26,9 @@ Running = TypeVar("Running")
 
 class Background(Generic[Running]):
     """
-    A server in a thread of its own that serves while the ``with`` block runs.
+    A server in a separate thread that serves while the ``with`` block runs.
 
-    When the block is left, by Ctrl-C too, the thread has ended and all is closed.
+    When the block has been left, even by Ctrl-C, the thread has ended and all endpoints are closed.
 
     Args:
         serving: returns a context manager that serves while it is entered.

@@ -38,35 +38,39 @@ FULL_POLICIES = ("close-idle", "refuse")
 @dataclass(frozen=True)
 class Limits:
     """
-    Limits of the resources that clients take; all but `allow` and `requests_per_second` are of TCP.
+    Limits of the resources that clients use.
+
+    All limits except `allow` and `requests_per_second` apply to TCP connections only.
 
     Args:
-        max_connections: 1 or more, over all endpoints; None for what the process's
-            limit of descriptors leaves when the server starts.
-        when_full: "close-idle" makes room for a new connection by closing another, first
-            one that never sent a request, else the one whose last request is the oldest
-            (messaging guide, 4.3.1); "refuse" closes the new one.
-        connections_per_address: how many of them one address may have, 1 or more; None for
-            a tenth of all, but 8 at least. An address with more makes room among its own, or
-            is refused, as `when_full` says, so that it takes no one else's.
-        frame_timeout: seconds from the first byte of a frame to its last, 0.001..86400;
-            then the connection is closed. Not with RTU and ASCII over TCP, where silence
-            ends a frame. Also for taking the last answers of a connection that is
-            being closed.
+        max_connections: the most connections of all endpoints together, 1 or more; None for as
+            many as the process's limit of descriptors allows when the server starts.
+        when_full: "close-idle" makes room for a new connection by closing another one: one that
+            never sent a request if there is any, otherwise the one whose last request is the
+            oldest (messaging guide, 4.3.1); "refuse" closes the new connection.
+        connections_per_address: the most connections from one address, 1 or more; None for
+            a tenth of `max_connections`, but at least 8. For an address that has reached it,
+            `when_full` applies among its own connections, so that others are not affected.
+        frame_timeout: seconds from the first byte of a frame to its last, 0.001..86400, after
+            which the connection is closed; not for RTU and ASCII over TCP, where silence
+            ends a frame. It also limits the time that a client has to take its last responses
+            from a connection that is being closed.
         handshake_timeout: seconds from the connection to the end of its TLS handshake,
             0.001..86400.
         certificate_interval: seconds between two checks of the certificates of open TLS
-            connections, 0.001..86400: one that has expired or was revoked ends its connection.
+            connections, 0.001..86400. A connection whose certificate has expired or was revoked
+            is closed.
         idle_timeout: seconds without a request after which a connection is closed,
-            0.001..86400; None for never. A client that does not take its answers is idle.
-        max_unsent: bytes of answers that may wait for one client beyond what the system
-            buffers, 0..2^30; with more it is not read until all are gone.
+            0.001..86400; None for never. A client that does not take its responses is idle.
+        max_unsent: the most bytes of responses that may wait for one client, besides what the
+            system buffers, 0..2^30. A client with more is not read until all of them are sent.
         allow: networks or addresses whose clients are served, such as
-            "192.0.2.0/24" or "::1"; none for all.
-        requests_per_second: how many of one address are answered on average,
-            0.001..1000000, with bursts of one second's, over all its TCP connections, and as
-            many over UDP; the rest waits on TCP and is dropped on UDP. None for all on TCP; on
-            UDP, whose senders may be forged, for 1000 of each address of another machine.
+            "192.0.2.0/24" or "::1"; empty for all.
+        requests_per_second: the average number of requests that are answered for one address,
+            0.001..1000000, over all its TCP connections, with bursts of up to one second's
+            requests; and as many over UDP. Further requests wait on TCP and are dropped on UDP.
+            None for no limit on TCP, and for 1000 on UDP, where senders can be forged, for each
+            address of another machine.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -106,7 +110,7 @@ class Limits:
             number("requests_per_second", self.requests_per_second, 0.001, 1_000_000)
 
     def allows(self, host: str) -> bool:
-        """Return True if clients at this address are served."""
+        """Return True if clients with this address are served."""
         if not self._networks:
             return True
         address = ip_address(plain_host(host).partition("%")[0])
@@ -126,7 +130,7 @@ class Limits:
 
 
 def plain_host(host: str) -> str:
-    """Return an IPv4 address in place of an IPv6 address that contains it: one client has both."""
+    """Return the IPv4 address that an IPv6 address contains, because one client may use both."""
     if not host.startswith("::ffff:"):
         return host
     return str(IPv6Address(host).ipv4_mapped or host)
@@ -178,7 +182,7 @@ class Allowance:
         self._at = now
 
     def wait(self, now: float) -> float:
-        """Return the seconds until the allowance is not overspent any more."""
+        """Return the seconds until the client may send again; 0 if it may now."""
         self._left = min(self._most, self._left + (now - self._at) * self._rate)
         self._at = now
         return max(0.0, -self._left / self._rate)
@@ -194,32 +198,33 @@ class ServerStatistics:
 
     Attributes:
         connections: TCP connections that are open now.
-        accepted: TCP connections that ever were.
+        accepted: TCP connections that were accepted.
         disallowed: connections and datagrams from networks that are not served.
         refused_full: connections closed at once because there were too many.
-        refused_address: those closed at once because their address had too many.
-        closed_for_others: idle connections closed to make room.
+        refused_address: connections closed at once because their address had too many.
+        closed_for_others: idle connections closed to make room for others.
         closed_idle: connections closed after `idle_timeout`.
         closed_slow: connections closed because a frame or a TLS handshake took too long.
         closed_out_of_step: connections closed because of an invalid header.
         closed_untrusted: TLS connections closed because the certificate of their client had expired
             or was not trusted any more.
-        paused: how often a client was not read because it did not take its answers.
+        paused: how often a client was not read because it did not take its responses.
         throttled: how often a client exceeded `requests_per_second`.
-        reflected: datagrams not answered because they came from a port of servers, or were answers
-            of this server that came back.
-        echoes: serial ports, and TCP connections with frames of a line, that were found to return
-            what is sent on them (local echo).
+        reflected: datagrams not answered because they came from a port that servers use, or were
+            responses of this server that came back.
+        echoes: serial ports, and TCP connections with RTU or ASCII frames, that were found to
+            return what is sent on them (local echo).
         requests: frames that this server received, those for other units included.
-        refused: requests that got an exception.
-        unauthorized: requests that `authorize` of a device did not allow, a broadcast for each.
+        refused: requests that got an exception response.
+        unauthorized: requests that `authorize` of a device did not allow; a broadcast counts once
+            for each device.
         bad_frames: runs of bytes that were no frame.
         handshakes: TLS connections on which both sides accepted the other's certificate.
-        handshakes_resumed: those of them that resumed a session.
+        handshakes_resumed: TLS connections that resumed a session.
         handshakes_refused: TLS connections closed because a certificate was refused or the bytes
             were no TLS.
-        certificate_ends: the time at which the certificate of each TLS endpoint that is open ends,
-            in seconds since 1970, by URL. It needs the package cryptography.
+        certificate_ends: the time at which the certificate of each open TLS endpoint expires,
+            in seconds since 1970, by URL. This needs the package cryptography.
     """
 
     connections: int = 0

@@ -34,36 +34,37 @@ __all__ = ["Running", "Server"]
 @named_arguments
 class Server(Serving):
     """
-    Serves devices to any number of clients.
+    A server that answers the requests of any number of clients from devices.
 
-    On serial lines, and such lines over TCP, a unit without a device is silent, and unit 0
-    is a broadcast: writes go to every device, none answers.
+    On serial lines, and with RTU or ASCII frames over TCP, a request to a unit without a device
+    gets no response, and unit 0 is a broadcast: every device executes writes, and none responds.
 
     Args:
         devices: ``{unit 0..255: device}``, or one device that answers every unit.
-        faults: ``{unit 0..255: faults}``, mistakes in the answers of a unit;
-            None is every unit.
+        faults: ``{unit 0..255: faults}``, faults in the responses of a unit;
+            None as the unit is every unit.
         limits: limits of connections and requests; None for the defaults of `Limits`.
-        unknown_unit: the answer for a unit without a device on TCP and UDP: "refuse", exception
-            11; "silent", nothing.
-        own_unit: which of several devices the server itself is: on TCP and UDP it answers
-            units 0 and 255, too, unless they have devices of their own. One device alone
-            always does. None: none of them.
+        unknown_unit: what a request to a unit without a device gets on TCP and UDP: "refuse",
+            exception 11; "silent", no response.
+        own_unit: the unit whose device represents the server itself: on TCP and UDP, it also
+            answers units 0 and 255, unless they have devices of their own. A single device
+            always does. None for no such unit.
         security: the certificates of the server and of trusted clients, for tls; URLs may contain
             them instead.
         trace: called in the server's loop with a `Traced` for every ADU received and sent; the
-            logger ``libmodbus_py.wire`` has the same at DEBUG. Whether tracing is on is
-                checked when a connection is made, or a port opened. One that fails or takes
-            long is logged once, and harms no request; SystemExit and KeyboardInterrupt end the
-            server.
-        audit: called with an `AuditEvent` for each write, each request and connection that is
-            refused; an `Audit` to refuse writes while it fails. Modbus/TCP is not answered in C
-            then.
+            logger ``libmodbus_py.wire`` gets the same at DEBUG. Whether tracing is on is
+            checked when a connection is made, or a port opened. If the function fails or takes
+            long, this is logged once, and requests are not affected; SystemExit and
+            KeyboardInterrupt end the server.
+        audit: called with an `AuditEvent` for each write, and for each request and connection
+            that is refused; an `Audit` can refuse writes while the function fails. With it,
+            Modbus/TCP is not answered in C.
 
     Attributes:
         statistics: counters of all endpoints, kept up to date.
         devices, faults: as passed, or as set by `replace`.
-        fault_switch: switches more faults on and off while the server runs; all who do share it.
+        fault_switch: switches more faults on and off while the server runs; shared by all its
+            users.
 
     Raises:
         TypeError, ValueError: an argument is wrong.
@@ -94,19 +95,20 @@ class Server(Serving):
         faults: Mapping[int | None, Iterable[Fault]] | None = None,
     ) -> None:
         """
-        Replace devices and faults, from any thread, also while it serves.
+        Replace devices and faults. May be called from any thread, even while the server runs.
 
-        Connections stay. In the server's own loop this holds from the next request on; from
-        elsewhere, as soon as the requests already read are answered. Answers that a fault keeps
-        back still come. `own_unit` and all other arguments are as when the server was made. Faults
-        that are equal to those before go on counting, notes about a serial line (functions 8, 11
-        and 12) stay with their unit, and what `fault_switch` has switched on stays on.
+        Connections stay open. If it is called in the server's loop, the change applies from the
+        next request on; if it is called from another thread, once the requests already read are
+        answered. Responses that a fault delays are still sent. `own_unit` and all other arguments
+        stay as they are. Faults that are equal to previous ones go on counting, the counters and
+        the event log of a serial line (functions 8, 11 and 12) stay with their unit, and faults
+        that `fault_switch` has switched on stay on.
 
         Args:
-            devices, faults: as for `Server`; None is no faults.
+            devices, faults: as for `Server`; None for no faults.
 
         Raises:
-            TypeError, ValueError: as for `Server`. Then nothing changes.
+            TypeError, ValueError: as for `Server`; nothing has changed.
         """
         self._put(devices, faults)
 

@@ -51,7 +51,7 @@ class Running:
     A running server.
 
     Attributes:
-        urls: its endpoints, in the order given, with the ports they got.
+        urls: the URLs of its endpoints, in the order given, with the ports that the system chose.
     """
 
     urls: list[str]
@@ -59,17 +59,19 @@ class Running:
 
 class Serving(ABC):
     """
+    The base of servers and gateways: opens endpoints, and serves at them.
+
     Args:
         limits: limits of connections and requests; None for the defaults of `Limits`.
         security: the certificates of the server and of trusted clients, for tls; URLs may contain
             them instead.
         trace: called in the loop with a `Traced` for every ADU received and sent; the logger
-            ``libmodbus_py.wire`` has the same at DEBUG. Whether tracing is on is
-                checked when a connection is made, or a port opened. One that fails or takes long is
-            logged once, and harms no request; SystemExit and KeyboardInterrupt end the server.
-
-        audit: called with an `AuditEvent` for each write, each request and connection that is
-            refused; an `Audit` to refuse writes while it fails.
+            ``libmodbus_py.wire`` gets the same at DEBUG. Whether tracing is on is
+            checked when a connection is made, or a port opened. If the function fails or takes
+            long, this is logged once, and requests are not affected; SystemExit and
+            KeyboardInterrupt end the server.
+        audit: called with an `AuditEvent` for each write, and for each request and connection
+            that is refused; an `Audit` can refuse writes while the function fails.
 
     Attributes:
         statistics: counters of all endpoints, kept up to date.
@@ -102,12 +104,13 @@ class Serving(ABC):
         """
         The certificates of the server and of trusted clients; None if URLs contain them.
 
-        While the server runs, others can be set: new connections use them at once, and open ones
-        whose client they do not trust end within `Limits.certificate_interval`. `Security.reload`
-        reads the same files again.
+        They can be replaced while the server runs: new connections use the new ones at once, and
+        open connections whose client is no longer trusted are closed within
+        `Limits.certificate_interval`. `Security.reload` reads the same files again.
 
         Raises:
-            TypeError, ValueError: when set: it is no `Security`, or cannot be a server's.
+            TypeError, ValueError: it is set to something that is no `Security`, or to one that a
+                server cannot use.
         """
         return self._security
 
@@ -125,15 +128,18 @@ class Serving(ABC):
         Serve while the ``async with`` block runs.
 
         Args:
-            urls: the endpoints, of any scheme: hosts with port 0 for a free one, and serial ports
-                with their settings.
+            urls: the endpoints, of any scheme: hosts, whose port may be 0 for a free one, and
+                serial ports with their settings.
+
+        Returns:
+            A context manager; ``async with`` returns a `Running` with the URLs in use.
 
         Raises:
             TypeError, ValueError: a URL is wrong or has options of clients, or there is none.
             ModbusConnectionError: an endpoint cannot be opened, with errno.
 
-        SystemExit and KeyboardInterrupt that a hook raises close all endpoints, once the requests
-        that were read are answered, and leave the loop.
+        If a hook raises SystemExit or KeyboardInterrupt, all endpoints are closed once the requests
+        that were read are answered, and the exception leaves the event loop.
         """
         endpoints = [parse_to_listen(url) for url in urls]
         if not endpoints:
@@ -164,13 +170,14 @@ class Serving(ABC):
 
     def background(self, *urls: str) -> Background[Running]:
         """
-        Serve in a thread of its own while the ``with`` block runs.
+        Serve in a separate thread while the ``with`` block runs.
 
-        When the block is left, also by Ctrl-C, the thread has ended and all is closed.
+        When the block has been left, even by Ctrl-C, the thread has ended and all endpoints are
+        closed.
 
-        Arguments and exceptions as for `serving`, when the block is entered. SystemExit and
-        KeyboardInterrupt that a hook raises end the server at once, and are raised here when
-        the block is left.
+        The arguments are those of `serving`, and its exceptions are raised when the block is
+        entered. If a hook raises SystemExit or KeyboardInterrupt, the server ends at once, and the
+        exception is raised when the block is left.
         """
         return Background(lambda: self.serving(*urls))
 
@@ -181,23 +188,24 @@ class Serving(ABC):
         on_hangup: Callable[[], object] | None = None,
     ) -> None:
         """
-        Serve until SIGTERM or Ctrl-C: for a program that does nothing else.
+        Serve until SIGTERM or Ctrl-C, for a program that does nothing else.
 
-        Both close all connections in order, and the method returns. In another thread than the main
-        one no signal comes, and it serves as long as the process lives (daemon=True). Nothing is
-        printed; the log has ``listening on URL`` at INFO.
+        Both signals close all connections properly, and the method returns. Only the main thread
+        receives signals; in another thread, the method serves as long as the process lives, so that
+        the thread should be a daemon. Nothing is printed; the log gets ``listening on URL`` at
+        INFO.
 
         Args:
             urls: as for `serving`.
-            on_listening: called once, when all endpoints are open.
-            on_hangup: called in the loop for SIGHUP, such as to `Server.replace` devices or to
-                `Gateway.change_routes`; None leaves SIGHUP as it is.
+            on_listening: called once with the `Running` server, when all endpoints are open.
+            on_hangup: called in the loop when SIGHUP arrives, for example to `Server.replace`
+                devices or to `Gateway.change_routes`; None leaves SIGHUP as it is.
 
         Raises:
-            RuntimeError: an event loop runs in this thread: use `serving`.
+            RuntimeError: an event loop runs in this thread; use `serving` there.
             TypeError: `on_listening` or `on_hangup` is no function.
 
-        Other exceptions as for `serving`, and those of `on_listening`.
+        It also raises the exceptions of `serving` and of `on_listening`.
         """
 
         checked_callback("on_listening", on_listening)
@@ -222,9 +230,9 @@ class Serving(ABC):
 
     def tracing(self, callback: OnTraced) -> AbstractContextManager[None]:
         """
-        Call another function with every ADU, as `trace`, while the ``with`` block runs.
+        Call another function with every ADU, like `trace`, while the ``with`` block runs.
 
-        It traces connections that are made meanwhile; earlier connections only if they were
+        Connections that are made meanwhile are traced; earlier ones only if they were
         traced already.
 
         Args:

@@ -173,8 +173,8 @@ class TlsSession:
         handshakes: the handshakes of the server.
         make: makes the session inside, when the client is known.
 
-        Attributes:
-            address, role: those of the client, for the session inside.
+    Attributes:
+        address, role: those of the client, for the session inside.
     """
 
     trace: Trace | None = None

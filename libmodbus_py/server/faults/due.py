@@ -47,8 +47,8 @@ class Faults:
         faults: ``{unit 0..255: faults}``; None is every unit.
         before: the previous faults of the same server: equal ones go on counting.
 
-        Raises:
-            TypeError, ValueError: a unit or a fault is wrong.
+    Raises:
+        TypeError, ValueError: a unit or a fault is wrong.
     """
 
     def __init__(
@@ -79,10 +79,10 @@ class Faults:
 
         Args:
             request: the request as it was received.
-                has_transaction: True if frames of its line have transactions.
+            has_transaction: True if frames of its line have transactions.
 
-            Returns:
-                The fault that happens to the request, or None.
+        Returns:
+            The fault that happens to the request, or None.
         """
         touched: Touched | None = None
         first: _Counted | None = None

@@ -75,54 +75,57 @@ SETTINGS: dict[str, Callable[[str, object], object]] = {
 @dataclass(frozen=True)
 class Fault:
     """
-    A fault in the answers of a unit, and how often it happens.
+    A fault in the responses of a unit, and how often it happens.
 
-    A fault counts the requests of its unit, function and range that are answered, on all
-    lines and from all clients together. Where several are due, the unit's own come
-    before those of all units, and the first of each before the next. The request is
-    executed, whatever becomes of its answer; only "exception" executes nothing.
+    A fault counts the answered requests of its unit, function and address range, from all clients
+    on all endpoints together. If several faults are due for a request, those of the unit come
+    before those of all units, and earlier ones before later ones. The request is executed
+    whatever happens to its response; only "exception" executes nothing.
 
     Attributes:
         kind: what goes wrong:
 
-            * "delay": the answer, and what follows it on that connection, comes
-              `seconds` later;
-            * "no_answer": none comes;
+            * "delay": the response is sent `seconds` later, and so are those after it on
+              that connection;
+            * "no_answer": no response is sent;
             * "exception": the request is refused with the exception `code`;
-            * "wrong_check": CRC or LRC is wrong; TCP has none, and there the
-              header says that 0 bytes follow;
-            * "wrong_transaction": the answer has the transaction of the request
-              before; serial lines have none, and there it never happens;
-            * "wrong_unit": the answer says that another unit gave it;
-            * "trickle": between the bytes of the answer pass `seconds`; over UDP each is a
-              datagram;
-            * "truncate": only the first `length` bytes come, header or first
-              character included, and never all of them;
-            * "disconnect": the first `length` bytes of the answer come, none unless it is
-              given, all of a shorter answer; then the connection is closed, over TLS with
-              its goodbye, and what the client asked behind it is not executed. Serial
-              ports and UDP have no connection: there the rest of the answer is missing,
-              and no more;
-            * "garbage": bytes that are no part of the answer come in its `place`, the
-              bytes of `data` or `length` random ones; over UDP in the same datagram.
+            * "wrong_check": the CRC or LRC is wrong; on TCP, which has none, the length in
+              the header is 0;
+            * "wrong_transaction": the response has the transaction id of the previous
+              request; this never happens on serial lines, which have none;
+            * "wrong_unit": the response has the address of another unit;
+            * "trickle": the bytes of the response are sent one by one, `seconds` apart; over
+              UDP, each byte is a datagram;
+            * "truncate": only the first `length` bytes of the frame are sent, and never all
+              of them;
+            * "disconnect": the first `length` bytes of the response are sent (none if it is
+              not given, all of a shorter response). Then the connection is closed, over TLS
+              with close_notify, and later requests of the client are not executed. Serial
+              ports and UDP have no connection: there only the rest of the response is
+              missing;
+            * "garbage": bytes that are not part of the response are sent at `place`: those of
+              `data`, or `length` random ones; over UDP in the same datagram.
 
-        function: 1..127, the only function that it happens to; None for all.
-        every: 1 or more: it happens to every so manieth request; None for 1.
-        probability: 0..1, of happening to a request, in place of `every`.
-        seed: makes `probability` hit the same requests each time, and random bytes be the same.
-        seconds: 0.001..86400.
-        code: 1..255.
-        length: 1..512 bytes; of "disconnect" 0..512.
-        table: it happens only to requests that read or write this table: "coils",
-            "discrete_inputs", "holding_registers", "input_registers"; None for any.
-        address: 0..65535, and only to those that touch one of the `count` addresses from
-            there on, in `table` or in any; None for all.
+        function: the function code whose requests have the fault, 1..127; None for all.
+        every: the fault happens to every n-th request, n = 1 or more; None for 1.
+        probability: the probability that the fault happens to a request, 0..1, in place of
+            `every`.
+        seed: makes `probability` select the same requests in each run, and makes random bytes
+            the same; 0..2^64 - 1.
+        seconds: for "delay" and "trickle", 0.001..86400.
+        code: for "exception", 1..255.
+        length: a number of bytes, 1..512; for "disconnect" 0..512.
+        table: the fault happens only to requests that read or write this table: "coils",
+            "discrete_inputs", "holding_registers", "input_registers"; None for all tables.
+        address: the fault happens only to requests that touch one of `count` addresses starting
+            here, 0..65535; None for all addresses.
         count: 1..65536; None for 1.
-        data: 1..512 bytes.
-        place: "before" the answer, "instead" of it or "behind" it; None for before.
+        data: for "garbage", 1..512 bytes.
+        place: "before" the response, "instead" of it or "behind" it; None for before.
 
     Raises:
-        TypeError, ValueError: an attribute that cannot be, or that its kind needs or lacks.
+        TypeError, ValueError: an attribute is of the wrong type or range, or missing, or does not
+            apply to the kind.
     """
 
     kind: str
@@ -190,11 +193,11 @@ class Fault:
 
     @property
     def is_everywhere(self) -> bool:
-        """True if it happens to requests of all addresses."""
+        """True if the fault happens to requests of all addresses."""
         return self.table is None and self.address is None
 
     def hits(self, touched: Touched) -> bool:
-        """Return True if it happens to a request with these accesses."""
+        """Return True if the fault happens to a request with these accesses."""
         first = 0 if self.address is None else self.address
         stop = TABLE_SIZE if self.address is None else first + (self.count or 1)
         return any(

@@ -22,9 +22,9 @@ class FaultState:
     One fault of a server, which is on or off.
 
     Attributes:
-        unit: 0..255, whose answers are concerned; None for every unit.
-        fault: what goes wrong.
-        is_on: True if it happens; `FaultSwitch.turn` changes this.
+        unit: the unit whose responses have the fault, 0..255; None for every unit.
+        fault: the fault.
+        is_on: True if the fault is on; `FaultSwitch.turn` changes this.
     """
 
     __slots__ = ("fault", "is_on", "unit")
@@ -39,12 +39,12 @@ class FaultSwitch:
     """
     Switches faults of one server on and off, from any thread.
 
-    `Server.fault_switch` is the only one of its server. It keeps the faults that the server was
-    given and, in front of them, those that each user has switched on: a user takes away its own,
-    and `Server.replace` those that the server was given.
+    Each server has one, `Server.fault_switch`. It keeps the faults that were given to the server
+    and, before them, those that each user has switched on. A user can remove only its own faults,
+    and `Server.replace` only those that were given to the server.
 
     Args:
-        apply: called with all faults that are on; if it raises, nothing has changed.
+        apply: called with all faults that are on; if it raises an exception, nothing has changed.
 
     Attributes:
         version: a number that grows with every change.
@@ -63,11 +63,12 @@ class FaultSwitch:
         Switch faults on.
 
         Args:
-            faults: they come before those that are there already.
-            unit: 0..255, whose answers are concerned; None for every unit.
+            faults: the faults; they come before those that exist already.
+            unit: the unit whose responses have the faults, 0..255; None for every unit.
 
         Returns:
-            An object that switches them off again, by itself at the end of a ``with`` block.
+            An object that switches the faults off again; it does so by itself at the end of a
+            ``with`` block.
 
         Raises:
             TypeError, ValueError: an argument is wrong; nothing has changed.
@@ -78,7 +79,7 @@ class FaultSwitch:
         return made
 
     def states(self) -> list[FaultState]:
-        """Return all faults, on or off: the latest that were switched on first, the given last."""
+        """Return all faults, on or off: those switched on last come first, the given ones last."""
         with self._changing:
             return self._states(self._switched, self._given)
 
@@ -98,10 +99,10 @@ class FaultSwitch:
     @contextlib.contextmanager
     def giving(self, faults: Mapping[int | None, Iterable[Fault]]) -> Iterator[FaultsByUnit]:
         """
-        Replace the faults that the server was given while the ``with`` block runs.
+        Replace the faults that were given to the server while the ``with`` block runs.
 
-        The block gets all faults that are on then, and applies them; if it raises, nothing has
-        changed.
+        The block gets all faults that are on then, and applies them. If it raises an exception,
+        nothing has changed.
         """
         with self._changing:
             given = [FaultState(unit, each) for unit, found in faults.items() for each in found]
@@ -136,8 +137,8 @@ class Switched:
     Faults that one user has switched on, until they are switched off.
 
     Attributes:
-        unit: 0..255, whose answers are concerned; None for every unit.
-        faults: what goes wrong.
+        unit: the unit whose responses have the faults, 0..255; None for every unit.
+        faults: the faults.
         states: the same faults, as `FaultSwitch.states` lists them.
     """
 
@@ -154,5 +155,5 @@ class Switched:
         self.switch_off()
 
     def switch_off(self) -> None:
-        """Remove them again; may be called any number of times."""
+        """Remove the faults again. May be called repeatedly."""
         self._switch.remove(self)

@@ -33,8 +33,8 @@ class Maps:
     Args:
         folder: the folder to which their paths are relative.
 
-        Attributes:
-            files: paths of the maps that were read, or could not be.
+    Attributes:
+        files: paths of the maps that were read, or could not be.
     """
 
     def __init__(self, folder: str) -> None:
@@ -52,8 +52,8 @@ class Maps:
         Args:
             where: the path of the key that names the map.
 
-            Raises:
-                WrongValue: the map cannot be read, or there are too many.
+        Raises:
+            WrongValue: the map cannot be read, or there are too many.
         """
         with inside(*where):
             path = os.path.normpath(os.path.join(self._folder, map_file(name)))
