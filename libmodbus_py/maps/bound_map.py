@@ -32,18 +32,18 @@ class MapClient(Protocol):
 
 class MapBinding:
     """
-    A register map with a client, and the values that were read: what bound maps have in common.
+    The base of bound maps: a register map with a client, and the values that were read.
 
     Args:
         client: a blocking client or an `AsyncClient`.
         map: a `RegisterMap`.
-        options: of `Plan`, for reading: `gap`, `forbidden`, `max_registers`, `max_bits`.
+        options: the options of `Plan` for reading: `gap`, `forbidden`, `max_registers`, `max_bits`.
 
     Attributes:
         client, map: as given.
 
     Raises:
-        TypeError: the first argument is no client.
+        TypeError: `client` is no client.
     """
 
     def __init__(
@@ -132,25 +132,27 @@ class BoundMap(MapBinding):
     A register map, bound to a client: ``meter.read()``, then ``meter.voltage``.
 
     With an `AsyncClient`, `read` and `write` are awaited. An attribute has the value of the last
-    `read` that succeeded, None for no value; nothing is sent for it. Classes that
-    ``libmodbus-py map class`` writes are alike, and type checkers know their attributes.
+    successful `read`, or None if there is no value; before the first one it raises AttributeError.
+    Using it sends nothing. The classes that ``libmodbus-py map class`` writes work in the same way,
+    and type checkers know their attributes.
 
-    The attribute of a point is its name, if that is an identifier. In other names every run of
-    characters that no identifier has becomes one ``_``, and those at the ends are removed; "point_"
-    comes before a digit, ``_`` behind a name that Python or this class uses, and ``_2``, ``_3``
-    and so on behind one that is taken. ``meter["voltage L1"]`` is the value of the name itself.
+    The attribute of a point is its name, if that is an identifier. In other names, every run of
+    characters that identifiers cannot contain is replaced by one ``_``, and removed at the ends. A
+    name that begins with a digit gets the prefix "point_", one that Python or this class uses gets
+    the suffix ``_``, and duplicates get ``_2``, ``_3`` and so on. ``meter["voltage L1"]`` returns
+    the value by the original name.
     """
 
     def read(self, *attributes: str) -> Any:
         """
-        Read points, all that can be read unless attributes are named.
+        Read the points of these attributes; without arguments, all readable points.
 
         Returns:
             None; a coroutine with an `AsyncClient`.
 
         Raises:
             AttributeError: there is no such attribute.
-            ModbusError, TypeError, ValueError: as of `read_map`; all values stay as they were.
+            ModbusError, TypeError, ValueError: as for `read_map`; no value has changed.
         """
         return self._read(attributes)
 
@@ -158,14 +160,15 @@ class BoundMap(MapBinding):
         """
         Write values to points, by their attributes: ``meter.write(setpoint=21.5)``.
 
-        All are checked before the first byte is sent. Attributes change with the next `read`.
+        All values are checked before the first byte is sent. Attributes change with the next
+        `read`.
 
         Returns:
             None; a coroutine with an `AsyncClient`.
 
         Raises:
             AttributeError: there is no such attribute.
-            ModbusError, TypeError, ValueError: as of `write_map`.
+            ModbusError, TypeError, ValueError: as for `write_map`.
         """
         return self._write(values)
 

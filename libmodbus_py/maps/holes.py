@@ -63,7 +63,7 @@ DAMAGE = (FrameError, InvalidResponse)
 
 
 def is_refusal(outcome: object) -> bool:
-    """True if a device refused what was read, and not the request as such or at this time."""
+    """True if an outcome is exception 2, 3 or 4, which can depend on the cells that are read."""
     return isinstance(outcome, REFUSALS)
 
 
@@ -117,10 +117,10 @@ class Unreadable:
 
     Attributes:
         device: the device, such as "tcp://192.0.2.10:502, unit 17".
-        name: the name of the item: of a point, a key of a mapping, or an index of a list.
+        name: the item: the name of a point, the key of a mapping, or the index in a list.
         table: the table of its cells.
-        cells: their addresses.
-        error: the last refusal.
+        cells: the addresses of its cells.
+        error: the error with which the device refused it last.
     """
 
     device: str

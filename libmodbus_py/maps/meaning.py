@@ -28,9 +28,10 @@ class NoValue(ValueError):
 
     Args:
         name: the name of the point.
-        reason: "Missing" if the device says that there is no value, "Implausible" if the value
-            is beyond `plausible_minimum` or `plausible_maximum`, "InvalidTime" if the registers
-            hold no date, "BadScale" if the point of `scale_from` holds no scale.
+        reason: "Missing" if the device reports that there is no value, "Implausible" if the value
+            is below `plausible_minimum` or above `plausible_maximum`, "InvalidTime" if the
+            registers hold no valid time, "BadScale" if the point named by `scale_from` holds no
+            scale.
         text: the reason as a sentence about the point.
 
     Attributes:

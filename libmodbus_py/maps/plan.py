@@ -1,8 +1,8 @@
 """
 A poll plan: many small reads merged into few requests, made once and run often.
 
-Only numbers; no I/O. The clients run a plan (``read_many``); a program with its own transport sends
-``plan.requests`` and passes the answers to ``plan.results``.
+It does no I/O. The clients run a plan (``read_many``); a program with its own transport sends
+``plan.requests`` and passes the results to ``plan.results``.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ __all__ = [
 @dataclass(frozen=True)
 class Read:
     """
-    Some cells of one table, or some values in its registers.
+    A read of consecutive cells of one table, or of values in its registers.
 
     Args:
         table: "coils", "discrete_inputs", "holding_registers" or "input_registers".
-        address: the first cell, 0..65535.
-        count: how many cells or values, 1 or more, up to the end of the table.
-        type: None for the cells themselves; such as "float32" for what they
-            mean (`libmodbus_py.values`), in registers only.
-        order, encoding, padding: of the type, as for `values.value_type`.
+        address: the address of the first cell, 0..65535.
+        count: the number of cells or values, 1 or more, up to the end of the table.
+        type: the type of the values, such as "float32" (`libmodbus_py.values`), for registers
+            only; None for the cells themselves.
+        order, encoding, padding: the layout of the type, as for `values.value_type`.
 
     Attributes:
-        kind: the type that `type` names, or None.
+        kind: the `ValueType` of `type`, or None.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -97,9 +97,11 @@ class Read:
         """
         Return the values of all cells.
 
+        Args:
+            cells: True and False, or registers 0..65535, as many as the attribute `cells`.
+
         Raises:
-            TypeError, ValueError: there are not as many as in `cells`, or they hold no value of
-                this type.
+            TypeError, ValueError: the number of cells is wrong, or they hold no value of this type.
         """
         if len(cells) != len(self.cells):
             raise WrongValue("cells", f"must be {len(self.cells)}, not {len(cells)}")
@@ -123,7 +125,7 @@ Values = list[Any]
 
 
 class PlanOptions(TypedDict, total=False):
-    """The options of a `Plan` that control how it merges reads; see there."""
+    """The options of a `Plan` that control how it merges reads; see `Plan`."""
 
     gap: int
     forbidden: Forbidden
@@ -173,36 +175,36 @@ class _Window:
 @named_arguments
 class Plan:
     """
-    Reads of one unit, merged.
+    Many reads of one unit, merged into few requests.
 
-    Items of a table become one request where they touch or overlap, or lie no
-    further apart than `gap`, and as few requests as that allows. An item that
-    fits into one request is never split: all its cells are read at one moment. A larger
-    item is split, but never inside a typed value, because its halves would then be read at
-    different moments.
+    Items of a table share a request if they touch or overlap, or if the distance between them
+    is not more than `gap`; there are as few requests as that allows. An item that fits into one
+    request is never split, so that all its cells are read at the same moment. A longer item is
+    split, but not inside a typed value, whose halves would then be read at different moments.
 
-    A device may refuse a request that covers cells which it lacks or hides. What it refuses is
-    found by halving that request, once, and then left out: see `unreadable`. What lies between
-    items can be named in `forbidden`.
+    A device may refuse a request because it covers cells that do not exist or cannot be read. The
+    items that it refuses are found once, by halving that request, and are then left out: see
+    `unreadable`. Cells between items that must not be read can be named in `forbidden`.
 
     Args:
-        items: each a `Read`, or a tuple of its arguments, such as
+        items: a list in which each item is a `Read` or a tuple of its arguments, such as
             ("coils", 10, 3) or ("holding_registers", 100, 2, "float32"); or a
-            mapping of names to such.
-        gap: how many consecutive cells outside the items may be read to save a request, 0..2000.
+            mapping from names to such items.
+        gap: the most consecutive cells outside the items that may be read to save a request,
+            0..2000.
         forbidden: pairs (table, range of addresses) that must never be read,
             such as ("holding_registers", range(40, 50)).
-        max_registers: the most a request may ask of this device, 1..125.
-        max_bits: the same for coils and discrete inputs, 1..2000.
+        max_registers: the most registers that one request may ask for, 1..125.
+        max_bits: the most coils or discrete inputs that one request may ask for, 1..2000.
 
     Attributes:
-        requests: request objects of `libmodbus_py.pdu`, table by table, each in the order
-            of addresses.
-        holes: what is known of each device; `unreadable` returns it by items.
+        requests: request objects of `libmodbus_py.pdu`, table by table, in the order of
+            addresses.
+        holes: what is known about each device; `unreadable` returns it by items.
 
     Raises:
-        TypeError, ValueError: an argument of the wrong type or range; an item that
-            touches a forbidden range; a value longer than `max_registers`. Items are named.
+        TypeError, ValueError: an argument is of the wrong type or range, an item touches a
+            forbidden range, or a value is longer than `max_registers`. The message names the item.
     """
 
     requests: tuple[pdu.Request[list[Any]], ...]
@@ -239,13 +241,13 @@ class Plan:
                 of cells, or a ModbusError.
 
         Returns:
-            The values of each item, always a list, in the order of the items; a dict
-            by name where they have names. An item that was part of a failed
+            A list with the values of each item, which are always a list, in the order of the items;
+            a dict by name if the items have names. An item that was part of a failed
             request has the ModbusError instead.
 
         Raises:
-            ValueError: answers that are not to these requests; registers that
-                hold no such value, such as a bcd16 with the digit F.
+            ValueError: the answers do not fit the requests, or registers hold no value of
+                their type, such as a bcd16 with the digit F.
         """
         given = self._checked_answers(list(answers))
         found = {name: self._values(name, given) for name in self._reads}
@@ -256,9 +258,9 @@ class Plan:
         """
         The items that devices refused, and that are left out until they are tried again.
 
-        A client that runs this plan (`read_many`) learns them, for each device by itself: one
-        minute after the first refusal, then every ten minutes, and after a new connection, they
-        are tried again.
+        A client that runs this plan (`read_many`) finds them for each device separately. They
+        are tried again one minute after the first refusal, then every ten minutes, and after a new
+        connection.
         """
         return [each for holes in self.holes for each in self.unreadable_of(holes)]
 

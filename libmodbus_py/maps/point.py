@@ -43,50 +43,51 @@ MAX_NAME, MAX_UNITS, MAX_DESCRIPTION = 100, 50, 2000
 @dataclass(frozen=True)
 class Point:
     """
-    One named value of a device, or several of one kind.
+    One named value of a device, or several values of one kind.
 
     Args:
-        name: unique in its map; 1..100 printable characters.
+        name: the name, 1..100 printable characters, unique in its map.
         table: "coils", "discrete_inputs", "holding_registers" or "input_registers".
-        address: its first cell, 0..65535.
-        count: how many values; 1 for the value itself, more for a list of them.
-        type: how registers are interpreted, such as "float32" (`libmodbus_py.values`), uint16
-            unless given; None in tables of bits, whose values are True and False.
-        order, encoding, padding: of the type, as for `values.value_type`.
-        scale, offset: value = raw * scale + offset, for numbers, as exact as they are
-            written: 2305 times 0.1 is 230.5. Integers stay integers where both are whole.
-            Each -1e30..1e30; the scale not nearer to 0 than 1e-30.
-        units: of the value, such as "V" or "kWh"; up to 50 characters. `unit` is the old name.
-        access: "read", "write" or "read_write": what clients may do. Unless given
-            "read_write", and "read" for discrete inputs and input registers.
-        minimum, maximum: what may be written, both included, in scaled values; None for
-            no bound but the type's.
-        description: up to 2000 characters.
+        address: the address of its first cell, 0..65535.
+        count: the number of values; 1 for a single value, more for a list of values.
+        type: the type of the values in registers, such as "float32" (`libmodbus_py.values`);
+            uint16 if it is not given; None in tables of bits, whose values are True and False.
+        order, encoding, padding: the layout of the type, as for `values.value_type`.
+        scale, offset: for numbers, value = raw * scale + offset, computed with the decimal
+            numbers as they are written: 2305 times 0.1 is 230.5. Integers stay integers if both
+            are whole. Each is -1e30..1e30, and the scale is not nearer to 0 than 1e-30.
+        units: the units of the value, such as "V" or "kWh", up to 50 characters. `unit` is the
+            former name.
+        access: what clients may do: "read", "write" or "read_write". If it is not given,
+            "read" for discrete inputs and input registers, and "read_write" for others.
+        minimum, maximum: the lowest and the highest scaled value that may be written; None for
+            no bound besides that of the type.
+        description: a description, up to 2000 characters.
         missing: raw values that mean that there is no value: a number, a list of numbers, or
             "sunspec" for the values that mean "not implemented" in SunSpec, such as 0x8000 of an
-            int16, 65535 of a uint16, only zeros of a string. A nan always means that.
-        plausible_minimum, plausible_maximum: what is believed when it is read, both included, in
-            scaled values; beyond there is no value.
-        never_falls: True for a total. A fleet reports one that is smaller than before when the
-            next poll has read it again, with the reason "Fell".
-        scale_from: the name of a point of the same map by which the raw value is scaled, too:
+            int16, 65535 of a uint16, or a string of zeros only. A nan always means that.
+        plausible_minimum, plausible_maximum: the lowest and the highest scaled value that is
+            accepted when it is read; beyond them there is no value.
+        never_falls: True for a total, which should never decrease. If it does, a fleet reads it
+            again at the next poll before it reports it, with the reason "Fell".
+        scale_from: the name of a point of the same map whose value is another factor:
             value = raw * scale * factor + offset.
-        scale_as: what that point holds: "exponent" if it is a power of ten, -30..30, or "factor".
-        states: names of whole numbers, such as {0: "off", 1: "on"}; the value is the name, and
+        scale_as: what that point holds: "exponent" for a power of ten, -30..30, or "factor".
+        states: names of whole numbers, such as {0: "off", 1: "on"}. The value is the name;
             a number without a name stays a number.
-        bits: names of bits, such as {0: "door", "4..7": "mode"}, 0 the lowest; the value is a
-            dict: True and False for one bit, a number for several.
-        bit: the bit that is the value, True or False; or several, such as "4..7", a number. Other
-            bits of the registers are left as they are when it is written.
+        bits: names of bits, such as {0: "door", "4..7": "mode"}; bit 0 is the lowest. The value
+            is a dict with True or False for one bit, and a number for several bits.
+        bit: the bit that is the value, True or False; or several bits, such as "4..7", whose
+            value is a number. Writing the point does not change other bits of the registers.
         byte: "high" or "low": the byte of the register that is the value.
-        time_zone: the zone whose local time the device shows, for types of times, such as
-            "Europe/Berlin"; values are in UTC nevertheless. A time that occurs twice, because
-            summer time ends, is the first one, unless the type is iec870, which tells them apart;
-            one that does not exist is no value.
-        interval: seconds between two reads of the point in `watch`, ``read --watch`` and fleets,
-            0.01..86400, in place of the interval of all other points; None for that. It is
-            read at the first poll that is due when they are over, never sooner.
-        group: the points of one group are selected together, by its name; up to 100 characters.
+        time_zone: for types of times, the time zone whose local time the device shows, such as
+            "Europe/Berlin"; values are always in UTC. If a local time occurs twice because
+            summer time ends, the first one is assumed, unless the type is iec870, which tells them
+            apart. If a local time does not exist, there is no value.
+        interval: the seconds between two reads of the point in `watch`, ``read --watch`` and
+            fleets, 0.01..86400, in place of the interval of the other points; None for that
+            one. The point is read at the first poll after the interval, never earlier.
+        group: the name of a group of points that can be selected together, up to 100 characters.
 
     Attributes:
         read: the `Read` of all cells, for a `Plan`.
@@ -161,7 +162,7 @@ class Point:
 
     @property
     def unit(self) -> str:
-        """The old name of `units`."""
+        """The former name of `units`."""
         warnings.warn("Point.unit is now Point.units", DeprecationWarning, stacklevel=2)
         return self.units
 
@@ -236,13 +237,14 @@ class Point:
             source: the value of the point that `scale_from` names.
 
         Returns:
-            The value, scaled: an int, a float, True or False, a string, a datetime, a list of
-            bits, the name of a state, a dict of named bits; None if there is no value, for
-            which `judge` has the reason. A list of such unless `count` is 1.
+            The scaled value: an int, a float, True or False, a string, a datetime, a list of
+            bits, the name of a state, or a dict of named bits; None if there is no value or
+            `source` is no scale, for which `judge` returns the reason. If `count` is not 1, a
+            list of such values.
 
         Raises:
             TypeError, ValueError: the number of cells is wrong, or they hold no value of this
-                    type; the message names the point.
+                type; the message names the point.
         """
         return self.judge(cells, source=source).value
 
@@ -361,7 +363,8 @@ class Point:
 
         Raises:
             TypeError, ValueError: the value does not fit the type, `count`, `minimum` or
-                    `maximum`, or `source` is no scale; the message names the point.
+                `maximum`; the message names the point.
+            NoValue: `source` is no scale.
         """
         try:
             return self.cells_of(value, self.scaling_for(source))

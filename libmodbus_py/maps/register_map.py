@@ -31,17 +31,17 @@ __all__ = ["PointPlan", "RegisterMap", "close_to"]
 
 class RegisterMap(Mapping[str, Point]):
     """
-    The points of one kind of device: name -> `Point`, in their order. It never changes.
+    The points of one kind of device: an immutable, ordered mapping from names to `Point`.
 
-    ``plc.read_map(map)`` and ``plc.write_map(map, values)`` of the clients use it;
-    `load_map` reads it from a file. Points may overlap, such as two readings of a register.
+    ``plc.read_map(map)`` and ``plc.write_map(map, values)`` of the clients use it, and
+    `load_map` reads it from a file. Points may overlap, for example two views of one register.
 
     Args:
-        points: each with a name of its own; those of `scale_from` are among them.
+        points: the points, with unique names, and with all points that `scale_from` names.
 
     Raises:
-        TypeError, ValueError: an argument is no Point, a name occurs twice, or a `scale_from`
-            names no readable number of the map, or leads back to its point.
+        TypeError, ValueError: an argument is no Point, a name occurs twice, or `scale_from`
+            does not name a readable number of the map, or leads back to its own point.
     """
 
     __slots__ = ("_holes", "_kept", "_points")
@@ -77,10 +77,10 @@ class RegisterMap(Mapping[str, Point]):
 
         Args:
             names: names of points, in the order of the results; None for all readable points.
-            options: of `Plan`: `gap`, `forbidden`, `max_registers`, `max_bits`.
+            options: the options of `Plan`: `gap`, `forbidden`, `max_registers`, `max_bits`.
 
         Raises:
-            TypeError, ValueError: there is no such point, or it cannot be read; or as `Plan`.
+            TypeError, ValueError: there is no such point, or it cannot be read; or as for `Plan`.
         """
         wanted = None if names is None else tuple(_checked_names(names))
         asked = (wanted, options)
@@ -104,18 +104,18 @@ class RegisterMap(Mapping[str, Point]):
         """
         Return the requests that write values to points; all values are checked here.
 
-        Requests follow the order of the map, not that of the values. Points that lie directly
-        behind each other are written with one request; parts of registers with function 22.
+        Requests are in the order of the map, not in that of the values. Adjacent points are
+        written with one request, parts of registers with function 22.
 
         Args:
-            values: by names of points, as `Point.encode` takes them.
-            multiple: True to write single coils and registers with functions 15 and 16,
-                    too, for devices that lack 5 and 6.
-            sources: the values of `scale_sources`, by name, as they were read.
+            values: the values by name, as `Point.encode` takes them.
+            multiple: True to write even single coils and registers with functions 15 and 16,
+                for devices that lack functions 5 and 6.
+            sources: the values that were read of the points of `scale_sources`, by name.
 
         Raises:
             TypeError, ValueError: there is no such point, or it cannot be written; a value does
-                    not fit its point; points share cells. The message names the points.
+                not fit its point; points share cells. The message names the points.
             NoValue: a value of `sources` is missing or no scale.
         """
         self.scale_sources(values)
@@ -134,8 +134,8 @@ class RegisterMap(Mapping[str, Point]):
         Return the names of the points that must be read before these values can be written.
 
         Raises:
-            TypeError, ValueError: there is no such point, or it cannot be written; one of the
-                    points that must be read is written, too.
+            TypeError, ValueError: there is no such point, or it cannot be written; or one of the
+                points that must be read is to be written, too.
         """
         if not isinstance(values, Mapping):
             raise WrongType("values", f"must be by names, not {type(values).__name__}")
@@ -151,10 +151,10 @@ class RegisterMap(Mapping[str, Point]):
 
     def group(self, name: str) -> list[str]:
         """
-        Return the names of the points of a group that can be read.
+        Return the names of the readable points of a group.
 
         Raises:
-            ValueError: no such point has this group.
+            ValueError: the group has no readable points.
         """
         found = [each.name for each in self._readable(None) if each.group == name and name]
         if not found:
@@ -165,14 +165,15 @@ class RegisterMap(Mapping[str, Point]):
 
     def bind(self, client: MapClient, **options: Unpack[PlanOptions]) -> BoundMap:
         """
-        Return the map with a client: ``meter.read()``, then ``meter.voltage``.
+        Return the map bound to a client: ``meter.read()``, then ``meter.voltage``.
 
         Args:
-            client: a blocking client, or an `AsyncClient`: `read` and `write` are awaited.
-            options: of `Plan`, for reading: `gap`, `forbidden`, `max_registers`, `max_bits`.
+            client: a blocking client; or an `AsyncClient`, whose `read` and `write` are awaited.
+            options: the options of `Plan` for reading: `gap`, `forbidden`, `max_registers`,
+                `max_bits`.
 
         Raises:
-            TypeError: the argument is no client.
+            TypeError: `client` is no client.
         """
         from .bound_map import BoundMap  # most programs have no need of it
 

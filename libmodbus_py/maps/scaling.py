@@ -33,8 +33,8 @@ def number(name: str, value: object) -> int | float:
     Check a number of a map.
 
     Raises:
-        TypeError: no int or float; True and False are none here.
-        ValueError: not in -1e30..1e30.
+        TypeError: the value is no int or float; True and False do not count as such.
+        ValueError: the value is not in -1e30..1e30.
     """
     found = checks.number(name, value, -LARGEST, LARGEST)
     return int(found) if isinstance(found, int) else float(found)
@@ -53,7 +53,8 @@ class Scaling:
         factor: another factor, which is exact; not 0.
 
     Raises:
-        TypeError, ValueError: one of them is not; the message begins with its name.
+        TypeError, ValueError: an argument is of the wrong type or range; the message begins with
+            its name.
     """
 
     __slots__ = ("_divisor", "_factor", "_shift")

@@ -22,11 +22,11 @@ MOST_PLANS = 64
 
 class PolledValues(dict[str, Any]):
     """
-    The values of a poll by name, with what can be said of them.
+    The values of a poll by name.
 
     Attributes:
-        fell: names of totals (`Point.never_falls`) that were read twice, and are smaller than
-            before.
+        fell: the names of totals (`Point.never_falls`) that are smaller than before, even when
+            they were read a second time.
     """
 
     fell: frozenset[str] = frozenset()

@@ -151,6 +151,8 @@ def _pieces(point: Point, cells: list[Any]) -> Iterator[_Run]:
 
 def check_overlaps(encoded: Iterable[Encoded]) -> None:
     """
+    Check that no two points share cells.
+
     Raises:
         ValueError: two points share cells, or bits of them; the message names both.
     """

@@ -103,7 +103,7 @@ def test_right_values_are_what_they_stand_for() -> None:
 def test_keys_of_a_class_are_its_arguments_with_their_defaults_and_texts() -> None:
     found = POINT["count"]
     assert (found.default, found.kind) == (1, "int")
-    assert found.text == "how many values; 1 for the value itself, more for a list of them."
+    assert found.text == "the number of values; 1 for a single value, more for a list of values."
     assert POINT["name"].default is REQUIRED
 
 
