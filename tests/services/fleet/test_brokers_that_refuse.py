@@ -84,6 +84,28 @@ def test_readings_of_qos_0_are_sent_again_if_the_broker_died_before_it_had_them(
     run(go())
 
 
+def test_a_write_that_is_cancelled_publishes_no_longer(broker: Broker) -> None:
+    async def go() -> None:
+        output = Mqtt(broker.url, qos=1)
+        await output.open()
+        assert broker.process is not None
+        broker.process.send_signal(19)  # SIGSTOP: it confirms nothing
+        writing = asyncio.create_task(output.write([poll("a", 1, 0)]))
+        await asyncio.wait([writing], timeout=0.1)
+        assert any("_publish_all" in repr(each) for each in asyncio.all_tasks())
+        writing.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await writing
+        for _ in range(10):  # turns of the loop
+            await asyncio.sleep(0)
+        left = [each for each in asyncio.all_tasks() if "_publish_all" in repr(each)]
+        broker.process.send_signal(18)  # SIGCONT
+        assert not left
+        await output.close()
+
+    run(go())
+
+
 def test_a_confirmation_waits_for_no_ack_of_tcp(broker: Broker) -> None:
     """Nagle's algorithm would hold back the request for it until the broker acknowledged others."""
 

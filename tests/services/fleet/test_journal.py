@@ -116,6 +116,8 @@ def test_a_broker_that_is_away_for_an_hour_misses_nothing(path: str, inline: Non
     assert broker.ids == other.ids == in_journal(path)
     assert [each.dropped for each in fleet.statistics.outputs.values()] == [0, 0]
     assert len({*broker.ids}) == len(broker.ids)
+    journal = fleet.statistics.journal
+    assert (journal.dropped, journal.failures, journal.trouble) == (0, 0, "")
 
 
 def test_an_output_goes_on_in_the_next_run(path: str, inline: None) -> None:
