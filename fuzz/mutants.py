@@ -310,6 +310,9 @@ def _become(mutant: Mutant, tests: dict[str, float], folder: Path) -> None:
     try:
         os.setsid()
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.RLIM_INFINITY))
+        # A loop of the simulated world goes on although its test has failed for being late.
+        processor = int(60 + sum(3 * seconds + 0.1 for seconds in tests.values()))
+        resource.setrlimit(resource.RLIMIT_CPU, (processor, resource.RLIM_INFINITY))
         with open(folder / "output", "w") as output, open(os.devnull) as nothing:
             os.dup2(nothing.fileno(), 0)
             os.dup2(output.fileno(), 1)
@@ -338,7 +341,9 @@ def judged(running: Running, code: int | None) -> Outcome:
     output = (running.folder / "output").read_text(errors="replace")
     failed = re.search(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
     by = failed[1] if failed else ""
-    if code is None or "Failed: Timeout (" in output or "MemoryError" in output:
+    if code is None or code == -signal.SIGXCPU:
+        kind = "hung"
+    elif "Failed: Timeout (" in output or "MemoryError" in output:
         kind = "hung"
     elif code == 0:
         kind = "survived"

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import ast
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -184,6 +185,7 @@ def test_what_keeps_the_package_from_being_imported_is_no_survivor(tmp_path: Pat
     assert judged(running, pytest.ExitCode.USAGE_ERROR).kind == "broken"
     (tmp_path / "output").write_text("ERROR: file or directory not found: tests/nothing.py\n")
     assert judged(running, pytest.ExitCode.USAGE_ERROR).kind == "unknown"
+    assert judged(running, None).kind == judged(running, -signal.SIGXCPU).kind == "hung"
 
 
 def test_tests_in_folders_of_the_test_folder_are_beside_too() -> None:
