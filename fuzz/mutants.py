@@ -341,9 +341,8 @@ def judged(running: Running, code: int | None) -> Outcome:
     output = (running.folder / "output").read_text(errors="replace")
     failed = re.search(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
     by = failed[1] if failed else ""
-    if code is None or code == -signal.SIGXCPU:
-        kind = "hung"
-    elif "Failed: Timeout (" in output or "MemoryError" in output:
+    was_ended = code in (None, -signal.SIGXCPU)
+    if was_ended or "Failed: Timeout (" in output or "MemoryError" in output:
         kind = "hung"
     elif code == 0:
         kind = "survived"
@@ -351,7 +350,7 @@ def judged(running: Running, code: int | None) -> Outcome:
         kind = "unreached"
     elif code == BROKEN or (code == pytest.ExitCode.USAGE_ERROR and _CONFTEST in output):
         kind = "broken"
-    elif by or code < 0:
+    elif by or (code or 0) < 0:
         kind = "killed"
     else:
         kind = "unknown"

@@ -338,6 +338,15 @@ def test_a_late_answer_in_another_units_turn_is_dropped_and_starts_the_silence_a
     assert talk.statistics.late_answers == 1
 
 
+def test_a_broadcast_waits_for_the_last_of_the_units() -> None:
+    talk = Talk(LINE, timeout=1)
+    failed(talk)
+    talk.wait(0.5)
+    failed(talk, unit=2)
+    owing = [talk.matching.ready_at(unit) for unit in (1, 2)]
+    assert owing[0] < owing[1] == talk.matching.ready_at(0)
+
+
 def test_a_broadcast_waits_for_all_units() -> None:
     talk = Talk(LINE, timeout=1)
     failed(talk, unit=1)

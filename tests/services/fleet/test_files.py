@@ -94,6 +94,24 @@ def test_default_dead_bands_of_points_that_a_device_does_not_read_are_left_out(
     assert valve.dead_bands == north.dead_bands == {"voltage": 0.5}
 
 
+def test_own_dead_bands_of_a_point_that_a_device_does_not_read_are_a_mistake(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TEST_MQTT_PASSWORD", "secret")
+    fleet = FLEET.replace('items = ["voltage"]', 'items = ["voltage"]\ndead_bands = {power = 1}')
+    with pytest.raises(FleetFileError, match=r"dead_bands\.power"):
+        load(written(tmp_path, fleet.partition('[[device]]\nname = "own"')[0]))
+
+
+def test_a_journal_of_a_file_is_made_with_its_keys(tmp_path: Path) -> None:
+    path = written(tmp_path, SIMPLE)
+    assert load(path).made_journal() is None
+    path.write_text(f'journal = "{tmp_path}/fleet.db"\n{SIMPLE}')
+    journal = load(path).made_journal()
+    assert journal is not None
+    assert journal.path == f"{tmp_path}/fleet.db"
+
+
 def test_a_file_with_every_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TEST_MQTT_PASSWORD", "secret")
     # One unit has the bands of the defaults that it reads; one has no map of these.
