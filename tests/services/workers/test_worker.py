@@ -62,6 +62,13 @@ class Bucket:
     def hold(self, connection: Connection, holder: str, at: float = 0.0, by: str = "") -> None:
         self.write(connection.slot.key, encode_holder(holder, by or holder), at)
 
+    def read_again(self, at: float) -> None:
+        """The worker reads all that the bucket contains."""
+        self.worker.begins()
+        for entry in sorted(self.latest.values(), key=lambda each: each.revision):
+            self.worker.saw(entry, at)
+        self.worker.is_synced(at)
+
     def step(self, at: float) -> list[Put]:
         """One step whose writes all succeed; return those that are not about its own lease."""
         told = []
@@ -141,14 +148,19 @@ class TestSnapshot:
     def test_a_bucket_that_is_read_again_changes_nothing(self) -> None:
         bucket = Bucket(LINE)
         bucket.steps(*every(0.0, 15.0))
-        bucket.worker.begins()
-        for entry in sorted(bucket.latest.values(), key=lambda each: each.revision):
-            bucket.worker.saw(entry, 15.0)
-        bucket.worker.is_synced(15.0)
+        bucket.read_again(15.0)
         assert bucket.me == "m.1"
         bucket.step(15.0)
         assert bucket.polled() == {LINE.key}
         assert bucket.worker.may_ask(LINE.key, 15.0)
+
+    def test_a_bucket_that_is_read_again_prolongs_no_lease_of_others(self) -> None:
+        bucket = Bucket()
+        bucket.member("o.1", 0.0)
+        bucket.steps(*every(0.0, 8.0))
+        bucket.read_again(8.0)
+        assert bucket.steps(9.0, 10.0) == []
+        assert written(bucket.steps(11.0)) == {"worker.o.1": "ended"}
 
 
 class TestLeaving:
