@@ -18,6 +18,7 @@ from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.csv_output import CsvOutput
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
+from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.stream import Stream, _messages
 from tests.services.fleet.fleets import meter, simulated
 from tests.support.cases import each_case
@@ -82,6 +83,18 @@ def test_a_message_of_nats_holds_them_once() -> None:
     assert north["labels"] == ODD
     assert "labels" not in south
     assert "labels" not in north["values"]["level"]
+
+
+@pytest.mark.parametrize("payload", ["point", "poll"])
+def test_a_message_of_mqtt_holds_them(payload: str) -> None:
+    topic = "plant/{device}/{name}" if payload == "point" else "plant/{device}"
+    output = Mqtt("mqtt://127.0.0.1", topic=topic)
+    label(output, LABELS)
+    messages = output._messages.of([reading(each) for each in (*LABELS, "other")])
+    north, south, other = (json.loads(data) for _, data in messages)
+    assert north["labels"] == ODD
+    assert "labels" not in south
+    assert "labels" not in other
 
 
 def test_a_message_of_nats_stays_within_its_size() -> None:
