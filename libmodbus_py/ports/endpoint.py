@@ -12,14 +12,14 @@ The schemes are those of `SCHEMES` in `schemes`, among them::
 Without a scheme, a path such as /dev/ttyUSB0 is a serial port in RTU mode, and all else a host for
 tcp: 192.0.2.10, 192.0.2.10:1502, [::1]:1502.
 
-HOST is a name, an IPv4 address or an IPv6 address in brackets; the default port
-is 502, with tls 802. udp has one frame of Modbus/TCP in each datagram, rtu+udp one of RTU. tls
+HOST is a name, an IPv4 address or an IPv6 address in brackets. The default port is 502, and 802
+for tls. With udp, each datagram contains one frame of Modbus/TCP; with rtu+udp, one RTU frame. tls
 takes `cert` (or `certificate`), `key`, `ca` (or `trust`), `pin` and `server_name`, which are the
-arguments of `Security`, and `password_env`, the environment variable that contains the key's
-password. Serial ports also take
-rs485 (kernel, rts-up, rts-down), rts_delay and silence (seconds), echo (0, 1).
+arguments of `Security`, and `password_env`, the environment variable that contains the password of
+the key. Serial ports also take rs485 (kernel, rts-up, rts-down), rts_delay and silence (seconds),
+and echo (0, 1).
 
-Clients take their own options from every URL: ``tcp://192.0.2.10?unit=7&timeout=0.5``.
+Every URL may contain options of clients: ``tcp://192.0.2.10?unit=7&timeout=0.5``.
 """
 
 from __future__ import annotations
@@ -64,10 +64,10 @@ class Endpoint:
 
     Attributes:
         scheme: one of `SCHEMES`.
-        host, port: for networks; else empty and 0.
-        device: for serial ports; else empty.
+        host, port: the host and its port; empty and 0 for serial ports.
+        device: the path of the serial port; empty for networks.
         options: settings of the serial port, or files for TLS, converted but not checked.
-        client_options: of a client, likewise.
+        client_options: options of a client, converted but not checked.
     """
 
     scheme: Scheme
@@ -99,7 +99,7 @@ class Endpoint:
 
     @property
     def is_secure(self) -> bool:
-        """True if client and server show each other certificates (tls)."""
+        """True if client and server authenticate each other by certificates (tls)."""
         return TRANSPORTS[self.transport].is_secure
 
     @property
@@ -110,10 +110,10 @@ class Endpoint:
     @property
     def place(self) -> tuple[str, str, int]:
         """
-        The same for all endpoints that lead to one port, whatever their options.
+        The kind of port, its host or device, and its number, without any options.
 
-        Kind of port, host or device, and number. Neither are names of hosts looked up nor links
-        to a device followed: the place is the same on all machines.
+        Host names are not looked up, and symbolic links to devices not followed, so that the place
+        is the same on all machines.
         """
         if self.is_serial:
             return "serial", posixpath.normpath(self.device), 0
@@ -121,7 +121,7 @@ class Endpoint:
 
     @property
     def serial_settings(self) -> dict[str, Any]:
-        """The options, with the usual settings of the framing for those that are missing."""
+        """The settings of the serial port, with the defaults of the framing for missing ones."""
         defaults = ASCII_DEFAULTS if self.framing == "ascii" else {}
         return {**defaults, **self.options}
 
@@ -169,11 +169,11 @@ def _one_spelling(host: str) -> str:
 
 def parse(url: str) -> Endpoint:
     """
-    Read a URL, or what stands for one: a host, HOST:PORT, or the path of a serial port.
+    Return the endpoint of a URL, or of a host, HOST:PORT, or path of a serial port.
 
     Raises:
-        TypeError: not a string.
-        ValueError: which part is wrong, and what is allowed.
+        TypeError: the argument is no string.
+        ValueError: a part of the URL is wrong; the message tells which, and what is allowed.
     """
     if not isinstance(url, str):
         raise TypeError(f"url must be a string, not {type(url).__name__}")
@@ -216,10 +216,10 @@ def url_of(text: str) -> str:
 
 def parse_to_listen(url: str) -> Endpoint:
     """
-    Read the URL of an endpoint that listens, as `parse`.
+    Return the endpoint of a URL at which to listen, as `parse`.
 
     Raises:
-        TypeError, ValueError: as `parse`; or the URL has options of clients.
+        TypeError, ValueError: as for `parse`; or the URL has options of clients.
     """
     endpoint = parse(url)
     if endpoint.client_options:

@@ -63,19 +63,19 @@ class SerialPort(Port):
     A serial port.
 
     Args:
-        device: such as "/dev/ttyUSB0"; locked while open, so that no two
-            programs talk at once.
-        baudrate: bits per second, 1..4000000; one that the port cannot do is
+        device: the path of the port, such as "/dev/ttyUSB0"; it is locked while it is open, so
+            that no two programs use it at once.
+        baudrate: bits per second, 1..4000000. A baud rate that the port does not support is
             refused when it is opened.
         parity: "N", "E" or "O", or the words "none", "even" and "odd".
         data_bits: 5..8.
         stop_bits: 1 or 2.
-        rs485: None; "kernel" (the driver turns the transceiver round); "rts-up"
-            or "rts-down" (RTS is set or cleared while we send).
-        rts_delay: seconds between RTS and the first bit, and after the last, 0..1;
-            None for the length of one character.
-        echo: True if all bytes sent come back, as from some two-wire transceivers; the echo is
-            removed from received bytes.
+        rs485: how the direction of an RS-485 transceiver is switched: None, not at all; "kernel",
+            by the driver; "rts-up" or "rts-down", by setting or clearing RTS while sending.
+        rts_delay: seconds between switching RTS and the first bit, and between the last bit and
+            switching back, 0..1; None for the length of one character.
+        echo: True if all sent bytes come back, as from some two-wire transceivers; the echo is
+            removed from the received bytes.
         silence: seconds without a byte before anything is sent, 0..1; None for the 3.5
             characters of the specification (1.75 ms above 19200 bit/s).
 
@@ -258,7 +258,7 @@ class SerialPort(Port):
             lib.modbus_rtu_set_rts_delay(self.context, round(self.rts_delay * 1_000_000))
 
     def close(self) -> None:
-        """Close the port; a process that inherited it leaves its parent's settings."""
+        """Close the port. A process that inherited it does not change its parent's settings."""
         self._sending = iter(())  # RTS goes back while the port is still open
         self.resume_at = None
         if self._process != os.getpid():

@@ -63,7 +63,7 @@ def security_of(endpoint: Endpoint, given: Given | None) -> Security | Given:
     Return the security of a `tls://` endpoint, from its URL or the argument.
 
     Raises:
-        TypeError, ValueError: neither or both contain it; or as `Security`.
+        TypeError, ValueError: neither or both contain it; or as for `Security`.
     """
     if not endpoint.options:
         if given is None:
@@ -84,7 +84,7 @@ def named_security(place: str, options: Mapping[str, str]) -> Security:
         place: the place of the options, for error messages.
 
     Raises:
-        TypeError, ValueError: an option is missing; or as `Security`.
+        TypeError, ValueError: an option is missing; or as for `Security`.
     """
     if "cert" not in options:
         raise ValueError(f"{place} lacks cert, the file with one's own certificate")
@@ -107,13 +107,13 @@ def _from_environment(name: str) -> str:
 
 class TlsPort(TcpPort):
     """
-    A TLS connection; it is open when each side has accepted the other's certificate.
+    A TLS connection, which is open once each side has accepted the other's certificate.
 
     The next connection resumes its session, if the server allows that (R-42).
 
     Args:
         host, port, keepalive: as for `TcpPort`.
-        security: the own certificate, and the trusted ones.
+        security: the client's own certificate, and those that it trusts.
     """
 
     @classmethod

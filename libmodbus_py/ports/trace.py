@@ -31,7 +31,7 @@ class Traced(NamedTuple):
 
     Attributes:
         time: seconds since the epoch (time.time).
-        endpoint: URL of the connection; for a server, of the endpoint that listens.
+        endpoint: the URL of the connection; for a server, that of the listening endpoint.
         direction: "sent" or "received".
         adu: all bytes of the ADU, or the bytes that are no frame.
         unit: 0..255, the unit of the ADU; None for bytes that are no frame.
@@ -83,7 +83,7 @@ class Trace:
     """
     Passes ADUs to a callback, and to the logger ``libmodbus_py.wire`` at DEBUG.
 
-    A callback that fails is logged, and harms no request.
+    If the callback fails, this is logged, and requests are not affected.
 
     Args:
         endpoint, peer: as in `Traced`.

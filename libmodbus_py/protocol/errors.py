@@ -3,15 +3,15 @@ The exceptions, grouped by cause.
 
 ::
 
-    ValueError, TypeError            yours: an argument, before a byte is sent
-    ModbusError                      all below; carries unit, function, endpoint, sent, received
-      ExceptionResponse              the server's no: .code
+    ValueError, TypeError            an argument is wrong; nothing was sent
+    ModbusError                      the base of those below: unit, function, sent, received, ...
+      ExceptionResponse              the server refused the request: .code
         IllegalFunction 1   IllegalDataAddress 2   IllegalDataValue 3   ServerDeviceFailure 4
         Acknowledge 5   ServerDeviceBusy 6   NegativeAcknowledge 7   MemoryParityError 8
         GatewayPathUnavailable 10   GatewayTargetFailedToRespond 11
       FrameError                     bytes that are no frame
-      InvalidResponse                a frame that does not answer the request
-      ModbusTimeoutError             no answer in time; also a TimeoutError
+      InvalidResponse                a frame that is no valid response to the request
+      ModbusTimeoutError             no response in time; also a TimeoutError
       ModbusConnectionError          no connection; also a ConnectionError
 
 A server refuses a request by raising the same `ExceptionResponse` classes.
@@ -53,21 +53,21 @@ def in_hex(data: bytes, most: int = 32) -> str:
 
 class ModbusError(Exception):
     """
-    Any failure after the arguments were checked.
+    The base of all errors that occur after the arguments were checked.
 
     Attributes:
-        unit: the unit that was asked, or None where there is none.
-        function: the function code that was asked, 1..127, or None.
+        unit: the unit of the request, 0..255, or None.
+        function: the function code of the request, 1..127, or None.
         asked: the request in words, or empty.
-        endpoint: URL of the connection, such as "tcp://192.0.2.10:502", or empty.
-        sent: the request as it went out, header and check bytes included, or empty.
-        received: what came back until the error, its first 600 bytes, or empty.
+        endpoint: the URL of the connection, such as "tcp://192.0.2.10:502", or empty.
+        sent: the frame of the request, with header and check bytes, or empty.
+        received: the first 600 bytes that were received until the error occurred, or empty.
         names: the items of a plan, such as points of a map, that the request was for; empty if it
-            was for others, too.
-        answers_another: whether that answers another request: of another unit, function or
-            transaction id.
+            was for other items, too.
+        answers_another: True if the received frame answers another request: its unit, function or
+            transaction id is different.
 
-    ``str()`` is one line for messages; ``repr()`` says all of the above.
+    ``str()`` returns one line for messages; ``repr()`` returns all of the above.
     """
 
     answers_another: bool = False
@@ -115,10 +115,10 @@ def _shown(value: object) -> str:
 
 class ExceptionResponse(ModbusError):
     """
-    The server refused: exception code 1..255 (application protocol, section 7).
+    The server refused the request with an exception code, 1..255 (application protocol, section 7).
 
-    Known codes arrive as the subclasses; others as this class. Raise one in a
-    server to refuse a request.
+    Clients raise the subclass for the code; this class if there is none. A hook or handler of a
+    server raises one to refuse a request.
 
     Attributes:
         code: the exception code.
@@ -136,75 +136,75 @@ class ExceptionResponse(ModbusError):
 
     @staticmethod
     def of(code: int, **transaction: Unpack[_Transaction]) -> ExceptionResponse:
-        """Make the exception for a code, 0..255, of the class that the code has."""
+        """Return the exception for a code, 0..255, of the subclass for that code."""
         return _BY_CODE.get(code, ExceptionResponse)(code=code, **transaction)
 
 
 class IllegalFunction(ExceptionResponse):
-    """1: the function code is not supported, or not now."""
+    """Exception 1: the function is not supported, or not in the current state of the server."""
 
     code = 1
     meaning = "illegal function"
 
 
 class IllegalDataAddress(ExceptionResponse):
-    """2: an address, or address + count, does not exist."""
+    """Exception 2: some of the addresses do not exist."""
 
     code = 2
     meaning = "illegal data address"
 
 
 class IllegalDataValue(ExceptionResponse):
-    """3: a quantity, length or constant of the request is wrong."""
+    """Exception 3: a quantity, length or constant of the request is wrong."""
 
     code = 3
     meaning = "illegal data value"
 
 
 class ServerDeviceFailure(ExceptionResponse):
-    """4: the server failed while it executed the request."""
+    """Exception 4: the server failed while it executed the request."""
 
     code = 4
     meaning = "server device failure"
 
 
 class Acknowledge(ExceptionResponse):
-    """5: accepted; it will take long."""
+    """Exception 5: the server has accepted the request, but will need a long time for it."""
 
     code = 5
     meaning = "acknowledge"
 
 
 class ServerDeviceBusy(ExceptionResponse):
-    """6: busy with a long command; ask again later."""
+    """Exception 6: the server is busy with a long command; the client should retry later."""
 
     code = 6
     meaning = "server device busy"
 
 
 class NegativeAcknowledge(ExceptionResponse):
-    """7: the program function cannot be performed (PI-MBUS-300)."""
+    """Exception 7: the program function cannot be performed (PI-MBUS-300)."""
 
     code = 7
     meaning = "negative acknowledge"
 
 
 class MemoryParityError(ExceptionResponse):
-    """8: the file memory failed its consistency check."""
+    """Exception 8: the file memory failed a consistency check."""
 
     code = 8
     meaning = "memory parity error"
 
 
 class GatewayPathUnavailable(ExceptionResponse):
-    """10: the gateway has no path to the unit."""
+    """Exception 10: the gateway has no path to the unit."""
 
     code = 10
     meaning = "gateway path unavailable"
 
 
 class GatewayTargetFailedToRespond(ExceptionResponse):
-    """11: the unit behind the gateway gave no answer."""
+    """Exception 11: the unit behind the gateway did not respond."""
 
     code = 11
     meaning = "gateway target device failed to respond"
@@ -233,31 +233,31 @@ _BY_CODE: dict[int, type[ExceptionResponse]] = {
 
 class FrameError(ModbusError):
     """
-    Bytes that are no frame: wrong CRC or LRC, wrong header, not hexadecimal.
+    The received bytes are no frame: a CRC, LRC or header is wrong, or they are not hexadecimal.
 
     Attributes:
-        overrun: whether there were more of them than a frame can have.
+        overrun: True if there were more bytes than a frame can have.
     """
 
     overrun = False
 
 
 class InvalidResponse(ModbusError):
-    """A good frame that does not answer the request: wrong unit, function, length or echo."""
+    """The received frame does not answer the request: a wrong unit, function, length or echo."""
 
 
 class ModbusTimeoutError(ModbusError, TimeoutError):
-    """No complete answer before the deadline."""
+    """No complete response arrived within the timeout."""
 
 
 class ModbusConnectionError(ModbusError, ConnectionError):
     """
-    No connection, or it went away.
+    The connection could not be established, or was lost.
 
     Attributes:
-        errno: the system's error number, or None; for a host name that does
-            not resolve, the negative number of getaddrinfo. The OSError itself
-            is ``__cause__`` where there was one.
+        errno: the system's error number, or None; for a host name that cannot be
+            resolved, the negative error number of getaddrinfo. The OSError itself, if any,
+            is ``__cause__``.
     """
 
     def __init__(
@@ -275,7 +275,7 @@ Error = TypeVar("Error", bound=ModbusError)
 
 
 def alike(error: Error) -> Error:
-    """Copy an error that several requests meet: each completes its own."""
+    """Return a copy of an error that concerns several requests: each request completes its own."""
     made = copy.copy(error)
     made.__cause__ = error.__cause__
     return made

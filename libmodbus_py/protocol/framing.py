@@ -1,13 +1,14 @@
 """
 Frames: a unit and a PDU as bytes on TCP, UDP, an RTU line or an ASCII line.
 
-Bytes only; no socket, no clock. A framer has one direction of one connection:
+There are no sockets or clocks here, only bytes. A framer handles one direction of one
+connection:
 
 * ``encode(frame)`` returns the bytes to send;
-* ``feed(data)`` takes received bytes in any pieces and returns the frames that
-  are complete, oldest first. Bytes that are no frame raise FrameError, once
-  the frames before them have been given; ``feed(b"")`` asks for it;
-* ``silence()`` says that the line has been quiet for a while. It is a hint;
+* ``feed(data)`` takes received bytes, cut anywhere, and returns the frames that are complete,
+  oldest first. Bytes that are no frame raise a FrameError after the frames before them were
+  returned: the next call raises it, which can be ``feed(b"")``;
+* ``silence()`` tells the framer that the line has been quiet for `quiet` seconds;
 * ``pending`` is the number of bytes that wait for the rest of their frame.
 
 TCP: MODBUS Messaging on TCP/IP V1.0b, section 3. RTU and ASCII: MODBUS over
@@ -48,12 +49,12 @@ MOST_ERRORS = 8
 
 class Frame(NamedTuple):
     """
-    One message.
+    A request or response with its unit.
 
     Attributes:
-        unit: 0..255 (serial lines: 0 broadcast, 1..247 one unit).
-        pdu: function code and data, 1..253 bytes.
-        transaction: 0..65535 on TCP; 0 elsewhere.
+        unit: 0..255; on serial lines 0 is a broadcast, and units are 1..247.
+        pdu: the function code and the data, 1..253 bytes.
+        transaction: the transaction id, 0..65535, on TCP and UDP; 0 elsewhere.
     """
 
     unit: int
@@ -117,7 +118,7 @@ class Framer(ABC):
         return len(self.rest)
 
     def end(self) -> bytes:
-        """Return the bytes that wait for the rest of their frame, which does not come."""
+        """Return the bytes of an incomplete frame whose rest will not come, and forget them."""
         rest = bytes(self.rest)
         self.rest.clear()
         return rest
@@ -127,7 +128,7 @@ class Framer(ABC):
         Take received bytes, and return the frames that they complete.
 
         Raises:
-            FrameError: bytes that are no frame, and no frame to give.
+            FrameError: bytes are no frame, and there is no frame to return before that.
         """
         return self._frames(self.scan(data))
 
@@ -207,12 +208,12 @@ _CRC = struct.Struct("<H")
 
 
 def mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
-    """Put a header before a PDU, unchecked."""
+    """Return a PDU with an MBAP header; nothing is checked."""
     return _PREFIX.pack(transaction, 0, 1 + len(pdu), unit) + pdu
 
 
 def rtu(_transaction: int, unit: int, pdu: bytes) -> bytes:
-    """Put a unit before a PDU and a CRC behind it, unchecked."""
+    """Return a PDU between a unit and a CRC; nothing is checked."""
     body = bytes([unit]) + pdu
     return body + _CRC.pack(lib.crc16(body, len(body)))
 
@@ -288,10 +289,10 @@ def split(data: bytes) -> Iterator[bytes]:
 
 class TcpFramer(Framer):
     """
-    MBAP: transaction, protocol, length, unit in front of the PDU.
+    The framer of Modbus/TCP: an MBAP header (transaction, protocol, length, unit) before the PDU.
 
-    A protocol other than 0 makes that one frame an error; a length outside 2..254 ends the
-    stream: every later call raises.
+    A frame with a protocol other than 0 is an error. After a length outside 2..254 the start of
+    the next frame is unknown, so that every later call raises a FrameError.
     """
 
     has_broadcast = False
@@ -317,10 +318,10 @@ class TcpFramer(Framer):
 
 class UdpFramer(TcpFramer):
     """
-    The same frames, one in each datagram: every call of ``feed`` or ``scan`` takes one.
+    The framer of Modbus over UDP: one frame of Modbus/TCP in each datagram.
 
-    A datagram with anything but one whole frame is an error, and does not affect those that
-    follow.
+    Every call of ``feed`` or ``scan`` takes one datagram. A datagram that is not exactly one frame
+    is an error, and does not affect later ones.
     """
 
     max_size = MAX_PDU + 7
@@ -338,25 +339,25 @@ class UdpFramer(TcpFramer):
 
 class RtuFramer(Framer):
     """
-    Unit, PDU, CRC; found by the length rules of `pdu` and judged by the CRC.
+    The framer of RTU: unit, PDU, CRC.
 
-    Nothing marks the ends of an RTU frame but silence, which no PC can measure
-    through its buffers. So the function code says how long the frame is, and
-    only the CRC can confirm it. A function without a length rule ends with
-    silence, where the CRC fits; it must begin right after silence or a good frame.
+    The ends of an RTU frame are marked only by silence, which PCs cannot measure because of their
+    buffers. So the length of a frame is found by the length rules of `pdu`, and confirmed by the
+    CRC. A frame of a function without a length rule ends where silence follows and the CRC fits; it
+    must begin right after silence or a valid frame.
 
-    For a client every byte after garbage is tried as a start. A server hears what other units
-    answer, too, and nothing within it is a request: see `hearing_requests`. After garbage it
-    takes a request only when silence follows.
+    After garbage, a client tries every byte as the start of a frame. A server also receives the
+    responses of other units, which must not be taken for requests: see `hearing_requests`. After
+    garbage, it accepts a request only if silence follows.
 
     Args:
-        role: "server" when requests come in, "client" when responses do.
-        pause: seconds between two frames on the line, as `pause_between_frames` returns; 0 where
-            bytes do not come at the pace of a line, as over TCP.
+        role: "server" if it receives requests, "client" if it receives responses.
+        pause: seconds between two frames on the line, as `pause_between_frames` returns; 0 if
+            bytes do not arrive at the pace of a serial line, as over TCP.
 
     Attributes:
-        is_ours: for a server: returns True if it answers a unit itself, False if another one
-            on the line may; True for all units unless changed.
+        is_ours: for a server, a function that returns True for the units that it answers itself,
+            and False for units that may be others on the line; by default True for all units.
     """
 
     quiet: float
@@ -471,7 +472,7 @@ def _every_unit(unit: int) -> bool:
 
 
 def scanner(role: Role) -> FrameScanner:
-    """Make what finds the RTU frames of one direction by the length rules of `pdu`."""
+    """Return a scanner, which finds the RTU frames of one direction by the rules of `pdu`."""
     is_client = role == "client"
     return FrameScanner(
         is_client,
@@ -493,7 +494,7 @@ _CHANGE_DELIMITER = b"\x08\0\x03"
 
 
 def is_delimiter(value: int) -> bool:
-    """Return True if a byte may end ASCII frames: no colon, CR or hexadecimal digit, below 80h."""
+    """Return True if a byte may end ASCII frames: below 80h, and no colon, CR or hex digit."""
     return 0 <= value <= 0x7F and chr(value) not in ":\r0123456789ABCDEFabcdef"
 
 
@@ -501,12 +502,12 @@ def delimiter_after(pdu: bytes, delimiter: int) -> int:
     """
     Return the delimiter of ASCII frames after a device has answered with a PDU.
 
-    Function 8, sub-function 3 changes it, if what it asks for is a delimiter and 00 follows;
-    sub-function 1, a restart, sets it to LF.
+    Function 8, sub-function 3 changes it, if its data are a valid delimiter and 00;
+    sub-function 1 (restart) sets it to LF.
 
     Args:
-        pdu: the answer; the request is the same.
-        delimiter: until then.
+        pdu: the response, which is equal to the request.
+        delimiter: the previous delimiter.
     """
     if pdu[:3] == _RESTART_COMMUNICATIONS:
         return LINE_FEED
@@ -517,17 +518,17 @@ def delimiter_after(pdu: bytes, delimiter: int) -> int:
 
 class AsciiFramer(Framer):
     """
-    A colon, hexadecimal digits (sent in upper case) of unit, PDU and LRC, CR and a delimiter.
+    The framer of ASCII: a colon; unit, PDU and LRC in hexadecimal digits; CR; a delimiter.
 
-    Everything before a colon is skipped, and a colon inside a frame starts a
-    new one. Lower-case digits are taken unless `strict`.
+    Digits are sent in upper case. Everything before a colon is skipped, and a colon inside a frame
+    starts a new one. Lower-case digits are accepted unless `strict` is True.
 
     Args:
-        strict: take only the upper-case digits that the specification allows.
+        strict: True to accept only upper-case digits, as the specification requires.
 
     Attributes:
-        delimiter: the byte after CR, LF unless changed (function 8,
-            sub-function 3); it counts for frames sent and received from then on.
+        delimiter: the byte after CR, which is LF unless it is changed (function 8,
+            sub-function 3); it applies to frames sent and received from then on.
     """
 
     quiet: float = 1.0
@@ -610,15 +611,15 @@ _FRAMERS: dict[str, Callable[[], Framer]] = {
 
 def make_framer(framing: Framing, role: Role, pause: float = 0.0) -> Framer:
     """
-    Make a framer for one direction of one connection.
+    Return a framer for one direction of one connection.
 
     Args:
         framing: "tcp", "rtu", "ascii" or "udp".
-        role: "server" when requests come in, "client" when responses do.
+        role: "server" if it receives requests, "client" if it receives responses.
         pause: as for `RtuFramer`; without effect on other framings.
 
     Raises:
-        ValueError: no such framing or role.
+        ValueError: there is no such framing or role.
     """
     if framing == "rtu":
         return RtuFramer(role, pause)

@@ -1,23 +1,23 @@
 """
-Values and references: what registers mean, and how manuals number them.
+Values and references: how registers are interpreted, and how manuals number them.
 
-Modbus carries 16-bit registers, high byte first. All else is an agreement between
-device and reader; this module knows the usual ones. Types are named by text:
+Modbus carries 16-bit registers, high byte first. Everything else is a convention of the
+device; this module knows the usual ones. Types are named by strings:
 
 * int16, uint16, int32, uint32, int64, uint64;
 * float16, float32, float64 (IEEE 754);
 * bcd16, bcd32, bcd64: decimal digits, four in each register;
 * bits16, bits32, bits64: lists of True and False, lowest bit first;
-* unix32, unix64: seconds since 1970; ms64: milliseconds; the 32 bits without a sign, 64 with one;
+* unix32, unix64: seconds since 1970; ms64: milliseconds; unsigned with 32 bits, signed with 64;
 * iec870: CP56Time2a of IEC 60870-5-4 in the four registers of Schneider's devices;
-* date48: six bytes, year (of 2000), month, day, hour, minute, second; bcddate48: the same in
-  decimal digits; date96: six registers, with the whole year;
-* string:N: N bytes of text, 1..250, two in each register; of an odd N the last
-  byte of the last register is no text: written as 0, not looked at when read.
+* date48: six bytes, year (since 2000), month, day, hour, minute, second; bcddate48: the same in
+  decimal digits; date96: six registers, with the full year;
+* string:N: N bytes of text, 1..250, two in each register; if N is odd, the last
+  byte of the last register is written as 0 and ignored when read.
 
-Orders say how the bytes A (most significant), B, C, D of a value lie in the
-registers; four letters name the order of every width, and one of 16 or 64 bits
-may be written out:
+An order tells how the bytes A (most significant), B, C, D of a value are arranged in the
+registers. Four letters name the order for all widths; for 16 and 64 bits it may also be
+written out:
 
 ==== == ======== ================ ========================
 name 16 64 bits  meaning          registers of 0x12345678
@@ -28,10 +28,10 @@ BADC BA BADCFEHG bytes swapped    3412 7856
 DCBA BA HGFEDCBA little-endian    7856 3412
 ==== == ======== ================ ========================
 
-Text stands in reading order: its registers are never reversed, only the bytes of
+Text is always in reading order: its registers are never reversed, only the bytes of
 each are swapped (BADC, DCBA).
 
-The C library's own float helpers are not used: they disagree between versions.
+The float functions of libmodbus are not used, because they differ between versions.
 """
 
 from __future__ import annotations
@@ -125,15 +125,15 @@ def _reorder(data: bytes, words: bool, swap: bool) -> bytes:
 @dataclass(frozen=True, eq=False)
 class ValueType:
     """
-    One type of value in one order of bytes; `value_type` makes them.
+    A type of values in one byte order, made by `value_type`.
 
     Attributes:
-        name: as in the module's docstring.
-        registers: how many registers one value takes, 1..125.
+        name: the name of the type, as in the module's docstring.
+        registers: the number of registers of one value, 1..125.
         order: ABCD, CDAB, BADC or DCBA.
         limits: the lowest and the highest number; None if values are no numbers.
-        is_text: whether its registers stand in reading order whatever the order.
-        is_time: whether values are datetimes, with a time zone.
+        is_text: True if the registers are in reading order, whatever the order.
+        is_time: True if values are datetimes, with a time zone.
     """
 
     name: str
@@ -157,12 +157,12 @@ class ValueType:
 
     def encode(self, value: Any) -> list[int]:
         """
-        Turn one value into its registers, 0..65535 each.
+        Return the registers of one value, 0..65535 each.
 
         Args:
-            value: a number; a list of True and False for bits, lowest first; a
-                string for string:N, which is never cut; a datetime with a time zone for
-                times, whose fractions of a second are cut where the type has none.
+            value: a number; for bits, a list of True and False, lowest first; for string:N, a
+                string, which is never truncated; for times, a datetime with a time zone, whose
+                fractions of a second are dropped if the type has none.
 
         Raises:
             TypeError, ValueError: the value does not fit the type.
@@ -171,11 +171,11 @@ class ValueType:
 
     def encode_many(self, values: Iterable[Any]) -> list[int]:
         """
-        Turn values into registers, one value after the other.
+        Return the registers of values, one value after the other.
 
         Raises:
-            TypeError, ValueError: `values` is no list, or a value, which is
-                named, does not fit the type.
+            TypeError, ValueError: `values` is no list, or a value does not fit the type; the
+                message names the value.
         """
         found = []
         for at, value in enumerate(_items("values", values)):
@@ -184,15 +184,15 @@ class ValueType:
 
     def decode(self, registers: Iterable[int]) -> Any:
         """
-        Turn the registers of one value into that value.
+        Return the value of its registers.
 
         Returns:
-            An int, a float, a list of True and False, a datetime in UTC or a string; a string
-            without the padding at its end, whatever else it holds.
+            An int, a float, a list of True and False, a datetime in UTC, or a string without the
+            padding at its end.
 
         Raises:
-            TypeError, ValueError: the registers are too many or too few, not
-                0..65535 each, or hold no such value.
+            TypeError, ValueError: there are too many or too few registers, they are not
+                0..65535 each, or they hold no such value.
         """
         cells = _cells(registers)
         if len(cells) != self.registers:
@@ -203,11 +203,11 @@ class ValueType:
 
     def decode_many(self, registers: Iterable[int]) -> list[Any]:
         """
-        Turn registers into values, one after the other; no registers into none.
+        Return the values of registers, one after the other; an empty list without registers.
 
         Raises:
-            TypeError, ValueError: the registers do not end with a value, are
-                not 0..65535 each, or hold no such value; it says which.
+            TypeError, ValueError: the last value is incomplete, or registers are not 0..65535
+                each or hold no such value; the message names the registers.
         """
         cells = _cells(registers)
         if len(cells) % self.registers:
@@ -235,24 +235,24 @@ class ValueType:
 
     def from_bytes(self, data: bytes) -> Any:
         """
-        Turn the bytes of one value, as answers carry its registers, into that value.
+        Return the value of the bytes of its registers, as in a response.
 
         Raises:
-            ValueError: they hold no such value.
+            ValueError: the bytes hold no such value.
         """
         return self._unpack(self._reordered(data))
 
     @property
     def reader(self) -> Callable[[bytes], Any]:
-        """A function that does the same as `from_bytes`, with fewer calls where it can."""
+        """Return a function that does the same as `from_bytes`, with fewer calls if possible."""
         return self._unpack if self.order == "ABCD" else self.from_bytes
 
     def to_number(self, data: bytes) -> int:
-        """Return the bits of one value, of any type, as a number without a sign."""
+        """Return the bits of one value of any type as an unsigned number."""
         return int.from_bytes(self._reordered(data), "big")
 
     def cells_of_number(self, number: int) -> list[int]:
-        """Return the registers whose bits are those of a number, 0 up to all bits set."""
+        """Return the registers that contain the bits of an unsigned number."""
         data = self._reordered(number.to_bytes(2 * self.registers, "big"))
         return list(struct.unpack(f">{self.registers}H", data))
 
@@ -470,18 +470,20 @@ def value_type(
     name: str, *, order: str = "ABCD", encoding: str = "ascii", padding: str = "\0"
 ) -> ValueType:
     """
-    Find a type; all names and options are checked here, before any value is.
+    Return a type by its name; the name and the options are checked here.
 
     Args:
-        name: as in the module's docstring, or as vendors write it, such as "FLOAT" or "u16".
-        order: ABCD, CDAB, BADC or DCBA, or written out in the type's width;
-            capitals or not; or in words, such as "big endian" or "word swapped".
-        encoding: of strings; one of `ENCODINGS`, or another name that Python has for it,
-            such as "latin-1" or "windows-1252".
-        padding: the character that fills up strings, and is cut off their end.
+        name: the name as in the module's docstring, or as vendors write it, such as "FLOAT" or
+            "u16".
+        order: ABCD, CDAB, BADC or DCBA, or written out for the width of the type, in upper
+            or lower case; or in words, such as "big endian" or "word swapped".
+        encoding: the encoding of strings: one of `ENCODINGS`, or another name that Python has
+            for one of them, such as "latin-1" or "windows-1252".
+        padding: the character with which strings are filled up, and which is removed from
+            their ends.
 
     Raises:
-        TypeError, ValueError: no such type, order, encoding or padding.
+        TypeError, ValueError: there is no such type, order, encoding or padding.
     """
     kind = _known(name) or _string(name, encoding, padding)
     return replace(kind, order=_order(order, kind))
@@ -513,9 +515,9 @@ class Interpretation(NamedTuple):
     One way to interpret some registers.
 
     Attributes:
-        type: as in the module's docstring.
+        type: the type, as in the module's docstring.
         order: ABCD, CDAB, BADC or DCBA.
-        value: the value that they have in this type and order.
+        value: the value of the registers in this type and order.
     """
 
     type: str
@@ -525,18 +527,18 @@ class Interpretation(NamedTuple):
 
 def readings(registers: Iterable[int]) -> list[Interpretation]:
     """
-    Return every interpretation of some registers that takes all of them as one value.
+    Return all interpretations of registers as one value.
 
-    For manuals that are wrong: one of them is the value that the device shows.
-    A value that a type gives in several orders stands once, under the first of
-    them (ABCD, CDAB, BADC, DCBA).
+    This helps when a manual is wrong: one of the interpretations is the value that the device
+    displays. If several orders of a type lead to the same value, only the first one is returned
+    (ABCD, CDAB, BADC, DCBA).
 
     Args:
-        registers: 1..125. Of 1, 2 and 4 registers there are numbers, bits and
-            text; of other counts there can be text (ASCII) only, or nothing.
+        registers: 1..125 registers, 0..65535 each. For 1, 2 and 4 registers the result contains
+            numbers, bits and text; for other counts ASCII text only, or nothing.
 
     Raises:
-        TypeError, ValueError: not 1..125 registers of 0..65535.
+        TypeError, ValueError: there are not 1..125 registers, or one is not 0..65535.
     """
     cells = _cells(registers)
     count = integer("the number of registers", len(cells), 1, 125)
@@ -583,7 +585,7 @@ class Reference(NamedTuple):
 
     Attributes:
         table: "coils", "discrete_inputs", "input_registers",
-            "holding_registers" or "file" (whose number goes separately).
+            "holding_registers" or "file" (a reference does not contain the file number).
         address: the 0-based address, or the record number.
     """
 
@@ -593,17 +595,18 @@ class Reference(NamedTuple):
 
 def parse_reference(text: str) -> Reference:
     """
-    Read a 5- or 6-digit reference (PI-MBUS-300).
+    Return the table and address of a 5- or 6-digit reference (PI-MBUS-300).
 
-    The first digit is the table, the rest the item, from 1: "40123" is holding
-    register 122. File records count from 0: "600007" is record 7.
+    The first digit is the table, and the rest is the number of the item, counted from 1: "40123"
+    is the holding register with address 122. Only file records are counted from 0: "600007" is
+    record 7.
 
     Args:
-        text: a string, because the leading zero of coils counts.
+        text: the reference, as a string because the leading zero of coils matters.
 
     Raises:
-        TypeError: not a string.
-        ValueError: not a reference, and what one looks like.
+        TypeError: the argument is no string.
+        ValueError: the text is no reference; the message tells what one looks like.
     """
     if not isinstance(text, str):
         given = type(text).__name__

@@ -39,32 +39,33 @@ MAX_PASSWORD = 1024
 @named_arguments
 class Security:
     """
-    The own certificate and the trusted ones, for `tls://` at either end: Modbus/TCP Security v36.
+    The own certificate and the trusted ones for `tls://`, for clients and servers.
 
-    Both sides show a certificate and check the other's, TLS 1.2 or newer. With `trust` the other
-    side's certificate must be signed by one of these authorities and valid now, and a server's must
-    have its name. With `pin` it must be one of exactly these certificates, with any signature and
-    age: most devices in the field have signed their own.
+    Modbus/TCP Security v36: both sides present a certificate and check the other's, with TLS 1.2 or
+    newer. With `trust`, the peer's certificate must be signed by one of these authorities and be
+    valid now, and that of a server must contain its name. With `pin`, it must be one of exactly
+    these certificates, whatever its signature and age: most devices in the field have self-signed
+    certificates.
 
     Args:
-        certificate: a PEM file with one's own certificate, and behind it the others
-            of its chain (R-46).
-        key: a PEM file with the private key; None if it is in the same file.
-        trust: a PEM file with the authorities' certificates.
+        certificate: a PEM file with the own certificate, followed by the others of its chain
+            (R-46).
+        key: a PEM file with the private key; None if the key is in the same file.
+        trust: a PEM file with the certificates of the authorities.
         pin: one or several certificates, each as a PEM file, or as the 64 hexadecimal digits
-            of its SHA-256, with or without colons. A server needs files: Python's ssl can
-            only take a certificate that it knows.
-        server_name: the name or address that a server's certificate must have (`trust`);
-            None for the host that a client connects to. Servers ignore it.
-        password: of an encrypted key.
+            of its SHA-256, with or without colons. A server needs files, because Python's ssl
+            module can only accept certificates that it has.
+        server_name: the name or address that a server's certificate must contain (with
+            `trust`); None for the host that a client connects to. Servers ignore it.
+        password: the password of an encrypted key.
         crl: a PEM file with the revocation lists of all authorities in `trust`, and of those
-            below them. It needs the package cryptography.
-        cert, ca: `certificate` and `trust` under the names that they have in URLs.
+            below them. This needs the package cryptography.
+        cert, ca: `certificate` and `trust` by their names in URLs.
 
     Raises:
-        TypeError, ValueError: a file that cannot be read or has wrong content, a key that is not
-            the certificate's or has another password, both or none of `trust` and `pin`, or
-            `crl` with `pin`.
+        TypeError, ValueError: a file cannot be read or has wrong content, the key does not
+            belong to the certificate or has another password, both or none of `trust` and `pin`
+            are given, or `crl` is given with `pin`.
         ImportError: `crl` is given, and cryptography is not installed.
     """
 
@@ -110,11 +111,11 @@ class Security:
 
     def reload(self) -> None:
         """
-        Read all files again, for connections that begin from now on.
+        Read all files again, for connections made from now on.
 
-        Open connections whose certificate is no longer trusted, or is revoked, end within a minute;
-        for servers, within `Limits.certificate_interval`. When an authority was removed, all of
-        them end, and may connect again.
+        Open connections whose certificate is no longer trusted, or was revoked, are closed within a
+        minute; those of servers within `Limits.certificate_interval`. If an authority was removed,
+        all of them are closed, and may connect again.
 
         Raises:
             TypeError, ValueError: a file is wrong; nothing has changed.
@@ -130,7 +131,7 @@ class Security:
     @property
     def ends(self) -> float | None:
         """
-        The time at which the own certificate ends, in seconds since 1970.
+        The time at which the own certificate expires, in seconds since 1970.
 
         None without the package cryptography.
         """
@@ -178,15 +179,15 @@ class Security:
         return None if self.accepts(tunnel.certificate) else "it is none of the pins"
 
     def accepts(self, certificate: bytes) -> bool:
-        """Return True if a certificate is one of the pins, or there are none."""
+        """Return True if a certificate is one of the pins, or if there are no pins."""
         return self.loaded.accepts(certificate)
 
     def acceptance(self) -> Acceptance:
-        """Return what checks later whether the certificate of a new connection is still good."""
+        """Return what checks later whether the certificate of a connection is still valid."""
         return Acceptance(lambda: self.loaded)
 
     def warn_of_end(self) -> None:
-        """Log a warning, once a day, if the own certificate or a revocation list ends soon."""
+        """Log a warning, once a day, if the own certificate or a revocation list expires soon."""
         now = time.time()
         if now < self._warned_at + DAY:
             return

@@ -1,14 +1,14 @@
 """
-The function codes: one frozen dataclass for each, with both ends of it.
+The function codes: one frozen dataclass for each, for clients and servers.
 
-A request object encodes itself (client), is decoded from bytes (server),
-encodes its response (server) and decodes it (client). Only bytes and values:
-no unit, no framing, no I/O.
+A client encodes a request object and decodes the response with it; a server decodes a request
+object and encodes the response with it. PDUs have no unit and no framing, and there is no I/O
+here.
 
-Every request class names its function code and two length rules, which say
-how long a request or response PDU is once its first bytes are known; a framer
-without end marks (RTU) depends on them. A further function code is one class
-and one row in `REQUESTS`; your own is registered (`register`).
+Every request class has its function code and two length rules, which tell
+the length of a request or response PDU once its first bytes are known. RTU framers
+need them, because RTU frames have no end marks. A new function code needs one class
+and one row in `REQUESTS`; programs add their own with `register`.
 
 Its files:
 

@@ -59,11 +59,11 @@ def _triple(name: str, record: object, form: str) -> tuple[object, object, objec
 @dataclass(frozen=True, slots=True)
 class ReadFileRecords(Request[list[list[int]]]):
     """
-    Function 20, section 6.14: 1..35 pieces of files, each (file, record, length).
+    Function 20, section 6.14: read 1..35 groups of records, each (file, record, length).
 
-    File 1..65535, record 0..9999, record + length up to 10000; the response,
-    2 bytes and 2 per register for each piece, up to 251 bytes. Servers that
-    keep the letter of the specification answer at most 245.
+    File is 1..65535, record 0..9999, and record + length up to 10000. The response has
+    2 bytes for each group and 2 for each record, up to 251 bytes in all. Servers that
+    follow the specification to the letter send at most 245.
     """
 
     records: tuple[tuple[int, int, int], ...]
@@ -139,10 +139,10 @@ class ReadFileRecords(Request[list[list[int]]]):
 @dataclass(frozen=True, slots=True)
 class WriteFileRecords(Echoed):
     """
-    Function 21, section 6.15: pieces of files, each (file, record, values).
+    Function 21, section 6.15: write groups of records, each (file, record, values).
 
-    File 1..65535, record 0..9999, record + length up to 10000, 1..122 values;
-    all pieces, 7 bytes and 2 per value each, up to 251 bytes.
+    File is 1..65535, record 0..9999, and record + length up to 10000, with 1..122 values in a
+    group. The request has 7 bytes for each group and 2 for each value, up to 251 bytes in all.
     """
 
     records: tuple[tuple[int, int, tuple[int, ...]], ...]
@@ -202,7 +202,7 @@ def _counted_wide(head: bytes) -> int | None:
 
 @dataclass(frozen=True, slots=True)
 class ReadFifoQueue(Request[list[int]]):
-    """Function 24, section 6.18: the 0..31 registers of the queue at `address`; it keeps them."""
+    """Function 24, section 6.18: read 0..31 registers of the FIFO queue at `address`."""
 
     address: int
 

@@ -69,21 +69,21 @@ REQUESTS: dict[int, type[Request[Any]]] = {
 
 def register(request: Kind) -> Kind:
     """
-    Make a request class of your own known to framers, clients and servers.
+    Register a request class of a program with framers, clients and servers; return the class.
 
-    Usable as a decorator. The class derives from `Request`, has a `function`,
-    the two length rules (`fixed`, `counted`, `unknown_length`, or a function),
-    `encode`, `decode`, `encode_response` and `_decode_response`. RTU framers that
-    are made later know it; rules by `fixed` and `counted` cost them nothing.
+    It can be used as a decorator. The class derives from `Request` and has a `function`,
+    two length rules (`fixed`, `counted`, `unknown_length`, or a function),
+    `encode`, `decode`, `encode_response` and `_decode_response`. RTU framers that are made
+    later recognise its frames; the rules `fixed` and `counted` do not slow them down.
 
     Args:
-        request: the class; its function is 65..72 or 100..110, or another one
-            that has no class yet.
+        request: the class; its function is a user-defined one, 65..72 or 100..110, or another
+            one for which there is no class yet.
 
     Raises:
-        TypeError: no such class; or a length rule is no function, or one that does not run when it
-            is called (``async def``).
-        ValueError: the function is none, or is taken.
+        TypeError: the argument is no such class, or a length rule is no function, or one defined
+            with ``async def``.
+        ValueError: the function is not in 1..127, or has a class already.
     """
     if not (isinstance(request, type) and issubclass(request, Request)):
         raise TypeError(f"request must be a class derived from Request, not {request!r}")
@@ -111,10 +111,10 @@ def decode_request(pdu: bytes) -> Request[Any]:
         pdu: 1..253 bytes.
 
     Raises:
-        IllegalFunction: no such function in `REQUESTS`, no such MEI type.
-        IllegalDataValue: wrong length, quantity, byte count or constant.
-        IllegalDataAddress: address + quantity passes 65536, or a file or
-            record that cannot exist.
+        IllegalFunction: the function is not in `REQUESTS`, or the MEI type is unknown.
+        IllegalDataValue: a length, quantity, byte count or constant is wrong.
+        IllegalDataAddress: address + quantity is more than 65536, or a file or record cannot
+            exist.
         ValueError: `pdu` is empty.
     """
     if not pdu:
@@ -142,9 +142,9 @@ def request_length(head: bytes) -> int | None:
         head: one byte or more.
 
     Returns:
-        The length; None while more bytes are needed; 0 if nothing in it tells; `NO_LENGTH` if
-        the rule of a registered class raised an exception or returned anything else, so that
-        the PDU is none. That is logged once for each class.
+        The length; None if more bytes are needed; 0 if the PDU does not contain its length;
+        `NO_LENGTH` if the rule of a registered class raised an exception or returned anything
+        else, which is logged once for each class.
     """
     request = REQUESTS.get(head[0])
     if request is None:

@@ -66,10 +66,11 @@ class IdentificationPage(NamedTuple):
     One response of device identification, which may be one of several.
 
     Attributes:
-        conformity: 1..3, what the device has; 81h..83h if single objects can be read, too.
-        next_object: the object to ask for next, or None if this was all.
-        objects: object id -> value.
-        complete: False if it promises more objects than came in its message.
+        conformity: the level that the device supports: 1 basic, 2 regular, 3 extended; 81h..83h if
+            single objects can be read, too.
+        next_object: the id of the object to request next; None if there are no more.
+        objects: ``{object id: value}``.
+        complete: False if the response announces more objects than it contains.
     """
 
     conformity: int
@@ -122,10 +123,10 @@ class _Encapsulated(Request[Result]):
 @dataclass(frozen=True, slots=True)
 class EncapsulatedTransport(_Encapsulated[bytes]):
     """
-    Function 43, section 6.19: `data` for the interface `mei_type`, 0..255.
+    Function 43, section 6.19: send `data` to the interface `mei_type`, 0..255.
 
-    Up to 251 bytes go through as they are. MEI type 13 is CANopen (CiA 309-2);
-    for 14 there is `ReadDeviceIdentification`.
+    Up to 251 bytes are sent unchanged. MEI type 13 is CANopen (CiA 309-2);
+    MEI type 14 is `ReadDeviceIdentification`.
     """
 
     mei_type: int
@@ -158,10 +159,10 @@ class EncapsulatedTransport(_Encapsulated[bytes]):
 @dataclass(frozen=True, slots=True)
 class ReadDeviceIdentification(_Encapsulated[IdentificationPage]):
     """
-    Function 43 with MEI type 14, section 6.21: one page of identification.
+    Function 43 with MEI type 14, section 6.21: read one page of the identification.
 
-    `code` is 1..4 (`ReadDeviceIdCode`); `object_id` 0..255, where a stream
-    (1..3) begins, or the one object (4).
+    `code` is 1..4 (`ReadDeviceIdCode`). `object_id`, 0..255, is the first object for codes 1..3,
+    and the only one for code 4.
     """
 
     code: int
@@ -226,11 +227,11 @@ class DeviceIdentification(NamedTuple):
     The identification of a device.
 
     Attributes:
-        conformity: 1 basic, 2 regular, 3 extended; 81h..83h if single objects
-            can be read, too.
-        objects: object id -> value.
-        complete: False if the device led in loops, or promised objects that did
-            not fit its message; the objects that every device has are there.
+        conformity: the level that the device supports: 1 basic, 2 regular, 3 extended; 81h..83h if
+            single objects can be read, too.
+        objects: ``{object id: value}``.
+        complete: False if the device sent the same objects again, or fewer than it announced; the
+            three mandatory objects are there nevertheless.
     """
 
     conformity: int
@@ -239,7 +240,7 @@ class DeviceIdentification(NamedTuple):
 
     @property
     def names(self) -> dict[str, str]:
-        """Return the objects 0..6 by their names in section 6.21."""
+        """Return ``{name: text}`` of the objects 0..6, with the names of section 6.21."""
         return {
             OBJECT_NAMES[number]: value.decode("ascii", "replace")
             for number, value in self.objects.items()
@@ -259,18 +260,18 @@ def identify(
     level: str | int,
 ) -> Generator[ReadDeviceIdentification, IdentificationPage, DeviceIdentification]:
     """
-    Ask for one page after the other: yields requests, is sent pages, returns all.
+    Read the identification page by page: a generator that yields requests and is sent pages.
 
     Args:
         level: "basic", "regular", "extended", or the id of one object, 0..255.
 
     Returns:
-        All that came; not `complete` where the pages went wrong after the objects that
-        every device has, 0..2, were there.
+        All objects of the pages. `complete` is False if a page was wrong after the three
+        mandatory objects, 0..2, had been read.
 
     Raises:
-        TypeError, ValueError: no such level.
-        InvalidResponse: the pages do not come to an end, or to their objects.
+        TypeError, ValueError: there is no such level.
+        InvalidResponse: a page was wrong, and a mandatory object is missing.
     """
     request = _first_request(level)
     objects: dict[int, bytes] = {}

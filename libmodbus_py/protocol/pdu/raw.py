@@ -15,10 +15,10 @@ from .request import Request
 @dataclass(frozen=True, slots=True)
 class RawRequest(Request[bytes]):
     """
-    Any function code, 1..127, with `data` of up to 252 bytes that are sent as they are.
+    A request of any function, 1..127, with up to 252 bytes of `data` that are sent unchanged.
 
-    The result is what follows the function code of the response. On RTU lines the end
-    of a response without a length rule is where its CRC fits.
+    The result is the bytes after the function code of the response. On RTU lines, a response
+    without a length rule ends where its CRC fits.
     """
 
     function: int  # type: ignore[misc]  # here it is data, not the class's own

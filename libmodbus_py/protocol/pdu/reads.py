@@ -104,28 +104,28 @@ class _ReadRegisters(_Read[list[int]]):
 
 
 class ReadCoils(_ReadBits):
-    """Function 1, section 6.1: `count` coils, 1..2000, from `address`."""
+    """Function 1, section 6.1: read `count` coils, 1..2000, from `address` on."""
 
     __slots__ = ()
     function = 0x01
 
 
 class ReadDiscreteInputs(_ReadBits):
-    """Function 2, section 6.2: `count` discrete inputs, 1..2000, from `address`."""
+    """Function 2, section 6.2: read `count` discrete inputs, 1..2000, from `address` on."""
 
     __slots__ = ()
     function = 0x02
 
 
 class ReadHoldingRegisters(_ReadRegisters):
-    """Function 3, section 6.3: `count` holding registers, 1..125, from `address`."""
+    """Function 3, section 6.3: read `count` holding registers, 1..125, from `address` on."""
 
     __slots__ = ()
     function = 0x03
 
 
 class ReadInputRegisters(_ReadRegisters):
-    """Function 4, section 6.4: `count` input registers, 1..125, from `address`."""
+    """Function 4, section 6.4: read `count` input registers, 1..125, from `address` on."""
 
     __slots__ = ()
     function = 0x04

@@ -20,16 +20,16 @@ class Request(Generic[Result]):
     Class attributes:
         function: the function code, 1..127.
         request_length, response_length: length rules of the two PDUs.
-        is_write: True if a broadcast of it makes sense (it changes the
-            device and its answer carries nothing new).
-        repeatable: True if it may be sent again when its answer was lost: a
-            device that gets it twice ends as if it had got it once.
+        is_write: True if it may be a broadcast, because it changes the device and its
+            response contains nothing new.
+        repeatable: True if it may be sent again when its response was lost, because executing it
+            twice has the same effect as executing it once.
 
     Attributes:
         expects_response: True if a server answers it, unless it is a broadcast.
 
-    Constructors raise TypeError or ValueError, naming the argument and its
-    range; ``str()`` of a request says what is asked, for messages.
+    Constructors raise TypeError or ValueError with the name of the argument and its
+    range; ``str()`` of a request describes it in words, for messages.
     """
 
     __slots__ = ()
@@ -57,13 +57,13 @@ class Request(Generic[Result]):
 
     def encode_response(self, result: Result) -> bytes:
         """
-        Encode the response PDU a server sends.
+        Encode the response PDU that a server sends.
 
         Args:
-            result: what the client method of this function returns.
+            result: the result that the client's method for this function returns.
 
         Raises:
-            ValueError: the result is not what was asked for.
+            TypeError, ValueError: the result does not fit the request.
         """
         raise NotImplementedError
 
@@ -72,11 +72,11 @@ class Request(Generic[Result]):
         Decode the response PDU.
 
         Returns:
-            What the client method of this function returns.
+            The result that the client's method for this function returns.
 
         Raises:
-            ExceptionResponse: the server refused (its subclass for the code).
-            InvalidResponse: the PDU does not answer this request.
+            ExceptionResponse: the server refused the request; the subclass for the code.
+            InvalidResponse: the PDU is no valid response to this request.
         """
         if not pdu or pdu[0] != self.function:
             raise self._refusal(pdu)
@@ -128,7 +128,7 @@ class Echoed(Request[None]):
 
 
 class Bare(Request[Result]):
-    """A read that is asked with the function code alone."""
+    """A read whose request is only the function code."""
 
     __slots__ = ()
     repeatable = True

@@ -24,7 +24,7 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class ReadExceptionStatus(Bare[int]):
-    """Function 7, section 6.7: eight outputs of the device as a byte, the lowest in bit 0."""
+    """Function 7, section 6.7: read eight outputs of the device as a byte, the lowest in bit 0."""
 
     function = 0x07
     response_length: ClassVar[LengthRule] = fixed(2)
@@ -65,11 +65,11 @@ def _diagnostics_length(head: bytes) -> int | None:
 @dataclass(frozen=True, slots=True)
 class Diagnostics(Request[bytes]):
     """
-    Function 8, section 6.8: a sub-function, and its data.
+    Function 8, section 6.8: run a diagnostic sub-function with its data.
 
     `sub_function` is 0..65535 (`SubFunction` names those of the specification);
-    `data` are 2 bytes, and 2, 4..250 for sub-function 0. The answer to
-    sub-function 4 is silence.
+    `data` has 2 bytes; for sub-function 0 an even number of them, 2..250. Sub-function 4 gets no
+    response.
     """
 
     sub_function: int
@@ -114,11 +114,11 @@ class Diagnostics(Request[bytes]):
 
 class CommEventCounter(NamedTuple):
     """
-    Answer to function 11.
+    The result of function 11.
 
     Attributes:
-        status: FFFFh while an earlier program command still runs, else 0.
-        event_count: messages completed, 0..65535.
+        status: FFFFh while an earlier program command is still running, otherwise 0.
+        event_count: the number of completed messages, 0..65535.
     """
 
     status: int
@@ -127,7 +127,7 @@ class CommEventCounter(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ReadCommEventCounter(Bare[CommEventCounter]):
-    """Function 11, section 6.9: status word and event counter."""
+    """Function 11, section 6.9: read the status word and the event counter."""
 
     function = 0x0B
     response_length: ClassVar[LengthRule] = fixed(5)
@@ -142,11 +142,11 @@ class ReadCommEventCounter(Bare[CommEventCounter]):
 
 class CommEventLog(NamedTuple):
     """
-    Answer to function 12.
+    The result of function 12.
 
     Attributes:
         status, event_count: as in `CommEventCounter`.
-        message_count: good frames seen on the line, 0..65535.
+        message_count: the number of valid frames on the line, 0..65535.
         events: up to 64 event bytes, newest first (section 6.10).
     """
 
@@ -158,7 +158,7 @@ class CommEventLog(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ReadCommEventLog(Bare[CommEventLog]):
-    """Function 12, section 6.10: the counters, and the last events."""
+    """Function 12, section 6.10: read the counters and the last events."""
 
     function = 0x0C
     response_length: ClassVar[LengthRule] = counted(2, at=1)
@@ -178,15 +178,15 @@ class ReadCommEventLog(Bare[CommEventLog]):
 
 class ServerId(NamedTuple):
     """
-    Answer to function 17.
+    The result of function 17.
 
-    The answer does not say how long the identifier is: one byte is the
-    custom, and `split` is for devices that have more.
+    The response does not contain the length of the identifier, which is usually one byte; use
+    `split` for devices with a longer one.
 
     Attributes:
-        identifier: what kind of device it is.
-        running: the run indicator.
-        additional: whatever follows.
+        identifier: the bytes that identify the kind of device.
+        running: the run indicator: True for ON.
+        additional: the remaining bytes.
     """
 
     identifier: bytes
@@ -195,16 +195,16 @@ class ServerId(NamedTuple):
 
     @property
     def data(self) -> bytes:
-        """All of it, as on the wire."""
+        """All bytes, as on the wire."""
         return self.identifier + (b"\xff" if self.running else b"\0") + self.additional
 
     @classmethod
     def split(cls, data: bytes, length: int = 1) -> Self:
         """
-        Take `data` apart, with an identifier of `length` bytes.
+        Split `data` after an identifier of `length` bytes.
 
         Raises:
-            ValueError: there are no more bytes than that.
+            ValueError: there are no bytes after the identifier.
         """
         if not 0 <= length < len(data):
             raise ValueError(f"length must be in 0..{len(data) - 1}, not {length}")
@@ -213,7 +213,7 @@ class ServerId(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ReportServerId(Bare[ServerId]):
-    """Function 17, section 6.13: the identifier of the device, and its run indicator."""
+    """Function 17, section 6.13: read the identifier of the device and its run indicator."""
 
     function = 0x11
     response_length: ClassVar[LengthRule] = counted(2, at=1)

@@ -34,7 +34,7 @@ from .request import Echoed, Request
 
 @dataclass(frozen=True, slots=True)
 class WriteCoil(Echoed):
-    """Function 5, section 6.5: one coil; `value` True, False, 1 or 0."""
+    """Function 5, section 6.5: write one coil; `value` is True, False, 1 or 0."""
 
     address: int
     value: bool
@@ -65,7 +65,7 @@ class WriteCoil(Echoed):
 
 @dataclass(frozen=True, slots=True)
 class WriteRegister(Echoed):
-    """Function 6, section 6.6: one holding register; `value` 0..65535."""
+    """Function 6, section 6.6: write one holding register; `value` is 0..65535."""
 
     address: int
     value: int
@@ -92,7 +92,7 @@ class WriteRegister(Echoed):
 
 @dataclass(frozen=True, slots=True)
 class WriteCoils(Echoed):
-    """Function 15, section 6.11: 1..1968 coils from `address`."""
+    """Function 15, section 6.11: write 1..1968 coils from `address` on."""
 
     address: int
     values: tuple[bool, ...]
@@ -126,7 +126,7 @@ class WriteCoils(Echoed):
 
 @dataclass(frozen=True, slots=True)
 class WriteRegisters(Echoed):
-    """Function 16, section 6.12: 1..123 holding registers from `address`."""
+    """Function 16, section 6.12: write 1..123 holding registers from `address` on."""
 
     address: int
     values: tuple[int, ...]
@@ -161,7 +161,7 @@ class WriteRegisters(Echoed):
 @dataclass(frozen=True, slots=True)
 class MaskWriteRegister(Echoed):
     """
-    Function 22, section 6.16: one holding register becomes
+    Function 22, section 6.16: set one holding register to
     (current AND `and_mask`) OR (`or_mask` AND NOT `and_mask`).
     """
 
@@ -195,7 +195,7 @@ class ReadWriteRegisters(Request[list[int]]):
     """
     Function 23, section 6.17: write 1..121 holding registers, then read 1..125.
 
-    The write is done first, so registers in both ranges read back new.
+    The write is executed first, so that registers in both ranges are read with their new values.
     """
 
     read_address: int
