@@ -1,8 +1,8 @@
 """
 Certificates for trials and tests: authorities, servers, clients with roles.
 
-Keys are EC P-256, which every peer must understand (MB-TCP-Security-v36, R-61, R-62), unless
-others are given. What is made here passes the strict checks of Python 3.13 (RFC 5280).
+Keys are EC P-256, which every peer must support (MB-TCP-Security-v36, R-61, R-62), unless
+others are given. The certificates pass the strict checks of Python 3.13 (RFC 5280).
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class Identity:
     Attributes:
         certificate: an object of `cryptography`.
         key: its private key.
-        issuers: the authorities above it, nearest first, without the self-signed one: these are
-            sent to a peer, and the peer must know that one (R-46).
+        issuers: the authorities above it, nearest first, without the self-signed root. They are
+            sent to the peer, which must know the root (R-46).
     """
 
     certificate: x509.Certificate
@@ -96,13 +96,13 @@ def make(
 
     Args:
         name: the common name, 1..64 characters.
-        issuer: signs the certificate; None for a self-signed one.
-        is_authority: True if it may sign others.
-        role: the role of a client in it, if any.
-        hosts: names and IP addresses of a server for which it is valid.
-        begin: the start of its validity, with a timezone; None for an hour ago.
-        days: the length of its validity, up to 36500.
-        key: the private key; None for a new one, EC P-256.
+        issuer: the identity that signs the certificate; None for a self-signed one.
+        is_authority: True if the certificate may sign others.
+        role: the role of a client; None for no role.
+        hosts: the names and IP addresses of a server.
+        begin: the start of its validity, with a time zone; None for an hour ago.
+        days: the length of its validity in days, more than 0 and up to 36500.
+        key: the private key; None for a new EC P-256 key.
 
     Raises:
         ImportError: cryptography is not installed.
@@ -200,12 +200,14 @@ def _issuers(issuer: Identity | None) -> tuple[x509.Certificate, ...]:
 
 def write(directory: Path, identities: Mapping[str, Identity]) -> dict[str, tuple[Path, Path]]:
     """
-    Write ``NAME.pem``, a certificate with its issuers, and ``NAME-key.pem``, which its owner
-    alone can read. All or nothing; nothing is overwritten.
+    Write certificates with their issuers to ``NAME.pem``, and their keys to ``NAME-key.pem``.
+
+    Only the owner can read the keys. Either all files are written or none, and no file is
+    overwritten.
 
     Args:
-        directory: made if it does not exist.
-        identities: by name.
+        directory: the directory, which is made if it does not exist.
+        identities: the identities by name.
 
     Returns:
         The paths of certificate and key, by name.

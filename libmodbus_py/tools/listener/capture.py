@@ -41,7 +41,7 @@ MAX_INTERFACES = 256
 
 
 class CaptureError(ValueError):
-    """A file is not a capture of this package; the message names the error and the byte."""
+    """A file is no valid capture of this package; the message names the error and the byte."""
 
 
 def _padded(data: bytes) -> bytes:

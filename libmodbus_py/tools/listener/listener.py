@@ -45,14 +45,14 @@ class Listener:
 
     Use it in a ``with`` or ``async with`` block, which closes it. Iteration ends at the end of a
     capture, and when the listener is closed; a serial port that was unplugged is opened again when
-    it is back. Iterate without delay: a serial port keeps 4096 bytes, and the time of bytes is that
-    at which they are read. A tap passes bytes on in any case.
+    it is back. Iterate without delay, because a serial port buffers only 4096 bytes, and because
+    bytes get the time at which they are read. With `between`, bytes are passed on in any case.
 
     Attributes:
         url: the URL, with the port that the system chose; or the path of the capture.
         summary: counts of the traffic so far.
-        capture_error: why the capture ended, if it cannot be written any more; else None. Listening
-            goes on, and a tap with it; the log tells it once, as a warning.
+        capture_error: why the capture cannot be written any more; None while it can. Listening
+            goes on without it, and the log gets one warning.
 
     Raises, while iterating:
         CaptureError: the capture that is read is invalid, or ends inside a block.
@@ -105,7 +105,7 @@ class Listener:
         self.close()
 
     def close(self) -> None:
-        """Close the listener, from any thread or a signal handler, any number of times."""
+        """Close the listener. May be called repeatedly, from any thread or a signal handler."""
         with self._lock:
             self._is_closed = True
             if self._is_busy:
@@ -171,7 +171,7 @@ class Listener:
         return found
 
     def rest(self) -> list[Transaction]:
-        """Return the transactions that were not iterated, open requests as unanswered."""
+        """Return the transactions that were not iterated; pending requests count as unanswered."""
         return [*self._ready, *self._noted(self._end_all())]
 
     def _next(self) -> Steps[Transaction | None]:
@@ -297,21 +297,22 @@ def listen(
     Listen to the traffic between other devices on a line.
 
     Args:
-        url: a serial port (rtu, ascii), opened for reading only; or an address for clients
-            (rtu+tcp, ascii+tcp), with `between`; or the path of a capture, ending in .pcapng.
-        between: the device to which these clients are connected, with the same scheme; bytes
-            are passed on unchanged in both directions.
-        capture: the path of a pcapng file to write, which Wireshark decodes, and which can be
+        url: a serial port (rtu, ascii), which is opened for reading only; or, with `between`, an
+            address at which clients connect (rtu+tcp, ascii+tcp); or the path of a capture,
+            ending in .pcapng.
+        between: the URL of the device for these clients, with the same scheme; bytes are passed
+            on unchanged in both directions.
+        capture: the path of a pcapng file to write, which Wireshark can decode, and which can be
             the `url` of another call.
 
     Returns:
-        An open iterator, blocking and asyncio.
+        An open iterator, for a ``for`` loop or an ``async for`` loop.
 
     Raises:
-        TypeError, ValueError: a URL is wrong, or cannot be listened to.
+        TypeError, ValueError: a URL is wrong, or it is not possible to listen to it.
         ModbusConnectionError: the port cannot be opened, with errno.
         OSError: a capture cannot be opened.
-        CaptureError: `url` is no capture.
+        CaptureError: `url` is no valid capture.
     """
     clock = Clock()
     source: Source | CaptureReader

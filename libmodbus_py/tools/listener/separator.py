@@ -36,7 +36,7 @@ class Separator:
         on_heard: called with a `Heard` for each frame as soon as it is known to be a request or a
             response, and for damaged bytes.
         pause: the seconds between two frames on an RTU line, as `pause_between_frames` returns;
-            0 where bytes do not come at the pace of a line.
+            0 if bytes do not arrive at the pace of a serial line.
 
     Attributes:
         quiet: seconds without a byte after which `tick` should be called.
@@ -66,12 +66,12 @@ class Separator:
 
     def feed(self, data: bytes, at: float, direction: Direction | None = None) -> list[Transaction]:
         """
-        Take bytes; return the transactions that have ended, oldest first.
+        Take received bytes, and return the transactions that have ended, oldest first.
 
         Args:
-            data: cut anywhere.
-            at: when they came, in seconds of any clock that never goes back.
-            direction: their sender; None if it is not known.
+            data: the bytes, cut anywhere.
+            at: the time at which they arrived, in seconds of any clock that never goes back.
+            direction: the sender of the bytes, "client" or "server"; None if it is not known.
         """
         self._wait(at)
         if data:
@@ -82,13 +82,13 @@ class Separator:
         return self._given()
 
     def tick(self, at: float) -> list[Transaction]:
-        """Note that nothing more came until this time; otherwise as `feed`."""
+        """Note that no more bytes arrived until this time; otherwise like `feed`."""
         self._wait(at)
         self._naming.tick(at)
         return self._given()
 
     def end(self) -> list[Transaction]:
-        """Note that nothing more will come; otherwise as `feed`."""
+        """Note that no more bytes will arrive; otherwise like `feed`."""
         for hearing in self._hearings.values():
             self._take(hearing.silence(self._naming.is_awaited, is_long=True))
         self._last.clear()
@@ -96,7 +96,7 @@ class Separator:
         return self._given()
 
     def take(self, found: Candidate | Damage) -> list[Transaction]:
-        """Take a frame or damage that was cut before, as in a capture; otherwise as `feed`."""
+        """Take a frame or damaged bytes that were separated before; otherwise like `feed`."""
         self._naming.take(found)
         return self._given()
 

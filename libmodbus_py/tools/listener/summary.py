@@ -47,11 +47,11 @@ class UnitSummary:
     The traffic of one unit.
 
     Attributes:
-        transactions: their number.
-        functions: function code -> the number of its requests.
-        errors: kind of transaction, or "exception N" -> the number of such failures.
-        repeats: the number of requests that had been sent before.
-        times: its response times.
+        transactions: the number of transactions.
+        functions: ``{function code: number of requests}``.
+        errors: ``{error: number}``; the error is a kind of transaction or "exception N".
+        repeats: the number of requests that were repetitions.
+        times: the response times.
     """
 
     transactions: int = 0
@@ -80,9 +80,9 @@ class Summary:
     The traffic so far.
 
     Attributes:
-        transactions: the number of all units.
-        damaged: runs of bytes that are no frame and belong to no request.
-        units: by unit, 0..255.
+        transactions: the number of transactions of all units.
+        damaged: the number of runs of bytes that are no frame and belong to no request.
+        units: ``{unit 0..255: summary of the unit}``.
     """
 
     transactions: int = 0
@@ -100,7 +100,7 @@ class Summary:
         self.transactions += unit.transactions - before
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the counts as JSON has them; times in seconds."""
+        """Return the counts as a dict that JSON can represent; times are in seconds."""
         return {
             "transactions": self.transactions,
             "damaged": self.damaged,

@@ -66,14 +66,15 @@ class Transaction:
     A request and its response, or one of them alone.
 
     Attributes:
-        time: of its first byte, in seconds since the epoch.
+        time: the time of its first byte, in seconds since the epoch.
         kind: how it ended: one of `KINDS`.
         unit: 0..255; None for damaged bytes alone.
         function: the function code, 1..127, or None.
-        request: a `RawRequest` if a server would refuse to decode it; None without a request.
-        response: the result of the client's method; None without a response.
-        error: the exception response (ExceptionResponse), the mistake in the response
-            (InvalidResponse), or the damaged bytes (FrameError, `received`); None otherwise.
+        request: the request object, which is a `RawRequest` if a server would refuse to decode
+            it; None without a request.
+        response: the result that the client's method would return; None without a response.
+        error: an ExceptionResponse if the server refused the request, an InvalidResponse if the
+            response is wrong, a FrameError with the damaged bytes (`received`); otherwise None.
         duration: seconds from the end of the request to the end of the response, or None.
         repeats: how often the same request had been sent before without a response.
     """
@@ -101,10 +102,10 @@ class Transaction:
 
     def outcome(self, show: Callable[[Any], str] = repr) -> str:
         """
-        Return in words how it ended.
+        Return in words how the transaction ended.
 
         Args:
-            show: makes the text of a response.
+            show: returns the text of a response.
         """
         if self.kind == "unanswered":
             return "no answer"

@@ -25,7 +25,7 @@ class Page:
     A live page.
 
     Attributes:
-        url: its address, with the token without which it cannot be opened.
+        url: the URL of the page, with the token that is needed to open it.
     """
 
     url: str
@@ -38,17 +38,21 @@ def live_page(
     """
     Show a server on a live page, over HTTP, while the ``with`` block runs.
 
-    The page has a few threads of its own, which are idle while it is not open in a browser. Values
-    that are set on it are set as by this program: hooks for writes are not called. `before_read` of
-    devices is called from a thread of the page for the values that it shows. Connections that
-    clients made before the page began are not in its log.
+    The page has a few threads of its own, which are idle while no browser shows it. Values are set
+    on it as by this program: hooks for writes are not called. To show values, a thread of the page
+    calls `before_read` of devices. The log of the page does not contain connections that clients
+    made before the page was opened.
 
     Args:
+        server: the server, which may run or not.
         host: an address of this machine to listen on. Anyone who can reach it and has the URL can
             change everything, and the traffic is not encrypted.
-        port: 0 for a free one.
+        port: 0..65535; 0 for a free port.
         token: the token in the URL of the page: 22 or more letters, digits, - or _, chosen at
             random; None for a new one each time.
+
+    Returns:
+        A context manager; ``with`` returns the `Page`.
 
     Raises:
         TypeError, ValueError: the token is wrong.

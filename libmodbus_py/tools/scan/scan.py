@@ -60,13 +60,13 @@ class Found:
 
     Attributes:
         unit: 0..255.
-        url: for a client of the unit, with all settings.
-        took: seconds until its response.
-        exception: the code of an exception response; None if it held a register.
-        baudrate, parity, data_bits, stop_bits: of the serial port; None on networks.
+        url: a URL for clients of the unit, with all settings.
+        took: the seconds until its response.
+        exception: the code of its exception response; None if the register could be read.
+        baudrate, parity, data_bits, stop_bits: the settings of the serial port; None on networks.
         is_late: True if the response came only during the probe of another unit.
-        is_any: True if the server answers all units alike, including reserved ones, so that it is
-            one device.
+        is_any: True if the server answers all units in the same way, including reserved ones, so
+            that it is one device.
         server_id: the result of function 17, or None.
         identification: the result of function 43/14, or None.
     """
@@ -87,21 +87,21 @@ class Found:
 
 class Scan(Walker[Found]):
     """
-    An iterator over `Found`, made by `scan`, which can be left at any time.
+    An iterator over `Found`, made by `scan`. The iteration can be stopped at any time.
 
-    It sends requests while it is iterated, by one thread, and only reads. `close` may be called
-    from any thread; `close`, the end, an exception, Ctrl-C and garbage collection close the port
-    and restore its settings.
+    The scan sends requests while it is iterated, by one thread, and only reads. `close` may be
+    called from any thread. The port is closed, and its settings are restored, by `close`, at the
+    end, after an exception or Ctrl-C, and by garbage collection.
 
-    Iterating raises ModbusConnectionError if the connection cannot be made or is lost, and
+    Iterating raises ModbusConnectionError if the connection cannot be established or is lost, and
     whatever `on_progress` raises.
 
     Attributes:
         total: the number of probes, if no unit is found.
-        longest: seconds that the scan takes at most, if no unit is found.
-        longest_usual: seconds until the usual units were asked at all settings, at most, if no
-            unit is found; `longest` if these are all, or if there is one setting.
-        longest_found: seconds that each unit found adds at most.
+        longest: the most seconds that the scan takes, if no unit is found.
+        longest_usual: the most seconds until the usual units have been probed at all settings, if
+            no unit is found; `longest` if there are no other units, or only one setting.
+        longest_found: the most seconds that each unit found adds.
         notes: other observations, one line each.
         requests: the number of requests sent.
     """
@@ -350,26 +350,32 @@ def scan(
     on_progress: Callable[[Progress], object] | None = None,
 ) -> Scan:
     """
-    Find the units that answer at a place, by reading alone.
+    Find the units that respond at an endpoint, only by reading.
 
-    Holding register 0 of each unit is read at each setting. An exception is a response, except
-    10 and 11, with which gateways report an absent unit. Units that answer are sent functions 17
-    and 43/14. Nothing is sent before the result is iterated.
+    Holding register 0 of each unit is read at each setting. An exception counts as a response,
+    except 10 and 11, with which gateways report an absent unit. Units that respond also get
+    functions 17 and 43/14. Nothing is sent before the result is iterated.
 
-    If no units are given and the line may have several settings, usual units are asked first, at
-    all settings; then the others, beginning with the settings at which a unit has answered.
+    If no units are given and there are several settings to try, the usual units are probed first,
+    at all settings; then the others, beginning with the settings at which a unit has responded.
 
     Args:
-        url: as for a client. Its baud rate, parity, unit and timeout are used unless the
-            arguments below give others.
-        baudrates: for serial ports; 9600, 19200 and 115200. Unless they or parities are given,
-            usual combinations are tried first, such as 9600 8N1 and 19200 8E1.
-        parities: for serial ports; "E", "N" and "O". Stop bits are those of the URL, otherwise
-            2 without parity and 1 with parity, which finds devices of either kind.
-        units: 0..255; 1..247, and 255 on tcp, tls and udp. Not 0 where it is a broadcast.
-        timeout: seconds for each response, 0.001..86400; 0.6 on serial ports, 1 elsewhere.
-        security: for "tls", unless the URL has its options.
+        url: a URL as for clients. Its baud rate, parity, unit and timeout are used unless the
+            following arguments are given.
+        baudrates: for serial ports; None for 9600, 19200 and 115200. If neither baud rates nor
+            parities are given, usual combinations are tried first, such as 9600 8N1 and 19200 8E1.
+        parities: for serial ports; None for "E", "N" and "O". Stop bits are those of the URL;
+            if it has none, 2 without parity and 1 with parity, which finds devices with any
+            number of stop bits.
+        units: the units to probe, 0..255, but not 0 where it is a broadcast; None for 1..247, and
+            255 on tcp, tls and udp.
+        timeout: seconds for each response, 0.001..86400; None for 0.6 on serial ports and 1
+            elsewhere.
+        security: for "tls", unless the URL contains these options.
         on_progress: called with a `Progress` before each probe.
+
+    Returns:
+        An iterator over the units found.
 
     Raises:
         TypeError, ValueError: an argument is wrong; the message names it and its range.

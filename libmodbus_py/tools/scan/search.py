@@ -64,11 +64,11 @@ class Extent:
 
     Attributes:
         table: "coils", "discrete_inputs", "holding_registers" or "input_registers".
-        ranges: of addresses that can be read, ascending.
+        ranges: the ranges of addresses that can be read, in ascending order.
         unseen: the length of the longest run of addresses that were not tried: shorter ranges
             may have been missed.
         ended: why the search of this table ended early; empty if it did not.
-        most: the number of cells that one read may ask for, as far as the device has shown.
+        most: the most cells that one read may ask for, as far as the device has shown.
         requests: the number of requests sent.
     """
 
@@ -82,18 +82,18 @@ class Extent:
 
 class Search(Walker[Extent]):
     """
-    An iterator over the `Extent` of each table, made by `search`; can be left at any time.
+    An iterator over the `Extent` of each table, made by `search`. It can be stopped at any time.
 
-    It sends requests while it is iterated, by one thread, and only reads. `close` may be called
-    from any thread; `close`, the end, an exception, Ctrl-C and garbage collection close the
-    connection.
+    The search sends requests while it is iterated, by one thread, and only reads. `close` may be
+    called from any thread. The connection is closed by `close`, at the end, after an exception or
+    Ctrl-C, and by garbage collection.
 
-    Iterating raises ModbusConnectionError if the connection cannot be made or is lost, and
+    Iterating raises ModbusConnectionError if the connection cannot be established or is lost, and
     whatever `on_progress` raises.
 
     Attributes:
-        longest: seconds that the search takes at most, if nothing is answered.
-        extents: of the tables so far, including one that was left in the middle.
+        longest: the most seconds that the search takes, if there are no responses.
+        extents: the extents of the tables so far, including one whose search was stopped.
         requests: the number of requests sent.
     """
 
@@ -239,20 +239,24 @@ def search(
     on_progress: Callable[[Searching], object] | None = None,
 ) -> Search:
     """
-    Find the ranges that a unit's tables have, by reading alone.
+    Find the address ranges of the tables of a unit, only by reading.
 
-    Single addresses are tried: usual ones, neighbours of ranges that were found, and the middles of
-    what is left, again and again. From each that can be read, reads grow until one is refused;
-    halving that one finds the end, or the number of cells that a read may ask for. Nothing is sent
-    before the result is iterated.
+    Single addresses are tried: usual ones, neighbours of ranges that were found, and the middle of
+    each remaining gap, again and again. From an address that can be read, longer and longer reads
+    are tried until one is refused; halving that one finds the end of the range, or the most cells
+    that one read may ask for. Nothing is sent before the result is iterated.
 
     Args:
-        url: for a client of the unit, such as `Found.url`.
-        timeout: seconds for each response, 0.001..86400; that of the URL, or 0.6 on serial ports
-            and 1 elsewhere.
-        most_requests: 4..1000000, for all tables; each gets its share of the rest.
-        security: for "tls", unless the URL has its options.
+        url: a URL for clients of the unit, such as `Found.url`.
+        timeout: seconds for each response, 0.001..86400; None for that of the URL, or 0.6 on
+            serial ports and 1 elsewhere.
+        most_requests: the most requests for all tables together, 4..1000000; each table gets an
+            equal share of those that are left.
+        security: for "tls", unless the URL contains these options.
         on_progress: called with a `Searching` before each read.
+
+    Returns:
+        An iterator over the extents of the tables.
 
     Raises:
         TypeError, ValueError: an argument is wrong; the message names it and its range.

@@ -24,13 +24,13 @@ Device files: whole simulated devices, written in TOML.
     [defaults]                          of all units
     [roles.NAME]                        read, write, functions, as `Allow`; "" without a role
 
-Addresses in no range do not exist: they are answered with exception 2, as are accesses that a range
-does not allow.
+Addresses outside all ranges do not exist: accesses to them get exception 2, and so do accesses that
+a range does not allow.
 
-A file takes up to 512 KiB, 1000 faults, 10000 named ranges and points of register maps, and
-524288 cells, where cells are the records of each file from 0 to its last one, and what is not 0
-in the tables; a value with a scale counts as 16. Whatever the file says, there are devices or a
-`DeviceFileError` within a second, without the time to read register maps.
+A file may have up to 512 KiB, 1000 faults, 10000 named ranges and points of register maps, and
+524288 cells. Cells are all records of each file from 0 to its last one, and values in the tables
+that are not 0; a value with a scale counts as 16 cells. Loading any file takes no more than a
+second, apart from reading register maps.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class DeviceFileError(FileError):
     A device file is wrong; the message names file, line and key, and what is allowed.
 
     Attributes:
-        files: the register maps that were read, or could not be.
+        files: the paths of the register maps that were read, or could not be read.
     """
 
     files: tuple[str, ...] = ()
@@ -79,11 +79,11 @@ class DeviceFileError(FileError):
 
 def load(path: str | PathLike[str], *, clock: Callable[[], float] = time.monotonic) -> Simulation:
     """
-    Read a device file. Its values begin to move at once.
+    Return the simulation that a device file describes. Its values begin to move at once.
 
     Args:
         path: path of the file; paths of register maps in the file are relative to its folder.
-        clock: returns seconds.
+        clock: returns the time in seconds.
 
     Raises:
         DeviceFileError: the file cannot be read, is no TOML, or contains a mistake.
@@ -103,7 +103,7 @@ def parse(
     folder: str | PathLike[str] = "",
 ) -> Simulation:
     """
-    Read the text of a device file.
+    Return the simulation that the text of a device file describes.
 
     Args:
         folder: the folder to which paths of register maps are relative.
@@ -123,7 +123,7 @@ def mapped_simulation(map: str, units: Iterable[int] = ()) -> Simulation:
 
     Args:
         map: path of the map, or the name of one that comes with the package.
-        units: 0..247 or 255; none for one device that answers every unit.
+        units: the units, 0..247 or 255; empty for one device that answers every unit.
 
     Raises:
         DeviceFileError: the map cannot be read or contains a mistake, or a unit is wrong.

@@ -21,15 +21,15 @@ class SunSpecModel:
     One model of a device.
 
     Attributes:
-        id: such as 103; 1..65534.
-        address: of the register with the id.
+        id: the id of the model, such as 103; 1..65534.
+        address: the address of the register with the id.
         length: the number of registers after id and length.
-        name: of the model, such as "common", unique in its device; "model_64999" if it is not
-            known.
+        name: the name of the model, such as "common", unique in its device; "model_64999" if the
+            model is not known.
         label: the title of the model, or empty.
-        is_known: True if pysunspec2 has a definition of the model; else the point `registers`
-            holds all that follows the header.
-        map: the points, `ID` and `L` among them. A point of a repeated group is named such as
+        is_known: True if pysunspec2 has a definition of the model; if not, the point `registers`
+            contains all registers after the header.
+        map: the points, with `ID` and `L`. The names of points in repeated groups are like
             "module.1.DCA", counted from 1.
     """
 
@@ -61,7 +61,7 @@ class SunSpecDevice:
 
     @cached_property
     def map(self) -> RegisterMap:
-        """All points of all models, such as "common.Mn", the marker and the end model included."""
+        """The points of all models, such as "common.Mn", with the marker and the end model."""
         found = [
             Point("SunS", "holding_registers", self.base, len(MARKER), access="read"),
             *(point for model in self.models for point in _prefixed(model)),

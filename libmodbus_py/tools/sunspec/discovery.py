@@ -30,23 +30,23 @@ def discover(client: Any, *, bases: Iterable[int] = BASES) -> Any:
     """
     Find the SunSpec models of a device: ``sunspec.discover(plc)``, or with ``await``.
 
-    One request for each base that is tried, and one for each model; a few more for models whose
-    groups are repeated as often as a register says. No more than 256 models and 10000 points
-    are taken. A point whose scale factor the device does not have has no value.
+    It sends one request for each base that is tried, one for each model, and a few more for models
+    with a variable number of groups. It returns at most 256 models and 10000 points. A point
+    whose scale factor the device lacks has no value.
 
     Args:
-        client: a `Context` or an `AsyncClient`; its unit is asked.
-        bases: 1..16 addresses at which the chain may begin, tried in this order.
+        client: a `Context` or an `AsyncClient`; requests are sent to its unit.
+        bases: 1..16 addresses at which the chain may begin, 0..65535, tried in this order.
 
     Returns:
-        The models and their points. A chain that is wrong ends where it is wrong, and `notes` say
-        why.
+        The models and their points; a coroutine with an `AsyncClient`. If the chain contains an
+        error, the result ends there, and `notes` describe the error.
 
     Raises:
         TypeError, ValueError: an argument is wrong.
-        ImportError: pysunspec2, which has the definitions of the models, is missing.
-        SunSpecError: the registers at no base hold "SunS".
-        ModbusError: there is no answer.
+        ImportError: pysunspec2, which contains the definitions of the models, is not installed.
+        SunSpecError: the registers at none of the bases hold "SunS".
+        ModbusError: a request failed.
     """
     if not isinstance(client, Blocking | Awaiting):
         raise WrongType("client", f"must be a client, not {type(client).__name__}")

@@ -37,15 +37,15 @@ class ServerOptions(TypedDict, total=False):
 
 class RecordingServer:
     """
-    A server that serves from when it is made until `close`.
+    A server that runs in the background until `close`, and records its transactions.
 
-    Args, exceptions: those of `Server` and of its `background`.
+    Its arguments and exceptions are those of `Server` and of `Server.background`.
 
     Attributes:
-        urls: of its endpoints, in the order given, with the ports that the system chose; those of
-            networks are also URLs for clients.
+        urls: the URLs of its endpoints, in the order given, with the ports that the system chose;
+            those of networks are also URLs for clients.
         url: the first of `urls`.
-        host, port: of the first endpoint; "" and 0 for serial ports.
+        host, port: the host and port of the first endpoint; "" and 0 for serial ports.
         device: the device that answers, or None if there are several.
         faults: switches faults of the server on and off.
         statistics: counters of the server.
@@ -93,7 +93,7 @@ class RecordingServer:
         return self._exchanges.transactions()
 
     def close(self) -> None:
-        """Stop, and close all connections; any number of times. The transactions are kept."""
+        """Stop, and close all connections. May be called repeatedly. The transactions are kept."""
         self._stack.close()
 
     @property
@@ -112,7 +112,7 @@ class ServerMaker:
     Makes servers, and closes all of them at the end of its ``with`` block.
 
     Attributes:
-        servers: all that were made, in order.
+        servers: all servers that were made, in order.
     """
 
     def __init__(self) -> None:
@@ -126,13 +126,13 @@ class ServerMaker:
         **options: Unpack[ServerOptions],
     ) -> RecordingServer:
         """
-        Make a server that serves when this method returns.
+        Return a new server, which runs already.
 
         Args:
-            urls: the endpoints, as for `Server.serving`; none for Modbus/TCP on a free port of
+            urls: the endpoints, as for `Server.serving`; without any, Modbus/TCP on a free port of
                 127.0.0.1.
-            devices: as for `Server`; None for one that answers every unit and has all four
-                tables, addresses 0..65535, all zero.
+            devices: as for `Server`; None for a device that answers every unit and has all
+                addresses 0..65535 of the four tables, all zero.
             faults: as for `Server`.
             options: as for `Server`.
 

@@ -83,7 +83,7 @@ class _Wire:
 
 class SerialWire(_Wire):
     """
-    Two serial ports, joined.
+    Two serial ports that are connected with each other.
 
     Attributes:
         client, server: the paths of the ports.

@@ -47,7 +47,7 @@ POINT = Keys((keys_of(Point) | _OLD_NAMES).values(), point_of)
 
 
 class MapError(FileError):
-    """A file is no register map; the message names file, line, column or key, and valid values."""
+    """A file is no valid register map; the message names file, line, column or key, and values."""
 
 
 class Draft(NamedTuple):

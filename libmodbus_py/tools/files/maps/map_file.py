@@ -19,16 +19,17 @@ __all__ = ["FORMS", "contents_of", "load_map"]
 
 def load_map(path: str | PathLike[str]) -> RegisterMap:
     """
-    Read a register map from a file of up to 512 KiB, with up to 10000 points.
+    Return the register map of a file of up to 512 KiB with up to 10000 points.
 
     Args:
-        path: a path that ends with ``.toml`` (a table ``[[point]]`` for each, with the arguments of
-            `Point` as keys) or ``.csv``, ``.tsv`` or ``.txt`` (columns as vendors name them,
-            found by their headings).
+        path: the path of the file. If it ends with ``.toml``, the file has a table ``[[point]]``
+            for each point, with the arguments of `Point` as keys. If it ends with ``.csv``,
+            ``.tsv`` or ``.txt``, it has a row for each point, and columns that are recognised by
+            their headings, as vendors name them.
 
     Raises:
-        MapError: the file cannot be read, or is wrong: its first mistake, with file, line, column
-            and what is allowed.
+        MapError: the file cannot be read, or contains a mistake. The message describes the first
+            one, with file, line, column and what is allowed.
     """
     contents = contents_of(path, most=1)
     if contents.mistakes:
