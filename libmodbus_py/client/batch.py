@@ -207,7 +207,7 @@ def encoded(request: object, name: str, index: int, is_broadcast: bool) -> bytes
     """
     if not isinstance(request, Request):
         given = type(request).__name__
-        raise TypeError(f"{name.format(index)} must be one of pdu, not {given}")
+        raise TypeError(f"{name.format(index)} must be a request object of pdu, not {given}")
     if is_broadcast and not request.is_write:
         raise ValueError(
             f"{name.format(index)}: unit 0 is a broadcast, which no unit answers, "

@@ -57,8 +57,8 @@ def _alone(
         with lock:
             if self._is_busy:
                 raise RuntimeError(
-                    "a request of this thread is under way on the same connection: a signal "
-                    "handler or a callback must not ask here"
+                    "a request of this thread is in progress on the same connection; a signal "
+                    "handler or a callback must not send another one"
                 )
             if self._is_left or self._closed:
                 self._tidy()

@@ -586,7 +586,7 @@ class Conversation:
     def _note_flood(self) -> None:
         self.is_flooded = self._matching.unasked > MAX_UNASKED
         if not self._matching.is_in_step:
-            self._break("closed, because what came cannot be understood")
+            self._break("closed, because the received bytes cannot be understood")
         elif self._is_socket:
             self._break("flooded with frames that answer no request")
 

@@ -163,7 +163,7 @@ def timed(name: str, call: Callable[[Given], Result]) -> Callable[[Given], Resul
                 own_name = getattr(call, "__qualname__", None) or repr(call)
                 logger.warning(
                     "%s (%s) took %.3g s, and held up all clients of the server meanwhile; "
-                    "this is said once",
+                    "this is logged once",
                     name,
                     own_name,
                     took,
@@ -185,4 +185,6 @@ def _ranges(name: str, given: Any) -> list[range]:
     found: list[Any] = list(given) if several else [given]
     if all(isinstance(each, range) for each in found):
         return found
-    raise TypeError(f"{name} must be a range of addresses or several, not {reprlib.repr(given)}")
+    raise TypeError(
+        f"{name} must be a range of addresses or a list of ranges, not {reprlib.repr(given)}"
+    )

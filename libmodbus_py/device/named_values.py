@@ -99,7 +99,9 @@ def set_values(
             scale that would move another point out of its bounds.
     """
     if not isinstance(values, MappingABC):
-        raise WrongType("values", f"must be by names, not {type(values).__name__}")
+        raise WrongType(
+            "values", f"must be a mapping from names to values, not {type(values).__name__}"
+        )
     changed = {name: known_point(points, name) for name in values}
     # What scales comes first: the others are scaled by what its cells then hold.
     scales = [name for name in sources_of(changed.values(), points) if name in changed]

@@ -179,10 +179,10 @@ def _object(line: str) -> dict[str, Any]:
 
 def _check_head(head: dict[str, Any]) -> None:
     if head.get("libmodbus-py") != KIND:
-        raise WrongValue("libmodbus-py", f'must be "{KIND}": this is no file of values')
+        raise WrongValue("libmodbus-py", f'must be "{KIND}": this is not a file of values')
     version = integer("version", head.get("version"), 1, 1 << 31)
     if version > VERSION:
-        reason = f"must be {VERSION}, not {version}: the file is of a newer libmodbus-py"
+        reason = f"must be {VERSION}, not {version}: the file was written by a newer libmodbus-py"
         raise WrongValue("version", reason)
 
 

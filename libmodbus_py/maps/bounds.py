@@ -48,7 +48,7 @@ def check_cells(point: Point, cells: Sequence[Any], *, source: Any = None) -> No
 
 
 def _told(value: float | None) -> str:
-    return "one that means none" if value is None else shown(value)
+    return "a raw value that means no value" if value is None else shown(value)
 
 
 def _is_above(point: Point, value: float) -> bool:

@@ -286,7 +286,7 @@ class Point:
             return self._scaling
         try:
             if isinstance(source, bool) or not isinstance(source, int | float):
-                raise ValueError("a number, which it does not have")
+                raise ValueError("a number, but has no value")
             return scaling_by(self.scale, self.offset, self.scale_as, source)
         except ValueError as error:
             text = f"has no value: {self.scale_from}, which scales it, must hold {error}"

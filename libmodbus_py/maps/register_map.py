@@ -52,9 +52,9 @@ class RegisterMap(Mapping[str, Point]):
         self._holes = HolesByDevice()
         for point in points:
             if not isinstance(point, Point):
-                raise WrongType("points", f"must be Points, not {type(point).__name__}")
+                raise WrongType("points", f"must be Point objects, not {type(point).__name__}")
             if point.name in self._points:
-                raise WrongValue("name", f"{point.name!r} is there twice")
+                raise WrongValue("name", f"{point.name!r} occurs twice")
             self._points[point.name] = point
         for _, mistake in scale_mistakes(self._points):
             raise mistake
@@ -138,14 +138,19 @@ class RegisterMap(Mapping[str, Point]):
                 points that must be read is to be written, too.
         """
         if not isinstance(values, Mapping):
-            raise WrongType("values", f"must be by names, not {type(values).__name__}")
+            raise WrongType(
+                "values", f"must be a mapping from names to values, not {type(values).__name__}"
+            )
         for name in values:
             if not self._known(name).is_writable:
                 raise WrongValue(name, "cannot be written: its access is read")
         for name in values:
             source = self._points[name].scale_from
             if source in values:
-                raise WrongValue(name, f"is scaled by {source}: write {source} before, alone")
+                raise WrongValue(
+                    name,
+                    f"is scaled by {source}, which must be written before, in a call of its own",
+                )
         found = (self._points[name].scale_from for name in values)
         return list(dict.fromkeys(each for each in found if each is not None))
 

@@ -40,6 +40,6 @@ def each_once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, value in pairs:
         if name in found:
-            raise WrongValue.about((name,), "is there twice")
+            raise WrongValue.about((name,), "occurs twice")
         found[name] = value
     return found

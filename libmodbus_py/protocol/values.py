@@ -322,7 +322,7 @@ def _decimals(bits: int) -> ValueType:
     def unpack(data: bytes) -> int:
         text = data.hex().upper()
         if not text.isdecimal():
-            raise ValueError(f"{text} has other than decimal digits")
+            raise ValueError(f"{text} has digits other than 0..9")
         return int(text)
 
     return ValueType(f"bcd{bits}", bits // 16, pack, unpack, (0, high))

@@ -117,7 +117,7 @@ def pins_of(given: Any) -> dict[str, bytes]:
             certificate = certificates_of("pin", each)[0]
             pins[digest_of(certificate)] = certificate
     if not pins:
-        raise ValueError("pin must be one certificate at least")
+        raise ValueError("pin must contain at least one certificate")
     return pins
 
 

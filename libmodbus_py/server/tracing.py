@@ -120,7 +120,7 @@ class Harmless:
         except BaseException:
             if not self._has_failed:
                 self._has_failed = True
-                logger.exception("trace(%s) failed; this is said once", traced)
+                logger.exception("trace(%s) failed; this is logged once", traced)
 
 
 def _raise(error: BaseException) -> NoReturn:

@@ -101,8 +101,8 @@ def test_a_request_without_an_answer_makes_them_go_one_by_one() -> None:
 @pytest.mark.parametrize(
     ("request_", "options", "kind", "reason"),
     [
-        (3, {}, TypeError, "request must be one of pdu, not int"),
-        (pdu.ReadCoils, {"name": "requests[{}]"}, TypeError, r"requests\[1\] must be one of pdu"),
+        (3, {}, TypeError, "request must be a request object of pdu, not int"),
+        (pdu.ReadCoils, {"name": "requests[{}]"}, TypeError, r"requests\[1\] must be a request"),
         (pdu.ReadCoils(0, 1), {"is_broadcast": True}, ValueError, "unit 0 is a broadcast"),
     ],
 )

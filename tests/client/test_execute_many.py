@@ -227,8 +227,8 @@ def test_a_request_that_nobody_answers_makes_them_go_one_by_one(world: Simulated
     ("requests", "options", "kind", "named"),
     [
         (None, {}, TypeError, "requests must be a list"),
-        ([*reads(3), "read"], {}, TypeError, r"requests\[3\] must be one of pdu, not str"),
-        ([pdu.ReadCoils], {}, TypeError, r"requests\[0\] must be one of pdu"),
+        ([*reads(3), "read"], {}, TypeError, r"requests\[3\] must be a request object"),
+        ([pdu.ReadCoils], {}, TypeError, r"requests\[0\] must be a request object of pdu"),
         (reads(1), {"max_in_flight": 0}, ValueError, "max_in_flight must be in 1..256"),
         (reads(1), {"max_in_flight": 257}, ValueError, "max_in_flight must be in 1..256"),
         (reads(1), {"max_in_flight": True}, TypeError, "max_in_flight"),

@@ -86,7 +86,7 @@ def test_bad_url_is_named(world: World, url: Any, named: str) -> None:
         (lambda plc: plc.read_file_records([(0, 0, 1)]), "file must be in 1..65535"),
         (lambda plc: plc.for_unit(256), "unit must be in 0..255"),
         (lambda plc: plc.for_unit(1, timeout=0), "timeout must be in"),
-        (lambda plc: plc.execute(3), "request must be one of pdu, not int"),
+        (lambda plc: plc.execute(3), "request must be a request object of pdu, not int"),
         (lambda plc: plc.execute(REQUEST, retries=-1), "retries must be in 0..100"),
         (lambda plc: plc.read_values("coils", 0, "int16"), "table must be one of"),
         (lambda plc: plc.write_values("coils", 0, [1], "int16"), "table must be holding"),

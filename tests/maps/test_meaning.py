@@ -160,7 +160,7 @@ EXPONENTS = [
         0xFED4,
         "v has no value: v_sf, which scales it, must hold a power of ten in -30..30, not -300",
     ),
-    (0x8000, "v has no value: v_sf, which scales it, must hold a number, which it does not have"),
+    (0x8000, "v has no value: v_sf, which scales it, must hold a number, but has no value"),
 ]
 
 
@@ -183,7 +183,9 @@ def test_cells_are_written_with_the_scale_of_the_device() -> None:
     assert SCALED.scale_sources({"v": 230.5, "far": 1}) == ["v_sf", "ratio_of_far"]
     with pytest.raises(NoValue, match="v has no value: v_sf, which scales it, must hold a number"):
         SCALED.writes({"v": 230.5})
-    with pytest.raises(ValueError, match="v is scaled by v_sf: write v_sf before, alone"):
+    with pytest.raises(
+        ValueError, match="v is scaled by v_sf, which must be written before, in a call"
+    ):
         SCALED.writes({"v": 230.5, "v_sf": 0}, sources={"v_sf": 0})
 
 

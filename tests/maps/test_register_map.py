@@ -167,7 +167,7 @@ REFUSED = [
     ({"volts": [1, 2, 3]}, ValueError, "volts cannot be written: its access is read"),
     ({"key": 1, "setpoint": 4.9}, ValueError, "setpoint: value must be in 5..30, not 4.9"),
     ({"key": 1, "name": 7}, TypeError, "name: value must be a string, not int"),
-    ([("key", 1)], TypeError, "values must be by names, not list"),
+    ([("key", 1)], TypeError, "values must be a mapping from names to values, not list"),
 ]
 
 
@@ -303,7 +303,7 @@ def test_a_map_is_a_mapping_that_never_changes() -> None:
         METER.more = 1  # type: ignore[attr-defined]
     with pytest.raises(AttributeError):
         METER["run"].address = 8  # type: ignore[misc]
-    with pytest.raises(ValueError, match=r"^name 'run' is there twice$"):
+    with pytest.raises(ValueError, match=r"^name 'run' occurs twice$"):
         RegisterMap([METER["run"], METER["run"]])
-    with pytest.raises(TypeError, match=r"^points must be Points, not str$"):
+    with pytest.raises(TypeError, match=r"^points must be Point objects, not str$"):
         RegisterMap(["run"])  # type: ignore[list-item]

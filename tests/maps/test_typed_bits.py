@@ -18,7 +18,7 @@ FLAGS = Point("flags", "holding_registers", 0, bits={0: "door", "4..7": "mode"})
     ["door=1, door=0", "door=1,mode=3, door=1", '{"door": 1, "door": 0}', '{"mode":1,"mode":1}'],
 )
 def test_a_bit_that_is_named_twice_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match=r"^value\.(door|mode): is there twice$"):
+    with pytest.raises(ValueError, match=r"^value\.(door|mode): occurs twice$"):
         typed_value(FLAGS, text)
 
 

@@ -32,5 +32,5 @@ def test_a_name_that_occurs_twice_is_refused() -> None:
         "a": 1,
         "b": {"a": 2},
     }
-    with pytest.raises(WrongValue, match=r"^a: is there twice"):
+    with pytest.raises(WrongValue, match=r"^a: occurs twice"):
         json.loads('{"a": 1, "a": 1}', object_pairs_hook=each_once)

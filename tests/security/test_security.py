@@ -274,8 +274,8 @@ def digest(certificate: bytes) -> str:
 @each_case(
     ("pin", "error", "reason"),
     [
-        ([], ValueError, "one certificate at least"),
-        ((), ValueError, "one certificate at least"),
+        ([], ValueError, "at least one certificate"),
+        ((), ValueError, "at least one certificate"),
         (DIGEST[:-1], ValueError, "a SHA-256 has 64 digits, not 63"),
         (DIGEST + "00", ValueError, "a SHA-256 has 64 digits, not 66"),
         ("ab:" * 20, ValueError, "a SHA-256 has 64 digits, not 40"),

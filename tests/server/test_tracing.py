@@ -330,7 +330,7 @@ def test_one_that_fails_costs_no_answer_and_is_logged_once(
         for _ in range(3):
             with connect(port_of(running.urls[0])) as one:
                 ask(one, READ * 5, ANSWER * 5)
-    assert [each.getMessage().endswith("this is said once") for each in caplog.records] == [True]
+    assert [each.getMessage().endswith("this is logged once") for each in caplog.records] == [True]
 
 
 @pytest.mark.parametrize("direction", ["received", "sent"])

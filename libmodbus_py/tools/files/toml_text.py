@@ -63,7 +63,7 @@ def read_toml(text: str) -> dict[str, Any]:
         raise ValueError(f"more than {MAX_DEPTH} levels") from None
     except ValueError:
         if found := _LONG_NUMBER.search(text):
-            raise ValueError(f"more digits than a number has (at {_line(text, found)})") from None
+            raise ValueError(f"a number has too many digits (at {_line(text, found)})") from None
         raise
     _check(content)
     return content

@@ -276,7 +276,7 @@ class CaptureReader:
             raise self._error("a packet without a head")
         interface, high, low, size, _ = struct.unpack_from(self._order + "IIIII", body)
         if interface >= len(self._units):
-            raise self._error(f"a packet of interface {interface}, which there is not")
+            raise self._error(f"a packet of interface {interface}, which does not exist")
         data = body[20 : 20 + size]
         if len(data) != size:
             raise self._error("a packet longer than its block")

@@ -255,8 +255,8 @@ class Copy:
             are_numbers = other.limits[0] is not None and own.limits[0] is not None
             if not are_numbers and (other.type_name != own.type_name or self.scale != 1):
                 raise ValueError(
-                    f"{other.type_name} cannot become {own.type_name}; what is no number is copied"
-                    " to its own type, without scale"
+                    f"{other.type_name} cannot be copied to {own.type_name}: values that are no"
+                    " numbers need the same type on both sides, and no scale"
                 )
         self._check_row(range(own.count), others, 1)
 

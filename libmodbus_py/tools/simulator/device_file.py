@@ -156,7 +156,7 @@ def _made(content: dict[str, Any], *, maps: Maps, clock: Callable[[], float]) ->
         said = own, content.get("roles")
         number, device = made_unit(path, unit, said, defaults, maps, clock, budget)
         if number in devices:
-            raise WrongValue.about((*path, "id"), f"there is a unit {number} before this")
+            raise WrongValue.about((*path, "id"), f"there is already a unit {number}")
         devices[number] = device
         faults[number] = faults.get(number, []) + _faults(path, unit)
         if sum(map(len, faults.values())) > MAX_FAULTS:

@@ -79,7 +79,7 @@ def mapped_points(unit: Mapping[str, Any], maps: Maps, budget: Budget) -> dict[s
         budget.spend_points(path, len(found))
         for point in found.values():
             if point.name in points:
-                raise WrongValue.about(path, f"there is a point {point.name} in a map before")
+                raise WrongValue.about(path, f"an earlier map has a point {point.name}, too")
             points[point.name] = point
     return points
 
@@ -132,7 +132,7 @@ def _by_name(
     for name, value in unit.get(key, {}).items():
         place = (*path, key, shown_key(name))
         if not points:
-            raise WrongValue.about(place, "there is no point, for the unit has no map")
+            raise WrongValue.about(place, "there is no point, because the unit has no map")
         if name not in points:
             raise WrongValue.about(place, f"no such point{close_to(name, points)}")
         yield name, place, value

@@ -104,7 +104,7 @@ def _check_names(found: list[SimulatedPoint], points: Mapping[str, Point]) -> No
     for each in found:
         name = each.point.name
         if each.is_named and name in names:
-            raise WrongValue.about((*each.path, "name"), f"there is a point {name} before this")
+            raise WrongValue.about((*each.path, "name"), f"there is already a point {name}")
         if each.is_named:
             names.add(name)
 
@@ -148,7 +148,7 @@ def _fifos(where: Path, unit: Mapping[str, Any]) -> dict[int, list[int]]:
         given = FIFO.read(path, raw)
         address, values = given["address"], given["values"]
         if address in fifos:
-            reason = f"there is a queue at {address} before this"
+            reason = f"there is already a queue at address {address}"
             raise WrongValue.about((*path, "address"), reason)
         if len(values) > 31:
             raise WrongValue((*path, "values"), f"must be 0..31, not {len(values)}")
@@ -164,7 +164,7 @@ def _identification(path: Path, unit: Mapping[str, Any]) -> dict[str | int, str 
         place = (*path, shown_key(key))
         number = _object_id(place, key)
         if number in objects:
-            raise WrongValue.about(place, f"there is an object {number} before this")
+            raise WrongValue.about(place, f"there is already an object {number}")
         objects[number] = check(place, value)
     return objects
 

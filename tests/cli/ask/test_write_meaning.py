@@ -32,7 +32,7 @@ TYPED = [
     ("local", "2026-07-01T12:00:00Z", NOON),
     ("flag", "1", True),
     ("state", "up", ValueError("value must")),
-    ("flags", '{"door": 1, "door": 0}', ValueError("value.door: is there twice")),
+    ("flags", '{"door": 1, "door": 0}', ValueError("value.door: occurs twice")),
     ("clock", "2026-07-01T12:00:00", ValueError("value must")),
 ]
 

@@ -22,7 +22,7 @@ from tests.support.cases import each_case
 )
 def test_a_name_that_occurs_twice_is_refused(data: bytes) -> None:
     problem = wanted_of(data).problem
-    assert problem.endswith(": is there twice in its JSON")
+    assert problem.endswith(": occurs twice in its JSON")
 
 
 @pytest.mark.parametrize("data", [b'{"value": {"door": 1, "mode": 1}, "id": 1}'])

@@ -159,7 +159,7 @@ REFUSED = [
     ("name;addr;Gain\n", "{}, line 1: column Gain means this or that: call it scale (raw values"),
     ("name;addr;FC\na;7;3/4", "{}, line 2, column FC: function must be of 1, 5, 15, 2, 3, "),
     ("name;addr;FC;table\na;7;3;ir", "{}, line 2, column FC: function 3 is none of input_"),
-    ("name;addr;FC;scale;divide by\na;7;3;2;2", "{}, line 2, column divide by: divisor must not"),
+    ("name;addr;FC;scale;divide by\na;7;3;2;2", "{}, line 2, column divide by: divisor cannot be"),
     ("name;addr;FC;divide by\na;7;3;0", "{}, line 2, column divide by: divisor must not be 0"),
     (b"\xff\xfen\0a\0m\0e\0", "{}: byte 0 is no UTF-8"),
     (b"PK\x03\x04\x14\0\0\0\x08\0", "{}, line 1: contains the control character 0x03"),

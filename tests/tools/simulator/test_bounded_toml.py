@@ -106,7 +106,7 @@ HOSTILE = {
     "deep dotted keys": (numbered(lambda at: f"k{at}.b.c.d.e.f.g = 1\n"), "k0: no such key"),
     "many digits": (
         HOLDING + "value = " + "9" * 5000,
-        "more digits than a number has .*line 4",
+        "a number has too many digits .*line 4",
     ),
     "a hundred thousand hexadecimal digits": (
         HOLDING + "value = 0x" + "f" * 100_000,

@@ -107,7 +107,7 @@ WRONG = [
      "line 6: unit[0].holding_registers[1] begins at 0, within unit[0].holding_registers[0]"),
     (RANGE + "bit = 3\n" + SECOND, "line 6: unit[0].holding_registers[1] begins at 0, within"),
     (RANGE + "bit = 3\n" + SECOND.replace("'b'", "'a'") + "bit = 4\n",
-     "line 8: unit[0].holding_registers[1].name: there is a point a before this"),
+     "line 8: unit[0].holding_registers[1].name: there is already a point a"),
     (RANGE + "states = { 0 = 'x', 1 = 'x' }\n",
      "line 5: unit[0].holding_registers[0].states.1 must have a name of its own"),
     (RANGE + "type = 'date48'\ntime_zone = 'Europe/Berlyn'\n",

@@ -40,7 +40,7 @@ BROKEN = [
     ("[[unit]]\nid = -1", "unit[0].id must be in 0..255, not -1"),
     ("[[unit]]\nid = '1'", "unit[0].id must be an integer in 0..255, not str"),
     ("[[unit]]\nid = true", "unit[0].id must be an integer in 0..255, not True"),
-    ("[[unit]]\nid = 1\n[[unit]]\nid = 1", "unit[1].id: there is a unit 1 before this"),
+    ("[[unit]]\nid = 1\n[[unit]]\nid = 1", "unit[1].id: there is already a unit 1"),
     (
         "[[unit]]\nid = 1\n[[unit]]",
         "unit[1].id is missing; only a single unit can be without",
@@ -89,7 +89,7 @@ BROKEN = [
     ),
     (
         "[[unit]]\nidentification = { VendorName = 'a', 0 = 'b' }",
-        "unit[0].identification.0: there is an object 0 before this",
+        "unit[0].identification.0: there is already an object 0",
     ),
     (
         f"[[unit]]\nidentification = {{ 128 = '{'x' * 245}' }}",
@@ -257,15 +257,15 @@ BROKEN = [
         HOLDING
         + "copy = { table = 'input_registers', address = 0 }\n"
         + "[[unit.input_registers]]\naddress = 0\ntype = 'string:2'",
-        f"{AT}.copy: string:2 cannot become uint16; what is no number is copied to its own type,"
-        " without scale",
+        f"{AT}.copy: string:2 cannot be copied to uint16: values that are no numbers need the"
+        " same type on both sides, and no scale",
     ),
     (
         HOLDING
         + "type = 'bits16'\ncopy = { table = 'input_registers', address = 0, scale = 2 }\n"
         + "[[unit.input_registers]]\naddress = 0\ntype = 'bits16'",
-        f"{AT}.copy: bits16 cannot become bits16; what is no number is copied to its own type,"
-        " without scale",
+        f"{AT}.copy: bits16 cannot be copied to bits16: values that are no numbers need the"
+        " same type on both sides, and no scale",
     ),
     (
         HOLDING + "copy = { table = 'holding_registers', address = 0 }",
@@ -307,7 +307,7 @@ BROKEN = [
     ),
     (
         "[[unit]]\n" + "[[unit.fifo]]\naddress = 0\nvalues = []\n" * 2,
-        "unit[0].fifo[1].address: there is a queue at 0 before this",
+        "unit[0].fifo[1].address: there is already a queue at address 0",
     ),
     (FAULT, "unit[0].fault[0].kind is missing"),
     (

@@ -187,7 +187,7 @@ def test_a_range_may_have_the_name_that_another_would_get() -> None:
 
 def test_two_ranges_of_one_name_are_a_mistake() -> None:
     text = "[[unit.coils]]\naddress = 0\nname = 'a'\n[[unit.coils]]\naddress = 5\nname = 'a'\n"
-    with pytest.raises(DeviceFileError, match=r"coils\[1\].name: there is a point a before this"):
+    with pytest.raises(DeviceFileError, match=r"coils\[1\].name: there is already a point a"):
         parse("[[unit]]\n" + text)
 
 
@@ -313,12 +313,15 @@ BROKEN = [
     ("[[unit]]\nmap = 'none.csv'", "unit[0].map: cannot read {}/none.csv: No such file"),
     ("[[unit]]\nmap = '\\u0000.csv'", "unit[0].map: "),
     ("[[unit]]\nmap = 'device.doc'", "unit[0].map: {}/device.doc: a register map must end with"),
-    ("[[unit]]\nmap = ['meter.csv', 'meter.csv']", "unit[0].map[1]: there is a point voltage in"),
+    (
+        "[[unit]]\nmap = ['meter.csv', 'meter.csv']",
+        "unit[0].map[1]: an earlier map has a point voltage",
+    ),
     ("[[unit]]\nmap = 'bad.csv'", "unit[0].map: {}/bad.csv, line 2, column table: "),
     (MAPPED + "values = { volt = 1 }", "unit[0].values.volt: no such point; did you mean volta"),
     (
         "[[unit]]\nvalues = { a = 1 }",
-        "unit[0].values.a: there is no point, for the unit has no m",
+        "unit[0].values.a: there is no point, because the unit has no m",
     ),
     (
         MAPPED + "values = { voltage = 6553.6 }",
@@ -350,7 +353,7 @@ BROKEN = [
     ),
     (
         MAPPED + "[[unit.coils]]\naddress = 9\nname = 'pump'",
-        "unit[0].coils[0].name: there is a point pump before this",
+        "unit[0].coils[0].name: there is already a point pump",
     ),
     (REGISTER + "scale = 0", "unit[0].input_registers[0].scale must not be nearer to 0 than 1e-30"),
     (REGISTER + "scale = 'a'", "unit[0].input_registers[0].scale must be a number, not str"),

@@ -164,11 +164,11 @@ def test_another_type_at_the_same_place_is_another_device(folder: Path) -> None:
 @each_case(
     ("change", "message"),
     [
-        (('"unit": 1, "table"', '"unit": 2, "unit": 1, "table"'), r"line \d: unit: is there twice"),
-        (('"values": [215]', '"values": [1], "values": [215]'), r"line \d: values: is there twice"),
-        (('"setpoint": [', '"setpoint": [], "setpoint": ['), r"line 2: setpoint: is there twice"),
-        (('"version": 1', '"version": 9, "version": 1'), "line 1: version: is there twice"),
-        (('{"end": ', '{"end": 1, "end": '), r"line \d: end: is there twice"),
+        (('"unit": 1, "table"', '"unit": 2, "unit": 1, "table"'), r"line \d: unit: occurs twice"),
+        (('"values": [215]', '"values": [1], "values": [215]'), r"line \d: values: occurs twice"),
+        (('"setpoint": [', '"setpoint": [], "setpoint": ['), r"line 2: setpoint: occurs twice"),
+        (('"version": 1', '"version": 9, "version": 1'), "line 1: version: occurs twice"),
+        (('{"end": ', '{"end": 1, "end": '), r"line \d: end: occurs twice"),
     ],
 )
 def test_a_key_that_is_there_twice_is_refused(

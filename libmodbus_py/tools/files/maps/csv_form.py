@@ -132,7 +132,7 @@ def _settled(keys: dict[str, Any], given: dict[str, str]) -> dict[str, Any]:
         keys["table"], keys["address"] = _referred(given["address"])
     if "divisor" in given:
         if "scale" in given:
-            raise WrongValue("divisor", "must not stand beside a scale")
+            raise WrongValue("divisor", "cannot be given together with a scale")
         if not keys["divisor"]:
             raise WrongValue("divisor", "must not be 0")
         keys["scale"] = 1 / keys["divisor"]
