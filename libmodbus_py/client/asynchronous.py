@@ -172,7 +172,7 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
                 It must not block. Exceptions that it raises are logged.
 
         Returns:
-            The submitted request, whose `outcome` can be called from `on_done` on.
+            The submitted request; its `outcome` is set before `on_done` is called.
 
         Raises:
             TypeError, ValueError: the request cannot be sent.
