@@ -4,7 +4,9 @@ TLS of the hostile, the slow and the lost: nothing crashes, nothing is left, oth
 
 from __future__ import annotations
 
+import array
 import contextlib
+import fcntl
 import logging
 import os
 import random
@@ -12,9 +14,11 @@ import socket
 import ssl
 import struct
 import subprocess
+import termios
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import pytest
 
@@ -325,6 +329,13 @@ def test_who_is_cut_off_for_a_bad_record_gets_an_alert(
         assert server.statistics.closed_out_of_step == 1
 
 
+def _has_read(process: subprocess.Popen[bytes]) -> bool:
+    """Return True if a process has read what was written to it, or has ended."""
+    waiting = array.array("i", [0])
+    fcntl.ioctl(process.stdin, termios.FIONREAD, waiting)
+    return not waiting[0] or process.poll() is not None
+
+
 @pytest.mark.parametrize("command", ["R", "K", "k"])
 def test_openssl_may_not_negotiate_again_but_change_its_keys(
     papers: Papers, device: Device, command: str
@@ -352,13 +363,15 @@ def test_openssl_may_not_negotiate_again_but_change_its_keys(
                     process.stdin.write(command.encode() + b"\n")
                 if is_negotiation and server.statistics.handshakes:
                     break
-                time.sleep(0.005)
+                # What it reads together, it takes for one command.
+                assert wait_until(partial(_has_read, process))
             if not is_negotiation:
                 process.stdin.write(ONE)  # no line that it takes for a command
                 assert wait_until(lambda: server.statistics.requests == 1)
-            time.sleep(0.2)
+            said, awaited = b"", b"no renegotiation" if is_negotiation else ONE_ANSWER
+            while awaited not in said and (piece := process.stdout.read(4096)):
+                said += piece
             process.kill()
-            said = process.stdout.read()
         if is_negotiation:
             assert b"Secure Renegotiation IS supported" in said  # R-60
             assert b"RENEGOTIATING" in said
