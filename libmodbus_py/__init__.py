@@ -1,20 +1,20 @@
 """
 Modbus for Python on Debian's libmodbus.
 
-Its folders, floor by floor. Imports run downwards only, and those on one floor do not know
-each other::
+Its folders, floor by floor. Imports run downwards only, and folders on the same floor do not
+import each other::
 
     cli                 libmodbus-py: read, write, scan, listen, serve, gateway, poll, demo
     services            gateway, fleet, workers, engine, integrations
     tools               files, listener, scan, simulator, testing, page, certificates
     client   server     TcpContext, ..., AsyncClient send requests; Server answers them
-    ports    device     what carries bytes, and waits for them; one unit and its tables
-    maps                what stands where in a device, and plans of few requests for it
-    binding  security   the C library; who may talk, proven by certificates
+    ports    device     transports, and waiting for them; one unit and its tables
+    maps                register maps: named points, and plans that read them with few requests
+    binding  security   the C library; Modbus Security: certificates and roles
     protocol            bytes and values: PDUs, frames, errors; no socket, no clock
     late                public names imported when they are first used
-    system              what only Linux has, and what takes its place elsewhere
-    version             a number
+    system              calls that only Linux has, and their substitutes elsewhere
+    version             the version number
 
 The public names of the package are those of ``__init__.pyi``; each is imported when it is first
 used. The other files are public modules that take their names from the folders: ``errors``,

@@ -1,5 +1,5 @@
 """
-Many devices, polled: a short path to `services.fleet`.
+Polling of many devices: a short path to `services.fleet`.
 """
 
 from .services.fleet.config import DeviceConfig as DeviceConfig

@@ -1,5 +1,5 @@
 """
-Transactions of other devices on a line or in a capture file: a short path to `tools.listener`.
+Listening to other devices on a line or in a capture file: a short path to `tools.listener`.
 """
 
 from .tools.listener.capture import CaptureError as CaptureError

@@ -1,5 +1,5 @@
 """
-A live page of a running server: a short path to `tools.page`.
+The live page of a running server: a short path to `tools.page`.
 """
 
 from .tools.page.page import Page as Page

@@ -1,5 +1,5 @@
 """
-Units that answer, and the registers that they have: a short path to `tools.scan`.
+Scans for units, and searches for their registers: a short path to `tools.scan`.
 """
 
 from .tools.scan.scan import Found as Found

@@ -1,6 +1,5 @@
 """
-Servers, their devices, and what their hooks and rules are told: a short path to `server` and
-`device`.
+Servers, devices, hooks, rules and audits: a short path to `server` and `device`.
 """
 
 from .device.access import Access as Access

@@ -1,5 +1,5 @@
 """
-Lines with a tap, servers that record, and faults, for tests: a short path to `tools.testing`.
+Serial lines, recording servers and faults, for tests: a short path to `tools.testing`.
 """
 
 from .tools.testing.fault_switch import FaultSwitch as FaultSwitch

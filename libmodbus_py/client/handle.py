@@ -97,7 +97,12 @@ class Handle(Generic[Driving]):
 
     @property
     def timeout(self) -> float:
-        """The seconds that one request may take, connecting included, 0.001..86400; settable."""
+        """
+        The seconds that one request may take, connecting included, 0.001..86400; settable.
+
+        Raises:
+            TypeError, ValueError: it is set to anything else.
+        """
         return self._timeouts.timeout
 
     @timeout.setter

@@ -25,7 +25,15 @@ FORKED = "this process was forked off"
 
 
 class State(enum.Enum):
-    """The state of a client's connection."""
+    """
+    The state of a client's connection.
+
+    Attributes:
+        DISCONNECTED: there is no connection; the next request opens one.
+        CONNECTING: the connection is being established.
+        CONNECTED: the connection is established.
+        CLOSED: the client was closed.
+    """
 
     DISCONNECTED = "disconnected"
     CONNECTING = "connecting"

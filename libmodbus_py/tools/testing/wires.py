@@ -58,7 +58,7 @@ class _Wire:
         return b"".join(passed.data for passed in self.passed if passed.sender == sender)
 
     def unplug(self) -> None:
-        """Take both ends away, as pulling a cable does; return when this is done."""
+        """Close both ends, as when a cable is pulled; return when this is done."""
         self._wake.send(b"u")
         self._unplugged.wait()
 
@@ -83,11 +83,14 @@ class _Wire:
 
 class SerialWire(_Wire):
     """
-    Two serial ports that are connected with each other.
+    Two serial ports (pseudo-terminals) that are connected with each other in a ``with`` block.
 
     Attributes:
         client, server: the paths of the ports.
         passed: the recorded bytes, oldest first.
+
+    Raises:
+        OSError: the system has no pseudo-terminals left.
     """
 
     def __init__(self) -> None:
@@ -133,14 +136,17 @@ class _RawPort:
 
 class TcpWire(_Wire):
     """
-    A relay to a TCP server on this machine.
+    A relay in front of a TCP server on this machine, which runs in a ``with`` block.
 
     Args:
-        port: of the server, on 127.0.0.1.
+        port: the port of the server on 127.0.0.1.
 
     Attributes:
-        port: where clients connect.
+        port: the port of the relay on 127.0.0.1, to which clients connect.
         passed: the recorded bytes, oldest first.
+
+    Raises:
+        OSError: the relay cannot be opened.
     """
 
     def __init__(self, port: int) -> None:
