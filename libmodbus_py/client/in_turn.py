@@ -197,11 +197,10 @@ class InTurn(Matching):
 
     def _tell_unasked(self, data: bytes) -> None:
         framer = self._make_framer()
-        found = [*framer.scan(data), *framer.scan_silence()]
-        for each in found:
+        for each in [*framer.scan(data), *framer.scan_silence()]:
             self._tell(each)
-        if not found:  # too short for a frame
-            self._trace.tell("received", data)
+        if framer.pending:  # the beginning of a frame, perhaps
+            self._trace.tell("received", data[-framer.pending :])
 
     def _judge(self, found: list[Frame | FrameError], now: float) -> None:
         for each in found:
