@@ -25,8 +25,12 @@ class Broker:
     """mosquitto, which can be killed and started again at the same port."""
 
     def __init__(self, folder: Path) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as taken:
-            self.port: int = taken.getsockname()[1]
+        # Held for as long as it lives, so that the system gives the port to nobody else while the
+        # broker is dead; mosquitto may listen there, because this socket does not.
+        self._held = socket.socket()
+        self._held.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._held.bind(("127.0.0.1", 0))
+        self.port: int = self._held.getsockname()[1]
         self.url = f"mqtt://127.0.0.1:{self.port}"
         self._folder = folder
         (folder / "passwords").write_text("")
@@ -51,6 +55,11 @@ class Broker:
         assert self.process is not None
         self.process.kill()
         self.process.wait()
+
+    def close(self) -> None:
+        """Kill it, and give its port back."""
+        self.kill()
+        self._held.close()
 
 
 def run(test: Any) -> Any:

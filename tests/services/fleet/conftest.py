@@ -27,4 +27,4 @@ def broker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Broker]:
     made = Broker(tmp_path)
     made.start()
     yield made
-    made.kill()
+    made.close()
