@@ -9,9 +9,9 @@ import shutil
 import socket
 import subprocess
 import time
-from typing import Any
+from typing import Any, Self
 
-__all__ = ["find", "listens", "missing", "program"]
+__all__ = ["HeldPort", "find", "listens", "missing", "program"]
 
 # Debian installs servers here, and leaves these folders out of the PATH of ordinary users.
 SERVER_FOLDERS = ("/usr/local/sbin", "/usr/sbin", "/sbin")
@@ -39,6 +39,32 @@ def program(name: str) -> str:
 def missing(*names: str) -> list[str]:
     """Return those of these programs that are not installed."""
     return [name for name in names if find(name) is None]
+
+
+class HeldPort:
+    """
+    A port of 127.0.0.1 that the system gives to nobody else until it is closed.
+
+    A program that sets SO_REUSEADDR may listen there, as servers do, and may end and start again.
+
+    Attributes:
+        number: of the port.
+    """
+
+    def __init__(self) -> None:
+        self._socket = socket.socket()
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._socket.bind(("127.0.0.1", 0))
+        self.number: int = self._socket.getsockname()[1]
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self.close()
 
 
 def listens(process: subprocess.Popen[Any], port: int) -> None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import socket
 import subprocess
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -18,19 +17,15 @@ import aiomqtt
 from libmodbus_py import Fleet, Server
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from tests.services.fleet.fleets import LONGEST, meter, simulated, until
-from tests.support.programs import listens, program
+from tests.support.programs import HeldPort, listens, program
 
 
 class Broker:
     """mosquitto, which can be killed and started again at the same port."""
 
     def __init__(self, folder: Path) -> None:
-        # Held for as long as it lives, so that the system gives the port to nobody else while the
-        # broker is dead; mosquitto may listen there, because this socket does not.
-        self._held = socket.socket()
-        self._held.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        self._held.bind(("127.0.0.1", 0))
-        self.port: int = self._held.getsockname()[1]
+        self._held: list[HeldPort] = []
+        self.port: int = self.new_port()
         self.url = f"mqtt://127.0.0.1:{self.port}"
         self._folder = folder
         (folder / "passwords").write_text("")
@@ -39,6 +34,11 @@ class Broker:
         subprocess.run(command, check=True, capture_output=True)
         self.settings = [f"listener {self.port} 127.0.0.1", "allow_anonymous true"]
         self.process: subprocess.Popen[bytes] | None = None
+
+    def new_port(self) -> int:
+        """Return a port that is this broker's while it lives, and while it is dead."""
+        self._held.append(HeldPort())
+        return self._held[-1].number
 
     def start(self) -> None:
         file = self._folder / "mosquitto.conf"
@@ -57,9 +57,10 @@ class Broker:
         self.process.wait()
 
     def close(self) -> None:
-        """Kill it, and give its port back."""
+        """Kill it, and give its ports back."""
         self.kill()
-        self._held.close()
+        for port in self._held:
+            port.close()
 
 
 def run(test: Any) -> Any:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import os
-import socket
 import subprocess
 import urllib.parse
 import urllib.request
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.services.fleet.fleets import LONGEST
-from tests.support.programs import listens, program
+from tests.support.programs import HeldPort, listens, program
 
 CONFIGURATION = """
 reporting-disabled = true
@@ -35,8 +34,8 @@ class Database:
     """An influxd with the database `plant`."""
 
     def __init__(self, folder: Path) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as taken:
-            self.port: int = taken.getsockname()[1]
+        self._held = HeldPort()
+        self.port: int = self._held.number
         self.url = f"http://127.0.0.1:{self.port}"
         self._file = folder / "influxdb.conf"
         self._file.write_text(CONFIGURATION.format(folder=folder, port=self.port))
@@ -56,6 +55,11 @@ class Database:
     def stop(self) -> None:
         self.process.kill()
         self.process.wait()
+
+    def close(self) -> None:
+        """Stop it, and give its port back."""
+        self.stop()
+        self._held.close()
 
     def ask(self, question: str) -> list[dict[str, Any]]:
         """Return the rows of a question, each by the names of the columns."""

@@ -48,8 +48,7 @@ def secure(broker: Broker, papers: Papers, identity: Identity) -> str:
     """Have it listen for TLS, too; gives that URL."""
     broker.kill()
     files = papers.files(identity)
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
+    port = broker.new_port()
     broker.settings += [f"listener {port} 127.0.0.1", f"certfile {files.cert}"]
     broker.settings += [f"keyfile {files.key}", "allow_anonymous true"]
     broker.start()

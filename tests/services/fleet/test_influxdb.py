@@ -30,7 +30,7 @@ def database(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Databa
     made = Database(tmp_path)
     made.start()
     yield made
-    made.stop()
+    made.close()
 
 
 def write(database: Database, *readings: Reading, **labels: str) -> None:

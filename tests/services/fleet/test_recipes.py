@@ -10,7 +10,6 @@ import json
 import re
 import shlex
 import signal
-import socket
 import subprocess
 import time
 import tomllib
@@ -30,7 +29,7 @@ from libmodbus_py.cli.commands import parsed
 from tests.services.fleet.fleets import LONGEST, until
 from tests.services.fleet.influxdb import Database
 from tests.support.commands import Started, ended
-from tests.support.programs import listens, missing, program
+from tests.support.programs import HeldPort, listens, missing, program
 
 if TYPE_CHECKING:
     from tests.services.fleet.brokers import Broker
@@ -79,12 +78,6 @@ def add(plant: Path, output: str) -> None:
     plant.write_text(f"{plant.read_text()}\n{output}")
 
 
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port: int = taken.getsockname()[1]
-    return port
-
-
 @pytest.mark.skipif(bool(missing("influxd")), reason="Debian 13 has no InfluxDB")
 def test_the_query_of_grafana_finds_a_line_for_each_device_in_influxdb(
     plant: Path, tmp_path: Path
@@ -105,7 +98,7 @@ def test_the_query_of_grafana_finds_a_line_for_each_device_in_influxdb(
         (tag,) = database.ask('SHOW TAG VALUES FROM "modbus" WITH KEY = "site"')
         assert tag["value"] == "Halle"
     finally:
-        database.stop()
+        database.close()
     assert "database: plant" in block(section, "yaml")
 
 
@@ -113,7 +106,16 @@ def test_the_query_of_grafana_finds_a_line_for_each_device_in_influxdb(
 def test_prometheus_asks_for_the_values(plant: Path, tmp_path: Path) -> None:
     section = "Grafana with Prometheus"
     pytest.importorskip("prometheus_client")
-    served, port = free_port(), free_port()
+    with HeldPort() as metrics, HeldPort() as asked:
+        found = asked_prometheus(plant, tmp_path, section, metrics.number, asked.number)
+    assert found["value"][1] == "230.5"
+    assert found["metric"]["device"] == "north"
+
+
+def asked_prometheus(
+    plant: Path, tmp_path: Path, section: str, served: int, port: int
+) -> dict[str, Any]:
+    """Return what Prometheus at a port answers to the query, with the metrics served at another."""
     settings = block(section, "yaml", "scrape_configs")
     settings = settings.replace("127.0.0.1:9400", f"127.0.0.1:{served}")
     (tmp_path / "prometheus.yml").write_text(settings.replace("5s", "50ms"))
@@ -135,8 +137,7 @@ def test_prometheus_asks_for_the_values(plant: Path, tmp_path: Path) -> None:
             (found,) = answered(f"http://127.0.0.1:{port}/api/v1/query?{query}")
         finally:
             prometheus.terminate()
-    assert found["value"][1] == "230.5"
-    assert found["metric"]["device"] == "north"
+    return found
 
 
 def answered(url: str) -> list[dict[str, Any]]:
