@@ -30,7 +30,7 @@ from tests.support import certificates
 from tests.support.attacks import ANSWER_ONE, PATIENCE, READ_MOST, READ_ONE, adu
 from tests.support.certificates import Papers
 from tests.support.interop import our_tls_server
-from tests.support.tls import VERSIONS, TlsClient, context, serving, wait_until
+from tests.support.tls import VERSIONS, TlsClient, context, serving
 
 LOGGER = "libmodbus_py.server.tls"
 
@@ -74,7 +74,7 @@ def noting(roles: list[str | None]) -> Device:
 
 
 @pytest.fixture
-def served(papers: Papers, noting: Device) -> Iterator[tuple[Server, int]]:
+def served(stage: Stage, papers: Papers, noting: Device) -> Iterator[tuple[Server, int]]:
     with serving(papers, noting) as served:
         yield served
 
@@ -99,13 +99,14 @@ def answers(count: int) -> bytes:
 
 
 def test_the_role_of_a_certificate_reaches_the_hooks(
-    served: tuple[Server, int], papers: Papers, roles: list[str | None]
+    papers: Papers, noting: Device, roles: list[str | None]
 ) -> None:
-    for role in ("Operator", None, "Überwacher"):
-        url = f"tls://127.0.0.1:{served[1]}"
-        with Context.from_url(url, security=papers.client(role)) as plc:
-            plc.write_register(3, 77)
-            assert plc.read_holding_registers(3, 1) == [77]
+    with serving(papers, noting) as (_, port):
+        for role in ("Operator", None, "Überwacher"):
+            url = f"tls://127.0.0.1:{port}"
+            with Context.from_url(url, security=papers.client(role)) as plc:
+                plc.write_register(3, 77)
+                assert plc.read_holding_registers(3, 1) == [77]
     assert roles == ["Operator"] * 2 + [None] * 2 + ["Überwacher"] * 2
 
 
@@ -119,10 +120,10 @@ def test_urls_may_say_who_one_is(papers: Papers) -> None:
 
 
 def test_an_authority_below_may_have_signed_if_it_is_shown(
-    served: tuple[Server, int], papers: Papers, roles: list[str | None]
+    stage: Stage, served: tuple[Server, int], papers: Papers, roles: list[str | None]
 ) -> None:
     identity = certificates.client("Chief", issuer=certificates.intermediate())
-    with TlsClient(served[1], context(papers, identity)).handshake() as client:
+    with TlsClient(served[1], context(papers, identity), stage=stage).handshake() as client:
         assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
     assert roles == ["Chief"]
 
@@ -142,14 +143,20 @@ GCM = "AES128-GCM-SHA256"
     ],
 )
 def test_the_suites_that_must_be_there_are(
-    papers: Papers, device: Device, key: str, version: str, ciphers: str | None, negotiated: str
+    stage: Stage,
+    papers: Papers,
+    device: Device,
+    key: str,
+    version: str,
+    ciphers: str | None,
+    negotiated: str,
 ) -> None:
     keys = {"key": certificates.rsa_key()} if key == "rsa" else {}
     security = papers.security(certificates.server(**keys))
     told = context(papers, certificates.client(**keys), VERSIONS[version], ciphers)
     with (
         serving(papers, device, security=security) as (server, port),
-        TlsClient(port, told).handshake() as client,
+        TlsClient(port, told, stage=stage).handshake() as client,
     ):
         assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
         assert client.tls.version() == f"TLSv{version}"
@@ -173,32 +180,32 @@ def test_the_suites_that_must_be_there_are(
     ids=lambda ciphers: ciphers.partition(":")[0],
 )
 def test_suites_that_are_weak_are_refused(
-    papers: Papers, device: Device, key: str, ciphers: str
+    stage: Stage, papers: Papers, device: Device, key: str, ciphers: str
 ) -> None:
     keys = {"key": certificates.rsa_key()} if key == "rsa" else {}
     security = papers.security(certificates.server(**keys))
     told = context(papers, certificates.client(**keys), VERSIONS["1.2"], f"{ciphers}:@SECLEVEL=0")
     with (
         serving(papers, device, security=security) as (server, port),
-        TlsClient(port, told) as client,
+        TlsClient(port, told, stage=stage) as client,
     ):
         with pytest.raises(ssl.SSLError, match="HANDSHAKE_FAILURE"):
             client.handshake()
-        assert wait_until(lambda: server.statistics.connections == 0)
+        assert stage.until(lambda: server.statistics.connections == 0)
         assert (server.statistics.handshakes, server.statistics.handshakes_refused) == (0, 1)
 
 
 @pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1, ssl.TLSVersion.TLSv1_1])
 def test_older_versions_are_refused(
-    papers: Papers, served: tuple[Server, int], version: ssl.TLSVersion
+    stage: Stage, papers: Papers, served: tuple[Server, int], version: ssl.TLSVersion
 ) -> None:
     told = context(papers, certificates.client(), version, "ALL:@SECLEVEL=0")
     with (
-        TlsClient(served[1], told) as client,
+        TlsClient(served[1], told, stage=stage) as client,
         pytest.raises(ssl.SSLError, match="PROTOCOL_VERSION"),  # R-01, R-34
     ):
         client.handshake()
-    assert wait_until(lambda: served[0].statistics.handshakes_refused == 1)
+    assert stage.until(lambda: served[0].statistics.handshakes_refused == 1)
 
 
 # --- who is refused -----------------------------------------------------------------------------
@@ -266,6 +273,7 @@ BAD: dict[str, tuple[Callable[[], Identity | None], str, str | None]] = {
 @VERSION
 @pytest.mark.parametrize("who", BAD)
 def test_nobody_gets_in_with_a_bad_certificate(
+    stage: Stage,
     papers: Papers,
     served: tuple[Server, int],
     roles: list[str | None],
@@ -279,7 +287,7 @@ def test_nobody_gets_in_with_a_bad_certificate(
     told = context(papers, identity, version)
     with caplog.at_level(logging.INFO, LOGGER):
         for _ in range(2):  # neither at first, nor with the session of the first time (R-11)
-            with TlsClient(port, told, session=None) as client:
+            with TlsClient(port, told, session=None, stage=stage) as client:
                 peer = ":".join(map(str, client.socket.getsockname()))
                 if alert is None:
                     client.handshake()
@@ -289,7 +297,7 @@ def test_nobody_gets_in_with_a_bad_certificate(
                     with pytest.raises(ssl.SSLError, match=alert):
                         client.handshake().ask(ONE, 1)
     statistics = server.statistics
-    assert wait_until(lambda: statistics.connections == 0)
+    assert stage.until(lambda: statistics.connections == 0)
     assert (statistics.handshakes, statistics.handshakes_refused) == (0, 2)
     assert statistics.requests == 0
     assert roles == []
@@ -305,29 +313,29 @@ def test_nobody_gets_in_with_a_bad_certificate(
 
 @VERSION
 def test_a_session_of_one_that_was_refused_is_refused(
-    papers: Papers, served: tuple[Server, int], version: ssl.TLSVersion
+    stage: Stage, papers: Papers, served: tuple[Server, int], version: ssl.TLSVersion
 ) -> None:
     """Its role is read when OpenSSL has given the ticket away."""
     told = context(papers, BAD["two roles"][0](), version)
     session = None
     for _ in range(3):
-        with TlsClient(served[1], told, session) as client:
+        with TlsClient(served[1], told, session, stage=stage) as client:
             client.handshake()
             assert client.ask(ONE, 1) == b""
             session = client.tls.session
     statistics = served[0].statistics
-    assert wait_until(lambda: statistics.handshakes_refused == 3)
+    assert stage.until(lambda: statistics.handshakes_refused == 3)
     assert (statistics.handshakes, statistics.handshakes_resumed) == (0, 0)
 
 
 def test_bad_ones_are_counted_but_cost_the_good_ones_nothing(
-    papers: Papers, served: tuple[Server, int]
+    stage: Stage, papers: Papers, served: tuple[Server, int]
 ) -> None:
     server, port = served
-    with TlsClient(port, context(papers, certificates.client())).handshake() as good:
+    with TlsClient(port, context(papers, certificates.client()), stage=stage).handshake() as good:
         for identity, *_ in BAD.values():
             told = context(papers, identity(), VERSIONS["1.2"])
-            with TlsClient(port, told) as bad, contextlib.suppress(ssl.SSLError):
+            with TlsClient(port, told, stage=stage) as bad, contextlib.suppress(ssl.SSLError):
                 bad.handshake()
                 assert bad.read() == b""
             assert good.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
@@ -370,7 +378,9 @@ def test_without_cryptography_only_roles_are_refused(papers: Papers) -> None:
 
 
 @pytest.mark.parametrize("how", ["one", "several", "with a hash"])
-def test_only_those_that_are_pinned_get_in(papers: Papers, device: Device, how: str) -> None:
+def test_only_those_that_are_pinned_get_in(
+    stage: Stage, papers: Papers, device: Device, how: str
+) -> None:
     mine = certificates.self_signed(role="Installer")
     files = [papers.files(mine).cert]
     if how != "one":
@@ -383,15 +393,15 @@ def test_only_those_that_are_pinned_get_in(papers: Papers, device: Device, how: 
         certificates.self_signed("Test device", days=2),  # the same name
     ]
     with serving(papers, device, security=security) as (server, port):
-        with TlsClient(port, context(papers, mine)).handshake() as client:
+        with TlsClient(port, context(papers, mine), stage=stage).handshake() as client:
             assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
         for stranger in strangers:
             with (
-                TlsClient(port, context(papers, stranger)) as client,
+                TlsClient(port, context(papers, stranger), stage=stage) as client,
                 pytest.raises(ssl.SSLError, match=r"UNKNOWN_CA|BAD_CERT|DECRYPT"),
             ):
                 client.handshake().ask(ONE, 1)
-        assert wait_until(lambda: server.statistics.handshakes_refused == len(strangers))
+        assert stage.until(lambda: server.statistics.handshakes_refused == len(strangers))
 
 
 def digest(identity: Identity | None) -> str:
@@ -400,33 +410,38 @@ def digest(identity: Identity | None) -> str:
 
 
 def test_what_a_pinned_one_has_signed_is_not_pinned(
-    papers: Papers, device: Device, caplog: pytest.LogCaptureFixture
+    stage: Stage, papers: Papers, device: Device, caplog: pytest.LogCaptureFixture
 ) -> None:
     """OpenSSL takes it, for the pinned one is what it trusts."""
     security = papers.server(pin=papers.authority(certificates.authority()))
     with (
         caplog.at_level(logging.INFO, LOGGER),
         serving(papers, device, security=security) as (server, port),
-        TlsClient(port, context(papers, certificates.client())).handshake() as client,
+        TlsClient(port, context(papers, certificates.client()), stage=stage).handshake() as client,
     ):
         assert client.ask(ONE, 1) == b""
         assert (server.statistics.handshakes, server.statistics.handshakes_refused) == (0, 1)
     assert "none of the pins" in caplog.text
 
 
-def test_a_pinned_one_must_be_good_for_clients(papers: Papers, device: Device) -> None:
+def test_a_pinned_one_must_be_good_for_clients(
+    stage: Stage, papers: Papers, device: Device
+) -> None:
     """OpenSSL looks at the extended key usage, and cannot be told not to."""
     mine = certificates.server_only()
     security = papers.server(pin=papers.files(mine).cert)
     with serving(papers, device, security=security) as (_, port):
         told = context(papers, mine)
-        with TlsClient(port, told) as client, pytest.raises(ssl.SSLError, match="UNSUPPORTED"):
+        with (
+            TlsClient(port, told, stage=stage) as client,
+            pytest.raises(ssl.SSLError, match="UNSUPPORTED"),
+        ):
             client.handshake().ask(ONE, 1)
 
 
 @VERSION
 def test_a_pinned_one_may_be_old_also_when_it_resumes(
-    papers: Papers, device: Device, version: ssl.TLSVersion
+    stage: Stage, papers: Papers, device: Device, version: ssl.TLSVersion
 ) -> None:
     mine = certificates.self_signed(**certificates.expired())
     told = context(papers, mine, version)
@@ -434,7 +449,7 @@ def test_a_pinned_one_may_be_old_also_when_it_resumes(
     session = None
     with serving(papers, device, security=security) as (server, port):
         for _ in range(2):
-            with TlsClient(port, told, session).handshake() as client:
+            with TlsClient(port, told, session, stage=stage).handshake() as client:
                 assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
                 session = client.tls.session
         assert server.statistics.handshakes_resumed == 1
@@ -445,7 +460,7 @@ def test_a_pinned_one_may_be_old_also_when_it_resumes(
 
 @pytest.mark.parametrize("how", ["1.2", "1.2 without tickets", "1.3"])
 def test_a_session_that_is_resumed_keeps_its_role(
-    papers: Papers, served: tuple[Server, int], roles: list[str | None], how: str
+    stage: Stage, papers: Papers, served: tuple[Server, int], roles: list[str | None], how: str
 ) -> None:
     server, port = served
     told = context(papers, certificates.client("Chief"), VERSIONS[how[:3]])
@@ -453,7 +468,7 @@ def test_a_session_that_is_resumed_keeps_its_role(
         told.options |= ssl.OP_NO_TICKET
     session = None
     for turn in range(3):  # R-42, R-43
-        with TlsClient(port, told, session).handshake() as client:
+        with TlsClient(port, told, session, stage=stage).handshake() as client:
             assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
             assert client.tls.session_reused == (turn > 0)
             session = client.tls.session
@@ -463,6 +478,7 @@ def test_a_session_that_is_resumed_keeps_its_role(
 
 @VERSION
 def test_a_certificate_that_expired_meanwhile_resumes_nothing(
+    stage: Stage,
     papers: Papers,
     served: tuple[Server, int],
     caplog: pytest.LogCaptureFixture,
@@ -474,12 +490,15 @@ def test_a_certificate_that_expired_meanwhile_resumes_nothing(
     end = datetime.now(UTC) + timedelta(hours=1)
     begin = end - timedelta(hours=2)
     told = context(papers, make_client(begin, end), version)
-    with TlsClient(port, told).handshake() as client:
+    with TlsClient(port, told, stage=stage).handshake() as client:
         assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
         session = client.tls.session
     later = SimpleNamespace(time=lambda: end.timestamp() + 1)
     monkeypatch.setattr("libmodbus_py.security.tunnel.time", later)
-    with caplog.at_level(logging.INFO, LOGGER), TlsClient(port, told, session) as client:
+    with (
+        caplog.at_level(logging.INFO, LOGGER),
+        TlsClient(port, told, session, stage=stage) as client,
+    ):
         client.handshake()
         assert client.tls.session_reused
         assert client.ask(ONE, 1) == b""
@@ -606,9 +625,10 @@ def test_a_record_full_of_requests_is_answered_in_slices(stage: Stage, papers: P
 
 @VERSION
 def test_requests_in_the_last_flight_of_the_handshake_are_answered(
-    papers: Papers, served: tuple[Server, int], version: ssl.TLSVersion
+    stage: Stage, papers: Papers, served: tuple[Server, int], version: ssl.TLSVersion
 ) -> None:
-    with TlsClient(served[1], context(papers, certificates.client(), version)) as client:
+    told = context(papers, certificates.client(), version)
+    with TlsClient(served[1], told, stage=stage) as client:
         client.socket.sendall(client.hello())
         # The client's own end of the handshake, and 50 requests behind it, in one segment.
         while True:

@@ -160,7 +160,8 @@ class Network:
             near.note_room()
             self._sockets[far.fileno()] = far
             self._follow(near, far, url)
-            accept(far, (origin, self.new_port()))
+            near.address = (origin, self.new_port())
+            accept(far, near.address)
 
     def _follow(self, near: MemorySocket, far: MemorySocket, place: str) -> None:
         number = next(self._connections)

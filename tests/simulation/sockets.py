@@ -57,9 +57,11 @@ class MemorySocket:
         on_sent: told of all that is sent here.
         capacity: how many bytes may be on their way to the other end, or unread there.
         sent: how many bytes were sent.
+        address: the host and port of this end, once a client's connection is established.
     """
 
     other: MemorySocket
+    address: tuple[str, int] = ("", 0)
 
     def __init__(
         self, events: Events, descriptors: Descriptors, *, is_datagram: bool = False

@@ -255,6 +255,9 @@ class Talker:
     def fileno(self) -> int:
         return self.end.fileno()
 
+    def getsockname(self) -> tuple[str, int]:
+        return self.end.address
+
     def shutdown(self, how: int) -> None:
         self.end.shutdown(how)
 
