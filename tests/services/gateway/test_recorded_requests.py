@@ -5,10 +5,15 @@ refuses.
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+from typing import Any
+
 import pytest
 
 from libmodbus_py import (
     Access,
+    Context,
     ExceptionResponse,
     GatewayTargetFailedToRespond,
     IllegalDataAddress,
@@ -28,11 +33,9 @@ def events() -> list[AuditEvent]:
     return []
 
 
-def told(events: list[AuditEvent]) -> list[tuple[str, int | None, int | None, str]]:
-    return [(each.event, each.unit, each.function, each.result) for each in events]
-
-
-def test_a_write_is_recorded_with_its_outcome(stage: Stage, events: list[AuditEvent]) -> None:
+@contextlib.contextmanager
+def recorded(stage: Stage, events: list[AuditEvent], **options: Any) -> Iterator[Context]:
+    """Return a client of unit 1 behind a gateway, which appends what it records to `events`."""
     with (
         passage(
             "tcp",
@@ -41,9 +44,19 @@ def test_a_write_is_recorded_with_its_outcome(stage: Stage, events: list[AuditEv
             line_options="timeout=0.2",
             stage=stage,
             audit=events.append,
+            **options,
         ) as through,
         through.context(1) as context,
     ):
+        yield context
+
+
+def told(events: list[AuditEvent]) -> list[tuple[str, int | None, int | None, str]]:
+    return [(each.event, each.unit, each.function, each.result) for each in events]
+
+
+def test_a_write_is_recorded_with_its_outcome(stage: Stage, events: list[AuditEvent]) -> None:
+    with recorded(stage, events) as context:
         context.write_register(0, 5)
         with pytest.raises(GatewayTargetFailedToRespond):
             context.for_unit(2).write_register(0, 5)
@@ -64,18 +77,7 @@ def test_reads_are_recorded_that_a_rule_refuses_and_no_others(
     stage: Stage, events: list[AuditEvent]
 ) -> None:
     rules = Rules({None: Allow(read=[Access("holding_registers", 0, 100)])})
-    with (
-        passage(
-            "tcp",
-            "rtu",
-            {1: small()},
-            line_options="timeout=0.2",
-            stage=stage,
-            authorize=rules,
-            audit=events.append,
-        ) as through,
-        through.context(1) as context,
-    ):
+    with recorded(stage, events, authorize=rules) as context:
         context.read_holding_registers(0, 1)
         with pytest.raises(IllegalFunction):
             context.read_coils(0, 1)
