@@ -135,7 +135,7 @@ async def passed_on() -> None:
 
 
 async def polled(url: str) -> None:
-    points = [Point("level", "holding_registers", 0), Point("flow", "holding_registers", 50)]
+    points = [Point("level", "holding_registers", 0), Point("flow", "holding_registers", 1)]
     config = DeviceConfig("meter", url, RegisterMap(points), interval=0.5)
     async with Fleet([config]) as fleet:
         readings = fleet.readings()
