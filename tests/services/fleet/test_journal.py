@@ -417,6 +417,46 @@ def test_a_disk_that_hangs_delays_nothing(path: str, monkeypatch: pytest.MonkeyP
     assert len(broker.ids) == 100
 
 
+def test_an_output_gets_what_memory_has_dropped_when_it_is_in_the_file(
+    path: str, inline: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Although no readings follow that would wake it."""
+    monkeypatch.setattr(journals, "MOST_IN_MEMORY", 4)
+
+    async def go() -> list[int]:
+        journal = Journal(path)
+        [place] = await journal.open(["broker"])
+        journal.put(each for at in range(10) for each in readings("a", float(at)))
+        found = await place.take(100, timeout=HOUR)
+        await journal.close()
+        return [each.id for each in found]
+
+    found = simulated_run(go(), Network())
+    assert found == in_journal(path)
+    assert len(found) == 20
+
+
+def test_an_output_that_confirms_while_the_journal_closes_waits_for_nothing(
+    path: str, inline: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    noted: list[asyncio.Future[None]] = []
+    close = JournalFile.close
+
+    async def go() -> None:
+        journal = Journal(path)
+        await journal.open(["broker"])
+
+        def closing(this: Any) -> None:
+            noted.append(journal.note())
+            close(this)
+
+        monkeypatch.setattr(JournalFile, "close", closing)
+        await journal.close()
+        assert [each.done() for each in noted] == [True]
+
+    simulated_run(go(), Network())
+
+
 # --- the beginning and the end --------------------------------------------------------------
 
 
