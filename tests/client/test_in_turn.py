@@ -262,6 +262,25 @@ def test_an_answer_that_came_by_itself_is_accepted_unless_it_may_be_another_one(
     assert talk.matching.accepts(1, equal, equal, 0.0, 0.1)
 
 
+@pytest.mark.parametrize(("later", "result"), [(value(1), 9), (value(8), 8)])
+def test_of_two_doubtful_answers_the_later_counts_unless_it_repeats_an_earlier_one(
+    later: bytes, result: int
+) -> None:
+    talk = Talk(LINE, timeout=1)
+    first = talk.ask(1)
+    talk.wait(0.2)
+    talk.come(value(1))
+    assert first.outcomes == [[1]]
+    talk.wait(1)
+    second = talk.ask(2)
+    for doubtful in (value(9), later):
+        talk.wait(0.02)  # sooner than the unit has ever answered
+        talk.come(doubtful)
+    assert kinds(second) != [[result]]
+    talk.wait(1)
+    assert second.outcomes == [[result]]
+
+
 # --- silence after a failure -----------------------------------------------------------
 
 
