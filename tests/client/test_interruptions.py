@@ -76,6 +76,7 @@ def test_anything_raised_while_it_connects_leaves_a_client_that_can(
                 patch.setattr(socket.socket, name, interrupt)
             with pytest.raises(Interruption):
                 context.read_holding_registers(4, 1)
+        assert context.state is State.DISCONNECTED
         assert context.read_holding_registers(4, 1) == [4]
         context.close()
 
