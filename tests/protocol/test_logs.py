@@ -14,7 +14,7 @@ import libmodbus_py
 from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.tools.listener.listener import logger as listeners
 from tests.services.fleet.fleets import simulated_run
-from tests.services.fleet.test_unwritable_readings import Picky, pumped, reading
+from tests.services.fleet.outputs.test_unwritable_readings import Picky, pumped, reading
 
 PACKAGE = "libmodbus_py"
 

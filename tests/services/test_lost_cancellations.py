@@ -19,7 +19,7 @@ from libmodbus_py.services.engine.buckets import Watch
 from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
 from libmodbus_py.services.fleet.outputs.pump import LAST_WORDS, Pump
 from libmodbus_py.services.tasks import AGAIN, end_tasks, finish
-from tests.services.fleet.test_unwritable_readings import Picky, reading
+from tests.services.fleet.outputs.test_unwritable_readings import Picky, reading
 from tests.simulation.network import Network
 
 

@@ -13,13 +13,13 @@ import pytest
 from libmodbus_py.services.fleet.outputs import pump as pumps
 
 if TYPE_CHECKING:
-    from tests.services.fleet.brokers import Broker
+    from tests.services.fleet.outputs.brokers import Broker
 
 
 @pytest.fixture
 def broker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Broker]:
     """A mosquitto that runs; outputs try again sooner than they do for users."""
-    from tests.services.fleet.brokers import Broker  # MQTT's client is an extra
+    from tests.services.fleet.outputs.brokers import Broker  # MQTT's client is an extra
 
     monkeypatch.setattr(pumps, "FIRST_PAUSE", 0.01)
     monkeypatch.setattr(pumps, "LONGEST_PAUSE", 0.05)

@@ -10,8 +10,8 @@ from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.device_states import DeviceStates
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.pump import Pump
-from tests.services.fleet.brokers import Broker, heard_of, hearing, run
 from tests.services.fleet.fleets import until
+from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, run
 from tests.support.cases import each_case
 
 TOPIC = "modbus-devices/{device}"

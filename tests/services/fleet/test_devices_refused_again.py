@@ -13,11 +13,11 @@ import pytest
 
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.pump import Pump
-from tests.services.fleet.brokers import Broker, run
 from tests.services.fleet.fleets import simulated_run
 from tests.services.fleet.fleets import until as until_really
-from tests.services.fleet.test_brokers_that_refuse import poll
-from tests.services.fleet.test_refused_readings import Distant, until
+from tests.services.fleet.outputs.brokers import Broker, run
+from tests.services.fleet.outputs.test_brokers_that_refuse import poll
+from tests.services.fleet.outputs.test_refused_readings import Distant, until
 
 
 def pumped(output: Distant, play: Callable[[Pump], Any]) -> Pump:

@@ -27,12 +27,12 @@ import pytest
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.cli.commands import parsed
 from tests.services.fleet.fleets import LONGEST, until
-from tests.services.fleet.influxdb import Database
+from tests.services.fleet.outputs.influxdb import Database
 from tests.support.commands import Started, ended
 from tests.support.programs import HeldPort, listens, missing, program
 
 if TYPE_CHECKING:
-    from tests.services.fleet.brokers import Broker
+    from tests.services.fleet.outputs.brokers import Broker
 
 ROOT = Path(__file__).parents[3]
 
@@ -194,7 +194,7 @@ def test_telegraf_reads_what_the_broker_gets(plant: Path, broker: Broker) -> Non
 
 def heard_from(plant: Path, broker: Broker, *topics: str) -> dict[str, Any]:
     """Poll once with the output to MQTT of the page, and return the last message of each topic."""
-    from tests.services.fleet.brokers import hearing, run  # MQTT's client is an extra
+    from tests.services.fleet.outputs.brokers import hearing, run  # MQTT's client is an extra
 
     add(plant, block("Node-RED", "toml").replace("mqtt://127.0.0.1", broker.url))
 
@@ -227,7 +227,7 @@ def test_node_red_reads_and_writes_topics_that_there_are(plant: Path, broker: Br
 
 
 def test_the_button_of_node_red_writes(plant: Path, broker: Broker) -> None:
-    from tests.services.fleet.brokers import hearing, publish, run
+    from tests.services.fleet.outputs.brokers import hearing, publish, run
 
     nodes = {node["id"]: node for node in json.loads(block("Node-RED", "json"))}
     topic = nodes["out"]["topic"]

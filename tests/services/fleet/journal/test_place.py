@@ -11,7 +11,7 @@ import pytest
 from libmodbus_py.services.fleet.journal.place import JournalPlace
 from libmodbus_py.services.fleet.journal.polls import JournalPoll
 from tests.services.fleet.fleets import simulated_run
-from tests.services.fleet.journals import polls
+from tests.services.fleet.journal.journals import polls
 
 
 class Shelf:

@@ -10,7 +10,7 @@ import pytest
 
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.journal.polls import Points, decoded, encoded, numbered
-from tests.services.fleet.journals import readings
+from tests.services.fleet.journal.journals import readings
 from tests.support.cases import each_case
 
 

@@ -5,7 +5,7 @@ The readings of a journal that memory keeps.
 from __future__ import annotations
 
 from libmodbus_py.services.fleet.journal.tail import Tail
-from tests.services.fleet.journals import polls
+from tests.services.fleet.journal.journals import polls
 
 
 def test_the_tail_keeps_the_newest_readings() -> None:

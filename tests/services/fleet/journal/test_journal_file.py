@@ -28,7 +28,7 @@ from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.journal_reader import JournalReader, history
 from libmodbus_py.services.fleet.journal.numbers import MARGIN
 from libmodbus_py.services.fleet.journal.polls import numbered
-from tests.services.fleet.journals import polls, readings
+from tests.services.fleet.journal.journals import polls, readings
 
 DAY = 86_400.0
 

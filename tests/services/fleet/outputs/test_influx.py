@@ -21,7 +21,14 @@ from libmodbus_py.services.fleet.outputs import influx_server, pump
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.services.fleet.outputs.secret_file import SecretFile
-from tests.services.fleet.http_server import NO_CONTENT, Answer, HttpServer, Last, answered, serving
+from tests.services.fleet.outputs.http_server import (
+    NO_CONTENT,
+    Answer,
+    HttpServer,
+    Last,
+    answered,
+    serving,
+)
 from tests.support.cases import each_case
 
 READING = Reading(1_700_000_000.0, "north", "level", 7, "m", "good")

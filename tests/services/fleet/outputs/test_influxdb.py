@@ -17,7 +17,7 @@ from libmodbus_py.services.fleet.outputs import pump
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.output import ReadingsRefused
 from tests.services.fleet.fleets import meter, simulated, until
-from tests.services.fleet.influxdb import Database
+from tests.services.fleet.outputs.influxdb import Database
 from tests.support.programs import missing
 
 pytestmark = pytest.mark.skipif(bool(missing("influxd")), reason="Debian 13 has no InfluxDB")

@@ -9,7 +9,7 @@ from pathlib import Path
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.polls import numbered
 from libmodbus_py.services.fleet.journal_past import past_in
-from tests.services.fleet.journals import readings
+from tests.services.fleet.journal.journals import readings
 
 
 def test_numbers_and_gaps_of_a_value(tmp_path: Path) -> None:

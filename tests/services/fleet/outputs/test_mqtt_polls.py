@@ -17,8 +17,8 @@ from libmodbus_py.services.fleet.outputs.forms import payload, payload_text
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.poll_messages import poll_messages
 from libmodbus_py.services.fleet.outputs.pump import Pump
-from tests.services.fleet.brokers import Broker, heard_of, hearing, publish, run
 from tests.services.fleet.fleets import meter, polling, simulated, until
+from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish, run
 
 TOPIC = "plant/{device}"
 

@@ -19,8 +19,8 @@ from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.journal_reader import JournalReader
 from libmodbus_py.services.fleet.journal_past import past_in
 from tests.services.fleet.fleets import until
-from tests.services.fleet.journals import Inline, polls
-from tests.services.fleet.test_journal import Broker, in_journal, run_for
+from tests.services.fleet.journal.journals import Inline, polls
+from tests.services.fleet.journal.test_journal import Broker, in_journal, run_for
 from tests.tools.page.tables import Plant, visited
 
 

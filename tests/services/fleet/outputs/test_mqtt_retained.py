@@ -6,8 +6,8 @@ from __future__ import annotations
 
 from libmodbus_py import Server
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from tests.services.fleet.brokers import Broker, heard_of, hearing, publish, run
 from tests.services.fleet.fleets import meter, polling, simulated, until
+from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish, run
 
 
 def test_the_status_is_online_while_one_of_two_is_connected(broker: Broker) -> None:

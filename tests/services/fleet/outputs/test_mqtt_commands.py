@@ -4,8 +4,8 @@ Commands over MQTT with a real broker: which are taken, and who answers.
 
 from __future__ import annotations
 
-from tests.services.fleet.brokers import Broker, commanded, publish, run
 from tests.services.fleet.fleets import until
+from tests.services.fleet.outputs.brokers import Broker, commanded, publish, run
 
 
 def test_names_are_taken_in_one_spelling_only(broker: Broker) -> None:

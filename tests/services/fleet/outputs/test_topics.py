@@ -13,8 +13,8 @@ from libmodbus_py import DeviceConfig, Fleet, Server
 from libmodbus_py.fleet import FleetFileError, load
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.topics import Topic
-from tests.services.fleet.brokers import Broker, heard_of, hearing, publish, run
 from tests.services.fleet.fleets import meter, simulated, until
+from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish, run
 from tests.support.cases import each_case
 
 TEMPLATE = "plant/{label.site}/{device}/{name}"

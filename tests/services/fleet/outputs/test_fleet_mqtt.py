@@ -20,8 +20,8 @@ from libmodbus_py.services.fleet.outputs import mqtt
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.tools.certificates import Identity
-from tests.services.fleet.brokers import Broker, commanded, heard_of, hearing, publish, run
 from tests.services.fleet.fleets import RealPeer, meter, until
+from tests.services.fleet.outputs.brokers import Broker, commanded, heard_of, hearing, publish, run
 from tests.support import certificates
 from tests.support.certificates import Papers
 

@@ -14,7 +14,7 @@ import pytest
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.journal_reader import JournalReader, history
 from libmodbus_py.services.fleet.journal.polls import JournalPoll, numbered
-from tests.services.fleet.journals import readings
+from tests.services.fleet.journal.journals import readings
 
 KEEP = 1000.0
 
