@@ -101,7 +101,7 @@ class Tools:
         return python(script, peer.program, *arguments, interpreter=interpreter)
 
     def present(self, peers: list[Peer]) -> Iterator[Peer]:
-        """Give those whose package is installed; each of ours twice if there is a `before`."""
+        """Return those whose package is installed; each of ours twice if there is a `before`."""
         for peer in peers:
             if is_present(peer):
                 yield peer
@@ -194,7 +194,7 @@ def load_name(connections: int, in_flight: int) -> str:
 
 
 def absent() -> list[str]:
-    """Give the packages that are not installed."""
+    """Return the packages that are not installed."""
     return sorted({peer.package for peer in PEERS if not is_present(peer)})
 
 
@@ -215,7 +215,7 @@ class RunningServer:
         self.descriptors = len(os.listdir(f"/proc/{self.child.pid}/fd"))
 
     def ready(self) -> None:
-        """Have it alive, and rid of the clients of the last cell."""
+        """Check that the server is alive, and that the clients of the last cell are gone."""
         if not self.child.is_alive:
             self.start()
         wait_until_idle(self.child.pid, self.descriptors)
@@ -393,6 +393,6 @@ SECTIONS: dict[str, Callable[[ExitStack, Tools], Cells]] = {
 
 @contextmanager
 def cells_of(section: str, tools: Tools) -> Iterator[Cells]:
-    """Give the cells of a section while its processes run."""
+    """Return the cells of a section while its processes run."""
     with ExitStack() as stack:
         yield SECTIONS[section](stack, tools)

@@ -41,7 +41,7 @@ def compile_all(folder: Path) -> None:
 
 
 def python(program: str, *arguments: str, interpreter: str = sys.executable) -> list[str]:
-    """Give the command for a program in Python here."""
+    """Return the command for a program in Python here."""
     return [interpreter, str(HERE / program), *arguments]
 
 
@@ -82,7 +82,7 @@ class Child:
         return self._process.poll() is None
 
     def read_line(self, patience: float = PATIENCE) -> str:
-        """Give the next line; there is never more than one under way."""
+        """Return the next line; there is never more than one under way."""
         assert self._process.stdout is not None
         ready, _, _ = select.select([self._process.stdout], [], [], patience)
         if not ready:
@@ -127,7 +127,7 @@ def run(command: list[str], patience: float = PATIENCE) -> Any:
 
 
 def processor_time(pid: int) -> float:
-    """Give the seconds of processor time, its own and the system's, of all threads."""
+    """Return the seconds of processor time, its own and the system's, of all threads."""
     clock = ctypes.c_int()
     if LIBC.clock_getcpuclockid(pid, ctypes.byref(clock)) != 0:
         raise Failed("the server died")
@@ -135,7 +135,7 @@ def processor_time(pid: int) -> float:
 
 
 def resident_memory(pid: int) -> int:
-    """Give the bytes in memory."""
+    """Return the bytes in memory."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE")
 

@@ -20,19 +20,19 @@ SLOWER = 0.95
 
 
 def saved(file: Path) -> list[Cell]:
-    """Give the cells of a run that was saved."""
+    """Return the cells of a run that was saved."""
     cells: list[Cell] = json.loads(file.read_text())["cells"]
     return cells
 
 
 def taken_turns(cells: list[Cell]) -> list[Cell]:
-    """Give the cells of the state before, under the names of those after."""
+    """Return the cells of the state before, under the names of those after."""
     names = {before(cell["name"]): cell["name"] for cell in cells}
     return [cell | {"name": names[cell["name"]]} for cell in cells if cell["name"] in names]
 
 
 def side_by_side(earlier: list[Cell], later: list[Cell]) -> str:
-    """Give a table of the cells that are in both and went well in both."""
+    """Return a table of the cells that are in both and went well in both."""
     was = {key_of(cell): cell for cell in sound(earlier)}
     rows = [row(was[key_of(cell)], cell) for cell in sound(later) if key_of(cell) in was]
     head = ["after / before", "before", "after", "ratio", "us before", "us after", "ratio", ""]

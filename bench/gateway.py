@@ -17,7 +17,8 @@ from collections.abc import Iterator
 
 from libmodbus_py import AsyncClient, Context, ExceptionResponse, pdu
 from libmodbus_py.tools.testing.wires import SerialWire
-from tests.support.gateways import Bus
+
+from .bus import Bus
 
 ME = [sys.executable, "-m", "libmodbus_py"]
 READ = pdu.ReadHoldingRegisters(0, 10)
@@ -66,19 +67,19 @@ async def in_flight(url: str, clients: int, each: int, count: int) -> float:
         return count / (time.perf_counter() - start)
 
 
-def rates() -> None:
+def rates(count: int = 10_000) -> None:
     for baudrate in (19200, 115200):
         with SerialWire() as wire, running("serve", f"rtu://{wire.server}?baudrate={baudrate}"):
             line = f"rtu://{wire.client}?baudrate={baudrate}"
-            direct = one_by_one(line, 1000)
+            direct = one_by_one(line, count // 10)
             with gateway(f"{line}&timeout=2") as url:
-                through = one_by_one(url, 1000)
+                through = one_by_one(url, count // 10)
         told(f"pty, {baudrate} bit/s, one at a time", direct, through)
     with running("serve", "tcp://127.0.0.1:0") as server, gateway(f"{server}?timeout=5") as url:
-        told("tcp, one at a time", one_by_one(server, 10_000), one_by_one(url, 10_000))
+        told("tcp, one at a time", one_by_one(server, count), one_by_one(url, count))
         for clients, each in ((1, 16), (8, 16)):
             direct, through = (
-                asyncio.run(in_flight(where, clients, each, 32_000)) for where in (server, url)
+                asyncio.run(in_flight(where, clients, each, 3 * count)) for where in (server, url)
             )
             told(f"tcp, {clients} clients, {each} in flight", direct, through)
 

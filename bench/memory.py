@@ -36,7 +36,7 @@ class Memory:
 
 
 def measure_memory(tools: Tools) -> dict[str, Memory | str]:
-    """Give the memory of every server, freshly started; or why there is none."""
+    """Return the memory of every server, freshly started; or the reason why there is none."""
     raise_descriptor_limit()
     found: dict[str, Memory | str] = {}
     for peer in tools.present(SERVERS):
@@ -67,7 +67,7 @@ def measure_server(server: RunningServer) -> Memory:
 
 @contextmanager
 def connected(port: int, count: int) -> Iterator[list[socket.socket]]:
-    """Give those connections that got an answer; they say no more."""
+    """Return those connections that got an answer; they say no more."""
     end = time.monotonic() + WITHIN
     with ExitStack() as stack:
         yield [each for _ in range(count) if (each := connect(stack, port, end - time.monotonic()))]

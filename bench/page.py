@@ -46,7 +46,7 @@ with page_of(Server({{1: Device(mapping)}})) as page:
 
 @contextlib.contextmanager
 def served() -> Iterator[tuple[int, str]]:
-    """Give the process and the URL of the page."""
+    """Return the process and the URL of the page."""
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[1])}
     command = [sys.executable, "-c", SERVER]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as program:
@@ -71,7 +71,7 @@ def share(pid: int, seconds: float) -> float:
 
 
 def in_chromium(pid: int, url: str, seconds: float) -> tuple[float, float]:
-    """Give the share, and how often in a second what is shown has changed."""
+    """Return the share, and how often in a second what is shown has changed."""
     with browser(1200, 800) as driver:
         driver.get(url)
         until(lambda: driver.execute_script("return rows.size"), 60)

@@ -57,7 +57,7 @@ class Report:
 
 
 def machine() -> dict[str, Any]:
-    """Give what the numbers depend on."""
+    """Return what the numbers depend on."""
     return {
         "processor": processor_name(),
         "processors": len(os.sched_getaffinity(0)),
@@ -86,7 +86,7 @@ def version_of(distribution: str) -> str:
 
 
 def as_text(report: Report) -> str:
-    """Give the tables."""
+    """Return the tables."""
     parts = [head(report)]
     for section in SECTIONS:
         if keys := report.results.keys(section):
@@ -140,7 +140,7 @@ def tls_tables(tls: Tls) -> str:
 
 
 def grid(head: list[str], rows: list[list[str]]) -> str:
-    """Give a table: the first column to the left, the others to the right."""
+    """Return a table: the first column to the left, the others to the right."""
     widths = [max(len(row[column]) for row in [head, *rows]) for column in range(len(head))]
     return "\n".join(
         "  ".join(
@@ -275,7 +275,7 @@ def target_title(outcome: Outcome) -> str:
 
 
 def as_json(report: Report) -> dict[str, Any]:
-    """Give all numbers, rounds included."""
+    """Return all numbers, rounds included."""
     return {
         "machine": machine(),
         "rounds": report.rounds,

@@ -27,7 +27,7 @@ class Results:
     failed: dict[Key, str] = field(default_factory=dict)
 
     def keys(self, section: str) -> list[Key]:
-        """Give the cells of a section in the order of its tables."""
+        """Return the cells of a section in the order of its tables."""
         return [key for key in {**self.measured, **self.failed} if key.section == section]
 
     def note(self, key: Key) -> str:
@@ -36,19 +36,19 @@ class Results:
         return self.failed.get(key) or (notes[0] if notes else "")
 
     def rate(self, key: Key) -> float | None:
-        """Give the requests in a second, also of a cell with a note."""
+        """Return the requests in a second, also of a cell with a note."""
         return self._median(key, lambda each: each.requests / each.seconds)
 
     def client_cost(self, key: Key) -> float | None:
-        """Give the client's microseconds of processor time for a request."""
+        """Return the client's microseconds of processor time for a request."""
         return self._median(key, lambda each: each.client_cpu / max(1, each.requests) * 1e6)
 
     def server_cost(self, key: Key) -> float | None:
-        """Give the server's microseconds of processor time for a request."""
+        """Return the server's microseconds of processor time for a request."""
         return self._median(key, lambda each: each.server_cpu / max(1, each.requests) * 1e6)
 
     def latency(self, key: Key) -> float | None:
-        """Give the microseconds that 99 of 100 requests stay below."""
+        """Return the microseconds that 99 of 100 requests stay below."""
         return self._median(key, lambda each: each.p99)
 
     def _median(self, key: Key, value: Callable[[Measured], float | None]) -> float | None:

@@ -19,7 +19,7 @@ STARTS = 21  # of each, in turns
 
 
 def measure_startup(tools: Tools, starts: int) -> dict[str, float]:
-    """Give the median of each in milliseconds."""
+    """Return the median of each in milliseconds."""
     with ExitStack() as stack:
         server = start_server(stack, tools, next(tools.present(SERVERS)))
         commands = commands_of(tools, server.place)

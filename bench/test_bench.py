@@ -5,6 +5,7 @@ numbers, and so does the table of attacks. CI runs this file; `./run test` does 
 
 from __future__ import annotations
 
+import importlib
 import json
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from bench import gateway
 from tests.support.attacks import ATTACKS
 
 BENCH = Path(__file__).parent
@@ -103,3 +105,23 @@ def test_the_table_of_attacks_is_printed() -> None:
     requests, lost = row.removeprefix(name).split()[:2]
     assert int(requests) > 0
     assert lost == "0"
+
+
+def test_gateways_are_measured(capsys: pytest.CaptureFixture[str]) -> None:
+    gateway.rates(500)
+    gateway.silent_unit(20)
+    gateway.beside_silent_unit(40)
+    gateway.late_unit(40)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 8
+    assert "'wrong': 0" in lines[-1]
+
+
+@pytest.mark.parametrize(
+    "file", sorted(Path(__file__).parent.glob("*.py")), ids=lambda file: file.stem
+)
+def test_each_file_of_the_benchmark_can_be_imported(file: Path) -> None:
+    if file.stem == "picture":
+        pytest.importorskip("matplotlib")
+    if not file.stem.startswith("__"):
+        importlib.import_module(f"bench.{file.stem}")

@@ -83,7 +83,7 @@ def medians(rounds: list[tuple[float, ...]]) -> tuple[float, ...]:
 
 
 def start(stack: ExitStack, interpreter: str, url: str) -> tuple[int, int]:
-    """Give its port and its process."""
+    """Return its port and its process."""
     # All clients are at one address, and may have a tenth of the connections.
     command = [interpreter, "-m", "libmodbus_py", "serve", url, "--connections-per-address", "1000"]
     child = stack.enter_context(Child(command))
