@@ -214,7 +214,7 @@ class BadLine:
 
     @property
     def is_clean(self) -> bool:
-        """Whether nothing that went wrong is still to come."""
+        """True if nothing that went wrong is still to come."""
         return self._armed is None and not self._late
 
     def arm(self, kind: str, sender: Sender) -> None:

@@ -75,7 +75,7 @@ _EXAMPLES = [example for example in json.loads(_FILE.read_text()) if "tcp" in ex
 
 
 def examples(form: str) -> list[bytes]:
-    """Give the worked examples of the specification: "pdu", "tcp", "rtu" or "ascii"."""
+    """Return the worked examples of the specification: "pdu", "tcp", "rtu" or "ascii"."""
     found = [example[form] for example in _EXAMPLES]
     return [text.encode() if form == "ascii" else bytes.fromhex(text) for text in found]
 
@@ -232,7 +232,7 @@ def check_request(data: bytes) -> None:
 
 
 def _attempt(decode: Callable[[bytes], Any], data: bytes) -> Any:
-    """What a decoder gives, or raises, as a value."""
+    """Return the result of a decoder, or the exception that it raises."""
     try:
         return decode(data)
     except (ExceptionResponse, InvalidResponse, ValueError) as error:

@@ -121,7 +121,7 @@ class Trial:
         self.doubles[name] = self.doubles.get(name, 0) + found
 
     def without_engine(self) -> str:
-        """Have no NATS for a while; gives what happened."""
+        """Stop NATS for a while; return what happened."""
         self.settle()
         doubles = self.asked.doubles
         at = time.monotonic()

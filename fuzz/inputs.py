@@ -153,7 +153,7 @@ def some_chunks() -> list[bytes]:
 
 
 def certificates(data: bytes) -> None:
-    """What a role extension holds, and a whole certificate."""
+    """Return the value of a role extension, and a whole certificate."""
     check_role_value(data)
     check_certificate(data)
 

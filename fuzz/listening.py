@@ -187,7 +187,7 @@ def line(framing: Framing, count: int, faults: float, seed: int, latency: float 
 
 
 def _glued(pieces: list[Sent], latency: float) -> list[Sent]:
-    """What came within the adapter's time comes in one piece, and as late."""
+    """Join what arrived within the latency of the adapter; all of it is as late as the last."""
     glued: list[Sent] = []
     for at, data in pieces:
         if glued and at - glued[-1].at < latency:

@@ -287,7 +287,7 @@ class Trial:
 
 
 def _is_about(test: str, path: Path) -> bool:
-    """Whether a test stands in a file that has the name of a module within its own."""
+    """Return True if a test stands in a file that has the name of a module within its own."""
     return path.stem in test.split("::", 1)[0].rpartition("/")[2]
 
 

@@ -219,7 +219,7 @@ def _returned(node: ast.Return) -> Iterator[_Change]:
 
 
 def _is_nothing(node: ast.expr) -> bool:
-    """Whether None in its place means the same to whoever looks whether it is true."""
+    """Return True if None in its place means the same where only its truth is tested."""
     if isinstance(node, ast.Constant):
         return not node.value
     return isinstance(node, ast.List | ast.Tuple) and not node.elts
@@ -352,7 +352,7 @@ def _is_log(function: ast.expr) -> bool:
 
 
 def _is_noise(statement: ast.Expr) -> bool:
-    """Whether a statement is a docstring, `...` or a line of a log."""
+    """Return True if a statement is a docstring, `...` or a line of a log."""
     value = statement.value
     return isinstance(value, ast.Constant) or (isinstance(value, ast.Call) and _is_log(value.func))
 

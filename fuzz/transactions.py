@@ -43,7 +43,7 @@ BETWEEN_FAULTS = 6
 
 
 def register(address: int) -> int:
-    """Give the value of a register, 1..65535."""
+    """Return the value of a register, 1..65535."""
     return (address * 40503 + 12345) % 65535 + 1
 
 
@@ -99,7 +99,7 @@ class Tally:
 
     @property
     def is_good(self) -> bool:
-        """Whether nothing was wrong or lost, and one failure is all that a fault entails."""
+        """True if nothing was wrong or lost, and one failure is all that a fault entails."""
         findings = self.wrong + self.lost + self.unprovoked
         return not findings and max(self.recovery, default=0) <= 1
 
@@ -157,7 +157,7 @@ class Lateness:
             os.close(end)
 
     def seconds(self) -> float:
-        """Give the sum of both, at worst, since the last call."""
+        """Return the sum of both, at worst, since the last call."""
         overdue = time.monotonic() - self._last - self.PERIOD  # of the beat that is on its way
         worst, self._worst = max(self._worst, overdue), 0.0
         queued, self._queued = self._queued, self._queueing()
@@ -182,7 +182,7 @@ class Lateness:
 
 
 class Finding(Exception):
-    """What must not happen."""
+    """An outcome that must never occur."""
 
     def __init__(self, kind: Literal["wrong", "lost"], text: str) -> None:
         super().__init__(text)
@@ -260,7 +260,7 @@ class Transactions:
             self._judge_recovery(was_clean, trouble)
 
     def _was_late(self, is_suspicious: bool) -> bool:
-        """Whether the machine spoiled this one, or the last one, whose answer may have come now."""
+        """Return True if the machine delayed this request, or the last one, answered now."""
         if is_suspicious:
             time.sleep(self._context.timeout)  # what is still late comes in
         is_late = self._lateness.seconds() > self._context.timeout / 4

@@ -35,7 +35,7 @@ TARBALL = Path(__file__).parent / NAME
 
 def fetch() -> bytes:
     """
-    Give the tarball, from beside this file or else from Debian.
+    Return the tarball, from beside this file or else from Debian.
 
     Raises:
         SystemExit: it cannot be had, or is another one.
@@ -89,7 +89,7 @@ def build(prefix: Path, change: Callable[[Path], object] = lambda source: None) 
 
 
 def licence() -> bytes:
-    """Give the text of the licence that the library comes with."""
+    """Return the text of the licence that the library comes with."""
     with tarfile.open(fileobj=io.BytesIO(fetch())) as tarball:
         member = tarball.extractfile(f"libmodbus-{VERSION}/COPYING.LESSER")
         assert member is not None

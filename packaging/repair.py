@@ -23,7 +23,7 @@ OWN, BOTH = "License-Expression: MIT\n", "License-Expression: MIT AND LGPL-2.1-o
 
 def repair(wheel: Path, folder: Path, licence: bytes) -> Path:
     """
-    Give the wheel that was made in a folder.
+    Return the wheel that was made in a folder.
 
     Args:
         wheel: as built, and linked with libmodbus.so.5, which the loader finds.

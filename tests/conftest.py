@@ -43,7 +43,7 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What may take longest begins first, for nothing is beside the last ones."""
+    """Begin with the tests that take longest, so that the last ones are short."""
     items.sort(key=_longest, reverse=True)
 
 

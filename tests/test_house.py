@@ -82,7 +82,7 @@ class Module:
 
     @cached_property
     def imported(self) -> dict[str, tuple[str, str]]:
-        """What is taken from other modules: name -> module, and its name there."""
+        """Return the imported names: name -> module, and the name there."""
         return {
             alias.asname or alias.name: (self._source(node), alias.name)
             for node in ast.walk(self.tree)
@@ -177,7 +177,7 @@ def _conftests(module: Module) -> Iterator[str]:
 
 
 def _fails(node: ast.AST) -> bool:
-    """Whether a piece of code alone can fail a test."""
+    """Return True if a piece of code alone can fail a test."""
     match node:
         case ast.Assert():
             return True
@@ -211,7 +211,7 @@ def test_few_functions_of_tests_are_long() -> None:
 
 
 def test_each_file_of_the_package_is_imported_by_another_one() -> None:
-    """What nothing imports, by a path of its own or by a name in a table, is no part of it."""
+    """A file that no other file imports, or names in a table, does not belong to the package."""
     named = set()
     for path in [*PACKAGE.rglob("*.py*"), ROOT / "pyproject.toml", ROOT / "build_ffi.py"]:
         if path.parent.name == "__pycache__":  # where other tests write at the same time

@@ -92,7 +92,7 @@ def imports() -> dict[str, tuple[set[str], set[str]]]:
 
 
 class TestImports:
-    """What import-linter, which ./run lint asks about the floors, cannot see."""
+    """Rules about imports that import-linter, which checks the floors, cannot see."""
 
     def test_one_file_alone_imports_a_compiled_module(self) -> None:
         importers: dict[str, list[str]] = {}

@@ -49,7 +49,7 @@ TRANSPORTS = ["tcp", "rtu+tcp", "ascii+tcp", "udp", "tls", "rtu", "ascii"]
 
 @contextmanager
 def serving(transport: str, device: Device) -> Iterator[str]:
-    """Give the client's URL of a server of ours."""
+    """Return the client's URL of a server of ours."""
     with ExitStack() as stack:
         if transport in ("rtu", "ascii"):
             wire = stack.enter_context(SerialWire())
@@ -293,7 +293,7 @@ def ask(url: str, what: Ask) -> None:
 
 
 def agreements(functions: range) -> list[Ask]:
-    """What is asked of a fresh server each: the standard functions, refusals, and many at once."""
+    """Scenarios, each with a fresh server: standard functions, refusals, and many at once."""
 
     def agree(exchange: Exchange, context: Any) -> None:
         assert exchange.ask(context) == exchange.answer, exchange.name

@@ -45,7 +45,7 @@ def refusal(talk: Talk, code: int, at: int = -1) -> bytes:
 
 
 def addresses(talk: Talk) -> list[int]:
-    """What was asked for, in this order."""
+    """Return the addresses of the requests, in their order."""
     first = 8 if talk.has_ids else 2
     return [int.from_bytes(each[first : first + 2], "big") for each in talk.sent]
 

@@ -199,7 +199,7 @@ def test_a_real_line_that_is_never_quiet_ends_the_wait(kind: str) -> None:
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
 def test_an_idle_client_leaves_a_flood_unread(scheme: str) -> None:
-    """What it does not read, the sender keeps; when somebody asks again, it reads on."""
+    """The sender keeps what the client does not read; the next request reads it."""
     with making("asyncio") as world:
         assert isinstance(world, Simulated)
         piece = bytes.fromhex("FFFF0000000501030200AA") * 300

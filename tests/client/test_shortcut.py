@@ -21,7 +21,7 @@ def refusing_address_9(request: bytes, write: Write) -> None:
 def test_a_request_that_was_handed_over_counts_once_though_the_next_one_is_interrupted(
     native: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What is refused is handed over, so that the conversation tells all that was asked."""
+    """The conversation gets what is refused, so that the trace contains all requests."""
 
     def interrupted() -> int:
         raise KeyboardInterrupt

@@ -45,7 +45,7 @@ def short(request: bytes) -> list[bytes]:
 
 
 def check(statistics: Statistics) -> None:
-    """What must hold when nothing is in flight."""
+    """Check the counters, which must agree when nothing is in flight."""
     assert {result for _, result in statistics.results} <= set(RESULTS)
     results = statistics.results.items()
     sent = sum(count for (_, result), count in results if result != "unsent")

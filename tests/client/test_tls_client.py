@@ -93,7 +93,7 @@ def reads(count: int) -> list[pdu.ReadHoldingRegisters]:
 
 
 def values(count: int) -> list[list[int]]:
-    """What `reads` gives with `echo`."""
+    """The values that `reads` returns with `echo`."""
     return [[address] for address in range(count)]
 
 

@@ -536,7 +536,7 @@ def test_a_flood_while_nothing_is_asked(
 
 @pytest.fixture
 def small_buffers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is sent goes out in parts."""
+    """The system accepts what is sent in parts only."""
     preparing = TlsPort._preparing
 
     def prepare(port: TlsPort, made: socket.socket, deadline: float) -> Any:
@@ -607,7 +607,7 @@ def test_a_request_behind_much_else_that_is_unsent(
 def test_nonsense_of_the_server_is_a_modbus_error(
     connect: Connect, papers: Papers, serving: Serving, seed: int
 ) -> None:
-    """What it sends, in the handshake and after, with a byte changed, lost, doubled or added."""
+    """One byte that it sends, in the handshake or after it, is changed, lost, doubled or added."""
     chance = random.Random(seed)
     where, how, seen = 0, 0, 0
 

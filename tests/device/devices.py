@@ -59,7 +59,7 @@ def caller_on(serial: bool) -> Caller:
 
 
 def identified(device: Device, level: str | int) -> tuple[pdu.DeviceIdentification, list[int]]:
-    """What a client gets, and how long the answers are."""
+    """Return the objects that a client gets, and the lengths of the responses."""
     steps = identify(level)
     request = next(steps)
     sizes: list[int] = []

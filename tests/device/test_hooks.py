@@ -46,7 +46,7 @@ def raising(make: Callable[[], BaseException]) -> Callable[[Any], Any]:
 
 
 def is_free(device: Device) -> bool:
-    """Whether another thread gets the lock of the mapping."""
+    """Return True if another thread gets the lock of the mapping."""
     got: list[bool] = []
     thread = threading.Thread(target=lambda: got.append(device.mapping.lock.acquire(timeout=5)))
     thread.start()

@@ -65,7 +65,7 @@ def examples(home: Home) -> Iterator[Examples]:
 
 
 def names(home: Home) -> dict[str, Any]:
-    """What the reader of a block has already."""
+    """Return the names that a block may use without importing them."""
     plc = home.at_end.enter_context(Context.from_url(home.url))
     known: dict[str, Any] = {}
     for module in ("libmodbus_py.listen", "libmodbus_py.page", "libmodbus_py.scan"):

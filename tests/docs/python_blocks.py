@@ -82,7 +82,7 @@ class Comparing(ast.NodeTransformer):
 
 
 def comments_of(source: str) -> dict[int, str]:
-    """Give the comments that stand behind something, by line."""
+    """Return the comments that stand behind something, by line."""
     tokens = tokenize.generate_tokens(io.StringIO(source).readline)
     return {
         token.start[0]: token.string.lstrip("# ")
@@ -96,7 +96,7 @@ def is_print(call: ast.Call) -> bool:
 
 
 def is_value(comment: str) -> bool:
-    """Whether a comment is a value that was written out, and not a word or a sentence."""
+    """Return True if a comment is a value that was written out, and not a word or a sentence."""
     try:
         body = ast.parse(comment, mode="eval").body
     except SyntaxError:

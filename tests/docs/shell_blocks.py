@@ -195,7 +195,7 @@ class Shell:
         return self._there(output.read_text(errors="replace"))
 
     def _pattern(self, expected: str) -> str:
-        """What a whole line of ``...`` stands for has its own line end."""
+        """A whole line of ``...`` stands for text with its line end."""
         same = self._there(self._here(expected))
         return re.sub(r"^\.\.\.\n", "...", same, flags=re.MULTILINE)
 

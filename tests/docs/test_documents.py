@@ -60,7 +60,7 @@ def test_what_is_not_run_says_why() -> None:
 
 
 def in_nav(entry: object) -> Iterator[str]:
-    """Give the pages below an entry of the navigation."""
+    """Return the pages below an entry of the navigation."""
     if isinstance(entry, str):
         yield entry
     for below in entry if isinstance(entry, list) else getattr(entry, "values", list)():

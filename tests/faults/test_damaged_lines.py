@@ -44,7 +44,7 @@ def test_what_is_injected_is_what_the_framing_can_notice() -> None:
 
 
 def frames(framing: Framing, vector: FrameVector, pieces: list[bytes]) -> list[Frame]:
-    """What the side that they are for would take these bytes for."""
+    """Return the frames that the receiving side finds in these bytes."""
     role: Role = "server" if vector.kind == "request" else "client"
     framer: Framer = RtuFramer(role) if framing == "rtu" else AsciiFramer()
     found = [each for piece in pieces for each in framer.scan(piece)] + framer.scan_silence()

@@ -867,7 +867,7 @@ def test_context_and_pymodbus_server_agree_beside_the_tables(
 
 @pytest.fixture
 def control() -> Iterator[Any]:
-    """What all servers and ASCII framers of pymodbus in one process share."""
+    """Return the state that all servers and ASCII framers of pymodbus in a process share."""
     block = ModbusControlBlock()
     identity, delimiter = dict(block.Identity.stat_data), block.Delimiter
     yield block

@@ -56,7 +56,7 @@ class SServer:
         self.port = int(self.wait_for(rb"ACCEPT 127\.0\.0\.1:(\d+)\n")[1])
 
     def wait_for(self, pattern: bytes) -> re.Match[bytes]:
-        """What was printed, up to here."""
+        """Return the text that was printed up to here."""
         assert self._process.stdout is not None
         while (found := re.search(pattern, self._seen, re.DOTALL)) is None:
             data = self._process.stdout.read1(65536)  # type: ignore[attr-defined]

@@ -46,7 +46,7 @@ def test_the_limited_api_is_asked_for_where_there_is_one(
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
-    """What the build reads."""
+    """Return the files that the build reads."""
     place = tmp_path / "tree"
     place.mkdir()
     for name in ("setup.py", "build_ffi.py", "pyproject.toml", "README.md", "LICENSE"):

@@ -46,7 +46,7 @@ def raising(number: int) -> Callable[..., Any]:
 
 
 def is_free(path: str) -> bool:
-    """Whether nobody has a port open or locked."""
+    """Return True if no program has a port open or locked."""
     made = SerialPort(path)
     made.open()
     made.close()

@@ -268,7 +268,7 @@ def descriptors() -> int:
 
 @contextlib.contextmanager
 def woken_after(waker: Waker, condition: Callable[[], object] = lambda: True) -> Iterator[None]:
-    """What is within must be woken, and at once."""
+    """Check that the block is woken at once."""
 
     def wake() -> None:
         until(condition)

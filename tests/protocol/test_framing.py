@@ -63,7 +63,7 @@ def take(framer: AnyFramer, data: bytes = b"") -> tuple[list[Frame], list[FrameE
 
 
 def quiet(framer: AnyFramer) -> list[Frame]:
-    """What a silence brings to light; its errors do not matter here."""
+    """Return the frames that silence ends; its errors do not matter here."""
     frames: list[Frame] = []
     with contextlib.suppress(FrameError):
         frames += framer.silence()
@@ -350,7 +350,7 @@ class TestTcp:
 
 
 def accidental(stream: bytes, end: int) -> bool:
-    """Whether something that begins before `end` has a fitting CRC, by a chance of 1 to 65536."""
+    """Return True if bytes that begin before `end` have a valid CRC, by a chance of 1 in 65536."""
     for start in range(end):
         crc = 0xFFFF
         for at, byte in enumerate(stream[start : start + 256], start=1):

@@ -32,7 +32,7 @@ def context(purpose: int, identity: Identity, trusted: Identity, directory: Path
 
 
 def shake(server: Identity, client: Identity, trusted: Identity, directory: Path) -> bytes:
-    """Give the certificate that the server saw; raise what the server raised."""
+    """Return the certificate that the server saw; raise what the server raised."""
     outcome: list[bytes | BaseException] = []
     ours, theirs = socket.socketpair()
 

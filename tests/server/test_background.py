@@ -73,7 +73,7 @@ def left() -> tuple[int, int]:
 
 
 def is_left(expected: tuple[int, int]) -> bool:
-    """Whether there are no more of them, soon: the system takes a moment to end a thread."""
+    """Return True if there are no more of them, soon: the system takes a moment to end a thread."""
     deadline = time.monotonic() + PATIENCE
     while left() > expected:
         if time.monotonic() > deadline:

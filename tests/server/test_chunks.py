@@ -116,7 +116,7 @@ def contents(device: Device) -> list[list[int]]:
 
 
 def notes(device: Device) -> list[bytes]:
-    """What functions 11, 12 and all counters of 8 say."""
+    """Return the responses of functions 11 and 12, and all counters of function 8."""
     asked = [b"\x0b", b"\x0c", *(bytes([8, 0, number, 0, 0]) for number in range(0x0B, 0x13))]
     return [device.answer(body) for body in asked]
 
@@ -542,7 +542,7 @@ TABLE_OF = {1: "coils", 5: "coils", 15: "coils", 2: "discrete_inputs", 4: "input
 @settings(max_examples=240)
 @given(st.one_of(reads(), single_writes(), writes(), read_writes(), mask_writes))
 def test_holes_are_answered_with_exception_2_and_stay_as_they_are(body: bytes) -> None:
-    """What is refused for other reasons comes first."""
+    """Other reasons for a refusal take precedence."""
     everything = Device(Mapping(65536, 65536, 65536, 65536))
     devices = [made_device(HOLES), made_device(HOLES, before_write=lambda access: None)]
     table = getattr(devices[0].mapping, TABLE_OF.get(body[0], "holding_registers"))
@@ -768,7 +768,7 @@ def test_handlers_of_tables_are_asked() -> None:
 @each_case("length", [*range(10), *range(250, 260), 0x1FE, 0xFFFF])
 @each_case("protocol", [0, 1, 0xFF00])
 def test_c_and_python_agree_on_headers(protocol: int, length: int) -> None:
-    """What C answers is a frame for Python; what it leaves though it is one, it has not whole."""
+    """What C answers is a frame for Python, too; a frame that C leaves is not complete yet."""
     request = bytes.fromhex("03 0007 0001")
     data = struct.pack(">HHHB", 1, protocol, length, 1) + request.ljust(300, b"\0")
     device = made_device()

@@ -60,7 +60,7 @@ def test_what_comes_after_longer_than_any_echo_takes_is_a_request() -> None:
 
 
 def returned(made: EchoWatch, times: int, now: float = 1.0, way: float = 0.1) -> float:
-    """Have an answer come back, so many times, as if it were the next request."""
+    """Let an answer come back so many times, as if it were the next request."""
     for _ in range(times):
         assert made.sent(WRITE, now) == b""
         assert made.without_echo(WRITE, now + way) == WRITE

@@ -313,7 +313,7 @@ def ask_system(connection: socket.socket) -> None:
 
 
 def is_closed(connection: socket.socket) -> bool:
-    """Whether nothing comes any more, for the server has closed."""
+    """Return True if nothing comes any more, because the server has closed."""
     try:
         return connection.recv(1) == b""
     except ConnectionResetError:

@@ -120,7 +120,7 @@ def test_another_thread_serves_without_signals() -> None:
 
 
 def in_a_thread(server: Server, *urls: str, on_listening: Callable[[Running], object]) -> object:
-    """What it raised there."""
+    """Return the exception that was raised there."""
     raised: list[BaseException] = []
 
     def serve() -> None:

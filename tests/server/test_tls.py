@@ -667,7 +667,7 @@ def test_who_says_goodbye_behind_a_request_gets_the_answer_and_a_goodbye(
 
 
 def raw_records(client: TlsClient) -> bytes:
-    """What comes until the server closes; ssl reads nothing more after its own goodbye."""
+    """Return what the server sends until it closes; ssl reads nothing after its own goodbye."""
     data = b""
     while piece := client.socket.recv(65536):
         data += piece

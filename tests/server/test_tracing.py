@@ -381,7 +381,7 @@ def test_one_that_closes_the_server_is_obeyed(scheme: str) -> None:
 
 
 def test_a_flood_takes_no_memory() -> None:
-    """What is told is the callback's to keep; the server keeps nothing."""
+    """The server keeps nothing of what it passes to the callback."""
     latest: deque[Traced] = deque(maxlen=10)
     with connected(latest.append) as (one, _):
         ask(one, READ * 100, ANSWER * 100)

@@ -485,7 +485,7 @@ def test_an_answer_still_kept_back_does_not_keep_the_server(stage: Stage, device
 
 
 def test_no_more_than_a_thousand_answers_are_kept_back(stage: Stage, device: Device) -> None:
-    """What comes meanwhile is lost."""
+    """Requests that arrive meanwhile are lost."""
     faults = {None: [Fault("delay", seconds=600)]}
     with staged(stage, device, faults=faults) as (server, port), talker(stage, port) as client:
         for number in range(1100):

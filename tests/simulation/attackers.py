@@ -53,7 +53,7 @@ class Attackers:
 
     @property
     def all_attack(self) -> bool:
-        """Whether as many connections were made as there should be, and have sent what they do."""
+        """True if all connections were made, and have sent what each of them sends."""
         has_sent = self.sent > 0 or not self.attack.sends
         return self.connected >= self.attack.connections and has_sent
 

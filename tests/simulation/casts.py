@@ -40,7 +40,7 @@ async def _act(world: World, ask: Ask, numbers: range, until: float, host: str =
 
 
 async def _play(world: World, asks: Sequence[Ask], numbers: range) -> None:
-    """Have all ask while things go wrong, and each ask all when nothing does any more."""
+    """Let all clients ask while things go wrong, and each ask every unit when nothing does."""
     until = world.events.now + world.options.seconds
     await asyncio.gather(*(_act(world, ask, numbers, until) for ask in asks))
     await _serve_all(world, asks, numbers)

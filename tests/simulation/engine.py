@@ -149,7 +149,7 @@ class Engine:
         self.is_up = True
 
     def cut(self, client: EngineClient) -> None:
-        """Have whatever goes to a client, or comes from it, stay where it is."""
+        """Hold back everything that is sent to a client, or by it."""
         client.link.cut()
 
     def mend(self, client: EngineClient) -> None:
@@ -161,7 +161,7 @@ class Engine:
         client.link.break_off()
 
     def forget(self, seconds: float = math.inf) -> None:
-        """Have the server lose the changes of the last seconds, as one without its disk does."""
+        """Let the server lose the changes of the last seconds, as one without its disk does."""
         since = self.events.now - seconds
         while self._history and self._history[-1].at >= since:
             undo = self._history.pop()
@@ -389,11 +389,11 @@ class _Link:
         self._cuts = 0
 
     def up(self, call: Callable[..., None], *args: Any) -> None:
-        """Have the server do something, later."""
+        """Call a function of the server, when the message has arrived there."""
         self._send(self._up, call, args)
 
     def down(self, call: Callable[..., None], *args: Any) -> None:
-        """Have the client do something, later."""
+        """Call a function of the client, when the message has arrived there."""
         self._send(self._down, self._client.receive, (call, *args))
 
     def _send(self, way: _Way, call: Callable[..., None], args: tuple[Any, ...]) -> None:
@@ -412,7 +412,7 @@ class _Link:
             call(*args)
 
     def cut(self) -> None:
-        """Have all stay where it is; the client notices that nothing comes, after its pings."""
+        """Hold back everything; the client notices after its pings that nothing arrives."""
         self.is_cut = True
         self._cuts += 1
         events = self._engine.events
@@ -528,7 +528,7 @@ class EngineClient:
     # --- below ------------------------------------------------------------------------------
 
     async def ask(self, timeout: float, request: Callable[..., None], *args: Any) -> Any:
-        """Have the server do something, and wait for its answer."""
+        """Call a function of the server, and wait for its answer."""
         self._check()
         answer = self.begin_to_ask(request, *args)
         try:

@@ -44,11 +44,11 @@ class Events:
         return self._heap[0][0] if self._heap else math.inf
 
     def after(self, seconds: float, call: Callable[..., object], *args: Any) -> None:
-        """Have a function called in so many seconds."""
+        """Call a function in so many seconds."""
         self.at(self.now + seconds, call, *args)
 
     def at(self, when: float, call: Callable[..., object], *args: Any) -> None:
-        """Have a function called at a time, or now if that is past."""
+        """Call a function at a time, or now if that is past."""
         entry = (max(when, self.now), self.random.random(), next(self._numbers), call, args)
         heapq.heappush(self._heap, entry)
 

@@ -54,7 +54,7 @@ class Fleet:
 
     @asynccontextmanager
     async def polling(self, workers: int) -> AsyncIterator[None]:
-        """Have so many workers poll."""
+        """Let so many workers poll."""
         registers = Mapping(holding_registers=2)
         units = {unit: Device(registers) for unit in range(1, 1 + self._units)}
         async with Server(units, trace=self.asked.note).serving(*self._places):
@@ -98,7 +98,7 @@ class Fleet:
         await worker.ended()
 
     async def disturb(self) -> None:
-        """Have something happen to a worker or to the engine, and wait a while."""
+        """Let something happen to a worker or to the engine, and wait a while."""
         random = self._world.random
         worker = random.choice(self._workers)
         what = random.choice(["kill", "stop", "cut", "break", "lose", "restart"])

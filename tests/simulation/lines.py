@@ -24,7 +24,7 @@ Noise = Callable[[bytes], Iterable[tuple[float, bytes]]]
 
 
 def undisturbed(data: bytes) -> Iterable[tuple[float, bytes]]:
-    """Have all of it heard, as soon as the line has carried it."""
+    """Deliver all bytes as soon as the line has carried them."""
     return [(0.0, data)]
 
 

@@ -177,7 +177,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         return self._waiting.turns
 
     def call_each_turn(self, call: Callable[[], object]) -> None:
-        """Have a function called whenever a turn ends."""
+        """Call a function whenever a turn ends."""
         self._waiting.on_turn = call
 
     def call_later(

@@ -111,7 +111,7 @@ class Network:
     # --- who listens --------------------------------------------------------------------------
 
     def listen(self, url: str, accept: Accept) -> str:
-        """Have connections to a URL, or datagrams, accepted; return it with its port."""
+        """Accept connections to a URL, or datagrams; return the URL with its port."""
         endpoint = parse(url)
         if not endpoint.port:
             endpoint = replace(endpoint, port=self.new_port())
@@ -203,7 +203,7 @@ class Network:
 
     @contextlib.contextmanager
     def installed(self) -> Iterator[None]:
-        """Have all clients and servers that are made meanwhile use this network."""
+        """Let all clients and servers that are made meanwhile use this network."""
         with (
             patch.object(client_options, "make_port", self._make_port),
             patch.object(tcp, "bound", self._bound),
@@ -322,7 +322,7 @@ class Network:
 
 @contextlib.contextmanager
 def _seeded(seed: int) -> Iterator[None]:
-    """Have the package choose alike each time, such as how long clients pause."""
+    """Make random choices of the package, such as the pauses of clients, depend on the seed."""
     state = random.getstate()
     random.seed(seed)
     try:

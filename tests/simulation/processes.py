@@ -76,11 +76,11 @@ class Process:
             each()
 
     def hold(self, call: Callable[[], object]) -> None:
-        """Have a function called when the process goes on."""
+        """Call a function when the process continues."""
         self._held.append(call)
 
     def hold_descriptor(self, call: Callable[[], object]) -> None:
-        """Have a descriptor watched again when the process goes on."""
+        """Watch a descriptor again when the process continues."""
         self._held_descriptors.append(call)
 
 

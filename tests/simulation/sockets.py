@@ -164,7 +164,7 @@ class MemorySocket:
     # --- on the way -------------------------------------------------------------------------
 
     def expect(self, delay: float, data: bytes | None) -> None:
-        """Have something arrive here, behind what is on its way already."""
+        """Let something arrive here, behind what is on its way already."""
         at = self._events.now + delay
         if self._transit and not self._is_datagram:
             at = max(at, self._transit[-1][0])
@@ -315,7 +315,7 @@ class MemoryDatagrams:
         return self._descriptor
 
     def put(self, data: bytes, source: tuple[str, int]) -> None:
-        """Have a datagram arrive."""
+        """Let a datagram arrive."""
         self._inbox.append((data, source))
         self._descriptors.readable.add(self._descriptor)
 

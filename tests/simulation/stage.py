@@ -95,7 +95,7 @@ class Stage(Network):
         return self._loop.turns
 
     def call_each_turn(self, call: Callable[[], object]) -> None:
-        """Have a function called whenever a turn of the loop ends."""
+        """Call a function whenever a turn of the loop ends."""
         self._loop.call_each_turn(call)
 
     # --- waiting --------------------------------------------------------------------------------
@@ -223,11 +223,11 @@ class Talker:
         return data
 
     def has_input(self) -> bool:
-        """Whether something can be read now."""
+        """Return True if something can be read now."""
         return self.end.is_readable
 
     def can_write(self) -> bool:
-        """Whether the other side takes something now."""
+        """Return True if the other side takes something now."""
         return self.end.fileno() in self._stage.descriptors.writable
 
     def is_closed(self) -> bool:

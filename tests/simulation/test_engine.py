@@ -31,7 +31,7 @@ def devices(count: int) -> list[DeviceConfig]:
 
 
 def exchange(seed: int) -> list[tuple[float, str, bytes]]:
-    """Have two workers share devices, and one be killed; return what they told the stream."""
+    """Let two workers share devices, and kill one; return what they wrote to the stream."""
     network = Network(seed)
     engine = Engine(network)
 
@@ -84,7 +84,7 @@ def test_a_write_rests_on_the_revision_of_its_key() -> None:
 
 
 async def unheard(client: Any) -> None:
-    """Have a request fail."""
+    """Let a request fail."""
     with pytest.raises(EngineError):
         await client.engine.bucket(client).put("settings", b"2", 0)
 

@@ -26,7 +26,7 @@ __all__ = ["SimulatedWorker", "push_fleet"]
 async def push_fleet(
     engine: Engine, devices: Iterable[DeviceConfig], settings: FleetSettings | None = None
 ) -> Pushed:
-    """Have the bucket say what the devices are, as ``poll --push`` does."""
+    """Write the devices to the bucket, as ``poll --push`` does."""
     settings = settings or FleetSettings()
     client = engine.client()
     try:

@@ -55,7 +55,7 @@ def connect(port: int, host: str = "127.0.0.1", source: str = "") -> socket.sock
 
 
 def receive(connection: socket.socket, size: int) -> bytes:
-    """Give `size` bytes, fewer if the connection is closed before."""
+    """Return `size` bytes, fewer if the connection is closed before."""
     data = bytearray()
     while len(data) < size and (piece := connection.recv(size - len(data))):
         data += piece
@@ -144,7 +144,7 @@ class ServerProcess:
         return pages * resource.getpagesize()
 
     def has_descriptors(self, count: int) -> bool:
-        """Whether it has no more of them, soon."""
+        """Return True if it soon has no more of them."""
         deadline = time.monotonic() + PATIENCE
         while self.descriptors() > count:
             if time.monotonic() > deadline:
@@ -304,7 +304,7 @@ class Attack:
     scheme: str = "tcp"
 
     def papers(self, directory: Path) -> Papers | None:
-        """What the server and the innocent need for TLS, in this directory."""
+        """Return the certificates of the server and of the innocent client, in this directory."""
         return Papers(directory) if self.scheme == "tls" else None
 
 
@@ -376,7 +376,7 @@ def _hidden_requests() -> Iterator[Step]:
 
 
 def client_hello() -> bytes:
-    """What Python's ssl sends first."""
+    """Return the first bytes that Python's ssl sends."""
     outgoing = ssl.MemoryBIO()
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     tls = context.wrap_bio(ssl.MemoryBIO(), outgoing, server_hostname="localhost")
@@ -447,7 +447,7 @@ class AttackerProcess:
         self._process.stdin.flush()
 
     def all_attack(self) -> bool:
-        """Whether as many connections were made as there should be, and have sent what they do."""
+        """Return True if all connections were made, and have sent what each of them sends."""
         if not self._all_attack and select.select([self._process.stdout], [], [], 0)[0]:
             self._all_attack = self._read_line() == "all\n"
         return self._all_attack

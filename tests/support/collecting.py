@@ -13,7 +13,7 @@ __all__ = ["new_garbage_only"]
 
 @contextlib.contextmanager
 def new_garbage_only() -> Iterator[None]:
-    """Have `gc.collect` look at what is made meanwhile: a millisecond each time, not 200."""
+    """Let `gc.collect` look only at what is made meanwhile: 1 ms each time instead of 200."""
     gc.collect()
     gc.freeze()
     try:

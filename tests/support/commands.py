@@ -136,7 +136,7 @@ def _command_server() -> socket.socket:
 
 
 def _fork(request: Mapping[str, object], descriptors: list[int]) -> int:
-    """Have a command forked, become its parent, and return its process id."""
+    """Fork a process for a command, and return its process id to the parent."""
     server = _command_server()
     prctl = ctypes.CDLL(None, use_errno=True).prctl
     prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)

@@ -225,7 +225,7 @@ LOOPS = Loops()
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Have event loops and their runners say what they hold when they end."""
+    """Make event loops and their runners report what they hold when they end."""
     if not hasattr(base_events.BaseEventLoop.close, "__wrapped__"):
         _tell_before(base_events.BaseEventLoop, "__init__", LOOPS.made)
         _tell_before(base_events.BaseEventLoop, "close", LOOPS.closing)

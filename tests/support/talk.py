@@ -79,7 +79,7 @@ class Talk:
         self.lose(self.conversation.broken, by_itself=False)
 
     def ask(self, *requests: Any, unit: int = 1, limit: int = 1, **options: Any) -> Batch:
-        """Have requests sent; a number stands for a read of the register there."""
+        """Send requests; a number stands for a read of the register at this address."""
         batch = self.batch(*requests, unit=unit, limit=limit, **options)
         self.conversation.add(batch, self.now)
         self.start()
@@ -154,7 +154,7 @@ class Talk:
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether nothing is left of all that was asked."""
+        """True if nothing is left of all that was asked."""
         conversation = self.conversation
         return not conversation.in_flight and not conversation.is_wanted
 
@@ -196,7 +196,7 @@ def ascii_frame(body: str, end: bytes = b"\r\n") -> bytes:
 
 @contextlib.contextmanager
 def little_kept() -> Iterator[None]:
-    """What is within may keep 64 KiB at most."""
+    """Check that the block keeps 64 KiB of memory at most."""
     tracemalloc.start()
     try:
         yield
@@ -211,5 +211,5 @@ def kinds(batch: Batch) -> list[Any]:
 
 
 def is_quiet(talk: Talk) -> bool:
-    """Whether the clock need not ring any more."""
+    """Return True if the clock need not ring any more."""
     return talk.conversation.alarm == math.inf

@@ -106,7 +106,7 @@ class TlsClient:
         return self
 
     def hello(self) -> bytes:
-        """Give the first flight, for who wants to send it himself."""
+        """Return the first flight, for tests that send it themselves."""
         with contextlib.suppress(ssl.SSLWantReadError):
             self.tls.do_handshake()
         return self._outgoing.read()
@@ -127,7 +127,7 @@ class TlsClient:
         return self._outgoing.read()
 
     def receive(self, size: int) -> bytes:
-        """Give so many bytes; fewer if the server said goodbye before."""
+        """Return so many bytes; fewer if the server said goodbye before."""
         data = b""
         while len(data) < size and (piece := self.read(size - len(data))):
             data += piece
@@ -135,7 +135,7 @@ class TlsClient:
 
     def read(self, most: int = 65536) -> bytes:
         """
-        Give what comes next; b"" after a close_notify.
+        Return what comes next; b"" after a close_notify.
 
         Raises:
             ssl.SSLEOFError: the server ended the connection without a goodbye.
@@ -176,7 +176,7 @@ def wait_until(is_so: Callable[[], bool]) -> bool:
 
 
 def closed(connection: socket.socket | Talker) -> bytes:
-    """Give what still comes until the server closes; a reset is a close, too."""
+    """Return what still comes until the server closes; a reset is a close, too."""
     data = b""
     with contextlib.suppress(ConnectionError):
         while piece := connection.recv(65536):

@@ -90,7 +90,7 @@ class Peer:
             self.sock.sendall(piece)
 
     def read(self, size: int = 16_384) -> bytes:
-        """What was decrypted; b"" at the end."""
+        """Return decrypted bytes, or b"" at the end."""
         try:
             data: bytes = self._until_done(lambda: self.tls.read(size))
         except (OSError, ssl.SSLError):
@@ -117,7 +117,7 @@ class Peer:
         self.sock.sendall(self.sealed(*pieces))
 
     def end(self) -> bytes:
-        """What says goodbye (close_notify), not sent yet."""
+        """Return a close_notify, which is not sent yet."""
         with contextlib.suppress(ssl.SSLError):
             self.tls.unwrap()
         return self._outgoing.read()

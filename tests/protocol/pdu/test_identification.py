@@ -57,7 +57,7 @@ OBJECTS = {
 
 
 def served(objects: dict[int, bytes], level: str | int) -> tuple[dict[int, bytes], list[int]]:
-    """What a client gets from a device with these objects, and what it asks for."""
+    """Return what a client gets from a device with these objects, and its requests."""
     steps = identify(level)
     request = next(steps)
     asked: list[int] = []

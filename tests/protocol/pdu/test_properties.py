@@ -159,7 +159,7 @@ def results(request: Request[Any]) -> st.SearchStrategy[Any]:
 
 
 def attempt(decode: Callable[[bytes], Any], data: bytes) -> Any:
-    """What a decoder gives, or what it raises, as a value."""
+    """Return the result of a decoder, or the exception that it raises."""
     try:
         return decode(data)
     except Exception as error:

@@ -191,7 +191,7 @@ def test_a_greeting_that_cannot_be_read_is_followed_by_another_attempt() -> None
 
 
 def credentials(server: Server) -> list[bool]:
-    """Whether each connection was sent a CONNECT, which contains the password."""
+    """Return True if each connection was sent a CONNECT, which contains the password."""
     return [any(b"CONNECT" in line for line in lines) for lines in server.heard]
 
 

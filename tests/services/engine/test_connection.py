@@ -71,7 +71,7 @@ async def fails(said: bytes, closes: bool, patience: float) -> str:
 def test_what_ends_before_it_began_leaves_nothing_open(
     monkeypatch: pytest.MonkeyPatch, closes: bool
 ) -> None:
-    """Whether nats-py sees it, or whoever wants to be connected waits no longer."""
+    """Return True if nats-py notices it, or a caller that connects waits no longer."""
     monkeypatch.setattr("libmodbus_py.services.engine.connection.TIMEOUT", 0.5)
     monkeypatch.setitem(TIMES, "connect_timeout", 0.5)
     cases = [(name, patience) for name in SAID for patience in (0.1, 30)]

@@ -99,7 +99,7 @@ def test_who_looks_at_the_first_result_only_leaves_nothing_behind() -> None:
 
 
 def test_a_defect_ends_the_trial(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What nobody expected is raised, while other lines are still tried."""
+    """An unexpected exception is raised while other lines are still tried."""
 
     def broken(*_: object, **__: object) -> object:
         raise RuntimeError("a defect")

@@ -117,7 +117,7 @@ ANYTHING: dict[str, Callable[[bytes], bytes]] = {
 
 @pytest.mark.parametrize("what", ANYTHING)
 def test_a_device_that_says_anything_has_nothing_of_it_passed_on(stage: Stage, what: str) -> None:
-    """What is no answer is 0B; what comes unasked, or for somebody else, is nothing."""
+    """Invalid responses become exception 0B; unasked ones, and those for others, are dropped."""
 
     def answer(request: bytes, write: Write) -> None:
         is_second = len(device.requests) == 2
@@ -182,7 +182,7 @@ def test_a_hook_that_raises_is_an_exception_and_one_that_ends_ends_it() -> None:
 
 
 def where(descriptor: str) -> str:
-    """What it leads to; nothing once it is closed."""
+    """Return the target of a descriptor, or nothing once it is closed."""
     try:
         return os.readlink(descriptor)
     except FileNotFoundError:

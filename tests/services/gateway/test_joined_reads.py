@@ -89,7 +89,7 @@ def test_an_answer_is_unwanted_by_whoever_left_while_it_was_on_its_way(
 
 
 def test_a_read_after_one_that_was_given_up_is_asked_for_itself(stage: Stage) -> None:
-    """What nobody waits for any more cannot be joined."""
+    """A read that no client waits for any more cannot be joined."""
     same = pdu.ReadHoldingRegisters(5, 1).encode()
     with (
         gated(stage, {"merge": True}) as (gate, line, url),

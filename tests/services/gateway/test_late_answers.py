@@ -28,7 +28,7 @@ from tests.support.gateways import passage
 
 
 def value(unit: int, address: int) -> int:
-    """What a unit of a bus has there, and no other one."""
+    """Return the value of a register of a unit, which no other register has."""
     return (unit * 10_000 + address) & 0xFFFF
 
 

@@ -96,7 +96,7 @@ class MemoryWatch:
         self._bucket = bucket
 
     def miss(self) -> None:
-        """Have something been missed."""
+        """Note that changes were missed."""
         self.is_broken = True
         self._on_gap()
 

@@ -28,7 +28,7 @@ class Bucket:
         self.watchers: list[Process] = []
 
     def put(self, put: Put) -> int:
-        """Give the revision, or 0."""
+        """Return the revision, or 0."""
         known = self.latest.get(put.key)
         if (known.revision if known else 0) != put.last:
             return 0
@@ -172,7 +172,7 @@ class World:
         self.bucket.watchers.remove(process)
 
     def configure(self, number: int, zone: str = "") -> None:
-        """Have a connection in a zone, and in no other one."""
+        """Put a connection into a zone, and into no other one."""
         connection = Connection(zone, f"tcp:192.0.2.{number}:502", TIMEOUT, "[]")
         before = self.connections.get(connection.key)
         self.connections[connection.key] = connection
@@ -189,7 +189,7 @@ class World:
         heapq.heappush(self.writes, (self.now + delay, next(self.order), put, sender))
 
     def write(self) -> None:
-        """What has arrived, and what was confirmed: perhaps while its sender sees nothing."""
+        """Note what has arrived and was confirmed, perhaps while its sender sees nothing."""
         while self.writes and self.writes[0][0] <= self.now:
             _, _, put, sender = heapq.heappop(self.writes)
             revision = self.bucket.put(put)

@@ -41,7 +41,7 @@ def told(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> 
 
 
 def one_line(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """Have a command fail; return the line that it says."""
+    """Run a command that fails; return the line that it prints."""
     out, err = told(capsys, *arguments, code=1)
     assert out == ""
     assert err.count("\n") == 1, err

@@ -114,7 +114,7 @@ class TestBlindness:
 
 class TestSilence:
     def test_others_are_silent_only_while_this_worker_sees_its_own_values(self) -> None:
-        """What was not seen for a while was perhaps lost on its way, and not unwritten."""
+        """A value that was not seen for a while may have been written, and lost on its way."""
         worker = Worker(lambda: "a.1", {""})
         worker.begins()
         worker.saw(Entry(SETTINGS, FleetSettings(LEASE).encode(), 1), 0.0)

@@ -121,7 +121,7 @@ def names(worker: Polling) -> list[str]:
 
 
 def members(bucket: MemoryBucket) -> list[dict[str, Any]]:
-    """What workers said of themselves last."""
+    """Return the last records that workers wrote of themselves."""
     return [
         json.loads(value)
         for key, (value, _) in bucket.values.items()
@@ -388,7 +388,7 @@ class TestBucket:
         run(main())
 
     def test_nothing_is_written_while_there_is_no_connection(self) -> None:
-        """What is written then comes late: others have heard of its end by then."""
+        """A value that is written then arrives late, when others consider the worker dead."""
 
         async def main() -> None:
             bucket = filled(connection("pump"))

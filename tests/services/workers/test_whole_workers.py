@@ -429,7 +429,7 @@ def test_no_commands_unless_the_fleet_has_them() -> None:
 
 
 def play(seed: int, steps: int = 12) -> Trial:
-    """Have a seed decide what becomes of three workers and of their engine; then nothing does."""
+    """Let a seed decide what happens to three workers and their engine; then nothing happens."""
     trial = Trial(4, seed=seed)
     random, engine = trial.network.events.random, trial.engine
 

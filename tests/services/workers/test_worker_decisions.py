@@ -250,7 +250,7 @@ def bucket_went_back(world: World) -> None:
 
 
 def bucket_went_back_beyond_two_newcomers(world: World) -> None:
-    """What is remembered of the second change of a slot says nothing of the first."""
+    """The second change of a slot that is remembered says nothing about the first."""
     before = dict(world.bucket.latest), world.bucket.revision
     first = world.start(*ZONES)
     world.run(LEASE)

@@ -36,7 +36,7 @@ def test_none_is_asked_by_two_whoever_dies_stops_or_leaves(tmp_path, capsys):
             until(lambda: asked.since(now) == DEVICES, PATIENCE)
 
         def shared(before: dict[tuple[str, int], str]) -> bool:
-            """Whether another worker has some of the devices now, and not all."""
+            """Return True if another worker has some of the devices now, and not all."""
             kept = before.items() & asked.peers.items()
             return 0 < len(kept) < DEVICES
 

@@ -30,7 +30,7 @@ def target() -> Iterator[str]:
 
 
 def fill_disk(line: Listener) -> None:
-    """Have the open capture written to /dev/full from now on."""
+    """Let the open capture be written to /dev/full from now on."""
     assert line._writer is not None
     full = os.open("/dev/full", os.O_WRONLY)
     os.dup2(full, line._writer._file.fileno())

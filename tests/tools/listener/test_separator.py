@@ -345,7 +345,7 @@ class TestDamage:
         assert (done.kind, done.response) == ("answered", [7] * 80)
 
     def test_damage_then_the_same_write_again(self) -> None:
-        """What came was the answer, so the echo behind it asks again."""
+        """The received frame was the response, so the echo behind it is another request."""
         bad = WRITE[:-1] + bytes([WRITE[-1] ^ 1])
         pieces = [(0.0, WRITE), (0.005, bad), (0.4, WRITE), (0.405, WRITE)]
         assert kinds(pieces) == ["damaged", "answered"]

@@ -57,7 +57,7 @@ class Person:
         ActionChains(self.driver).send_keys(*keys).perform()
 
     def _retried(self, act: Callable[[], None]) -> None:
-        """What is clicked may be drawn again in that moment."""
+        """The element that is clicked may be drawn again in that moment."""
         from selenium.common.exceptions import StaleElementReferenceException
 
         def is_done() -> bool:

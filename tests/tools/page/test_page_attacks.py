@@ -288,7 +288,7 @@ def test_a_hundred_pages_that_go_leave_nothing() -> None:
 
 
 def _visited(url: str) -> bool:
-    """Whether there was room; who has just gone is noticed soon."""
+    """Return True if there was room; a client that has just left is noticed soon."""
     try:
         with Visitor(url).watching():
             return True

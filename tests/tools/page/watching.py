@@ -50,7 +50,7 @@ def made_server(**options: Any) -> Server:
 
 
 def until(true: Callable[[], Any], seconds: float = 15) -> Any:
-    """Give what it gives when that is something."""
+    """Return what it gives when that is something."""
     end = time.monotonic() + seconds
     while not (found := true()):
         assert time.monotonic() < end, "waited in vain"
@@ -82,7 +82,7 @@ class Visitor:
     def ask(
         self, method: str, path: str, body: Any = None, **headers: str | None
     ) -> tuple[int, dict[str, str], bytes]:
-        """Give status, headers and body; a header that is None is left out."""
+        """Return status, headers and body; a header that is None is left out."""
         given = {**self.headers, **{name.replace("_", "-"): each for name, each in headers.items()}}
         connection = http.client.HTTPConnection(*self.address, timeout=20)
         with contextlib.closing(connection):
@@ -98,7 +98,7 @@ class Visitor:
             return response.status, dict(response.getheaders()), response.read()
 
     def post(self, path: str, **body: Any) -> Any:
-        """Give what is answered, or the text of the refusal."""
+        """Return what is answered, or the text of the refusal."""
         status, _, data = self.ask("POST", path, body)
         found = json.loads(data)
         return found if status == 200 else found["error"]
@@ -106,7 +106,7 @@ class Visitor:
     def history(
         self, row: Any, seconds: Any, table: Any = "values", column: Any = "last values"
     ) -> Any:
-        """Give the samples of a chart, or the text of the refusal."""
+        """Return the samples of a chart, or the text of the refusal."""
         return self.post("/history", table=table, row=row, column=column, seconds=seconds)
 
     @contextlib.contextmanager

@@ -46,7 +46,7 @@ class Member(NamedTuple):
 
 
 def of(device: Device) -> Answer:
-    """Have a device of ours answer."""
+    """Let a device of ours answer."""
     return lambda pdu: device.answer(pdu, Caller(1, "test"))
 
 
@@ -88,7 +88,7 @@ class Bus:
 
     @property
     def is_restored(self) -> bool:
-        """Whether the client left the settings that it found."""
+        """True if the client left the settings that it found."""
         return termios.tcgetattr(self._slave) == self._before
 
     def flood(self, data: bytes, every: float) -> None:

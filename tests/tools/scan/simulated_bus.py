@@ -22,7 +22,7 @@ __all__ = ["SimulatedBus", "answering", "served", "simulated"]
 
 @contextmanager
 def simulated(seed: int = 1) -> Iterator[Network]:
-    """Have clients that are made meanwhile use a network in memory, on simulated time."""
+    """Let clients that are made meanwhile use a network in memory, on simulated time."""
     network = Network(seed)
     with network.installed():
         yield network

@@ -31,7 +31,7 @@ def limited(most: int, *there: range) -> Reader:
 
 
 def found(reader: Reader, most: int = 125, bound: int = 1_000_000) -> tuple[Cells, list[range]]:
-    """What halving finds of it; all its reads."""
+    """Return what halving finds, and all its reads."""
     cells = Cells(most)
     steps = halving(cells)
     reads: list[range] = []

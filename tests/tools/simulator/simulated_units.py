@@ -32,7 +32,7 @@ def unit(text: str, clock: Callable[[], float] = time.monotonic) -> Device:
 
 
 def answer(device: Device, request: pdu.Request[Any]) -> Any:
-    """What a client gets, decoded; its exceptions are raised."""
+    """Return the decoded response that a client gets; raise its exceptions."""
     return request.decode_response(device.answer(request.encode()))
 
 

@@ -69,7 +69,7 @@ def run(test: Any) -> Any:
 
 @asynccontextmanager
 async def hearing(broker: Broker, *topics: str) -> AsyncIterator[list[tuple[str, Any, bool]]]:
-    """What a subscriber gets: topic, payload, whether it was kept."""
+    """Yield what a subscriber gets: the topic, the payload, and whether it was retained."""
     heard: list[tuple[str, Any, bool]] = []
 
     async def listen(client: aiomqtt.Client) -> None:

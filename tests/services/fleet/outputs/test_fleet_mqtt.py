@@ -45,7 +45,7 @@ def test_last_values_are_kept_for_who_comes_later(broker: Broker, qos: int) -> N
 
 
 def secure(broker: Broker, papers: Papers, identity: Identity) -> str:
-    """Have it listen for TLS, too; gives that URL."""
+    """Let the broker listen for TLS, too, and return that URL."""
     broker.kill()
     files = papers.files(identity)
     port = broker.new_port()
