@@ -11,6 +11,7 @@ import math
 import signal
 import time
 from collections.abc import Callable, Coroutine, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from ...protocol.logs import HarmlessLogger
@@ -126,19 +127,10 @@ def poll(
         in_key(zone)
     if options.push:
         return _waited_for(_push(servers, settings, connections))
-    return _waited_for(
-        _work(
-            servers,
-            settings,
-            connections,
-            options,
-            outputs,
-            file.made_journal(),
-            exposed,
-            show,
-            hangup,
-        )
+    worker = _Worker(
+        servers, settings, connections, options, outputs, file.made_journal(), exposed, show
     )
+    return _waited_for(worker.run(hangup))
 
 
 def _waited_for(running: Coroutine[Any, Any, int]) -> int:
@@ -222,67 +214,60 @@ async def _opened(
 # --- polling -------------------------------------------------------------------------------------
 
 
-async def _work(
-    servers: list[str],
-    settings: FleetSettings,
-    connections: list[Connection],
-    options: argparse.Namespace,
-    outputs: Sequence[Output],
-    journal: Journal | None,
-    exposed: Exposed,
-    show: Show | None,
-    hangup: Hangup,
-) -> int:
-    hung_up = hangup.unless_closed(_tell_of_push)
-    # From now on, though NATS may elect a leader for a while.
-    with signal_handlers({signal.SIGHUP: hung_up}):
-        if hangup.came:
-            hung_up()
-        return await _connect_and_work(
-            servers, settings, connections, options, outputs, journal, exposed, show, hung_up
-        )
+@dataclass(frozen=True)
+class _Worker:
+    """One worker of a fleet; `exposed` and `show` as for `poll`."""
 
+    servers: list[str]
+    settings: FleetSettings
+    connections: list[Connection]
+    options: argparse.Namespace
+    outputs: Sequence[Output]
+    journal: Journal | None
+    exposed: Exposed
+    show: Show | None
 
-async def _connect_and_work(
-    servers: list[str],
-    settings: FleetSettings,
-    connections: list[Connection],
-    options: argparse.Namespace,
-    outputs: Sequence[Output],
-    journal: Journal | None,
-    exposed: Exposed,
-    show: Show | None,
-    hung_up: Handler,
-) -> int:
-    changed: list[Callable[[], None]] = []
-    client = await connected(
-        servers,
-        name=f"libmodbus-py {options.worker}".strip(),
-        on_change=lambda: changed[0]() if changed else None,
-    )
-    try:
-        bucket, current = await _opened(client, settings, connections)
-        polling = Polling(
+    async def run(self, hangup: Hangup) -> int:
+        hung_up = hangup.unless_closed(_tell_of_push)
+        # From now on, though NATS may elect a leader for a while.
+        with signal_handlers({signal.SIGHUP: hung_up}):
+            if hangup.came:
+                hung_up()
+            changed: list[Callable[[], None]] = []
+            client = await connected(
+                self.servers,
+                name=f"libmodbus-py {self.options.worker}".strip(),
+                on_change=lambda: changed[0]() if changed else None,
+            )
+            try:
+                bucket, current = await _opened(client, self.settings, self.connections)
+                polling = self._polling(client, bucket, current)
+                changed.append(polling.engine_changed)
+                await self._poll(polling, hung_up)
+            finally:
+                await disconnect(client)
+        return 0
+
+    def _polling(self, client: Any, bucket: Bucket, settings: FleetSettings) -> Polling:
+        return Polling(
             client,
             bucket,
-            current,
-            name=options.worker,
-            zones=options.zone,
-            outputs=outputs,
-            journal=journal,
+            settings,
+            name=self.options.worker,
+            zones=self.options.zone,
+            outputs=self.outputs,
+            journal=self.journal,
         )
-        changed.append(polling.engine_changed)
-        screen = asyncio.create_task(show(polling.fleet)) if show else None
+
+    async def _poll(self, polling: Polling, hung_up: Handler) -> None:
+        screen = asyncio.create_task(self.show(polling.fleet)) if self.show else None
         try:
-            with signal_handlers(_handlers(polling, hung_up)), exposed(polling.fleet):
+            with signal_handlers(_handlers(polling, hung_up)), self.exposed(polling.fleet):
                 notify_ready()
                 await polling.run()
         finally:
             if screen is not None:
                 screen.cancel()
-    finally:
-        await disconnect(client)
-    return 0
 
 
 def _handlers(polling: Polling, hung_up: Handler) -> dict[signal.Signals, Handler]:
