@@ -35,11 +35,13 @@ def poll(device: str, first: int, ago: float = 0, count: int = 2) -> JournalPoll
 
 
 def names(path: str) -> dict[str, int]:
-    """Return the devices in a journal, and how many points each has there."""
+    """Return the devices in a journal, and how many points each has there: no others are there."""
     database = sqlite3.connect(path)
     asked = "SELECT name, (SELECT count(*) FROM point WHERE device = device.id) FROM device"
     rows = dict(database.execute(asked.replace("device = ", "point.device = ")).fetchall())
+    [[points]] = database.execute("SELECT count(*) FROM point")
     database.close()
+    assert points == sum(rows.values())
     return rows
 
 
