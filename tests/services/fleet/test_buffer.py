@@ -49,6 +49,19 @@ def test_readings_that_are_put_back_come_first_and_in_their_order() -> None:
     asyncio.run(go())
 
 
+def test_readings_that_are_put_back_end_the_wait_of_an_output() -> None:
+    async def go() -> None:
+        buffer = Buffer()
+        buffer.put(poll(1.0))
+        first = await buffer.take(1)
+        waiting = asyncio.create_task(buffer.take(1))
+        await asyncio.sleep(0)
+        buffer.put_back(first)
+        assert await asyncio.wait_for(waiting, 1) == first
+
+    asyncio.run(go())
+
+
 def test_of_what_is_put_back_the_newest_have_room() -> None:
     async def go() -> None:
         buffer = Buffer(3)

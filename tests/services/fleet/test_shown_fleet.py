@@ -9,6 +9,7 @@ import asyncio
 from typing import Any
 
 from libmodbus_py import Fleet
+from libmodbus_py.services.fleet.journal.journal_reader import HistoricalValue
 from libmodbus_py.services.fleet.shown_fleet import PageOutput, ShownFleet
 from tests.services.fleet.fleets import Peer, good, meter, simulated_run, until
 
@@ -141,3 +142,13 @@ def test_a_look_from_another_thread_does_not_disturb_a_fleet_that_changes() -> N
 
     is_over: list[bool] = []
     simulated_run(go())
+
+
+def test_readings_of_a_journal_are_found_if_there_is_one() -> None:
+    fleet = Fleet([])
+
+    def older(*_: object) -> list[HistoricalValue]:
+        return []
+
+    assert ShownFleet("plant", fleet, PageOutput(), older).older is older
+    assert ShownFleet("plant", fleet, PageOutput()).older is None
