@@ -43,7 +43,7 @@ class Measured:
     Attributes:
         client_cpu, server_cpu: seconds of processor time.
         p50, p99: microseconds from request to answer, if they were taken.
-        note: why this is no number to compare with others; empty if it is one.
+        note: why this is not a number to compare with others; empty if it is one.
     """
 
     requests: int

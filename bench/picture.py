@@ -82,7 +82,7 @@ def of_today(keys: list[Key]) -> list[Key]:
 
 
 def draw_panel(axes: Axes, title: str, results: Results, keys: list[Key]) -> None:
-    # What is no number to compare has no bar.
+    # What is not a number to compare has no bar.
     rates = [0 if results.note(key) else results.rate(key) or 0 for key in keys]
     bars = axes.barh([key.name for key in keys], rates, color=[colour(key) for key in keys])
     axes.bar_label(

@@ -184,7 +184,7 @@ def check_device_file(text: str) -> None:
                 for each in table.ranges[:20]:
                     request = bytes([function]) + each.start.to_bytes(2, "big") + b"\0\1"
                     # No rule for it (1), what may only be written (2), copies of bits that
-                    # are no value (4).
+                    # are not values (4).
                     answer = device.answer(request)
                     assert answer[0] == function or answer[1] in (1, 2, 4), answer
 

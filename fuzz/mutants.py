@@ -7,7 +7,7 @@ stand in the test folder beside, or in the simulated world; those in files with 
 module come first, then the fastest, and the first failure ends it. A mutant that no test notices
 survives, and is listed.
 
-Why this is no library: mutmut 3 changes functions only, through copies that tests of signatures
+Why this is not a library: mutmut 3 changes functions only, through copies that tests of signatures
 and of pickling see, and draws no samples; cosmic-ray runs one command for all mutants, however few
 tests reach the changed line. Here a mutant is a fork of a process that has imported what the tests
 need; one module of the package is then loaded from the changed text. No file of the work tree

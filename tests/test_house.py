@@ -364,7 +364,7 @@ def _prose(path: Path) -> Iterator[str]:
 
 
 def test_docstrings_have_no_quotation_marks_of_other_texts() -> None:
-    """A text in pieces, as an error has, is no docstring: its quotation marks would be shown."""
+    """A text in pieces, as an error has, is not a docstring: its quotation marks would be shown."""
     found = [
         str(path.relative_to(ROOT))
         for path in (ROOT / "libmodbus_py").rglob("*.py")

@@ -79,7 +79,7 @@ def imports_of(name: str) -> tuple[set[str], set[str]]:
             base = ".".join((*start, *filter(None, [node.module])))
             names = {".".join(filter(None, [base, alias.name])) for alias in node.names}
             modules = names & set(MODULES)
-            # What is no module comes out of the base, or out of the compiled module.
+            # What is not a module comes out of the base, or out of the compiled module.
             inner |= modules | ({base} & set(MODULES) if names - modules else set())
             inner |= {each for each in {base} - set(MODULES) if "._" in each}
     return inner, outer

@@ -173,7 +173,7 @@ class _Parser(argparse.ArgumentParser):
         file.write(message)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Refuse a word that is no choice, and name a close one."""
+        """Refuse a word that is not a choice, and name a close one."""
         if action.choices is None or value in action.choices:
             return
         from ..protocol.close_names import close_to

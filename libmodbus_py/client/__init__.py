@@ -27,7 +27,7 @@ From the caller to the wire:
       in_turn          matching on lines, which have none
       local_echo       requests on lines that come back
       suspicion        answers on lines that may be those to earlier requests
-      hints            likely causes of bytes that are no answer
+      hints            likely causes of bytes that are not an answer
     waiting_room       order of requests on a line of a gateway or a fleet
     notices            calls of user functions that wait until a change is complete
     reconnecting       times of attempts to connect again; State

@@ -211,7 +211,7 @@ def encoded(request: object, name: str, index: int, is_broadcast: bool) -> bytes
     if is_broadcast and not request.is_write:
         raise ValueError(
             f"{name.format(index)}: unit 0 is a broadcast, which no unit answers, "
-            f"and {request} is no write"
+            f"and {request} is not a write"
         )
     pdu = request.encode()
     if not isinstance(pdu, bytes):

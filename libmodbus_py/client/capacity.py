@@ -21,7 +21,7 @@ __all__ = ["Capacity"]
 # share of its timeout; others wait meanwhile.
 PATIENCE, LEAST_SHARE = 4.0, 0.25
 
-# A network loses a request now and then, too: one loss among so many answers is no sign.
+# A network loses a request now and then, too: one loss among so many answers is not a sign.
 ANSWERS_BETWEEN_LOSSES = 1000
 
 # After n trials in a row without an answer, 2**n - 1 losses are not tried alone.
@@ -125,7 +125,7 @@ class Capacity:
         """
         Grow if so many were in flight, and answered, as may be.
 
-        A request that was alone and got no answer is no reason to hold others back.
+        A request that was alone and got no answer is not a reason to hold others back.
         """
         if self._peak < self.now:
             return

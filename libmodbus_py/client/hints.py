@@ -1,5 +1,5 @@
 """
-Likely causes of bytes that are no answer: the usual mistakes, recognised by their traces.
+Likely causes of bytes that are not an answer: the usual mistakes, recognised by their traces.
 """
 
 from __future__ import annotations

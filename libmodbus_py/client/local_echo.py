@@ -1,5 +1,5 @@
 """
-Local echo at a client: a transceiver that returns all requests, which are no answers.
+Local echo at a client: a transceiver that returns all requests, which are not answers.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class LocalEcho:
         return data if self._awaited.is_over else self._awaited.without(data)
 
     def release(self) -> bytes:
-        """Return what is held back, because silence shows that it is no echo."""
+        """Return what is held back, because silence shows that it is not an echo."""
         return self._awaited.release() if self._awaited.is_holding else b""
 
     def may_be(self, request: bytes) -> bool:

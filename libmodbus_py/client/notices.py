@@ -44,7 +44,7 @@ class Notices:
 
     def give(self) -> None:
         """
-        Make the calls. One that fails is logged; what is no Exception is raised, and the other
+        Make the calls. One that fails is logged; what is not an Exception is raised, and the other
         calls are made the next time.
         """
         if self._is_giving:  # a callback uses the client: the calls go on behind it

@@ -308,7 +308,7 @@ class WaitingRoom(Generic[Member]):
         return True
 
     def begin(self, each: Member, now: float) -> bool:
-        """Start a new request that is no trial at once; return False if it must wait."""
+        """Start a new request that is not a trial at once; return False if it must wait."""
         if self._queue.waiting or self._trials or self._is_full():
             return False
         if self._ready_at is not None and self._ready_at(each.unit) > now:

@@ -465,7 +465,7 @@ class Device:
             if handle is not None:
                 response = request.encode_response(handle(self, request, log))
                 if not isinstance(response, bytes) or not 1 <= len(response) <= MAX_PDU:
-                    raise ValueError(f"no response PDU: {reprlib.repr(response)}")
+                    raise ValueError(f"not a response PDU: {reprlib.repr(response)}")
             elif type(request) in ACCESSES:
                 response = reply(pdu, self.mapping)
             else:

@@ -125,12 +125,12 @@ class EventLog:
     # --- what happens on the line --------------------------------------------------------
 
     def note_frame(self) -> None:
-        """Count a valid frame on a serial line, for any unit; on TCP one that is no request."""
+        """Count a valid frame on a serial line, for any unit; on TCP one that is not a request."""
         counters = self._counters
         counters[BUS_MESSAGES] = counters[BUS_MESSAGES] + 1 & 0xFFFF
 
     def note_damage(self, *, overrun: bool) -> None:
-        """Count bytes that are no frame."""
+        """Count bytes that are not a frame."""
         event = Event.RECEIVED | Event.COMMUNICATION_ERROR
         if overrun:
             self._count(SubFunction.BUS_CHARACTER_OVERRUN_COUNT)

@@ -28,7 +28,7 @@ def check_points(mapping: Mapping, points: object) -> None:
     Check that the mapping has all cells of all points.
 
     Raises:
-        TypeError: `points` is no RegisterMap.
+        TypeError: `points` is not a RegisterMap.
         ValueError: a point has cells that the mapping lacks; the message names it.
     """
     if not isinstance(points, RegisterMap):
@@ -45,7 +45,7 @@ def zeros_for(map: object) -> Mapping:
     Return a mapping with the cells of all points of a map, all zero.
 
     Raises:
-        TypeError: the argument is no RegisterMap.
+        TypeError: the argument is not a RegisterMap.
     """
     if not isinstance(map, RegisterMap):
         raise WrongType("map", f"must be a RegisterMap, not {type(map).__name__}")

@@ -142,11 +142,11 @@ def read_text(path: str | os.PathLike[str]) -> str:
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: it is no regular file, too long, or no UTF-8; the message names the line.
+        ValueError: it is not a regular file, too long, or not UTF-8; the message names the line.
     """
     with open(path, "rb", opener=_at_once) as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise ValueError(f"{os.fspath(path)}: no regular file")
+            raise ValueError(f"{os.fspath(path)}: not a regular file")
         data = file.read(MOST_BYTES + 1)
     if len(data) > MOST_BYTES:
         raise ValueError(f"{os.fspath(path)}: more than {MOST_BYTES} bytes")
@@ -154,7 +154,7 @@ def read_text(path: str | os.PathLike[str]) -> str:
         return data.decode("utf-8")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise ValueError(f"{os.fspath(path)}, line {line}: no UTF-8") from None
+        raise ValueError(f"{os.fspath(path)}, line {line}: not UTF-8") from None
 
 
 def _at_once(path: str, flags: int) -> int:

@@ -43,7 +43,7 @@ class MapBinding:
         client, map: as given.
 
     Raises:
-        TypeError: `client` is no client.
+        TypeError: `client` is not a client.
     """
 
     def __init__(

@@ -30,7 +30,7 @@ def check_cells(point: Point, cells: Sequence[Any], *, source: Any = None) -> No
 
     Raises:
         ValueError: a value is outside, is not a number, or the cells hold none; the message names
-            the point and the bounds. Or `source` is no scale.
+            the point and the bounds. Or `source` is not a scale.
     """
     if not has_bounds(point):
         return

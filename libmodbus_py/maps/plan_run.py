@@ -374,7 +374,7 @@ class PlanRun:
             yield from self._find_any(asked.reading)
         self._tried += 1
         is_answered = yield from self._asked_once(asked)
-        if is_answered is None:  # a disturbance of the line is no refusal, unless it comes twice
+        if is_answered is None:  # a disturbance of the line is not a refusal, unless it comes twice
             is_answered = yield from self._asked_once(asked)
         return bool(is_answered)
 

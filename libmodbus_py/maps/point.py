@@ -199,7 +199,7 @@ class Point:
     def limits(self) -> tuple[float, float] | tuple[None, None]:
         """
         The lowest and the highest value that its cells can hold, scaled; 0 and 1 in tables of
-        bits; None and None if its values are no numbers, or `scale_from` scales them.
+        bits; None and None if its values are not numbers, or `scale_from` scales them.
         """
         if self.read.kind is None and self.states is None:
             return 0, 1
@@ -239,7 +239,7 @@ class Point:
         Returns:
             The scaled value: an int, a float, True or False, a string, a datetime, a list of
             bits, the name of a state, or a dict of named bits; None if there is no value or
-            `source` is no scale, for which `judge` returns the reason. If `count` is not 1, a
+            `source` is not a scale, for which `judge` returns the reason. If `count` is not 1, a
             list of such values.
 
         Raises:
@@ -280,7 +280,7 @@ class Point:
             source: the value of the point that `scale_from` names; None if it has none.
 
         Raises:
-            NoValue: it is no scale.
+            NoValue: it is not a scale.
         """
         if self.scale_from is None:
             return self._scaling
@@ -327,7 +327,7 @@ class Point:
         return [self.nan() if raw != raw else raw for raw in raws]
 
     def nan(self) -> NoValue:
-        """Return the reason why a nan is no value."""
+        """Return the reason why a nan is not a value."""
         return NoValue(self.name, "Missing", "has no value: the device says nan")
 
     def _raws_in(self, cells: Sequence[Any]) -> list[Any]:
@@ -354,7 +354,7 @@ class Point:
 
         A scaled value is rounded to the nearest raw integer, a tie to the even one: 21.57 at a
         scale of 0.1 is 216. Without scaling, the value of an integer type must be whole. Bits
-        of the registers that are no part of the point are 0.
+        of the registers that are not part of the point are 0.
 
         Args:
             value: as `decode` returns it; numbers may be of any numeric type, a state may be
@@ -364,7 +364,7 @@ class Point:
         Raises:
             TypeError, ValueError: the value does not fit the type, `count`, `minimum` or
                 `maximum`; the message names the point.
-            NoValue: `source` is no scale.
+            NoValue: `source` is not a scale.
         """
         try:
             return self.cells_of(value, self.scaling_for(source))
@@ -427,7 +427,7 @@ class Point:
 
     def put(self, before: Sequence[Any], value: Any, *, source: float | None = None) -> list[Any]:
         """
-        Return the cells of a value, where bits that are no part of the point stay as before.
+        Return the cells of a value, where bits that are not part of the point stay as before.
 
         Args:
             before: the cells that the point has.
@@ -536,7 +536,8 @@ def _local(kind: ValueType | None, point: Point) -> ValueType:
 
     zone = checked_time_zone("time_zone", point.time_zone)
     if kind is None or not kind.is_time:
-        raise WrongValue("time_zone", f"must be left out for {point.type_name}, which is no time")
+        reason = f"must be left out for {point.type_name}, which is not a time"
+        raise WrongValue("time_zone", reason)
     return in_time_zone(kind, zone)
 
 

@@ -40,7 +40,7 @@ class RegisterMap(Mapping[str, Point]):
         points: the points, with unique names, and with all points that `scale_from` names.
 
     Raises:
-        TypeError, ValueError: an argument is no Point, a name occurs twice, or `scale_from`
+        TypeError, ValueError: an argument is not a Point, a name occurs twice, or `scale_from`
             does not name a readable number of the map, or leads back to its own point.
     """
 
@@ -178,7 +178,7 @@ class RegisterMap(Mapping[str, Point]):
                 `max_bits`.
 
         Raises:
-            TypeError: `client` is no client.
+            TypeError: `client` is not a client.
         """
         from .bound_map import BoundMap  # most programs have no need of it
 

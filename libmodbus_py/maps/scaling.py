@@ -33,7 +33,7 @@ def number(name: str, value: object) -> int | float:
     Check a number of a map.
 
     Raises:
-        TypeError: the value is no int or float; True and False do not count as such.
+        TypeError: the value is not an int or float; True and False do not count as such.
         ValueError: the value is not in -1e30..1e30.
     """
     found = checks.number(name, value, -LARGEST, LARGEST)
@@ -123,7 +123,7 @@ def scaling_by(scale: float, offset: float, how: str, source: float) -> Scaling:
         how: "exponent" if `source` is a power of ten, "factor" if it is the factor.
 
     Raises:
-        ValueError: `source` is no whole number in -30..30, or no factor in 1e-30..1e30.
+        ValueError: `source` is not a whole number in -30..30, or no factor in 1e-30..1e30.
     """
     from fractions import Fraction
 

@@ -42,7 +42,7 @@ class Totals:
         Return which totals of a poll are smaller than before.
 
         Args:
-            values: all values of the poll; what is no number is left out.
+            values: all values of the poll; what is not a number is left out.
         """
         if not self._last:
             return NO_FALLS

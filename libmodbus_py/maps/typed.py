@@ -34,7 +34,7 @@ def typed_value(point: Point, text: str) -> Any:
     named bits are like "door=1, mode=5", or a JSON object.
 
     Raises:
-        ValueError: the text is no value of this type; the message begins with "value".
+        ValueError: the text is not a value of this type; the message begins with "value".
     """
     if point.states is not None:
         return _state(point.states, text.strip())
@@ -102,7 +102,7 @@ def json_value(point: Point, value: Any) -> Any:
     Return a value of JSON as `Point.encode` takes it: times are text (ISO 8601).
 
     Raises:
-        ValueError: a text is no time; the message begins with "value".
+        ValueError: a text is not a time; the message begins with "value".
     """
     kind = point.read.kind
     if kind is None or not kind.is_time:
@@ -130,7 +130,7 @@ def typed_register(text: str) -> int:
     Return one register, 0..65535; -1 is 65535, because both are the same 16 bits.
 
     Raises:
-        ValueError: the text is no number in -32768..65535; the message begins with "value".
+        ValueError: the text is not a number in -32768..65535; the message begins with "value".
     """
     value = number_of("value", text)
     if not -0x8000 <= value <= 0xFFFF:

@@ -172,7 +172,7 @@ def parse(url: str) -> Endpoint:
     Return the endpoint of a URL, or of a host, HOST:PORT, or path of a serial port.
 
     Raises:
-        TypeError: the argument is no string.
+        TypeError: the argument is not a string.
         ValueError: a part of the URL is wrong; the message tells which, and what is allowed.
     """
     if not isinstance(url, str):
@@ -205,7 +205,7 @@ def url_of(text: str) -> str:
         return f"rtu://{abspath(expanduser(place))}{mark}{query}"
     if place.count(":") > 1 and not place.startswith("["):
         place = f"[{place}]"
-    # A number alone is no host, but a unit that stands where the URL should.
+    # A number alone is not a host, but a unit that stands where the URL should.
     if not re.fullmatch(r"\[[^\]]+\](:[0-9]+)?|(?![0-9,-]+$)[^:/\[\]@\s]+(:[0-9]+)?", place):
         shown = re.sub(PASSWORD, "***", text)
         raise ValueError(

@@ -227,7 +227,7 @@ class SerialPort(Port):
         (guard,) = self._guards
         self._number = os.fstat(guard).st_rdev
         try:
-            termios.tcgetattr(guard)  # before libmodbus touches a file that is no port
+            termios.tcgetattr(guard)  # before libmodbus touches a file that is not a port
             fcntl.flock(guard, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except (OSError, termios.error) as error:
             refusal = self._refusal(error)

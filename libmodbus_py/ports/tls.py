@@ -247,7 +247,7 @@ class TlsPort(TcpPort):
         self._has_answered = self._has_answered or bool(found)
         self._chaff = max(0, self._chaff)
         if self._chaff > MAX_CHAFF and self._failure is None:
-            self._failure = ModbusConnectionError("flooded with bytes that are no response")
+            self._failure = ModbusConnectionError("flooded with bytes that are not a response")
         if self._failure is not None:
             if not found:
                 raise self._failure

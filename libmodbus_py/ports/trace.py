@@ -27,16 +27,16 @@ _wire: Logger | None = None
 
 class Traced(NamedTuple):
     """
-    One ADU that was sent or received, or bytes that are no frame.
+    One ADU that was sent or received, or bytes that are not a frame.
 
     Attributes:
         time: seconds since the epoch (time.time).
         endpoint: the URL of the connection; for a server, that of the listening endpoint.
         direction: "sent" or "received".
-        adu: all bytes of the ADU, or the bytes that are no frame.
-        unit: 0..255, the unit of the ADU; None for bytes that are no frame.
+        adu: all bytes of the ADU, or the bytes that are not a frame.
+        unit: 0..255, the unit of the ADU; None for bytes that are not a frame.
         function: 1..255, the function code of the ADU, with bit 7 set in an exception response;
-            None for bytes that are no frame.
+            None for bytes that are not a frame.
         peer: for a server, the client: "192.0.2.7:51234", or the serial port; None for clients.
     """
 
@@ -50,7 +50,7 @@ class Traced(NamedTuple):
 
     @property
     def pdu(self) -> bytes:
-        """The PDU of the ADU: function code and data; empty for bytes that are no frame."""
+        """The PDU of the ADU: function code and data; empty for bytes that are not a frame."""
         return b"" if self.unit is None else pdu_of(framing_of(self.endpoint), self.adu)
 
     @property
@@ -58,7 +58,7 @@ class Traced(NamedTuple):
         """
         The transaction id, 0..65535, of an ADU with an MBAP header (tcp, tls, udp).
 
-        None for other framings, and for bytes that are no frame.
+        None for other framings, and for bytes that are not a frame.
         """
         if self.unit is None:
             return None

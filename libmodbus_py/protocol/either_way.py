@@ -29,7 +29,7 @@ class EitherWay(NamedTuple):
 
 
 class NoFrame(NamedTuple):
-    """Bytes that are no frame."""
+    """Bytes that are not a frame."""
 
     start: int
     end: int

@@ -9,8 +9,8 @@ The exceptions, grouped by cause.
         IllegalFunction 1   IllegalDataAddress 2   IllegalDataValue 3   ServerDeviceFailure 4
         Acknowledge 5   ServerDeviceBusy 6   NegativeAcknowledge 7   MemoryParityError 8
         GatewayPathUnavailable 10   GatewayTargetFailedToRespond 11
-      FrameError                     bytes that are no frame
-      InvalidResponse                a frame that is no valid response to the request
+      FrameError                     bytes that are not a frame
+      InvalidResponse                a frame that is not a valid response to the request
       ModbusTimeoutError             no response in time; also a TimeoutError
       ModbusConnectionError          no connection; also a ConnectionError
 
@@ -233,7 +233,7 @@ _BY_CODE: dict[int, type[ExceptionResponse]] = {
 
 class FrameError(ModbusError):
     """
-    The received bytes are no frame: a CRC, LRC or header is wrong, or they are not hexadecimal.
+    The received bytes are not a frame: a CRC, LRC or header is wrong, or they are not hexadecimal.
 
     Attributes:
         overrun: True if there were more bytes than a frame can have.

@@ -6,7 +6,7 @@ connection:
 
 * ``encode(frame)`` returns the bytes to send;
 * ``feed(data)`` takes received bytes, cut anywhere, and returns the frames that are complete,
-  oldest first. Bytes that are no frame raise a FrameError after the frames before them were
+  oldest first. Bytes that are not a frame raise a FrameError after the frames before them were
   returned: the next call raises it, which can be ``feed(b"")``;
 * ``silence()`` tells the framer that the line has been quiet for `quiet` seconds;
 * ``pending`` is the number of bytes that wait for the rest of their frame.
@@ -128,7 +128,7 @@ class Framer(ABC):
         Take received bytes, and return the frames that they complete.
 
         Raises:
-            FrameError: bytes are no frame, and there is no frame to return before that.
+            FrameError: bytes are not a frame, and there is no frame to return before that.
         """
         return self._frames(self.scan(data))
 
@@ -449,7 +449,7 @@ class RtuFramer(Framer):
             scan.fresh = len(data)
 
     def _skip(self, data: bytes, begin: int, end: int) -> None:
-        """Skip bytes that are no frame; a run of them is one error, in any number of pieces."""
+        """Skip bytes that are not a frame; a run of them is one error, in any number of pieces."""
         fresh = self._scanner.fresh
         if begin < fresh < end:
             self._skip(data, begin, fresh)

@@ -41,7 +41,7 @@ def in_time_zone(kind: ValueType, zone: tzinfo) -> ValueType:
 
     A local time that occurs twice, when summer time ends, is the first of both, unless the type
     tells summer time from standard time, as iec870 does; one that is left out, when summer time
-    begins, is no value.
+    begins, is not a value.
     """
     has_summer = kind.name == "iec870"
 

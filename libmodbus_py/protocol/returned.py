@@ -61,7 +61,7 @@ class AwaitedEcho:
         return strayed
 
     def release(self) -> bytes:
-        """Return what is held back, which is no echo: silence followed, or other bytes."""
+        """Return what is held back, which is not an echo: silence followed, or other bytes."""
         self.is_over = True
         held, self._held = self._held, b""
         return held

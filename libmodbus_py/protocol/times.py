@@ -173,4 +173,4 @@ def unpack_time(form: TimeForm, data: bytes) -> datetime:
     try:
         return form.unpack(data)
     except (ValueError, OverflowError):
-        raise ValueError(f"{data.hex(' ').upper()} is no time") from None
+        raise ValueError(f"{data.hex(' ').upper()} is not a time") from None

@@ -131,7 +131,7 @@ class ValueType:
         name: the name of the type, as in the module's docstring.
         registers: the number of registers of one value, 1..125.
         order: ABCD, CDAB, BADC or DCBA.
-        limits: the lowest and the highest number; None if values are no numbers.
+        limits: the lowest and the highest number; None if values are not numbers.
         is_text: True if the registers are in reading order, whatever the order.
         is_time: True if values are datetimes, with a time zone.
     """
@@ -174,7 +174,7 @@ class ValueType:
         Return the registers of values, one value after the other.
 
         Raises:
-            TypeError, ValueError: `values` is no list, or a value does not fit the type; the
+            TypeError, ValueError: `values` is not a list, or a value does not fit the type; the
                 message names the value.
         """
         found = []
@@ -605,8 +605,8 @@ def parse_reference(text: str) -> Reference:
         text: the reference, as a string because the leading zero of coils matters.
 
     Raises:
-        TypeError: the argument is no string.
-        ValueError: the text is no reference; the message tells what one looks like.
+        TypeError: the argument is not a string.
+        ValueError: the text is not a reference; the message tells what one looks like.
     """
     if not isinstance(text, str):
         given = type(text).__name__

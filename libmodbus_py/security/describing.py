@@ -55,7 +55,7 @@ def describe(certificate: bytes) -> str:
     try:
         return f"{_said(x509.load_der_x509_certificate(certificate))}, {fingerprint}"
     except Exception:
-        return f"{len(certificate)} bytes that are no certificate, {fingerprint}"
+        return f"{len(certificate)} bytes that are not a certificate, {fingerprint}"
 
 
 class CertificateHolder(NamedTuple):

@@ -26,7 +26,7 @@ class GivenContext:
         own: empty, because a context does not tell which certificate it shows.
 
     Raises:
-        TypeError: the argument is no SSLContext.
+        TypeError: the argument is not an SSLContext.
         ValueError: the context is for servers.
     """
 

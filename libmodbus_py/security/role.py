@@ -1,7 +1,7 @@
 """
 Roles of the holders of certificates (MB-TCP-Security-v36, R-21, R-22, R-65).
 
-Some peers take other strings, and bytes that are no DER, for roles. Here these are
+Some peers take other strings, and bytes that are not DER, for roles. Here these are
 errors: access rights depend on a role, so that all programs must read the same role.
 """
 
@@ -55,8 +55,8 @@ def role_of(certificate: bytes) -> str | None:
         The role; None if there is none, which is a caller without a role (R-23).
 
     Raises:
-        RoleError: bytes that are no certificate, or none whose extensions can be read; two
-            roles; one that is no UTF8String in DER and nothing else, that is empty, that is
+        RoleError: bytes that are not a certificate, or none whose extensions can be read; two
+            roles; one that is not a UTF8String in DER and nothing else, that is empty, that is
             longer than 255 bytes or has control characters.
         ImportError: cryptography is not installed.
     """
@@ -88,7 +88,7 @@ def encode_role(role: str) -> bytes:
         role: 1..255 bytes of UTF-8, without control characters.
 
     Raises:
-        RoleError: the text is no such role.
+        RoleError: the text is not such a role.
     """
     check_role(role)
     text = role.encode()
@@ -115,7 +115,7 @@ def decode_role(value: bytes) -> str:
     try:
         role = value[start:].decode("utf-8")
     except UnicodeDecodeError as error:
-        raise RoleError(f"the role is no UTF-8 from byte {error.start} on") from None
+        raise RoleError(f"the role is not UTF-8 from byte {error.start} on") from None
     check_role(role)
     return role
 

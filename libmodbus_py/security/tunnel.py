@@ -74,7 +74,7 @@ class Tunnel:
         Return received bytes, decrypted; None if there are none, b"" at the end.
 
         Raises:
-            ssl.SSLError: the other side refused, or sent bytes that are no TLS.
+            ssl.SSLError: the other side refused, or sent bytes that are not TLS.
         """
         try:
             return self._tls.read(most)
@@ -145,7 +145,7 @@ def expiry(tunnel: Tunnel) -> str | None:
 
 def name_of(host: str) -> str:
     """Return the name that a host's certificate must have."""
-    return host.partition("%")[0]  # the zone of an IPv6 address is no part of the name
+    return host.partition("%")[0]  # the zone of an IPv6 address is not part of the name
 
 
 class Records:

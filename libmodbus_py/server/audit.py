@@ -106,7 +106,7 @@ class Audit:
         required: True to refuse writes with exception 4 while the function fails.
 
     Raises:
-        TypeError: `call` is no function.
+        TypeError: `call` is not a function.
     """
 
     def __init__(self, call: OnAudited, *, required: bool = False) -> None:
@@ -194,7 +194,7 @@ def audit_of(given: Audit | OnAudited) -> Audit:
     Return an audit; a function becomes one.
 
     Raises:
-        TypeError: it is no function.
+        TypeError: it is not a function.
     """
     return given if isinstance(given, Audit) else Audit(given)
 
@@ -263,9 +263,9 @@ class AuditFile:
 
 
 def _check_lines(path: str | os.PathLike[str]) -> None:
-    """Raise ValueError for a file that is no audit trail; one that cannot be read may be one."""
+    """Raise ValueError for a file that is not an audit trail; an unreadable one may be one."""
     if not os.path.isfile(path):
         return
     with contextlib.suppress(OSError), open(path, "rb") as file:
         if file.read(1) not in (b"", b"{", b"\n"):
-            raise ValueError(f"{os.fspath(path)}: not written, because it is no audit trail")
+            raise ValueError(f"{os.fspath(path)}: not written, because it is not an audit trail")

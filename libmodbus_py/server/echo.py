@@ -21,7 +21,7 @@ MOST_RETURNS, MORE_RETURNS = 64, 8
 # and this many seconds more.
 LONGER, LATER = 1.25, 0.01
 
-# More bytes during a trial are no echo of answers.
+# More bytes during a trial are not an echo of answers.
 MOST_HEARD = 4096
 
 

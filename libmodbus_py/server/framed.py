@@ -148,7 +148,7 @@ class Framed(ABC):
         self.end()
 
     def note_damage(self, error: FrameError) -> None:
-        """Count bytes that are no frame."""
+        """Count bytes that are not a frame."""
         address = self._channel.address
         logger.debug("%s: %s: %s", address, error, error.received.hex(" "))
         self._statistics.bad_frames += 1

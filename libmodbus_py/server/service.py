@@ -53,7 +53,7 @@ class SessionState(enum.Enum):
     The state of a session; of several that apply, the first in this order.
 
     Attributes:
-        HANDSHAKE: received bytes that are no requests yet.
+        HANDSHAKE: received bytes that are not requests yet.
         BEHIND: a call of `receive(b"")`, because not all that was received has been looked at.
         HELD: the time at which a delayed answer is sent; until then nothing should be received.
         UNFINISHED: the rest of a frame that only its last byte can end.

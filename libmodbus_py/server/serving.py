@@ -203,7 +203,7 @@ class Serving(ABC):
 
         Raises:
             RuntimeError: an event loop runs in this thread; use `serving` there.
-            TypeError: `on_listening` or `on_hangup` is no function.
+            TypeError: `on_listening` or `on_hangup` is not a function.
 
         It also raises the exceptions of `serving` and of `on_listening`.
         """
@@ -239,7 +239,7 @@ class Serving(ABC):
             callback: called in the server's loop with a `Traced`.
 
         Raises:
-            TypeError: the callback is no function.
+            TypeError: the callback is not a function.
         """
         return self._traces.with_another(_checked(callback))
 

@@ -74,7 +74,7 @@ def url_without_login(
         example: a URL, for errors.
 
     Raises:
-        TypeError, ValueError: the argument is no such URL, or contains a user or a password.
+        TypeError, ValueError: the argument is not such an URL, or contains a user or a password.
     """
     if not isinstance(given, str):
         raise WrongType("url", f"must be text, not {type(given).__name__}")

@@ -177,7 +177,7 @@ def _name(host: str) -> x509.GeneralName:
         return x509.IPAddress(ip_address(host))
     except ValueError:
         if not (host and host.isascii()):
-            raise ValueError(f"the host {host!r} is no address and no ASCII name") from None
+            raise ValueError(f"the host {host!r} is neither an address nor an ASCII name") from None
         return x509.DNSName(host)
 
 

@@ -41,7 +41,7 @@ def modules_after(*arguments: str) -> set[str]:
 def test_what_needs_no_client_brings_none(arguments: list[str]) -> None:
     found = modules_after(*arguments)
     folders = {name.split(".")[1] for name in found if name.startswith("libmodbus_py.")}
-    # A word that is no command is compared with those that are.
+    # A word that is not a command is compared with those that are.
     assert folders - ({"protocol"} if arguments[:1] in (["reed"], ["--unit"]) else set()) == {
         "cli",
         "late",

@@ -140,7 +140,7 @@ def test_a_poll_of_the_same_values_waits_for_nothing() -> None:
 
 
 def test_an_answer_that_is_doubted_behind_an_echo_is_not_taken_for_damage() -> None:
-    """The echo of a write is no frame of an answer, but it begins as its answer does."""
+    """The echo of a write is not a frame of an answer, but it begins as its answer does."""
     write = pdu.WriteRegisters(1, [1, 2])
     talk = Talk(LINE, timeout=1)
     for after in (0.01, 0.001):

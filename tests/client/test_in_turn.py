@@ -228,7 +228,7 @@ def test_an_echo_is_told_however_early_it_comes() -> None:
 
 
 def test_a_line_that_is_faster_than_its_settings_is_believed() -> None:
-    """Where nothing but an early answer came, the port is no real one: adapters over networks."""
+    """Where nothing but an early answer came, the port is not real: adapters over networks."""
     talk = Talk("rtu:///dev/nowhere?baudrate=9600&silence=0", is_timed=True)
     first = talk.ask(5)
     talk.come(value(5))

@@ -301,7 +301,7 @@ def test_it_changes_nothing(scheme: str, steps: Steps, monkeypatch: pytest.Monke
         return send(self, batch, now)
 
     monkeypatch.setattr(LoneRequest, "send", counted)
-    # Two copies of answers in a row are no flood, for a request is sent between them.
+    # Two copies of answers in a row are not a flood, because a request is sent between them.
     monkeypatch.setattr(conversation, "MAX_UNASKED", 20)
     is_short = steps is not of_an_unknown_length or form(scheme) != "rtu"
     for odd in STEPS[steps]:

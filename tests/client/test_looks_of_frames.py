@@ -1,5 +1,5 @@
 """
-What received bytes look like, up to the bounds of each protocol: what else begins so is no frame.
+What received bytes look like, up to the bounds of each protocol: all else is not a frame.
 """
 
 from __future__ import annotations

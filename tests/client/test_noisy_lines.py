@@ -17,7 +17,7 @@ MOST = 600
 
 @pytest.mark.parametrize("url", ["rtu+tcp://10.0.0.1", "rtu:///dev/line"])
 def test_what_came_before_a_request_is_read_before_it(url: str) -> None:
-    """It has come, and the event loop had no turn since: it is no answer to what is asked now."""
+    """It has come, and the event loop had no turn since: it answers no later request."""
     network = Network()
     answers: list[Write] = []
 

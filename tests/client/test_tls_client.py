@@ -475,7 +475,7 @@ def test_a_reset_behind_the_refusal_does_not_hide_it(
         ask(connect, server.url, papers.security(own), until=gone)
 
 
-# --- what is no TLS -------------------------------------------------------------------------
+# --- what is not a TLS -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

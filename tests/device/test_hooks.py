@@ -1,5 +1,5 @@
 """
-Hooks and handlers that do what they should not: raise what is no Exception, take long.
+Hooks and handlers that do what they should not: raise what is not an Exception, take long.
 """
 
 from __future__ import annotations

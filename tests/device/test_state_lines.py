@@ -175,7 +175,7 @@ def test_every_cut_and_every_changed_byte_is_refused_or_gives_values(tmp_path: P
         assert contents(mapping) == contents(plant())
     for at in range(len(data)):
         path.write_bytes(data[:at] + b"\xff" + data[at + 1 :])
-        with pytest.raises(ValueError, match=r"line \d+: no UTF-8"):
+        with pytest.raises(ValueError, match=r"line \d+: not UTF-8"):
             plant().load(path)
 
 
@@ -202,7 +202,7 @@ def refused(folder: Path, text: str, message: str) -> None:
 
 def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(ValueError, match="pipe: no regular file"):
+    with pytest.raises(ValueError, match="pipe: not a regular file"):
         plant().load(tmp_path / "pipe")
     with pytest.raises(IsADirectoryError):
         plant().load(tmp_path)
@@ -210,7 +210,7 @@ def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
         plant().load(tmp_path / "missing")
     with pytest.raises(FileNotFoundError):
         plant().save(tmp_path / "missing" / "values")
-    with pytest.raises(ValueError, match="no regular file"):
+    with pytest.raises(ValueError, match="not a regular file"):
         plant().load("/dev/zero")
 
 

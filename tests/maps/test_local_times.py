@@ -120,8 +120,8 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"time_zone": "x" * 5000}, "time_zone must be a time zone"),
     ({"time_zone": 1}, "time_zone must be the name of a time zone, not int"),
     ({"time_zone": None}, "time_zone must be the name of a time zone, not NoneType"),
-    ({"type": "uint16"}, "time_zone must be left out for uint16, which is no time"),
-    ({"table": "coils", "type": None}, "time_zone must be left out for coils, which is no time"),
+    ({"type": "uint16"}, "time_zone must be left out for uint16, which is not a time"),
+    ({"table": "coils", "type": None}, "time_zone must be left out for coils, which is not a time"),
 ]
 
 

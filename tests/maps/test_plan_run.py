@@ -312,7 +312,7 @@ def test_holes_that_move_cost_few_requests(moves: Callable[[int], set[int]]) -> 
     assert lost(values) == []
 
 
-# --- what is no hole -----------------------------------------------------------------------------
+# --- what is not a hole -----------------------------------------------------------------
 
 
 @each_case(

@@ -1,6 +1,6 @@
 """
 A dead port of this machine: where the system chooses that very port for a client, the client is
-connected to itself (RFC 9293, 3.5: both ends open at once), which is no connection.
+connected to itself (RFC 9293, 3.5: both ends open at once), which is not a connection.
 
 That the system chooses it is one chance in thousands, so the clients bind it here before they
 connect; the rest is the system's own.

@@ -51,7 +51,7 @@ def test_summer_time_is_an_hour_ahead_of_utc() -> None:
     assert value_type("iec870").decode(cells) == NOON
 
 
-# What is no time: a bit says so, or a field has no such number.
+# What is not a time: a bit says so, or a field has no such number.
 NONE = [
     ("iec870", [26, 7 << 8 | 1, 12 << 8 | 0x80 | 30, 0]),
     ("iec870", [0, 0, 0, 0]),
@@ -71,7 +71,7 @@ NONE = [
 
 @each_case(("name", "cells"), NONE)
 def test_registers_that_hold_no_time(name: str, cells: list[int]) -> None:
-    with pytest.raises(ValueError, match=f"hold no {name}: .* is no time"):
+    with pytest.raises(ValueError, match=f"hold no {name}: .* is not a time"):
         value_type(name).decode(cells)
 
 

@@ -64,13 +64,13 @@ def test_the_whole_string_is_one_role(role: str) -> None:
         (b"\x0c\x82\x00\x08Operator", "one string in DER"),
         (b"\x0c\x80Operator\0\0", "one string in DER"),
         (b"\x0c\x81", "one string in DER"),
-        (b"\x0c\x81" + b"a" * 129, "one string in DER"),  # 81h is no length of its own
+        (b"\x0c\x81" + b"a" * 129, "one string in DER"),  # 81h is not a length of its own
         (b"\x0c\xfd" + b"a" * 253, "one string in DER"),
         (b"\x0c\x81\x80" + b"a" * 127, "one string in DER"),
         (b"\x0c\x82\x01\x00" + b"a" * 256, "one string in DER"),
-        (b"\x0c\x08Operato\xff", "no UTF-8 from byte 7"),
-        (b"\x0c\x02\xc0\x80", "no UTF-8"),  # a NUL in disguise
-        (b"\x0c\x03\xed\xa0\x80", "no UTF-8"),  # half a pair of UTF-16
+        (b"\x0c\x08Operato\xff", "not UTF-8 from byte 7"),
+        (b"\x0c\x02\xc0\x80", "not UTF-8"),  # a NUL in disguise
+        (b"\x0c\x03\xed\xa0\x80", "not UTF-8"),  # half a pair of UTF-16
         (b"\x0c\x00", "1..255 bytes"),
         (b"\x0c\x09Operator\0", "control characters"),
         (b"\x0c\x0aOperator\r\n", "control characters"),
@@ -103,7 +103,7 @@ def test_what_is_no_certificate_is_refused(data: bytes) -> None:
 
 
 def test_a_version_that_does_not_exist_is_refused() -> None:
-    """The library has an error of its own for it, which is no ValueError."""
+    """The library has an error of its own for it, which is not a ValueError."""
     third = bytes.fromhex("A0 03 02 01 02")
     der = client(OPERATOR)
     assert der.count(third) == 1

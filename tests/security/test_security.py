@@ -42,7 +42,7 @@ def pem(kind: str, body: str = "AAAA") -> bytes:
     return f"-----BEGIN {kind}-----\n{body}\n-----END {kind}-----\n".encode()
 
 
-# What is in the file -> what is said of it; a number: there is no such file, or it is no file.
+# What is in the file -> what is said of it; a number: there is no such file, or it is not a file.
 NO_CERTIFICATE: dict[str, tuple[Callable[[], bytes] | None, str]] = {
     "missing": (None, "No such file or directory"),
     "empty": (lambda: b"", "no certificate in PEM format"),

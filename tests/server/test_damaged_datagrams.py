@@ -1,5 +1,5 @@
 """
-Datagrams that are no frame: each is counted once, for no later one completes it.
+Datagrams that are not a frame: each is counted once, for no later one completes it.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def gateway(url: str) -> Iterator[ServerStatistics]:
 
 
 def damaged(scheme: str) -> Iterator[bytes]:
-    """Yield what is no frame: each frame up to each of its bytes, and with a wrong check."""
+    """Yield what is not a frame: each frame up to each of its bytes, and with a wrong check."""
     made = DATAGRAMS[scheme]
     for body in BODIES + ANSWERS:
         frame = made(body)

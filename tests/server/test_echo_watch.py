@@ -10,7 +10,7 @@ from libmodbus_py.server.echo import LATER, LONGER, MOST_HEARD, MOST_RETURNS, Ec
 from tests.support.talk import ascii_frame, rtu
 
 WRITE = rtu("01 06 0001 0003")  # its answer is the same
-ANSWER = rtu("01 03 02 0007")  # this one is no request
+ANSWER = rtu("01 03 02 0007")  # this one is not a request
 PAUSE, CHARACTER = 0.004, 0.001
 
 

@@ -266,7 +266,7 @@ BAD: dict[str, tuple[Callable[[], Identity | None], str, str | None]] = {
     "no DER": (roles_of(b"Operator"), "must be a UTF8String", None),
     "empty": (roles_of(b"\x0c\x00"), "must have 1..255 bytes", None),
     "overlong": (roles_of(b"\x0c\x82\x01\x00" + b"x" * 256), "not one string in DER", None),
-    "no UTF-8": (roles_of(b"\x0c\x02\xff\xff"), "no UTF-8", None),
+    "no UTF-8": (roles_of(b"\x0c\x02\xff\xff"), "not UTF-8", None),
 }
 
 

@@ -67,7 +67,7 @@ def is_served(papers: Papers, port: int, stage: Stage | None = None) -> bool:
 
 @contextlib.contextmanager
 def nothing_loud(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
-    """Whatever a peer sends is no warning, and asyncio has none either."""
+    """Whatever a peer sends is not a warning, and asyncio has none either."""
     with caplog.at_level(logging.INFO):
         yield
     assert [record for record in caplog.records if record.levelno > logging.INFO] == []
@@ -387,7 +387,7 @@ def test_openssl_may_not_negotiate_again_but_change_its_keys(
 def test_a_fatal_alert_in_the_middle_of_a_session_ends_it(
     stage: Stage, papers: Papers, device: Device
 ) -> None:
-    """Python's ssl sends one when what it gets is no record."""
+    """Python's ssl sends one when what it gets is not a record."""
     with (
         serving(papers, device) as (server, port),
         TlsClient(port, context(papers, certificates.client()), stage=stage).handshake() as client,

@@ -415,7 +415,7 @@ def test_each_unit_has_its_device() -> None:
         Server(devices).background("udp://127.0.0.1:0") as running,
         client_of(int(running.urls[0].rpartition(":")[2])) as client,
     ):
-        for unit in devices:  # unit 0 is no broadcast here
+        for unit in devices:  # unit 0 is not a broadcast here
             client.send(adu(READ_ONE, 1, unit))
             assert client.recv(1000) == adu(bytes([3, 2, 0, unit]), 1, unit)
         client.send(adu(READ_ONE, 1, 2))

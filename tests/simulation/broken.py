@@ -117,7 +117,7 @@ BREAKS: tuple[Break, ...] = (
         ("late", "cancel"),
     ),
     Break(
-        "a frame of another function is no answer",
+        "a frame of another function is not an answer",
         ("line",),
         lambda: patch.object(InTurn, "_note_other_function", _end_at_once),
         ("late", "other_function"),

@@ -139,7 +139,7 @@ def with_roles(
     identity: Identity, *values: bytes | str, issuer: Identity | None = None
 ) -> Identity:
     """
-    The same with these role extensions instead of its own: none, two, or what is no role.
+    The same with these role extensions instead of its own: none, two, or what is not a role.
 
     Args:
         values: bytes as they are, text as it should be.

@@ -64,7 +64,7 @@ class Formatter:
     def titles(self) -> list[str]:
         """Return the titles of the columns of CSV, one for each value."""
         if self.item.table == "fifo_queue":
-            raise ValueError("fifo has no --csv: its number of columns is not known beforehand")
+            raise ValueError("fifo cannot be used with --csv: its number of columns is unknown")
         return [f"{self.item.word} {number}" for number in self._numbers(self.item.count)]
 
     def rows(self, cells: list[int]) -> list[FormattedValue]:
@@ -140,7 +140,7 @@ class _AllFormatter(Formatter):
     def __init__(self, item: Item) -> None:
         super().__init__(item)
         if item.table not in REGISTERS:
-            raise ValueError(f"{item.word} has no --type")
+            raise ValueError(f"{item.word} takes no --type")
         limit = REGISTERS[item.table][0]
         if not 1 <= item.count <= limit:
             raise ValueError(f"count must be in 1..{limit}, not {item.count}")
@@ -150,7 +150,7 @@ class _AllFormatter(Formatter):
         return True
 
     def titles(self) -> list[str]:
-        raise ValueError("--type all has no --csv")
+        raise ValueError("--type all cannot be used with --csv")
 
     def rows(self, cells: list[int]) -> list[FormattedValue]:
         found = self._readings(cells)

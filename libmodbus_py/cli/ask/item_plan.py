@@ -90,7 +90,7 @@ def _of_file(item: Item) -> list[pdu.Request[Any]]:
 
 def _of_queue(item: Item) -> list[pdu.Request[Any]]:
     if item.count != 1:
-        raise ValueError("fifo has no count: a queue is read whole")
+        raise ValueError("fifo takes no count: a queue is always read as a whole")
     return [pdu.ReadFifoQueue(item.address)]
 
 

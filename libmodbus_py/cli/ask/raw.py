@@ -57,7 +57,7 @@ def _bytes_of(word: str) -> bytes:
     Return the bytes of one word, such as 000a, "00 0a", 0x00,0x0a or 00:0a.
 
     Raises:
-        ValueError: it is no pairs of hex digits; digits of two words are never joined to a byte.
+        ValueError: it is not made of pairs of hex digits; digits of two words make no byte.
     """
     data = b""
     for part in re.split("[ ,:]+", word.strip(" ,")):

@@ -33,7 +33,7 @@ def kept(path: str | None, devices: Callable[[], Any]) -> Iterator[None]:
         devices: returns the devices that are served now.
 
     Raises:
-        ValueError: the file is used by another program, or is no file of these devices.
+        ValueError: the file is used by another program, or is not a file of these devices.
     """
     if path is None:
         yield

@@ -76,7 +76,7 @@ class Request(Generic[Result]):
 
         Raises:
             ExceptionResponse: the server refused the request; the subclass for the code.
-            InvalidResponse: the PDU is no valid response to this request.
+            InvalidResponse: the PDU is not a valid response to this request.
         """
         if not pdu or pdu[0] != self.function:
             raise self._refusal(pdu)

@@ -22,7 +22,7 @@ MAX_WAITING = 1 << 17
 
 
 Told = tuple[bytes, Frame | None]
-"""Bytes that are sent, for a trace, and their frame; None if they are no frame."""
+"""Bytes that are sent, for a trace, and their frame; None if they are not a frame."""
 
 
 class Fragment(NamedTuple):

@@ -1,7 +1,7 @@
 """
 The client of nats-py, made to survive what servers and other clients send. Needs nats-py.
 
-nats-py stops reading after an exception of its own, which a subject that is no UTF-8 is enough to
+nats-py stops reading after an exception of its own, which a subject that is not UTF-8 is enough to
 cause; it closes for good on any error of the server; and when it connects again, it sends the
 password to a server that does not offer TLS.
 """

@@ -84,7 +84,7 @@ def _read(data: bytes) -> Any:
     if data.count(b"[") + data.count(b"{") > DEEPEST:
         brackets = _TEXT.sub(b"", data)
         if brackets.count(b"[") + brackets.count(b"{") > DEEPEST:
-            raise ValueError("lists in lists are no value")
+            raise ValueError("a list must not contain lists")
     return json.loads(
         data.decode(),
         parse_constant=_refuse,
@@ -101,7 +101,7 @@ def _short(text: str) -> int:
 
 
 def _refuse(constant: str) -> None:
-    raise ValueError(f"{constant} is no JSON")
+    raise ValueError(f"{constant} is not JSON")
 
 
 def _finite(text: str) -> float:

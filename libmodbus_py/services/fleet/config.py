@@ -127,7 +127,8 @@ class DeviceConfig:
             _text(("labels", key), value, 0)
             name = label_name(key)
             if not name or name.startswith("__"):
-                raise WrongValue.about(("labels", key), f"Prometheus takes no label {key!r}")
+                reason = f"Prometheus does not accept the label {key!r}"
+                raise WrongValue.about(("labels", key), reason)
             if name in names:
                 reason = f"in Prometheus, {name!r} is the label {names[name]}"
                 raise WrongValue.about(("labels", key), reason)

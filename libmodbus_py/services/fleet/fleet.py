@@ -536,7 +536,7 @@ def _value_of(points: RegisterMap, name: str, value: Any) -> Any:
     Return a value of JSON as it is written; of unknown points as it is.
 
     Raises:
-        ValueError: the text is no time.
+        ValueError: the text is not a time.
     """
     if name not in points:
         return value

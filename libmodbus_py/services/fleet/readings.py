@@ -99,7 +99,7 @@ def judged(value: Any) -> tuple[Any, Quality, str]:
 
 
 def _lack(item: Any) -> str:
-    """Return why an item of a list is no value; empty if it is one."""
+    """Return why an item of a list is not a value; empty if it is one."""
     if item is None:
         return "Missing"
     if isinstance(item, float) and not math.isfinite(item):

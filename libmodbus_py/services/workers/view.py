@@ -139,7 +139,7 @@ class BucketView:
         return [slot for slot, count in self._in_slot.items() if count]
 
     def holder(self, slot: Slot) -> Member | None:
-        """Return the holder of a slot; None if it is no known worker."""
+        """Return the holder of a slot; None if it is not a known worker."""
         return self.members.get(self.holders.get(slot, ""))
 
     def seen_at(self, key: str) -> Seen:

@@ -25,7 +25,7 @@ def rules(path: Path, given: object) -> Rules:
     A unit without rules of its own has those of the file, which are passed ready-made.
 
     Raises:
-        TypeError, ValueError: a table is no rule; with the path of the key.
+        TypeError, ValueError: a table is not a rule; with the path of the key.
     """
     if isinstance(given, Rules):
         return given

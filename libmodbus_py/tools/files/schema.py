@@ -102,7 +102,7 @@ class Keys(Mapping[str, Key]):
         Check a table, and return the result of `make` for its values.
 
         Raises:
-            TypeError, ValueError: `given` is no table, a key is missing or unknown, or has
+            TypeError, ValueError: `given` is not a table, a key is missing or unknown, or has
                     a wrong value; with the path of the key.
         """
         found = self.checked(path, table(path, given))

@@ -47,13 +47,13 @@ def read_text(path: str | PathLike[str], kind: type[FileError], most: int = MAX_
     Read a text of at most a number of bytes.
 
     Raises:
-        FileError: of `kind`: the file cannot be read, is no regular file, is longer, or no UTF-8.
+        FileError: of `kind`: the file cannot be read, is longer, or not a regular file or UTF-8.
     """
     place = FilePlace(fspath(path))
     try:
         with open(path, "rb", opener=_at_once) as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise kind((), "no regular file", place=place)
+                raise kind((), "not a regular file", place=place)
             data = file.read(most + 1)
         if len(data) > most:
             raise kind((), f"more than {most} bytes", place=place)
@@ -61,7 +61,7 @@ def read_text(path: str | PathLike[str], kind: type[FileError], most: int = MAX_
     except OSError as error:
         raise kind((), f"cannot read {place}: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise kind((), f"byte {error.start} is no UTF-8", place=place) from None
+        raise kind((), f"byte {error.start} is not UTF-8", place=place) from None
 
 
 def _at_once(path: str, flags: int) -> int:

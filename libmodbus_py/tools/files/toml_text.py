@@ -47,7 +47,7 @@ def read_toml(text: str) -> dict[str, Any]:
     2000 characters and integers of 64 bits.
 
     Raises:
-        ValueError: the text is no TOML, or has more than that; a value that is too long or too
+        ValueError: the text is not TOML, or has more than that; a value that is too long or too
             large is named by its path.
     """
     if len(text) > MAX_SIZE:

@@ -2,7 +2,7 @@
 Captures: traffic as pcapng, which Wireshark decodes without options, and back.
 
 A frame is an exported PDU (link type 252) for the dissector "mbtcp": the PDU behind a made-up
-MBAP header, from or to port 502 of 10.0.0.UNIT. Bytes that are no frame go to "mbrtu". Each port
+MBAP header, from or to port 502 of 10.0.0.UNIT. Bytes that are not a frame go to "mbrtu". Each port
 that was listened at is an interface.
 
 Blocks: draft-ietf-opsawg-pcapng, sections 4.1-4.3. Tags: epan/exported_pdu.h of Wireshark.
@@ -41,7 +41,7 @@ MAX_INTERFACES = 256
 
 
 class CaptureError(ValueError):
-    """A file is no valid capture of this package; the message names the error and the byte."""
+    """A file is not a valid capture of this package; the message names the error and the byte."""
 
 
 def _padded(data: bytes) -> bytes:
@@ -175,7 +175,7 @@ class CaptureReader:
         path: the file.
 
     Attributes:
-        recorded: an iterator of `Recorded`; raises CaptureError where the file is no such
+        recorded: an iterator of `Recorded`; raises CaptureError where the file is not such an
             capture, or ends inside a block.
 
     Raises:
@@ -295,7 +295,7 @@ class CaptureReader:
 
     def _frame(self, adu: bytes) -> Frame:
         if not 8 <= len(adu) <= 7 + MAX_PDU or adu[2:4] != b"\0\0":
-            raise self._error("a packet that is no frame of Modbus/TCP")
+            raise self._error("a packet that is not a frame of Modbus/TCP")
         return Frame(adu[6], adu[7:])
 
     def _error(self, what: str, at: int | None = None) -> CaptureError:

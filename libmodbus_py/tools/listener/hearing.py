@@ -28,7 +28,7 @@ class Candidate(NamedTuple):
 
 
 class Damage(NamedTuple):
-    """Bytes that are no frame, 600 at most."""
+    """Bytes that are not a frame, 600 at most."""
 
     began: float
     ended: float
@@ -88,7 +88,7 @@ class RtuHearing:
         self._forget()
 
     def _add(self, damage: Damage) -> Iterator[Damage]:
-        """Join bytes that are no frame to one `Damage`, up to `MAX_RECEIVED` bytes."""
+        """Join bytes that are not a frame to one `Damage`, up to `MAX_RECEIVED` bytes."""
         if self._damage is None:
             self._damage = damage
         else:

@@ -312,7 +312,7 @@ def listen(
         TypeError, ValueError: a URL is wrong, or it is not possible to listen to it.
         ModbusConnectionError: the port cannot be opened, with errno.
         OSError: a capture cannot be opened.
-        CaptureError: `url` is no valid capture.
+        CaptureError: `url` is not a valid capture.
     """
     clock = Clock()
     source: Source | CaptureReader

@@ -64,7 +64,7 @@ def answered(request: Request[Any], pdu: bytes) -> Ending:
 def damaged(data: bytes) -> Ending:
     """Return the outcome for bytes that came instead of a response."""
     size = len(data)
-    why = f"{size} bytes that are no frame" if size > 1 else "a byte that is no frame"
+    why = f"{size} bytes that are not a frame" if size > 1 else "a byte that is not a frame"
     return Ending("damaged", None, FrameError(why, received=data))
 
 

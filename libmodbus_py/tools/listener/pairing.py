@@ -9,7 +9,7 @@ first which frames are requests).
   id (0 on lines) that it decodes for.
 * A request ends earlier ones with the same transaction id: on a line all of them, because its
   client has stopped waiting. A response that still comes is late.
-* Bytes that are no frame belong to the request that is due, unless its response follows.
+* Bytes that are not a frame belong to the request that is due, unless its response follows.
 """
 
 from __future__ import annotations

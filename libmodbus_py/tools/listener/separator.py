@@ -43,7 +43,7 @@ class Separator:
 
     Raises:
         ValueError: `framing` is wrong.
-        TypeError: `on_heard` is no function.
+        TypeError: `on_heard` is not a function.
     """
 
     def __init__(

@@ -81,7 +81,7 @@ class Summary:
 
     Attributes:
         transactions: the number of transactions of all units.
-        damaged: the number of runs of bytes that are no frame and belong to no request.
+        damaged: the number of runs of bytes that are not a frame and belong to no request.
         units: ``{unit 0..255: summary of the unit}``.
     """
 

@@ -32,7 +32,7 @@ KINDS: dict[Kind, str] = {
     "late": "the response came after the request had been reported as unanswered",
     "unanswered": "no response came before the next request, or for several seconds",
     "broadcast": "a request to unit 0, or one that asks for silence, which no unit answers",
-    "damaged": "bytes that are no frame, instead of a response or without a request",
+    "damaged": "bytes that are not a frame, instead of a response or without a request",
     "unasked": "a response without a known request, or a second one",
 }
 
@@ -41,7 +41,7 @@ Part = Literal["request", "response", "damage"]
 
 class Heard(NamedTuple):
     """
-    A request, a response, or bytes that are no frame.
+    A request, a response, or bytes that are not a frame.
 
     Attributes:
         began, ended: the times of the first and the last byte, in seconds.

@@ -53,7 +53,7 @@ def samples_of_each(count: int) -> int:
 
 class Samples:
     """
-    The last samples of one value; a value that is no number, or is missing, is a gap.
+    The last samples of one value; a value that is not a number, or is missing, is a gap.
 
     Args:
         most: the most samples that are kept, at least 2.
@@ -77,7 +77,7 @@ class Samples:
         return len(self._times)
 
     def add(self, time: float, value: Any) -> None:
-        """Keep a sample; a value that is no finite number is a gap."""
+        """Keep a sample; a value that is not a finite number is a gap."""
         number = math.nan
         if type(value) in NUMBERS and -GREATEST <= value <= GREATEST:
             number = value

@@ -28,7 +28,7 @@ def set_point(unit: ShownUnit, point: Point, text: str) -> None:
     Set a point to the value that a text says, or to several, as `typed_values` takes them.
 
     Raises:
-        ValueError: the text is no such value, or the device computes the value itself.
+        ValueError: the text is not such a value, or the device computes the value itself.
     """
     _check_length(text)
     value = typed_values(point, text)
@@ -48,7 +48,7 @@ def set_cells(unit: ShownUnit, table: str, address: int, text: str, type: str, o
         The addresses of the cells that were set.
 
     Raises:
-        ValueError: the text is no such value, the device lacks the cells, or it computes the
+        ValueError: the text is not such a value, the device lacks the cells, or it computes the
             value itself.
     """
     is_bits = TABLES[table].is_bits

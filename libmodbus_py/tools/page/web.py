@@ -195,9 +195,9 @@ class Handler(BaseHTTPRequestHandler):
         try:
             found = json.loads(data)
         except (ValueError, RecursionError):
-            raise Refused(400, "that is no JSON") from None
+            raise Refused(400, "that is not JSON") from None
         if not isinstance(found, dict):
-            raise Refused(400, "that is no JSON object")
+            raise Refused(400, "that is not a JSON object")
         return found
 
     def _send(self, status: int, kind: str, data: bytes, *, with_cookie: bool = False) -> None:

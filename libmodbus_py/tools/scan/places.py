@@ -169,7 +169,7 @@ def listed(name: str, told: Iterable[Item] | None, usual: Iterable[Item]) -> lis
     Return each value once, in the order given.
 
     Raises:
-        TypeError: the argument is no list.
+        TypeError: the argument is not a list.
         ValueError: the list is empty.
     """
     chosen = usual if told is None else told

@@ -90,7 +90,7 @@ class Nothing(NamedTuple):
 
     @property
     def is_noise(self) -> bool:
-        """True if bytes came that are no response."""
+        """True if bytes came that are not a response."""
         return not isinstance(self.error, ExceptionResponse) and bool(self.error.received)
 
     @property

@@ -310,7 +310,7 @@ class _UnitsScan:
             unit, nothing = noise[0]
             hint = "; a device may use another rate or parity, or others send"
             yield (
-                f"{self.place}: {len(noise)} of the probes brought bytes that are no response"
+                f"{self.place}: {len(noise)} of the probes brought bytes that are not a response"
                 f"{hint * self.place.is_serial} (unit {unit}: {nothing.error.args[0]})"
             )
         if self._latest:

@@ -255,7 +255,7 @@ class Copy:
             are_numbers = other.limits[0] is not None and own.limits[0] is not None
             if not are_numbers and (other.type_name != own.type_name or self.scale != 1):
                 raise ValueError(
-                    f"{other.type_name} cannot be copied to {own.type_name}: values that are no"
+                    f"{other.type_name} cannot be copied to {own.type_name}: values that are not"
                     " numbers need the same type on both sides, and no scale"
                 )
         self._check_row(range(own.count), others, 1)

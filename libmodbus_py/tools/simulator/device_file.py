@@ -86,7 +86,7 @@ def load(path: str | PathLike[str], *, clock: Callable[[], float] = time.monoton
         clock: returns the time in seconds.
 
     Raises:
-        DeviceFileError: the file cannot be read, is no TOML, or contains a mistake.
+        DeviceFileError: the file cannot be read, is not TOML, or contains a mistake.
     """
     maps = Maps(dirname(fspath(path)))
     try:
@@ -109,7 +109,7 @@ def parse(
         folder: the folder to which paths of register maps are relative.
 
     Raises:
-        DeviceFileError: the text is no TOML, or contains a mistake.
+        DeviceFileError: the text is not TOML, or contains a mistake.
     """
     try:
         return _parse(text, maps=Maps(fspath(folder)), clock=clock)

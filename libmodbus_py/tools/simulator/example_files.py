@@ -9,7 +9,7 @@ import os
 
 __all__ = ["DEVICES", "described", "map_file", "map_of", "maps", "path_of"]
 
-# CSV files in the folder that are no register maps.
+# CSV files in the folder that are not register maps.
 LISTS = ("fleet",)
 
 # The other TOML files in the folder describe gateways and fleets.
@@ -55,8 +55,8 @@ def map_of(name: str) -> str:
     known = maps()
     if name not in known:
         raise ValueError(
-            f"{name!r} is no file of a register map, which ends with .csv or .toml, "
-            f"and no example, which are {', '.join(known)}"
+            f"{name!r} is neither the path of a register map, which ends with .csv or .toml, "
+            f"nor an example; the examples are {', '.join(known)}"
         )
     return os.path.join(_folder(), f"{name}.csv")
 

@@ -61,7 +61,7 @@ class Maps:
             if len(self._maps) >= MAX_MAPS:
                 raise WrongValue.about(where, f"more than {MAX_MAPS} register maps in one file")
             self._maps[path] = RegisterMap(())
-            with inside(*where):  # a path with a 0 in it is no MapError
+            with inside(*where):  # a path with a 0 in it is not a MapError
                 self._maps[path] = load_map(path)
         return self._maps[path]
 

@@ -85,7 +85,7 @@ def checked_bases(bases: Iterable[int]) -> tuple[int, ...]:
     Return the addresses at which a chain may begin.
 
     Raises:
-        TypeError, ValueError: `bases` is no list of 1..16 addresses.
+        TypeError, ValueError: `bases` is not a list of 1..16 addresses.
     """
     if isinstance(bases, str | bytes) or not isinstance(bases, Iterable):
         raise WrongType("bases", f"must be a list of addresses, not {type(bases).__name__}")

@@ -128,7 +128,7 @@ class ModelLayout:
         count, rest = divmod(self._stop - self._at, size)
         if rest:
             self._notes.append(
-                f"{name} takes {size} registers each, and {self._stop - self._at} are no multiple"
+                f"{name} takes {size} registers each, and {self._stop - self._at} is not a multiple"
             )
         return count
 

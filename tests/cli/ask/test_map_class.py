@@ -83,5 +83,5 @@ def test_maps_of_the_package_have_names(action: str) -> None:
     assert "points" in done.out
     done = run("map", action, "sdm")
     assert done.code == 2
-    assert "'sdm' is no file of a register map" in done.err
+    assert "'sdm' is neither the path of a register map" in done.err
     assert done.err.count("\n") == 1

@@ -66,7 +66,7 @@ def test_a_map_of_the_package_is_served_by_its_name_to_some_units() -> None:
 @each_case(
     ("arguments", "message"),
     [
-        (["--map", "nosuch"], "'nosuch' is no file of a register map, which ends with .csv"),
+        (["--map", "nosuch"], "'nosuch' is neither the path of a register map, which ends"),
         (["--map", "WRONG"], "wrong.csv, line 2, column address: address must be in 0..65535"),
         (["--map", "sdm120", "--reload"], "--reload needs --device or --example"),
         (["--map", "sdm120", "--device", "x"], "--device: not allowed with argument --map"),

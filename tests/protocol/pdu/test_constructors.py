@@ -37,7 +37,7 @@ from tests.support.cases import each_case
 
 
 class Seven:
-    """An integer that is no int, as those of numpy are."""
+    """An integer that is not an int, as those of numpy are."""
 
     def __index__(self) -> int:
         return 7

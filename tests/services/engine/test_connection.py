@@ -1,5 +1,5 @@
 """
-Servers that are no NATS, or one that is not well: told in one line, and nothing of them stays open.
+Servers that are not NATS, or one that is damaged: told in one line, and nothing of them stays open.
 """
 
 from __future__ import annotations

@@ -55,9 +55,9 @@ def test_the_status_is_not_the_topic_of_a_reading() -> None:
 @each_case(
     ("labels", "said"),
     [
-        ({"": "x"}, "takes no label ''"),
-        ({"__x": "x"}, "takes no label '__x'"),
-        ({"-_x": "x"}, "takes no label '-_x'"),
+        ({"": "x"}, "does not accept the label ''"),
+        ({"__x": "x"}, "does not accept the label '__x'"),
+        ({"-_x": "x"}, "does not accept the label '-_x'"),
         ({"device": "x"}, "'device' is the label of every metric"),
         ({"name": "x"}, "'name' is the label of every metric"),
         ({"unit": "x"}, "'unit' is the label of every metric"),

@@ -68,7 +68,7 @@ def test_a_loss_in_the_midst_fails_the_request_and_is_told_once() -> None:
             assert server.connections == 2
             await connection.close()
             await asyncio.sleep(0)
-            assert told == [False]  # closing is no loss
+            assert told == [False]  # closing is not a loss
 
     run(go())
 

@@ -492,7 +492,7 @@ def test_whoever_asks_nothing_does_not_keep_others_for_long(registry: CollectorR
 
 @pytest.mark.usefixtures("impatient")
 def test_whoever_asks_slowly_does_not_keep_others_for_long(registry: CollectorRegistry) -> None:
-    """A byte now and then is no reason to wait for the next one; nor is it when all ends."""
+    """A byte now and then is not a reason to wait for the next one; nor is it when all ends."""
     server = Server(DEVICE)
     collect(server, registry=registry)
     done = threading.Event()

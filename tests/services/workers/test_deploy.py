@@ -179,7 +179,7 @@ def test_systemd_takes_the_unit(tmp_path):
 
 
 def test_what_compose_mounts_and_reads_is_explained_beside_it():
-    """The client for compose files is no package of Debian; names at least must be right."""
+    """The client for compose files is not a package of Debian; names at least must be right."""
     text = (DEPLOY / "compose.yaml").read_text()
     conf = (DEPLOY / "nats-server.conf").read_text()
     for path in re.findall(r'_file: "(/etc/nats/[\w.]+)"', conf):

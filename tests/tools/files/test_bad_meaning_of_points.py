@@ -88,7 +88,7 @@ WRONG: list[tuple[Keys, str, str]] = [
     ({"plausible_minimum": 3, "plausible_maximum": 2}, "plausible_minimum", "must not be above"),
     ({"type": "date48", "never_falls": True}, "never_falls", "which has no numbers"),
     ({"type": "date48", "time_zone": "Mars/Base"}, "time_zone", "must be a time zone that this"),
-    ({"time_zone": "Europe/Berlin"}, "time_zone", "must be left out for uint16, which is no time"),
+    ({"time_zone": "Europe/Berlin"}, "time_zone", "for uint16, which is not a time"),
     ({"interval": 0}, "interval", "must be in 0.01..86400 seconds, not 0"),
     ({"interval": 86401}, "interval", "must be in 0.01..86400 seconds, not 86401"),
     ({"group": "x" * 101}, "group", "must have 0..100 characters, not 101"),

@@ -161,7 +161,7 @@ REFUSED = [
     ("name;addr;FC;table\na;7;3;ir", "{}, line 2, column FC: function 3 is none of input_"),
     ("name;addr;FC;scale;divide by\na;7;3;2;2", "{}, line 2, column divide by: divisor cannot be"),
     ("name;addr;FC;divide by\na;7;3;0", "{}, line 2, column divide by: divisor must not be 0"),
-    (b"\xff\xfen\0a\0m\0e\0", "{}: byte 0 is no UTF-8"),
+    (b"\xff\xfen\0a\0m\0e\0", "{}: byte 0 is not UTF-8"),
     (b"PK\x03\x04\x14\0\0\0\x08\0", "{}, line 1: contains the control character 0x03"),
     (b"name,address\n" + b"a" * (1 << 19), "{}: more than 524288 bytes"),
     ("name;address\n" + "".join(f"p{at};40001\n" for at in range(10_001)),

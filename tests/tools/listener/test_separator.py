@@ -437,7 +437,7 @@ class TestAscii:
 
 
 def test_frames_by_chance_inside_frames_without_a_length() -> None:
-    """A prefix of this frame has a fitting CRC; what follows it is no frame."""
+    """A prefix of this frame has a fitting CRC; what follows it is not a frame."""
     body = find_chance()
     data = rtu(body)
     assert named([(0.0, data + data), (1.0, b"")]) == [

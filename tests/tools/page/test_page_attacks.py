@@ -48,7 +48,7 @@ STRANGERS: dict[str, dict[str, str | None]] = {
     "no token": {"Cookie": None},
     "wrong token": {"Cookie": "libmodbus_page_{port}=AAAA"},
     "token of another port": {"Cookie": "libmodbus_page_1={token}"},
-    "token that is no ASCII": {"Cookie": "libmodbus_page_{port}=\u00fc"},
+    "token that is not an ASCII": {"Cookie": "libmodbus_page_{port}=\u00fc"},
     "broken cookie": {"Cookie": "libmodbus_page_{port}[]={token};;;=="},
     "foreign host": {"Host": "evil.example:{port}", "Origin": "http://evil.example:{port}"},
     "host that begins as ours": {"Host": "127.0.0.1.evil.example:{port}"},

@@ -49,7 +49,7 @@ def test_a_sparkline_has_the_last_samples_also_after_the_ring_is_full() -> None:
     assert samples.spark(60) == made(*range(3, 13)).spark(60)
     assert made(5, 5, None).spark(3) == [10, 10, -1]
     assert made(None, None).spark(3) == []
-    assert made(-1e308, 1e308).spark(3) == [10, 10]  # the span is no number
+    assert made(-1e308, 1e308).spark(3) == [10, 10]  # the span is not a number
 
 
 def test_samples_that_are_too_close_replace_each_other_but_a_gap_hides_no_number() -> None:

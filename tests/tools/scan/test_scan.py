@@ -136,7 +136,7 @@ def test_damaged_bytes_are_a_hint_and_no_unit() -> None:
         scanned = scan(bus.url, baudrates=[19200, 9600], parities=["N"], units=[8, 9], timeout=0.2)
         assert [at(each) for each in all_of(scanned)] == [(9, 9600, "N", 2)]
     (note,) = scanned.notes
-    assert note.startswith("19200 8N2: 1 of the probes brought bytes that are no response")
+    assert note.startswith("19200 8N2: 1 of the probes brought bytes that are not a response")
     assert "unit 9" in note
 
 

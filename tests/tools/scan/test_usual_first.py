@@ -112,7 +112,7 @@ def test_what_a_place_showed_is_noted_once() -> None:
             list(scanned)
     notes = [note for note in scanned.notes if "19200 8N2" in note]
     assert len(notes) == 1
-    assert "brought bytes that are no response" in notes[0]
+    assert "brought bytes that are not a response" in notes[0]
 
 
 def test_the_command_finds_a_usual_device_at_once() -> None:

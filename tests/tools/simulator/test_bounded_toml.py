@@ -289,11 +289,11 @@ def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe.csv"
     os.mkfifo(pipe)
     for path in (str(pipe), "/dev/zero", "/dev/ptmx"):
-        with pytest.raises(DeviceFileError, match=rf"^{path}: no regular file$"):
+        with pytest.raises(DeviceFileError, match=rf"^{path}: not a regular file$"):
             load(path)
     device = tmp_path / "device.toml"
     device.write_text(UNIT + "map = 'pipe.csv'")
-    with pytest.raises(DeviceFileError, match=r"unit\[0\].map: .*pipe.csv: no regular file$"):
+    with pytest.raises(DeviceFileError, match=r"unit\[0\].map: .*pipe.csv: not a regular file$"):
         load(device)
 
 

@@ -257,14 +257,14 @@ BROKEN = [
         HOLDING
         + "copy = { table = 'input_registers', address = 0 }\n"
         + "[[unit.input_registers]]\naddress = 0\ntype = 'string:2'",
-        f"{AT}.copy: string:2 cannot be copied to uint16: values that are no numbers need the"
+        f"{AT}.copy: string:2 cannot be copied to uint16: values that are not numbers need the"
         " same type on both sides, and no scale",
     ),
     (
         HOLDING
         + "type = 'bits16'\ncopy = { table = 'input_registers', address = 0, scale = 2 }\n"
         + "[[unit.input_registers]]\naddress = 0\ntype = 'bits16'",
-        f"{AT}.copy: bits16 cannot be copied to bits16: values that are no numbers need the"
+        f"{AT}.copy: bits16 cannot be copied to bits16: values that are not numbers need the"
         " same type on both sides, and no scale",
     ),
     (
@@ -344,7 +344,7 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     with pytest.raises(DeviceFileError, match=r"^cannot read .*: Is a directory$"):
         load(tmp_path)
     (tmp_path / "latin.toml").write_bytes(b"# \xfc")
-    with pytest.raises(DeviceFileError, match=r"latin.toml: byte 2 is no UTF-8$"):
+    with pytest.raises(DeviceFileError, match=r"latin.toml: byte 2 is not UTF-8$"):
         load(tmp_path / "latin.toml")
 
 

@@ -367,10 +367,10 @@ def test_a_folder_that_takes_no_files(
     ("make", "message"),
     [
         (lambda path: path.mkdir(), "state: Is a directory"),
-        (lambda path: os.mkfifo(path), "state: no regular file"),
+        (lambda path: os.mkfifo(path), "state: not a regular file"),
         (lambda path: path.symlink_to(path.parent / "none" / "state"), "state: No such file"),
         (lambda path: path.write_text("[unit]\n"), "state, line 1: column 2: not JSON"),
-        (lambda path: path.write_bytes(b"\x80"), "state, line 1: no UTF-8"),
+        (lambda path: path.write_bytes(b"\x80"), "state, line 1: not UTF-8"),
     ],
 )
 def test_what_cannot_be_such_a_file_is_refused(

@@ -43,8 +43,8 @@ def test_model_160_has_as_many_modules_as_its_length_has() -> None:
 @pytest.mark.parametrize(
     ("length", "note"),
     [
-        (9, "module takes 20 registers each, and 1 are no multiple"),
-        (47, "module takes 20 registers each, and 39 are no multiple"),
+        (9, "module takes 20 registers each, and 1 is not a multiple"),
+        (47, "module takes 20 registers each, and 39 is not a multiple"),
         (5, "Evt and what follows do not fit"),
         (0, "DCA_SF and what follows do not fit"),
     ],

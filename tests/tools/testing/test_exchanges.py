@@ -67,7 +67,7 @@ CASES: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
     "only the beginning, after the answer of a later one": (
         [(ASKED, READ), (ASKED, READ_2), (ANSWERED, VALUES_2), (ANSWERED, VALUES[:14])],
         [
-            f"unit 17: {READ_TEXT} -> damaged: 6 bytes that are no frame",
+            f"unit 17: {READ_TEXT} -> damaged: 6 bytes that are not a frame",
             f"unit 17: {READ_TEXT} -> [1, 2, 3]",
         ],
     ),
@@ -81,9 +81,9 @@ CASES: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
     ),
     "only the beginning": (
         [(ASKED, READ), (ANSWERED, VALUES[:14])],
-        [f"unit 17: {READ_TEXT} -> damaged: 6 bytes that are no frame"],
+        [f"unit 17: {READ_TEXT} -> damaged: 6 bytes that are not a frame"],
     ),
-    "no request": ([(ASKED, "00 01 00")], ["-> damaged: 3 bytes that are no frame"]),
+    "no request": ([(ASKED, "00 01 00")], ["-> damaged: 3 bytes that are not a frame"]),
     "no function": (
         [(ASKED, "0001 0000 0006 11 83 006B 0003")],
         ["unit 17: -> invalid: a frame with function code 83h"],

@@ -186,7 +186,7 @@ class JournalFile:
 
         Raises:
             JournalError: this file cannot be used; another program uses it, for example.
-            JournalDamaged: the file is no database, or a damaged one.
+            JournalDamaged: the file is not a database, or a damaged one.
         """
         try:
             self._take_lock()

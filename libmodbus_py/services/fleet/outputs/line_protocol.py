@@ -79,7 +79,7 @@ class LineProtocol:
 
     def _head(self, device: str, labels: Mapping[str, str]) -> str:
         tags = {"device": device, **labels}
-        # InfluxDB recommends tags in order; a tag without a value is no tag.
+        # InfluxDB recommends tags in order; a tag without a value is not a tag.
         told = [f"{_key(name)}={_spelled(tags[name])}" for name in sorted(tags) if tags[name]]
         return ",".join((self._measurement, *told))
 

@@ -22,7 +22,7 @@ class SecretFile:
     A password, read from a file.
 
     Args:
-        path: of the file; ends of lines at its end are no part of the password.
+        path: of the file; ends of lines at its end are not part of the password.
         kind: the class of errors.
 
     Raises:

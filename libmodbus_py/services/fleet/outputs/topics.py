@@ -38,7 +38,7 @@ class Topic:
         filter: the topic filter that matches all topics.
 
     Raises:
-        TypeError, ValueError: `template` is no such topic.
+        TypeError, ValueError: `template` is not such a topic.
     """
 
     def __init__(self, key: str, template: object, names: tuple[str, ...]) -> None:

@@ -47,7 +47,7 @@ POINT = Keys((keys_of(Point) | _OLD_NAMES).values(), point_of)
 
 
 class MapError(FileError):
-    """A file is no valid register map; the message names file, line, column or key, and values."""
+    """A file is not a valid register map; the message names file, line, column or key."""
 
 
 class Draft(NamedTuple):
@@ -74,7 +74,7 @@ class Contents:
     Attributes:
         points: all valid points, by name.
         drafts: the draft of each of these points, by name.
-        mistakes: all mistakes; the file is no map if there are any.
+        mistakes: all mistakes; the file is not a map if there are any.
         ignored: headings of columns without a known meaning.
     """
 

@@ -24,7 +24,7 @@ def drafts(text: str) -> Iterator[Draft]:
     Yield each point of a text as a draft.
 
     Raises:
-        MapError: the text is no TOML, or has other keys.
+        MapError: the text is not TOML, or has other keys.
     """
 
     def place(path: Path) -> FilePlace:

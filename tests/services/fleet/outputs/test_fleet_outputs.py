@@ -120,7 +120,7 @@ def test_one_that_fails_is_opened_again_and_loses_nothing(caplog: Any) -> None:
 
 @pytest.mark.parametrize("error", [OutputError("gone"), SystemError("?"), GeneratorExit()])
 def test_what_ends_an_output(error: BaseException) -> None:
-    """OutputError and what is no Exception end `run`; the rest are tried again."""
+    """OutputError and what is not an Exception end `run`; the rest are tried again."""
 
     async def go() -> None:
         async with Peer() as peer:
