@@ -20,7 +20,7 @@ EVENT = AuditEvent(datetime(2026, 1, 1, tzinfo=UTC), "write", "192.0.2.1:1", "ok
 def test_another_file_is_not_appended_to(tmp_path: Path, text: str) -> None:
     path = tmp_path / "file"
     path.write_text(text)
-    with pytest.raises(ValueError, match="no audit trail"):
+    with pytest.raises(ValueError, match="is not an audit trail"):
         AuditFile(path)
     assert path.read_text() == text
 
