@@ -49,6 +49,13 @@ def test_another_framing_is_recognised(scheme: str, received: str, hint: str) ->
     assert explain(scheme, SENT[framing], RECEIVED[received]) == hint
 
 
+@pytest.mark.parametrize("length", ["0006", "0106"])
+def test_a_header_whose_length_fits_is_that_of_tcp(length: str) -> None:
+    received = bytes.fromhex(f"0001 0000 {length} 11 03 006B 0003")
+    hint = explain("ascii+tcp", SENT["ascii"], received)
+    assert hint == ("this looks like tcp://" if length == "0006" else "")
+
+
 @pytest.mark.parametrize("scheme", ["rtu", "ascii", "rtu+tcp", "ascii+tcp"])
 def test_the_request_that_came_back_is_recognised(scheme: str) -> None:
     sent = SENT[scheme.removesuffix("+tcp")]

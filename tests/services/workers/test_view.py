@@ -121,6 +121,14 @@ class TestValuesThatCannotBeRead:
 
 
 class TestConnections:
+    def test_a_slot_that_is_deleted_has_no_holder(self) -> None:
+        for number in (0, 42, 255):
+            key = Slot("", number).key
+            view = view_of((key, encode_holder("a.1", "a.1"), 1))
+            assert view.holders == {Slot("", number): "a.1"}
+            view.add(Entry(key, None, 2), 0.0)
+            assert view.holders == {}
+
     def test_slots_with_connections_are_used(self) -> None:
         view = view_of((LINE.bucket_key, LINE.encode(), 1), (OTHER.bucket_key, OTHER.encode(), 2))
         assert set(view.used_slots) == {LINE.slot, OTHER.slot}
