@@ -1,5 +1,6 @@
 """
-Commands to write points, answered by the worker that polls the device; if none does, by another.
+Commands to write points. The worker that polls the device answers them; if no worker polls it,
+another worker answers.
 """
 
 from __future__ import annotations
@@ -20,20 +21,21 @@ if TYPE_CHECKING:
 
 __all__ = ["CommandService"]
 
-# Outcomes are sent to inboxes only: _INBOX.ID, those of clients with a prefix of their own, and
-# those that servers make between accounts and clusters. A worker may publish to $JS.API and $KV;
-# a client that may only send commands must not do so in its name.
+# Outcomes are sent only to inboxes: _INBOX.ID, inboxes with a prefix that a client has chosen, and
+# those that servers make between accounts and clusters. A worker may publish to $JS.API and $KV; a
+# client that may only send commands must not be able to make a worker publish there.
 _INBOX = re.compile(
     r"(_GR_\.\w{1,64}\.\w{1,64}\.)?_(INBOX[\w-]{0,64}|R_)(\.[\w-]{1,64}){1,6}", re.ASCII
 )
 
-# Commands beyond this are dropped, so that a flood cannot fill the memory.
+# The most commands that wait for an outcome. Others are dropped, so that a flood of commands cannot
+# fill the memory.
 MOST_WAITING = 256
 
 
 class CommandService:
     """
-    Answers what comes to ``modbus.write.DEVICE.POINT``.
+    Answers the commands that are published to ``modbus.write.DEVICE.POINT``.
 
     Args:
         client: a connection to NATS.
@@ -53,7 +55,7 @@ class CommandService:
         self._subscription = await self._client.subscribe(f"{WRITE}.*.*", cb=self._note)
 
     def stop(self) -> None:
-        """Carry out no more commands, not even those that wait."""
+        """Carry out no more commands, not even those that were already received."""
         self._is_open = False
         for task in self._tasks:
             task.cancel()
@@ -75,8 +77,8 @@ class CommandService:
 
     async def _answer(self, message: Msg) -> None:
         names = asked_about(message.subject)
-        # Commands to other names are dropped: an answer would be sent to a subject that
-        # strangers choose.
+        # Commands with other subjects are dropped: their sender would choose the subject to which
+        # the outcome is published.
         outcome = names and await self._commands.answer(*names, wanted_of(message.data))
         if not (names and outcome):
             return

@@ -1,5 +1,5 @@
 """
-The lease of a worker, as the worker itself counts it. No socket, no clock.
+The lease of a worker, as the worker itself counts it, without sockets or clocks.
 """
 
 from __future__ import annotations
@@ -11,22 +11,22 @@ from .records import Member
 __all__ = ["OTHERS_PART", "OWN_PART", "Lease"]
 
 OWN_PART = 0.9
-"""The part of a lease that its holder uses, counted from before the renewal was sent."""
+"""The fraction of a lease that its holder uses, counted from just before it sent the renewal."""
 
 OTHERS_PART = 1.05
-"""The part of a lease that others wait, counted from when they saw the renewal."""
+"""The fraction of a lease that other workers wait, counted from when they saw the renewal."""
 
-# Parts of a lease after which it is renewed: usually; while the last renewal is not confirmed;
-# and when other workers wait for an acknowledgement.
+# Fractions of a lease after which it is renewed: usually (BEAT), while the last renewal is not
+# confirmed (AGAIN), and while other workers wait for an acknowledgement (SOON).
 BEAT, AGAIN, SOON = 0.1, 0.2, 0.01
 
 
 class Lease:
     """
-    A lease, which each confirmed value of its worker extends.
+    A lease, which is extended by each confirmed value of its worker.
 
     Args:
-        id: the id of the worker, which must be new.
+        id: the id of the worker, which no worker must have used before.
 
     Attributes:
         until: the time at which the lease expires.
@@ -41,13 +41,13 @@ class Lease:
         self.joined: bool = False
         self.revision: int = 0
         self._beat = 0
-        # By number: when it was sent, and for how long.
+        # Unconfirmed values by number: when each was sent, and the length of the lease.
         self._sent: dict[int, tuple[float, float]] = {}
         self._last = -math.inf
 
     def next_beat(self, now: float, lease: float, hurry: bool) -> int | None:
         """
-        Return the number of the value to send now; None before it is due.
+        Return the number of the value to send now; None if no value is due yet.
 
         Args:
             lease: the length of a lease in seconds.
@@ -61,19 +61,19 @@ class Lease:
         return self._beat
 
     def next_at(self, lease: float, hurry: bool) -> float:
-        """Return the time from which `next_beat` returns a number, as things are now."""
+        """Return the time from which `next_beat` returns a number, unless something changes."""
         return self._last + lease * self._part(hurry)
 
     def _part(self, hurry: bool) -> float:
         return SOON if hurry else AGAIN if self._sent else BEAT
 
     def came_back(self, member: Member) -> None:
-        """Extend the lease: this value was seen in the bucket."""
+        """Extend the lease, because this value was seen in the bucket."""
         self.joined = True
         self._extend(member.beat)
 
     def is_confirmed(self, beat: int, revision: int) -> None:
-        """Extend the lease if this worker has joined: a value was written, with that revision."""
+        """Note the revision of a written value, and extend the lease if this worker has joined."""
         self.revision = max(self.revision, revision)
         if self.joined:
             self._extend(beat)

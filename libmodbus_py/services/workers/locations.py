@@ -1,5 +1,6 @@
 """
-Which worker polls a device, and which one answers commands to devices that no worker polls.
+Finds the worker that polls a device, and the one that answers commands to devices that no worker
+polls.
 """
 
 from __future__ import annotations
@@ -29,9 +30,10 @@ class Locations:
 
     def refusal(self, device: str, now: float) -> str:
         """
-        Return why a command to a device of another worker is refused; "" if another worker answers.
+        Return the reason to refuse a command to a device that this worker does not poll; "" if
+        another worker answers the command.
 
-        The worker with the lowest id answers for devices that no worker polls.
+        The worker with the lowest id refuses commands to devices that no worker polls.
         """
         worker = self._worker
         living = {each.id for each in worker.view.members.values() if worker.is_heard(each, now)}

@@ -1,5 +1,5 @@
 """
-Runs a worker: executes what `worker` decides, with a clock, a bucket and a fleet.
+Runs a worker: carries out the decisions of `worker` with a clock, a bucket and a fleet.
 """
 
 from __future__ import annotations
@@ -40,19 +40,19 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 
 BUCKET = "modbus-fleet"
 
-# The precision of timers: a part of a lease, and at most so many seconds.
+# The precision of timers: a fraction of a lease, but at most so many seconds.
 EXACTNESS, COARSEST = 0.01, 0.1
 
 # No timer is set for more seconds than this.
 LONGEST_PAUSE = 60.0
 
-# Pending writes at most; those beyond are repeated later.
+# The most writes that may be pending; the worker repeats those that are left out.
 MOST_WRITES = 512
 
 # Seconds before the bucket is watched again.
 PAUSE = 0.25
 
-# Seconds within which the whole bucket must arrive; and for a worker to announce its end.
+# Seconds within which the whole bucket must arrive, and a leaving worker must announce its end.
 TIMEOUT = 3.0
 
 # Seconds before the same line is logged again.
@@ -60,7 +60,7 @@ SAID_AGAIN = 60.0
 
 
 clock = boot_time
-"""Leases end while the machine is suspended, too."""
+"""The clock for leases, which also advances while the machine is suspended."""
 
 
 class Polling:
@@ -74,7 +74,7 @@ class Polling:
         name: the name of this worker; empty for the name of the machine.
         zones: zones whose devices this worker polls, besides devices without a zone.
         outputs: outputs that get all readings, besides the stream of NATS.
-        journal: keeps the readings on the disk of this machine; None for none.
+        journal: keeps the readings on the disk of this machine; None for no journal.
         clock: returns the time in seconds, for leases.
     """
 
@@ -103,9 +103,10 @@ class Polling:
         self._service = CommandService(client, self.fleet.commands)
         self._takes_commands = settings.commands
         self._switched = asyncio.Event()
-        # Set when a step is due before it was planned; and when the watch may be useless.
+        # Set when a step is due before the planned time.
         self._woken = asyncio.Event()
         self._planned = math.inf
+        # Set when the watch may have to be replaced.
         self._doubted = asyncio.Event()
         self._closed = asyncio.Event()
         self._is_unsettled = False
@@ -133,7 +134,8 @@ class Polling:
 
     async def run(self) -> None:
         """
-        Poll until `leave` was called and the bucket says so, or three seconds have passed.
+        Poll until this worker has left: `leave` was called, and the end of the worker was seen in
+        the bucket or three seconds have passed.
 
         Raises:
             EngineError: the connection to NATS was closed for good.
@@ -176,7 +178,7 @@ class Polling:
         self._woken.set()
 
     def engine_changed(self) -> None:
-        """Watch the bucket anew: the connection to NATS was lost, established or closed."""
+        """Watch the bucket anew, because the connection was lost, established or closed."""
         if self._client.is_closed:
             self._closed.set()
         self._is_unsettled = True
@@ -251,7 +253,7 @@ class Polling:
         while not (self.worker.left or self._has_ended):
             now = self.now()
             puts = self.worker.step(now, self._report)
-            # Before anything is written: other workers may poll as soon as it is.
+            # First, because other workers may poll a connection as soon as its slot is written.
             self._poll()
             for put in puts:
                 self._write(put)
@@ -325,13 +327,14 @@ class Polling:
         return {each.key for each in view.connections if each.zone in zones}
 
     def _named_once(self, devices: dict[str, list[DeviceConfig]]) -> list[DeviceConfig]:
-        """Return the devices of connections, each without those whose names another one has."""
+        """Return the devices; of those with one name, only the first connection's are kept."""
         names: dict[str, str] = {}
         for key, group in devices.items():
             for each in group:
                 if names.setdefault(each.name, key) != key:
                     self._say(
-                        f"{key}: {each.name!r} is not polled: {names[each.name]} has one, too"
+                        f"{key}: device {each.name!r} is not polled, because"
+                        f" {names[each.name]} has a device of the same name"
                     )
         return [each for key, group in devices.items() for each in group if names[each.name] == key]
 
@@ -342,7 +345,7 @@ class Polling:
                 raise ValueError("a device belongs to another connection")
             checked(devices)
         except Exception as error:
-            # No record may end a worker: others would take the connection, and end as well.
+            # No record may stop a worker: others would take over the connection, and stop as well.
             self._say(f"{connection.key}: its devices in the bucket are invalid: {error}")
             return []
         return devices
@@ -373,7 +376,7 @@ class Polling:
             return None
         return self._locations.refusal(device, self.now())
 
-    # --- for people -----------------------------------------------------------------------------
+    # --- log ------------------------------------------------------------------------------------
 
     def _tell_of_lease(self) -> None:
         is_valid = self.now() < self.worker.lease.until
@@ -407,7 +410,7 @@ class Polling:
 
 class _Told:
     """
-    Hands the changes of a watch to a worker; the first one begins a snapshot.
+    Passes the changes of a watch to a worker. The first change begins a snapshot.
 
     Args:
         polling: runs the worker.

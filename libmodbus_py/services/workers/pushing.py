@@ -1,5 +1,5 @@
 """
-Writes a fleet file to the bucket: only what differs from its contents.
+Writes a fleet file to the bucket; only records that differ are written.
 """
 
 from __future__ import annotations
@@ -21,15 +21,16 @@ if TYPE_CHECKING:
 
 __all__ = ["Pushed", "changes", "connections_of", "push", "seen_now"]
 
-# Attempts while others push at the same time.
+# The most attempts while other programs change the bucket at the same time.
 MOST_TRIES = 5
 
+# The most writes that are sent at once.
 AT_ONCE = 64
 
 # Seconds within which the whole bucket must arrive.
 TIMEOUT = 10.0
 
-# The part of a lease that the timeout of a device may take.
+# The largest timeout of a device, as a fraction of a lease.
 LONGEST_ANSWER = 0.3
 
 
@@ -46,8 +47,8 @@ def connections_of(devices: Iterable[DeviceConfig], lease: float) -> list[Connec
     Return the connections of devices, as the bucket holds them.
 
     Raises:
-        ValueError: devices of one connection are in different zones; or a timeout is more than
-            0.3 of the lease.
+        ValueError: devices of one connection are in different zones, a zone is invalid, or a
+            timeout is more than 0.3 of the lease.
     """
     return [_connection(key, group, lease) for key, group in by_connection(devices).items()]
 
@@ -58,8 +59,8 @@ def _connection(key: str, devices: list[DeviceConfig], lease: float) -> Connecti
     for device in devices:
         if device.zone != first.zone:
             raise ValueError(
-                f"device {device.name!r}: zone {device.zone!r}, but {first.name!r} shares its"
-                f" connection {key}, and is in {first.zone!r}"
+                f"device {device.name!r} is in zone {device.zone!r}, but {first.name!r}, which uses"
+                f" the same connection {key}, is in zone {first.zone!r}"
             )
     usual = CheckedOptions.of(first.endpoint, {}).timeout
     timeout = max(usual if each.timeout is None else each.timeout for each in devices)
@@ -92,13 +93,14 @@ async def push(bucket: Bucket, settings: FleetSettings, connections: list[Connec
     Make the bucket match a fleet file.
 
     Raises:
-        EngineError: the bucket cannot be written, or is changed by others at the same time.
+        EngineError: the bucket cannot be written, a record is too large for nats-server, or other
+            programs change the bucket at the same time.
     """
     biggest = max((len(each.encode()) for each in connections), default=0)
     if biggest > bucket.client.max_payload - 1024:
         raise EngineError(
-            f"the devices of a connection take {biggest} bytes; nats-server has a max_payload"
-            f" of {bucket.client.max_payload}"
+            f"the record of one connection and its devices has {biggest} bytes, which is too large"
+            f" for nats-server: its max_payload is {bucket.client.max_payload}"
         )
     total = Pushed(0, 0, 0)
     for _ in range(MOST_TRIES):
@@ -106,7 +108,7 @@ async def push(bucket: Bucket, settings: FleetSettings, connections: list[Connec
         puts = list(changes(view, settings, connections))
         if not puts:
             return total
-        # A revision does not tell new keys: deleted ones have a revision, too.
+        # Revisions do not show which keys are new: deleted keys have revisions, too.
         known = {each.bucket_key for each in view.all_connections}
         told = [put for put in puts if put.key != SETTINGS]
         total = Pushed(
@@ -116,7 +118,7 @@ async def push(bucket: Bucket, settings: FleetSettings, connections: list[Connec
         )
         await _written(bucket, [put for put in puts if put.value is not None])
         await _written(bucket, [put for put in puts if put.value is None])
-    raise EngineError(f"{bucket.name}: the bucket is changed by others at the same time")
+    raise EngineError(f"{bucket.name}: other programs change the bucket at the same time")
 
 
 async def _written(bucket: Bucket, puts: list[Put]) -> None:

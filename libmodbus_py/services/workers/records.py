@@ -1,11 +1,11 @@
 """
-The keys and values of the bucket. No socket, no clock.
+The keys and values of the bucket, without sockets or clocks.
 
 ::
 
-    settings                        of the fleet: the lease, the policy when NATS is lost
+    settings                        the settings of the fleet, such as the length of leases
     connection.ZONE.DIGEST          a connection and its devices, written by `push`
-    slot.ZONE.NUMBER                the worker for connections whose digests begin with NUMBER
+    slot.ZONE.NUMBER                the worker for connections whose digests begin with this byte
     worker.NAME.NONCE               the lease of a worker, and its report
 """
 
@@ -39,7 +39,7 @@ __all__ = [
 ]
 
 FORMAT = 1
-"""The version of all records. A bucket with another one is refused."""
+"""The version of the format of all records. A bucket with another version is refused."""
 
 SETTINGS = "settings"
 
@@ -48,7 +48,7 @@ LIMITS = ("max_age", "max_bytes")
 
 State = Literal["here", "ended"]
 
-# The default limit of NATS is 1 MiB.
+# The longest value in bytes: the default limit of NATS, 1 MiB.
 MAX_VALUE = 1 << 20
 
 _TOKEN = re.compile(r"[A-Za-z0-9_-]{1,60}")
@@ -56,7 +56,7 @@ _DIGEST = re.compile(r"[0-9a-f]{32}")
 
 
 class RecordError(ValueError):
-    """A record is invalid, or of another version. The message begins with its key."""
+    """A record is invalid, or has another version. The message begins with the key."""
 
 
 class Slot(NamedTuple):
@@ -112,6 +112,7 @@ class Connection:
     A connection and its devices.
 
     Attributes:
+        zone: the zone of its devices; empty for none.
         key: the `DeviceConfig.connection_key` of its devices.
         timeout: the longest timeout of its devices, in seconds.
         devices: JSON, written by `devices_to_json`.
@@ -137,14 +138,15 @@ class Connection:
 @dataclass(frozen=True)
 class Member:
     """
-    A worker, written by itself. Each new value renews its lease.
+    The record that a worker writes about itself. Each new value renews its lease.
 
     Attributes:
-        id: ``NAME.NONCE``: its key without ``worker.``.
+        id: ``NAME.NONCE``: the key of the record without ``worker.``.
+        state: "here", or "ended" when its slots are free.
         zones: the zones whose devices it polls.
         lease: the length of the lease in seconds.
-        beat: the number of this value; increments.
-        seen: the revision up to which it has applied the changes of the bucket.
+        beat: the number of this value, which is higher than that of the value before.
+        seen: the revision up to which the worker has applied the changes of the bucket.
         report: numbers about its devices, for `fleet status`.
     """
 
@@ -165,7 +167,7 @@ class Member:
         return self.id.partition(".")[0]
 
     def is_as(self, other: Member) -> bool:
-        """Return True if others have to treat this worker as before."""
+        """Return True if another record has the same state, zones and length of the lease."""
         return (self.state, self.zones, self.lease) == (other.state, other.zones, other.lease)
 
     def encode(self) -> bytes:
@@ -180,7 +182,7 @@ class Member:
 
 
 def digest_of(connection: str) -> str:
-    """Return the digest of a connection, which stands for it in keys."""
+    """Return the digest that represents a connection in keys."""
     return hashlib.sha256(connection.encode()).hexdigest()[:32]
 
 
@@ -197,17 +199,17 @@ class Holding(NamedTuple):
 
 
 def encode_holder(worker: str, by: str) -> bytes:
-    """Encode the holder of a slot, and the worker that writes it."""
+    """Encode the holder of a slot, and the worker that writes the record."""
     return _encode(holder=worker, by=by)
 
 
 def in_key(zone: str) -> str:
     """
-    Return the form of a zone in keys: "_" for that of devices without a zone.
+    Return the form of a zone in keys: "_" for devices without a zone.
 
     Raises:
-        ValueError: the zone is longer than 60 characters, or contains others than letters,
-            digits, - and _.
+        ValueError: the zone is longer than 60 characters, or contains characters other than
+            letters, digits, - and _.
     """
     if zone and not _TOKEN.fullmatch(zone):
         raise ValueError(f"zone {zone[:80]!r} must be 1..60 letters, digits, - or _")
@@ -242,7 +244,9 @@ def decode(key: str, value: bytes) -> Record:
 
 def _settings(_rest: list[str], given: dict[str, Any]) -> FleetSettings:
     if given["format"] != FORMAT:
-        raise ValueError(f"format {given['format']!r}; this version knows {FORMAT}")
+        raise ValueError(
+            f"format {given['format']!r} is not supported; this version reads format {FORMAT}"
+        )
     return FleetSettings(
         _lease(given["lease"]),
         _one_of(get_args(OnLoss), given["on_engine_loss"]),
@@ -255,7 +259,7 @@ def _connection(rest: list[str], given: dict[str, Any]) -> Connection:
     zone, digest = rest
     key = _typed(str, given["connection"])
     if not _DIGEST.fullmatch(digest) or digest_of(key) != digest:
-        raise ValueError("connection is not the one of this key")
+        raise ValueError("connection does not match the digest in the key")
     timeout = float(number("timeout", given["timeout"], 0, LONGEST_LEASE))
     return Connection(_zone(zone), key, timeout, json_text(given["devices"]))
 
@@ -264,7 +268,7 @@ def _slot(rest: list[str], given: dict[str, Any]) -> Holding:
     zone, number = rest
     slot = Slot(_zone(zone), int(number))
     if slot.number not in range(256) or slot.key != f"slot.{zone}.{number}":
-        raise ValueError("slots are 0..255")
+        raise ValueError("the number of a slot must be 0..255")
     return Holding(slot, _typed(str, given["holder"]), _typed(str, given["by"]))
 
 
@@ -300,7 +304,7 @@ def _zone(token: str) -> str:
 
 def _typed(kind: type, given: object) -> Any:
     if not isinstance(given, kind) or isinstance(given, bool):
-        raise TypeError(f"{str(given)[:60]!r} must be a {kind.__name__}")
+        raise TypeError(f"{str(given)[:60]!r} must be of type {kind.__name__}")
     return given
 
 
@@ -310,5 +314,5 @@ def _lease(given: object) -> float:
 
 def _one_of(allowed: tuple[Any, ...], given: object) -> Any:
     if given not in allowed:
-        raise ValueError(f"{str(given)[:60]!r} is none of {', '.join(allowed)}")
+        raise ValueError(f"{str(given)[:60]!r} is not one of {', '.join(allowed)}")
     return given

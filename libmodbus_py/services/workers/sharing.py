@@ -1,6 +1,7 @@
 """
-The assignment of slots to workers. Within a zone all have about equally many, and few slots move.
-Workers with the same view of the bucket compute the same assignment.
+The assignment of slots to workers. All workers that may hold the same slots get nearly equal
+numbers of them, and few slots move. Workers with the same view of the bucket compute the same
+assignment.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ def share(
     Return the worker of each slot. Slots that no worker may hold are left out.
 
     Args:
-        holders: the current holders; those that `zones` does not contain are ignored.
-        zones: the workers that may hold slots, each with its zones.
+        slots: the slots with connections.
+        holders: slot -> its current holder; holders that `zones` does not contain are ignored.
+        zones: worker that may hold slots -> its zones.
     """
     pools: defaultdict[tuple[str, ...], list[Slot]] = defaultdict(list)
     for slot in sorted(slots):

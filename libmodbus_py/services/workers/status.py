@@ -16,19 +16,20 @@ from .view import BucketView
 
 __all__ = ["fleet_status", "tables"]
 
-# The part of a lease between two looks, in which each live worker renews its lease twice.
+# The time between the two reads of the bucket, as a fraction of a lease. Each live worker renews
+# its lease twice in this time.
 LOOK = 0.25
 
-# Numbers of the reports that are added up.
+# The numbers in the reports of workers that are added up.
 SUMS = ("connections", "devices", "up", "down", "polls")
 
 
 async def fleet_status(bucket: Bucket) -> dict[str, Any]:
     """
-    Return the status of a fleet. Reads the bucket twice, a quarter of a lease apart.
+    Return the status of a fleet. The bucket is read twice, a quarter of a lease apart.
 
     Raises:
-        EngineError: the bucket cannot be read, or contains no fleet of this version.
+        EngineError: the bucket cannot be read, or contains no fleet in the format of this version.
     """
     before = await seen_now(bucket)
     if before.settings is None:
@@ -57,7 +58,7 @@ def _document(before: BucketView, view: BucketView) -> dict[str, Any]:
 
 
 def _state(member: Member, before: BucketView, view: BucketView) -> str:
-    """Return "here" if a worker renewed its lease between the two looks, "silent" or "ended"."""
+    """Return "ended"; else "here" if the lease was renewed between the reads, or "silent"."""
     known = before.seen.get(member.bucket_key)
     is_new = known is None or known.revision < view.seen[member.bucket_key].revision
     return member.state if member.state == "ended" or is_new else "silent"
@@ -75,7 +76,7 @@ def _worker(member: Member, state: str, slots: int) -> dict[str, Any]:
 
 
 def _zones(view: BucketView, here: set[str]) -> dict[str, Any]:
-    """Return numbers by zone; the empty zone is that of devices without one."""
+    """Return numbers by zone; the zone of devices without a zone is ""."""
     connections = Counter(each.zone for each in view.connections)
     used, served = Counter[str](), Counter[str]()
     for slot in view.used_slots:

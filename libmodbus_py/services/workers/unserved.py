@@ -1,6 +1,6 @@
 """
-Connections that no worker polls, such as those of a zone whose last worker died. No socket, no
-clock.
+Finds connections that no worker polls, such as those of a zone whose last worker died. Works
+without sockets or clocks.
 """
 
 from __future__ import annotations
@@ -10,10 +10,11 @@ from .worker import Worker
 
 __all__ = ["Unserved"]
 
-# Leases for which a connection may be without a worker: after one, others have taken over.
+# The time for which a connection may be without a worker, in leases: after one lease, another
+# worker should have taken over.
 LONGEST = 2.0
 
-# Parts of a lease between two looks.
+# The time between two searches, as a fraction of a lease.
 LOOK = 0.25
 
 
@@ -21,7 +22,7 @@ class Unserved:
     """
     Finds connections that have had no worker for two leases.
 
-    The worker with the lowest id finds them, so that they are reported once.
+    Only the worker with the lowest id finds any, so that each is reported once.
 
     Args:
         worker: its view of the bucket is searched.
@@ -30,12 +31,13 @@ class Unserved:
     def __init__(self, worker: Worker) -> None:
         self._worker = worker
         self._next = 0.0
-        # Since when each connection has had no worker; and those that were found.
+        # Key of a connection without a worker -> the time at which this was first seen.
         self._since: dict[str, float] = {}
+        # The keys of connections that were already returned.
         self._found: set[str] = set()
 
     def found(self, now: float) -> list[Connection]:
-        """Return the connections that were not found before, or that had a worker meanwhile."""
+        """Return the connections found now that were not found before, or had a worker since."""
         view = self._worker.view
         if view.settings is None or now < self._next:
             return []

@@ -1,8 +1,7 @@
 """
-The contents of the bucket as far as they are known, with the times of changes. No socket, no clock.
+The known contents of the bucket, with the times of changes, without sockets or clocks.
 
-The bucket is one stream: all workers see its changes in the same order, though not at the same
-time.
+The bucket is one stream: all workers see its changes in the same order, but not at the same time.
 """
 
 from __future__ import annotations
@@ -30,8 +29,9 @@ class Entry(NamedTuple):
     A change of the bucket.
 
     Attributes:
+        key: the key that was changed.
         value: the new value; None if the key was deleted.
-        revision: of the bucket; each change of any key increments it.
+        revision: the revision of the bucket, which each change of any key increments.
     """
 
     key: str
@@ -58,9 +58,10 @@ class BucketView:
         last_touched: the last revision that all workers must acknowledge.
         settings, members, holders: the records; members by their ids, holders by slots.
         seen: the last change of each key.
-        vanished: workers whose keys were deleted although they had not ended; with the time.
-        uncertain: the keys of slots that changed hands although no holder gave them up; with
-            the revision of that change.
+        vanished: ids of workers whose keys were deleted although they had not ended, each with the
+            time of the deletion.
+        uncertain: keys of slots whose holder changed although the previous holder neither wrote
+            this nor had ended, each with the revision of the change.
         unreadable: the keys with invalid values, each with the reason. Their previous values
             are forgotten.
         changes: the number of changes, without those that only renew the lease of a worker.
@@ -84,10 +85,11 @@ class BucketView:
 
     def add(self, entry: Entry, at: float) -> bool:
         """
-        Apply a change unless it is known. Return True if it was new.
+        Apply a change unless it was applied before. Return True if it was new.
 
         Args:
-            at: the time at which it was seen, in seconds of one clock.
+            at: the time at which the change was seen, in seconds; all times must come from the same
+                clock.
         """
         if entry.revision <= self.seen.get(entry.key, NEVER).revision:
             return False
@@ -102,7 +104,7 @@ class BucketView:
         return True
 
     def keep_times(self, before: BucketView, at: float) -> None:
-        """Take the times of changes from the view that this one replaces."""
+        """Take over the times of changes from the view that this one replaces."""
         for key, seen in before.seen.items():
             mine = self.seen.get(key)
             if mine is None:
@@ -120,33 +122,33 @@ class BucketView:
 
     @property
     def connections(self) -> Iterator[Connection]:
-        """Yield the connections. Of one that exists in two zones, the newer one counts."""
+        """Yield the connections; for one that is in two zones, only the newer record."""
         return (max(zones.values(), key=_first)[1] for zones in self._connections.values())
 
     @property
     def all_connections(self) -> Iterator[Connection]:
-        """Yield the connections; one that exists in two zones comes twice."""
+        """Yield the connections; one that is in two zones is yielded twice."""
         return (pair[1] for zones in self._connections.values() for pair in zones.values())
 
     def touched_at(self, connection: Connection) -> int:
-        """Return the revision that others must acknowledge before a connection is polled."""
+        """Return the revision that other workers must acknowledge before a connection is polled."""
         touched = self._touched.get(digest_of(connection.key), 0)
         return max(touched, self.uncertain.get(connection.slot.key, 0))
 
     @property
     def used_slots(self) -> list[Slot]:
-        """The slots with connections."""
+        """The slots that contain connections."""
         return [slot for slot, count in self._in_slot.items() if count]
 
     def holder(self, slot: Slot) -> Member | None:
-        """Return the holder of a slot; None if it is not a known worker."""
+        """Return the holder of a slot; None if the holder is not a known worker."""
         return self.members.get(self.holders.get(slot, ""))
 
     def seen_at(self, key: str) -> Seen:
         return self.seen.get(key, NEVER)
 
     def _forget(self, entry: Entry, at: float) -> str:
-        """Forget the value of a key. Return the previous holder, if the key is that of a slot."""
+        """Forget the value of a key. Return the previous holder if the key is a slot's, else ""."""
         self.unreadable.pop(entry.key, None)
         kind, _, rest = entry.key.partition(".")
         if kind == "worker":

@@ -1,24 +1,26 @@
 """
-The decisions of a worker: its lease, its slots, and the connections that it may poll. No socket, no
-clock: it is told what was seen and at what time, and returns what to write.
+The decisions of a worker: its lease, its slots, and the connections that it may poll. It uses
+neither sockets nor clocks: the caller passes the changes that were seen, and the time, and gets
+the values to write.
 
 Why no two workers poll one connection
 --------------------------------------
-All that workers know comes from the bucket, whose changes all of them see in the same order. A
-write succeeds only if its key has not changed.
+Workers know about each other only from the bucket, whose changes all of them see in the same
+order. A write succeeds only if its key has not changed.
 
-* A worker holds its slots while its lease is valid. It counts the lease from before it sent the
-  value that it sees, or that was confirmed, and uses `OWN_PART` of it, less the timeout of the
-  device. Others count the lease from when they saw the value, and wait for `OTHERS_PART`. Each
-  uses its own clock, which may be wrong by 7 %. Only then do they write that the worker has
-  ended, on condition that its value is still the one they saw. That worker sees this, and begins
-  anew with another id.
-* A slot passes to another worker when its holder writes that, after closing its connections; or
-  when its holder has ended, by its own word or that of the others. A slot without a known holder
-  may be held by a worker whose key was deleted: it is taken after the longest lease.
-* A connection that appears in a slot may have been in another one. It is polled when all workers
-  have acknowledged the revision that brought it. The same holds for a slot that changed hands in
-  any other way: because another program wrote to the bucket, or the bucket lost confirmed writes.
+* A worker holds its slots while its lease is valid. It counts the lease from just before it sent
+  the value that it then saw, or that was confirmed, and uses `OWN_PART` of it, less the timeout of
+  the device. Other workers count the lease from when they saw the value, and wait for `OTHERS_PART`
+  of it before they write that the worker has ended. Each uses its own clock, which may be wrong by
+  7 %. This write succeeds only if the value is still the one that they saw. The worker itself, if
+  it still runs, sees the write, and begins anew with another id.
+* A slot passes to another worker when its holder writes so, after closing its connections, or when
+  it is recorded, by the holder or by another worker, that the holder has ended. A slot without a
+  known holder may be held by a worker whose key was deleted: it is taken after the longest lease.
+* A connection that appears in a slot may have been in another slot before. It is polled when all
+  workers have acknowledged the revision with which it appeared. The same holds for a slot whose
+  holder changed in any other way: because another program wrote to the bucket, or because the
+  bucket lost confirmed writes.
 """
 
 from __future__ import annotations
@@ -35,13 +37,14 @@ from .view import BucketView, Entry
 
 __all__ = ["Put", "Worker"]
 
-# The part of a lease after which a worker without a new value gets no slots.
+# The fraction of a lease after which a worker that has not renewed it gets no slots.
 FRESH = 0.5
 
-# The part of a lease after which a worker that does not see its own values reads the bucket again.
+# The fraction of a lease after which a worker that does not see its own values reads the bucket
+# again.
 BLIND = 0.3
 
-# Leases after which the bucket is read again: purged keys vanish without a change.
+# The time after which the bucket is read again, in leases: no change reports that a key was purged.
 READ_AGAIN = 60
 
 # Failed attempts to write a key after which the bucket is read again.
@@ -56,6 +59,7 @@ class Put(NamedTuple):
     A write to the bucket.
 
     Attributes:
+        key: the key to write or delete.
         value: the new value; None to delete the key.
         last: the revision that the key must still have; 0 if it must not exist.
         beat: the number of a value of this worker itself; 0 for other keys.
@@ -73,12 +77,12 @@ class Worker:
 
     Args:
         new_id: returns a new id: ``NAME.NONCE``.
-        zones: the zones whose connections it polls; "" is that of devices without a zone.
+        zones: the zones whose connections it polls; "" is the zone of devices without a zone.
 
     Attributes:
         view: the known contents of the bucket.
-        lease: its own lease.
-        active: the connections that it polls, by their keys, as of the last step.
+        lease: the lease of this worker.
+        active: the connections that it polls since the last step, by their keys.
         waiting: keys of connections that other workers have not acknowledged yet.
         left: True once it has ended after `leave`.
         due: the time at which the next `step` may decide something. Changes of the bucket and
@@ -94,13 +98,13 @@ class Worker:
         self._snapshot: BucketView | None = None
         # When the last snapshot of the bucket was complete.
         self._since = math.inf
-        # When it last saw its own value, and since when without a gap: only then can it tell
-        # that others are silent.
+        # When it last saw its own value, and since when it has seen its values without a gap: the
+        # silence of other workers counts only from then.
         self._heard_at = self._hears_since = -math.inf
         self._longest_lease = 0.0
         self._leaving = False
         self._goes_on = False
-        # The slots that must change hands, each with its new holder, and what that depends on.
+        # The last result of `_shared`, after all that it depends on.
         self._shared_before: tuple[tuple[Any, ...], dict[Slot, str]] | None = None
         self._silent: set[str] = set()
         self.active: dict[str, Connection] = {}
@@ -110,7 +114,7 @@ class Worker:
     # Input
 
     def begins(self) -> None:
-        """Begin a snapshot: the whole bucket follows."""
+        """Begin a snapshot; the changes that follow are the whole contents of the bucket."""
         self._snapshot = BucketView()
 
     def saw(self, entry: Entry, now: float) -> None:
@@ -129,7 +133,7 @@ class Worker:
                 self._due_at(-math.inf)
 
     def is_synced(self, now: float) -> None:
-        """End the snapshot: changes follow."""
+        """End the snapshot; later changes are new ones."""
         if self._snapshot is None:
             return
         view, before, self._snapshot = self._snapshot, self.view, None
@@ -148,15 +152,15 @@ class Worker:
 
     def was_written(self, put: Put, revision: int) -> None:
         """
-        Apply the confirmation of a write. It extends the lease even if this worker sees no
-        changes: no other worker had written that it has ended.
+        Apply the confirmation of a write. It extends the lease even if this worker sees no changes,
+        because it proves that no other worker had recorded the end of this one.
         """
         if put.beat and put.key == self.lease.key and not self._leaving:
             self.lease.is_confirmed(put.beat, revision)
             self._was_heard()
 
     def leave(self) -> None:
-        """Stop polling, and write that this worker has ended: others take its slots at once."""
+        """Stop polling. The next step records the end of this worker; others take its slots."""
         self._leaving = True
         self.active = {}
         self._due_at(-math.inf)
@@ -193,8 +197,8 @@ class Worker:
 
     def step(self, now: float, report: Callable[[], Mapping[str, Any]] = dict) -> list[Put]:
         """
-        Return what to write, and update `active`. Stop polling connections that it does not
-        contain any more before writing.
+        Return what to write, and update `active`. The caller must stop polling connections that are
+        no longer in `active` before it writes.
 
         Args:
             report: returns numbers about the devices, for `fleet status`.
@@ -226,7 +230,7 @@ class Worker:
         self.due = min(self.due, at)
 
     def _is_before(self, at: float, now: float) -> bool:
-        """Return True if a time is in the future; a step is due then."""
+        """Return True if a time is in the future, and make a step due at that time."""
         if now < at:
             self._due_at(at)
             return True
@@ -241,7 +245,7 @@ class Worker:
             self._due_at(-math.inf)
 
     def _awaits(self, key: str) -> bool:
-        """Return True if even the renewal of a lease may change the next decision."""
+        """Return True if a change of this key may matter even if it only renews a lease."""
         return bool(self.waiting) or not self._is_valid or key in self._silent
 
     def _heard_until(self, member: Member) -> float:
@@ -300,12 +304,12 @@ class Worker:
 
     @property
     def _others(self) -> Iterator[Member]:
-        """The other workers that may hold slots."""
+        """Yield the other workers that may hold slots."""
         members = self.view.members.values()
         return (each for each in members if each.id != self.lease.id and each.state != "ended")
 
     def _ends(self, now: float) -> Iterator[Put]:
-        """Yield writes that workers have ended whose leases have expired."""
+        """Yield writes that record the end of workers whose leases have expired."""
         for member in self._others:
             at = max(self._hears_since, self.view.seen_at(member.bucket_key).at)
             if not self._is_before(at + member.lease * OTHERS_PART, now):
@@ -314,7 +318,7 @@ class Worker:
                 )
 
     def _forgotten(self, now: float) -> Iterator[Put]:
-        """Yield deletions of workers that ended long ago; the first worker does it for all."""
+        """Yield deletions of workers that ended long ago, if no other worker has a lower id."""
         ended = [each for each in self.view.members.values() if self._is_forgotten(each, now)]
         if not ended or any(each.id < self.lease.id for each in self._others):
             return
@@ -335,8 +339,8 @@ class Worker:
 
     def _shared(self, now: float) -> dict[Slot, str]:
         """
-        Return the new holders of slots that this worker must hand over or take, and of those
-        that it has closed. Slots of silent workers wait for the end of their leases.
+        Return the new holders of slots that this worker must hand over or take, and of those that
+        it has closed. Slots of silent workers are left out until their leases end.
         """
         view, me = self.view, self.lease.id
         eligible = {
@@ -361,7 +365,7 @@ class Worker:
         return self._shared_before[1]
 
     def _slots(self, shared: Mapping[Slot, str], now: float) -> Iterator[Put]:
-        """Yield writes that take free slots, and hand over those that others should hold."""
+        """Yield writes that take free slots, and hand over slots that other workers should hold."""
         me = self.lease.id
         for slot, heir in shared.items():
             revision = self.view.seen_at(slot.key).revision
@@ -389,7 +393,7 @@ class Worker:
         return not self._is_before(free_since + self._longest_lease * OTHERS_PART, now)
 
     def _put(self, key: str, value: bytes | None, now: float) -> Iterator[Put]:
-        """Yield a write; repeat it only after a pause, or when the key has changed."""
+        """Yield a write, unless the same one was yielded recently and the key has not changed."""
         settings = self.view.settings
         revision = self.view.seen_at(key).revision
         last, at, tries = self._asked.get(key, (-1, 0.0, 0))

@@ -135,7 +135,7 @@ def test_an_engine_without_jetstream_or_with_another_bucket_is_refused(file, cap
         assert "bucket modbus-fleet has unexpected settings: history 5, not 1" in line
         asyncio.run(_bucket(server.urls, history=1))
         asyncio.run(_write(server.urls, "settings", b'{"format": 7}'))
-        assert "format 7; this version knows 1" in one_line(capsys, *status)
+        assert "format 7 is not supported; this version reads format 1" in one_line(capsys, *status)
 
 
 async def _bucket(url: str, history: int) -> None:

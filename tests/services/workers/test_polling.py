@@ -484,7 +484,7 @@ class TestDevices:
                 await until(lambda: names(worker))
                 assert names(worker) == ["fan", "pump", "valve"]
                 (told,) = [text for text in caplog.messages if "is not polled" in text]
-                assert "'pump' is not polled: tcp:192.0.2." in told
+                assert "'pump' is not polled, because tcp:192.0.2." in told
 
         run(main())
 

@@ -60,7 +60,7 @@ def test_nothing_is_pushed_where_others_do_at_the_same_time() -> None:
             return await put(key, value, last)
 
         bucket.put = overtaken  # type: ignore[method-assign]
-        with pytest.raises(EngineError, match="changed by others"):
+        with pytest.raises(EngineError, match="other programs change the bucket"):
             await pushed(bucket)
         assert len(bucket.puts) == 5
 

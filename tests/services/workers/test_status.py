@@ -128,7 +128,7 @@ def test_a_worker_that_came_between_the_two_looks_is_here() -> None:
     ("settings", "said"),
     [
         (None, "there is no fleet yet; put it there with --push"),
-        (b'{"format": 99}', "settings: format 99; this version knows 1"),
+        (b'{"format": 99}', "settings: format 99 is not supported; this version reads format 1"),
     ],
 )
 def test_a_bucket_without_a_fleet(settings: bytes | None, said: str) -> None:
