@@ -1,5 +1,5 @@
 """
-Files of any kind: register maps, devices, gateways and fleets.
+Loads files of any kind: register maps, devices, gateways and fleets.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ __all__ = ["load"]
 
 def load(path: str | PathLike[str]) -> RegisterMap | Simulation | GatewayFile | FleetFile:
     """
-    Read a file of any kind that this package has.
+    Load a register map, or a device, gateway or fleet file. The contents decide which it is.
 
     Args:
-        path: of a register map in CSV (its name ends with ``.csv``, ``.tsv`` or ``.txt``) or
-            TOML, or of a device, gateway or fleet file.
+        path: the path of the file. A register map in CSV has a name that ends with ``.csv``,
+            ``.tsv`` or ``.txt``; other files are TOML.
 
     Returns:
         What the file describes: a `RegisterMap`; a `Simulation`, which ``Server(*simulation)``
         serves; a `GatewayFile` or a `FleetFile`.
 
     Raises:
-        FileError: a ValueError: the file cannot be read, is of none of these kinds, or contains
-            a mistake; it names file, line and key.
+        FileError: a ValueError: the file cannot be read, is not of one of these kinds, or contains
+            a mistake. The message names the file and, where it can, the line and the key.
     """
     name = fspath(path)
     if PurePath(name).suffix.lower() in (".csv", ".tsv", ".txt"):
@@ -51,7 +51,10 @@ def load(path: str | PathLike[str]) -> RegisterMap | Simulation | GatewayFile | 
     kinds = {load: None for key in content if (load := _LOADERS.get(key)) is not None}
     if len(kinds) != 1:
         found = reprlib.repr(list(content))
-        reason = f"must have the keys of one kind of file, {', '.join(_LOADERS)}, not {found}"
+        reason = (
+            "must have top-level keys of exactly one kind of file"
+            f" ({', '.join(_LOADERS)}), not {found}"
+        )
         raise FileError((), reason, place=FilePlace(name))
     (loader,) = kinds
     return loader(path)  # type: ignore[no-any-return]
@@ -89,4 +92,4 @@ _LOADERS: dict[str, Callable[[str | PathLike[str]], Any]] = {
     "device": _fleet,
     "devices": _fleet,
 }
-"""Key at the top of a file in TOML -> what loads such a file."""
+"""Key at the top level of a TOML file -> the function that loads such a file."""

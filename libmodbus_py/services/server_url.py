@@ -20,8 +20,8 @@ class ServerUrl(NamedTuple):
     Attributes:
         scheme: in lower case.
         host: a name in lower case, or an address; an IPv6 address has no brackets.
-        port: 1..65535, the usual one of the scheme unless the URL has another; 0 if the port of
-            the URL is wrong.
+        port: 1..65535; the default of the scheme if the URL has none; 0 if the port in the URL is
+            invalid.
         has_login: True if the URL contains a user or a password.
     """
 
@@ -32,7 +32,7 @@ class ServerUrl(NamedTuple):
 
     @property
     def place(self) -> str:
-        """Host and port, the same for all spellings of them."""
+        """Host and port, equal for all spellings of the same host and port."""
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
 
 
@@ -40,10 +40,11 @@ def server_url(
     text: str, ports: Mapping[str, int], *, may_have_path: bool = False
 ) -> ServerUrl | None:
     """
-    Read the URL of a server; return None if the text is none.
+    Read the URL of a server; return None if the text is not one.
 
     Args:
-        ports: scheme -> its usual port.
+        text: the URL.
+        ports: allowed scheme -> its default port.
         may_have_path: True if a path may follow the port.
     """
     try:
@@ -67,11 +68,12 @@ def url_without_login(
     given: object, ports: Mapping[str, int], example: str, *, may_have_path: bool = False
 ) -> ServerUrl:
     """
-    Read the argument `url` of an output, whose user and password are arguments of their own.
+    Read the argument `url` of an output that has separate arguments for user and password.
 
     Args:
+        given: the argument.
         ports, may_have_path: as for `server_url`.
-        example: a URL, for errors.
+        example: a valid URL, for error messages.
 
     Raises:
         TypeError, ValueError: the argument is not such an URL, or contains a user or a password.
@@ -80,9 +82,9 @@ def url_without_login(
         raise WrongType("url", f"must be text, not {type(given).__name__}")
     found = server_url(given, ports, may_have_path=may_have_path)
     if found is not None and found.has_login:
-        raise WrongValue.about("url", "write user and password as keys of their own")
+        raise WrongValue("url", "must not contain a user or password: write them as separate keys")
     if found is None:
-        raise WrongValue("url", f'must be such as "{example}", not {given!r}')
+        raise WrongValue("url", f'must be a URL such as "{example}", not {given!r}')
     if not found.port:
         raise WrongValue.about("url", f"the port must be in 1..65535: {given!r}")
     return found

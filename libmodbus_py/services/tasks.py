@@ -1,5 +1,5 @@
 """
-The end of tasks, which may lose a cancellation or have been cancelled already.
+Ends tasks, also those that lose a cancellation, and makes last calls in cancelled tasks.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ AGAIN = 5.0
 
 async def end_tasks(tasks: Collection[asyncio.Task[Any]]) -> None:
     """
-    Cancel tasks, and wait until all have ended; what they raise is theirs.
+    Cancel tasks, and wait until all have ended. Exceptions that they raise are ignored.
 
     One cancellation is not enough: `asyncio.wait_for` of Python 3.11, which the clients of MQTT
-    and NATS use, loses one that comes together with what it waits for.
+    and NATS use, loses a cancellation that arrives together with the result that it waits for.
     """
     while waiting := [task for task in tasks if not task.done()]:
         for task in waiting:
@@ -30,10 +30,11 @@ async def end_tasks(tasks: Collection[asyncio.Task[Any]]) -> None:
 
 async def finish(call: Coroutine[Any, Any, Any], seconds: float) -> None:
     """
-    Run the last call of something that is closed, for so many seconds; what it raises is dropped.
+    Run the last call of an object that is being closed, for at most so many seconds. An exception
+    that it raises is ignored.
 
-    Within a task that was cancelled, `asyncio.timeout` of Python 3.11.2 raises CancelledError at
-    its end, so that what follows it would not be closed.
+    In a task that was cancelled, `asyncio.timeout` of Python 3.11.2 raises CancelledError at its
+    end, so that objects after it would not be closed.
     """
     task = asyncio.ensure_future(call)
     try:

@@ -43,9 +43,9 @@ def test_a_map_in_toml_is_a_map(tmp_path: Path) -> None:
 @each_case(
     ("text", "message"),
     [
-        ("", "{}: must have the keys of one kind of file, point, unit, route, listen, device, "),
-        ("x = 1", "{}: must have the keys of one kind of file, "),
-        ("[[unit]]\n[[route]]", "{}: must have the keys of one kind of file, "),
+        ("", "{}: must have top-level keys of exactly one kind of file (point, unit, route, "),
+        ("x = 1", "{}: must have top-level keys of exactly one kind of file ("),
+        ("[[unit]]\n[[route]]", "{}: must have top-level keys of exactly one kind of file ("),
         ("[[unit]", "{}: Expected ']]'"),
         ("[[unit]]\nid = 300", "{}, line 2: unit[0].id must be in 0..255, not 300"),
         ("[[point]]\nname = 1", "{}, line 1: point[0].table is missing"),

@@ -1,5 +1,5 @@
 """
-Metrics over HTTP: for the command line, and for programs without a web server.
+Serves metrics over HTTP, for the command line and for programs without a web server.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from .prometheus import REGISTRY, CollectorRegistry, MetricsHandler
 
 __all__ = ["exposing"]
 
-# Seconds that a request and its answer may take.
+# Seconds that an HTTP request and its response may take.
 LIMIT = 3.0
 
 
@@ -24,9 +24,10 @@ def exposing(host: str, port: int, registry: CollectorRegistry = REGISTRY) -> It
     Args:
         host: the address to listen on.
         port: the port to listen on; 0 for any free port.
+        registry: the registry whose metrics are served.
 
     Returns:
-        The URL of the metrics, with the port.
+        A context manager, whose value is the URL of the metrics with the port.
 
     Raises:
         OSError: the address or the port cannot be used.

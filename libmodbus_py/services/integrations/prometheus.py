@@ -5,10 +5,10 @@ The statistics of clients, servers, gateways and fleets as metrics of Prometheus
 
     from libmodbus_py.services.integrations.prometheus import collect
 
-    collect(server, plc)                  # in prometheus_client's own REGISTRY
+    collect(server, plc)                  # adds them to the default registry of prometheus_client
     prometheus_client.start_http_server(9400)
 
-Statistics are read when the metrics are scraped. Requests cost nothing more.
+Statistics are read when the metrics are scraped; requests do not become slower.
 
 * ``modbus_client_requests_total{endpoint,function,result}``: the outcomes of requests;
 * ``modbus_client_request_duration_seconds{endpoint}``: response times, a histogram;
@@ -16,15 +16,15 @@ Statistics are read when the metrics are scraped. Requests cost nothing more.
 * ``modbus_client_..._total{endpoint}`` and ``modbus_server_..._total``: the counters of
   `Statistics` (`requests` is ``modbus_client_requests_sent_total``) and `ServerStatistics`;
 * ``modbus_server_connections``: the open connections;
-* ``modbus_server_certificate_end_timestamp_seconds``: the time at which the certificate of an
-  endpoint ends;
+* ``modbus_server_certificate_end_timestamp_seconds{endpoint}``: the time at which the certificate
+  of an endpoint expires;
 * ``modbus_gateway_..._total``: the counters of `GatewayStatistics`, those of its lines with
-  the label ``line``, and those of their units with ``line`` and ``unit``; the lines' own
-  connections are clients, whose ``endpoint`` is the URL of the line;
+  the label ``line``, and those of their units with ``line`` and ``unit``. The connection of a line
+  also has the metrics of a client, whose ``endpoint`` is the URL of the line;
 * ``modbus_fleet_...``: the counters of `FleetStatistics`, those of its outputs with the label
   ``output``, and how late polls began, a histogram;
-* ``modbus_fleet_value{device,name,unit}``: the last values of a fleet that are numbers and good
-  (`LastValues`), with the labels of their devices.
+* ``modbus_fleet_value{device,name,unit}``: the last values of the points of a fleet
+  (`LastValues`), as far as they are good and numbers, with the labels of their devices.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class MetricKind(NamedTuple):
     labels: Callable[[Any, str], Labels]
 
 
-# --- which metrics there are ---------------------------------------------------------------
+# --- the metrics ---------------------------------------------------------------------------
 
 
 def _texts(kind: type) -> dict[str, str]:
@@ -123,7 +123,7 @@ def _texts(kind: type) -> dict[str, str]:
 
 
 def _counters(prefix: str, kind: type, others: Iterable[str]) -> dict[str, Family]:
-    """Return the metrics of the attributes that are counters, by attribute."""
+    """Return the metrics of the attributes of a class, without `others`, by attribute."""
     texts = _texts(kind)
     names = [each.name for each in fields(kind) if each.name not in others]
     return {name: Family(f"{prefix}_{name}", "counter", texts.get(name, name)) for name in names}
@@ -150,7 +150,7 @@ SERVER = _counters("modbus_server", ServerStatistics, ("certificate_ends",))
 SERVER["connections"] = SERVER["connections"]._replace(type="gauge")
 CERTIFICATE = Family(
     "modbus_server_certificate_end_timestamp_seconds", "gauge",
-    "Time at which the certificate of an endpoint ends.", min,
+    "Time at which the certificate of an endpoint expires.", min,
 )  # fmt: skip
 GATEWAY = _counters("modbus_gateway", GatewayStatistics, ("lines",))
 FLEET = _counters(
@@ -320,7 +320,7 @@ class _Watched:
         return self._statistics() is None
 
     def look(self) -> None:
-        """Read the values. Those of deleted statistics stay as they were."""
+        """Read the values. Those of statistics that were deleted do not change any more."""
         statistics = self._statistics()
         if statistics is not None:
             self.values = {
@@ -333,9 +333,10 @@ class Collector(_Collector):
     """
     Provides the metrics of clients, servers, gateways and fleets to a registry. Thread-safe.
 
-    Objects are referenced weakly: deleted objects disappear. Values of clients of the same
-    endpoint, and of servers of the same name, are added up. The counts of a deleted object remain
-    while another object has the same labels, because a counter must not fall.
+    Objects are referenced weakly, so that the metrics of deleted objects disappear. Counts of
+    objects with the same labels, such as clients of one endpoint or servers of one name, are added
+    up. The counts of a deleted object remain while another object has the same labels, because a
+    counter must not decrease.
     """
 
     def __init__(self) -> None:
@@ -350,11 +351,11 @@ class Collector(_Collector):
         Args:
             objects: clients, servers, gateways, fleets, and `LastValues` of fleets. Handles of
                 a client (`for_unit`) count as that client.
-            name: the label ``server`` of servers and gateways, ``fleet`` of fleets; empty for
-                none.
+            name: the value of the label ``server`` of servers and gateways, or ``fleet`` of fleets;
+                empty for no such label.
 
         Raises:
-            TypeError: an object of another class.
+            TypeError: an object has another class.
         """
         watched = [
             (each, statistics)
@@ -365,7 +366,9 @@ class Collector(_Collector):
         for each, statistics in watched:
             if type(statistics) not in KINDS:
                 given = type(each).__name__
-                raise TypeError(f"objects must be clients, servers or gateways, not {given}")
+                raise TypeError(
+                    f"objects must be clients, servers, gateways, fleets or LastValues, not {given}"
+                )
         with self._lock:
             for each, statistics in watched:
                 if not any(other.of(statistics) for other in self._watched):
@@ -431,11 +434,14 @@ def collect(*objects: Counted, name: str = "", registry: CollectorRegistry = REG
 
     Args:
         objects, name: as for `Collector.add`.
-        registry: the default registry of prometheus_client unless given. Each registry has one
-            collector, which is registered by the first call.
+        registry: the registry; by default that of prometheus_client. Each registry has one
+            collector, which the first call registers.
+
+    Returns:
+        The collector of the registry.
 
     Raises:
-        TypeError: an object of another class.
+        TypeError: an object has another class.
         ValueError: another collector of the registry has metrics of the same names.
     """
     with _collectors_lock:

@@ -224,7 +224,7 @@ SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
         (
             "[output.mqtt]\nurl = 'http://x'\n" + SIMPLE,
             2,
-            'output.mqtt.url must be such as "mqtt://192.0.2.1:1883"',
+            'output.mqtt.url must be a URL such as "mqtt://192.0.2.1:1883"',
         ),
         (
             "[output.mqtt]\nurl = 'mqtt://x'\npassword = 'secret'\n" + SIMPLE,

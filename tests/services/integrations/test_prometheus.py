@@ -330,7 +330,7 @@ def test_a_closed_server_stays_as_long_as_somebody_has_it(registry: CollectorReg
 def test_what_is_neither_client_nor_server_is_refused(registry: CollectorRegistry) -> None:
     server = Server(DEVICE)
     for wrong in (DEVICE, None, "tcp://127.0.0.1"):
-        with pytest.raises(TypeError, match="objects must be clients, servers or gateways, not "):
+        with pytest.raises(TypeError, match="objects must be clients, servers, gateways, fleets"):
             collect(server, wrong, registry=registry)  # type: ignore[arg-type]
     assert not values(registry)  # not the first one without the others
 

@@ -8,16 +8,16 @@ A backend of Home Assistant's modbus-connection: connections and units built on 
 
     connection = ModbusConnection(ModbusTcpParams(host="192.0.2.10"), timeout=3)
     await connection.for_unit(1).read_holding_registers(100, 3)
-    connection.statistics                # counters of the connection, through all reconnections
+    connection.statistics                # counters, which continue after a reconnection
 
 Files::
 
     connection   ClientConnection: connects, closes, and sends one request at a time
     units        ConnectionUnit: the 19 operations of a unit
-    places       the URLs of parameters; the supported framings
+    places       converts parameters to URLs; the supported framings
     causes       converts errors of this package to those of modbus-connection
 
-It needs Python 3.13 or newer and modbus-connection: libmodbus-py[homeassistant].
+It needs Python 3.13 or newer, and modbus-connection, which libmodbus-py[homeassistant] installs.
 """
 
 from __future__ import annotations
@@ -59,22 +59,22 @@ class ModbusConnection(ClientConnection):
     Requests are sent one at a time, and none is sent twice: neither after a lost connection, nor
     after a timeout, nor when the device is busy. After a timeout the connection is kept, and a
     late response is dropped. A response to another request closes the connection
-    (ModbusDesyncError).
+    and raises ModbusDesyncError.
 
     A connection belongs to the event loop that uses it first.
 
     Args:
         params: ``ModbusTcpParams``, ``ModbusUdpParams``, ``ModbusTlsParams`` or
             ``ModbusSerialParams``, whose `device` may be ``socket://HOST:PORT``.
-        timeout: seconds for one request, and for connecting; 10 unless given here or by a unit
-            (``require_timeout``).
+        timeout: seconds for one request, and for connecting; 10 unless this argument or a unit
+            (``require_timeout``) sets another timeout.
         message_spacing: seconds from the end of a request to the start of the next one.
         connect_delay: seconds between connecting and the first request.
 
     Attributes:
         url: the URL of the connection, as for `AsyncClient`.
-        statistics: a `Statistics` with the counters of the connection, through all
-            reconnections; ``integrations.prometheus.collect`` accepts the connection.
+        statistics: a `Statistics` with the counters of the connection, which continue after a
+            reconnection; ``integrations.prometheus.collect`` accepts the connection.
         last_error: the message of the last error; empty if there was none.
 
     Raises:
@@ -87,7 +87,7 @@ class ModbusConnection(ClientConnection):
         Return a handle for a unit, 0..255. On serial lines unit 0 is a broadcast: writes only.
 
         Raises:
-            TypeError, ValueError: `unit_id` has the wrong type or range.
+            TypeError, ValueError: `unit_id` has the wrong type, or is out of range.
         """
         return ConnectionUnit(self, integer("unit_id", unit_id, 0, 255))
 
@@ -129,7 +129,7 @@ async def connect_udp(
     framer: Literal["socket", "rtu", "ascii"] = "socket",
     **times: Unpack[Timings],
 ) -> ModbusConnection:
-    """Connect over UDP; as `connect_tcp`, but `framer` must not be "ascii"."""
+    """Connect over UDP, like `connect_tcp`; `framer` must not be "ascii"."""
     return await _connected(ModbusUdpParams(host=host, port=port, framer=framer), times)
 
 
@@ -145,7 +145,7 @@ async def connect_tls(
     sslctx: ssl.SSLContext | None = None,
     **times: Unpack[Timings],
 ) -> ModbusConnection:
-    """Connect over TLS; as `connect_tcp`, with the certificates of ``ModbusTlsParams``."""
+    """Connect over TLS, like `connect_tcp`; other arguments are as for ``ModbusTlsParams``."""
     params = ModbusTlsParams(
         host=host,
         port=port,
@@ -169,7 +169,10 @@ async def connect_serial(
     framer: Literal["rtu", "ascii"] = "rtu",
     **times: Unpack[Timings],
 ) -> ModbusConnection:
-    """Connect to a serial port, or to a serial server at ``socket://HOST:PORT``."""
+    """
+    Connect to a serial port, or to a serial server at ``socket://HOST:PORT``. Errors are as for
+    `connect_tcp`.
+    """
     params = ModbusSerialParams(
         device=port,
         baudrate=baudrate,

@@ -18,7 +18,7 @@ from ....protocol.errors import (
 
 __all__ = ["Cause", "not_connected", "told"]
 
-# RuntimeError is raised by asyncio and by clients if another event loop uses them.
+# asyncio and clients raise RuntimeError if another event loop uses them.
 Cause: TypeAlias = ModbusError | theirs.ModbusError | RuntimeError
 
 KINDS: tuple[tuple[type[BaseException], type[theirs.ModbusError]], ...] = (
@@ -32,7 +32,7 @@ KINDS: tuple[tuple[type[BaseException], type[theirs.ModbusError]], ...] = (
 def told(error: Cause, operation: str) -> theirs.ModbusError:
     """Return the error of modbus-connection for an operation; the message names the operation."""
     text = f"{operation}: {_reason(error)}"
-    if isinstance(error, theirs.ModbusError):  # several operations waited for it
+    if isinstance(error, theirs.ModbusError):  # perhaps one that several operations waited for
         return type(error)(text)
     if isinstance(error, ExceptionResponse):
         return theirs.ModbusExceptionError.from_code(error.code, text)
@@ -53,7 +53,7 @@ def _kind(error: ModbusError | RuntimeError) -> type[theirs.ModbusError]:
 
 
 def _reason(error: Cause) -> str:
-    """Return the message of an error without the request, which the operation names."""
+    """Return the message of an error without its request, because the operation names that."""
     if isinstance(error, ModbusError):
         place = "" if error.unit is None or not error.asked else f"unit {error.unit}: "
         return f"{place}{error.args[0]}"

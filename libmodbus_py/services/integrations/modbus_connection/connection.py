@@ -26,7 +26,7 @@ Result = TypeVar("Result")
 
 SHORTEST, LONGEST = 0.001, 86_400.0
 
-# Timeouts in a row that close the connection: more than there ever are.
+# The number of consecutive timeouts that closes the connection: more than ever occur.
 NEVER = 1_000_000
 
 FILES = ("verify", "client_cert", "client_key")
@@ -34,10 +34,10 @@ FILES = ("verify", "client_cert", "client_key")
 
 class ClientConnection(theirs.ModbusConnection):
     """
-    See `ModbusConnection`.
+    The base of `ModbusConnection`, which describes the arguments and attributes.
 
-    The base class decides when to connect, to wait and to close. Each time it connects there is
-    a new `AsyncClient`.
+    The base class of modbus-connection decides when to connect, to wait and to close. A new
+    `AsyncClient` is made for each connection.
     """
 
     _client: AsyncClient | None
@@ -71,10 +71,10 @@ class ClientConnection(theirs.ModbusConnection):
     # --- connecting ---------------------------------------------------------------------------
 
     async def _connect_client(self) -> AsyncClient:
-        # When the connection is lost, the client is closed in the pause before its next attempt.
+        # After the connection is lost, the client is closed before it tries to connect again.
         client = AsyncClient(
             self.url,
-            timeout=min(max(self._timeout, SHORTEST), LONGEST),  # units may ask for any, even 0
+            timeout=min(max(self._timeout, SHORTEST), LONGEST),  # units may require any, even 0
             timeouts_before_reconnect=NEVER,
             security=await self._security(),
             statistics=self.statistics,
@@ -95,7 +95,7 @@ class ClientConnection(theirs.ModbusConnection):
             return GivenContext(await params.create_ssl_context())
         except OSError as error:  # SSLError is an OSError
             shown = ", ".join(f"{name}={getattr(params, name)!r}" for name in FILES)
-            raise ValueError(f"no TLS with {shown}: {error.strerror or error}") from None
+            raise ValueError(f"cannot use {shown} for TLS: {error.strerror or error}") from None
 
     # --- ending -------------------------------------------------------------------------------
 
@@ -106,7 +106,7 @@ class ClientConnection(theirs.ModbusConnection):
             raise theirs.ModbusConnectionError(f"closing: {error}") from error
 
     def _note_state(self, state: State, error: ModbusError | None) -> None:
-        # Ignore the states of earlier clients, and of a client that is still connecting.
+        # States of earlier clients, and of a client that is still connecting, are ignored.
         client = self._client
         if state is State.DISCONNECTED and client is not None and client.state is state:
             self._on_connection_lost(error)
@@ -117,13 +117,13 @@ class ClientConnection(theirs.ModbusConnection):
             return
         client, self._client = self._client, None
         self.last_error = f"connection lost: {error}"
-        # Closed, because it would connect again for requests that wait.
+        # The client is closed because it would connect again for requests that wait.
         self._run_later(client.close())
-        # Not called from here, so that the event loop handles the exceptions of callbacks.
+        # Called by the event loop, so that it handles the exceptions of callbacks.
         asyncio.get_running_loop().call_soon(self._lost_callbacks.fire)
 
     def close_later(self) -> None:
-        """Close the connection permanently, without waiting for it or an attempt to connect."""
+        """Close the connection permanently, without waiting until it is closed."""
         self._closed = True
         self._run_later(self.close())
 
@@ -155,8 +155,9 @@ class ClientConnection(theirs.ModbusConnection):
         Connect, wait until no other request is under way, and send a request.
 
         Args:
-            operation: the name of the request in errors.
-            ask: sends the request.
+            unit: the unit, for the pauses between requests.
+            operation: the name of the request in error messages.
+            ask: sends the request and returns its result.
 
         Raises:
             modbus_connection.ModbusError: the request failed.
@@ -174,7 +175,7 @@ class ClientConnection(theirs.ModbusConnection):
 
     def handle(self, unit: int) -> AsyncClient:
         """
-        Return the current client, for a unit.
+        Return a handle of the current client for a unit.
 
         Raises:
             modbus_connection.ModbusConnectionError: there is no connection.

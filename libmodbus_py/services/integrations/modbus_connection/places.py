@@ -1,5 +1,5 @@
 """
-The URLs of this package for the parameters of modbus-connection.
+Converts the parameters of modbus-connection to URLs of this package.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ OVER_TCP = "socket://"
 
 def url_of(params: Params) -> str:
     """
-    Return the URL of parameters.
+    Return the URL that parameters of modbus-connection describe.
 
     Raises:
         TypeError: `params` has another class.
@@ -112,5 +112,5 @@ def _checked(name: str, given: str, endpoint: Endpoint) -> str:
     except ValueError:
         pass
     raise ValueError(
-        f"{name} {given!r} is not a valid host or device: {endpoint.url!r} would lead elsewhere"
+        f"{name} {given!r} is invalid: in a URL, {endpoint.url!r}, it would name another endpoint"
     )

@@ -21,7 +21,7 @@ Operation = Callable[Concatenate["ConnectionUnit", Arguments], Coroutine[Any, An
 
 
 def in_turn(ask: Operation[Arguments, Result]) -> Operation[Arguments, Result]:
-    """Make an operation connect, wait for its turn, and raise errors of modbus-connection."""
+    """Decorate an operation: connect, wait for its turn, and raise errors of modbus-connection."""
 
     @functools.wraps(ask)
     async def asking(
@@ -39,7 +39,10 @@ def in_turn(ask: Operation[Arguments, Result]) -> Operation[Arguments, Result]:
 
 
 class WholeServerId(ReportServerId):
-    """A request whose identifier ends before the first byte that can be a run indicator."""
+    """
+    A request for the server id. The identifier in its response ends before the first byte that can
+    be a run indicator.
+    """
 
     __slots__ = ()
 
@@ -51,11 +54,11 @@ class WholeServerId(ReportServerId):
 
 class ConnectionUnit:
     """
-    A unit, as defined by ``modbus_connection.ModbusUnit``; any number of tasks may use it, as
-    long as the connection is not closed.
+    A unit, as defined by ``modbus_connection.ModbusUnit``. Any number of tasks may use it, until
+    the connection is closed.
 
-    Every operation raises subclasses of ``modbus_connection.ModbusError``, and TypeError and
-    ValueError for an invalid argument, before anything is sent.
+    Every operation raises a subclass of ``modbus_connection.ModbusError`` if it fails. It raises
+    TypeError or ValueError for an invalid argument, before anything is sent.
 
     Attributes:
         link: the connection.
@@ -82,15 +85,15 @@ class ConnectionUnit:
         self.link.set_spacing(self.unit_id, seconds)
 
     def require_timeout(self, seconds: float | None) -> None:
-        """Require a timeout of at least so many seconds; None for no requirement."""
+        """Require a timeout of at least this many seconds; None for no requirement."""
         self.link.require_timeout(self.unit_id, seconds)
 
     def require_connect_delay(self, seconds: float | None) -> None:
-        """Require at least so many seconds between connecting and requests; None for none."""
+        """Require at least this many seconds between connecting and requests; None for any."""
         self.link.require_connect_delay(self.unit_id, seconds)
 
     def on_connection_lost(self, callback: Callable[[], None]) -> Callable[[], None]:
-        """Call a function whenever the connection is lost; return a function that ends this."""
+        """Call a function whenever the connection is lost; return a function that stops this."""
         return self.link.on_connection_lost(callback)
 
     async def disconnect(self) -> None:
@@ -101,54 +104,54 @@ class ConnectionUnit:
 
     @in_turn
     async def read_holding_registers(self, address: int, count: int) -> list[int]:
-        """Function 3."""
+        """Read holding registers (function 3)."""
         return await self._client.read_holding_registers(address, count)
 
     @in_turn
     async def read_input_registers(self, address: int, count: int) -> list[int]:
-        """Function 4."""
+        """Read input registers (function 4)."""
         return await self._client.read_input_registers(address, count)
 
     @in_turn
     async def write_register(self, address: int, value: int) -> None:
-        """Function 6."""
+        """Write a register (function 6)."""
         await self._client.write_register(address, value)
 
     @in_turn
     async def write_registers(self, address: int, values: list[int]) -> None:
-        """Function 16."""
+        """Write several registers (function 16)."""
         await self._client.write_registers(address, values)
 
     @in_turn
     async def read_coils(self, address: int, count: int) -> list[bool]:
-        """Function 1."""
+        """Read coils (function 1)."""
         return await self._client.read_coils(address, count)
 
     @in_turn
     async def read_discrete_inputs(self, address: int, count: int) -> list[bool]:
-        """Function 2."""
+        """Read discrete inputs (function 2)."""
         return await self._client.read_discrete_inputs(address, count)
 
     @in_turn
     async def write_coil(self, address: int, value: bool) -> None:
-        """Function 5."""
+        """Write a coil (function 5)."""
         await self._client.write_coil(address, value)
 
     @in_turn
     async def write_coils(self, address: int, values: list[bool]) -> None:
-        """Function 15."""
+        """Write several coils (function 15)."""
         await self._client.write_coils(address, values)
 
     @in_turn
     async def mask_write_register(self, address: int, and_mask: int, or_mask: int) -> None:
-        """Function 22."""
+        """Change bits of a register (function 22)."""
         await self._client.mask_write_register(address, and_mask, or_mask)
 
     @in_turn
     async def read_write_registers(
         self, read_address: int, read_count: int, write_address: int, write_values: list[int]
     ) -> list[int]:
-        """Function 23."""
+        """Write registers, then read registers, in one request (function 23)."""
         return await self._client.read_write_registers(
             read_address, read_count, write_address, write_values
         )
@@ -157,47 +160,47 @@ class ConnectionUnit:
 
     @in_turn
     async def read_exception_status(self) -> int:
-        """Function 7."""
+        """Read the exception status (function 7)."""
         return await self._client.read_exception_status()
 
     @in_turn
     async def diagnostics(self, sub_function: int, data: int = 0) -> int:
-        """Function 8."""
+        """Run a diagnostic sub-function (function 8); return the data of the response."""
         return await self._client.diagnostics(sub_function, data)
 
     @in_turn
     async def get_comm_event_counter(self) -> tuple[bool, int]:
-        """Function 11: whether the device is ready, and how many events there were."""
+        """Return True if the device is ready, and the number of events (function 11)."""
         counter = await self._client.read_comm_event_counter()
         return counter.status == 0, counter.event_count
 
     @in_turn
     async def get_comm_event_log(self) -> bytes:
-        """Function 12: the events, newest first."""
+        """Return the bytes of the last events, newest first (function 12)."""
         return (await self._client.read_comm_event_log()).events
 
     @in_turn
     async def report_server_id(self) -> bytes:
-        """Function 17: the identifier."""
+        """Return the identifier of the server (function 17)."""
         return (await self._client.execute(WholeServerId())).identifier
 
     @in_turn
     async def read_file_record(self, file: int, record: int, length: int) -> list[int]:
-        """Function 20."""
+        """Read one record of a file (function 20)."""
         (values,) = await self._client.read_file_records([(file, record, length)])
         return values
 
     @in_turn
     async def write_file_record(self, file: int, record: int, values: list[int]) -> None:
-        """Function 21."""
+        """Write one record of a file (function 21)."""
         await self._client.write_file_records([(file, record, values)])
 
     @in_turn
     async def read_fifo_queue(self, address: int) -> list[int]:
-        """Function 24."""
+        """Read a FIFO queue (function 24)."""
         return await self._client.read_fifo_queue(address)
 
     @in_turn
     async def read_device_identification(self) -> dict[int, bytes]:
-        """Function 43/14: the basic objects by number."""
+        """Return the basic identification objects by number (function 43/14)."""
         return (await self._client.read_device_identification()).objects

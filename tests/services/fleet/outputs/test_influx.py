@@ -194,11 +194,11 @@ def test_a_demanded_pause_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
 @each_case(
     ("keys", "told"),
     [
-        ({"url": "ftp://192.0.2.1"}, "url must be such as"),
-        ({"url": "http://"}, "url must be such as"),
+        ({"url": "ftp://192.0.2.1"}, "url must be a URL such as"),
+        ({"url": "http://"}, "url must be a URL such as"),
         ({"url": "http://192.0.2.1:99999", "database": "d"}, "url: the port must be in"),
-        ({"url": "http://192.0.2.1/?db=x", "database": "d"}, "url must be such as"),
-        ({"url": "http://me:pw@192.0.2.1", "database": "d"}, "keys of their own"),
+        ({"url": "http://192.0.2.1/?db=x", "database": "d"}, "url must be a URL such as"),
+        ({"url": "http://me:pw@192.0.2.1", "database": "d"}, "write them as separate keys"),
         ({"url": "http://192.0.2.1"}, "either database"),
         ({"url": "http://192.0.2.1", "database": "d", "bucket": "b"}, "either database"),
         ({"url": "http://192.0.2.1", "database": "d", "organization": "o"}, "organization"),
