@@ -1,5 +1,5 @@
 """
-One timer of an event loop that may ring too early, but never too late.
+A timer of an event loop that may ring too early, but never too late.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ __all__ = ["Alarm"]
 
 class Alarm:
     """
-    A timer that is set again only for an earlier time, because most times pass unused.
+    A timer that is replaced only when an earlier time is set, because most timers are not needed.
 
     Args:
         ring: is called in the loop; it sets the alarm again if there is more to wait for.
@@ -35,7 +35,7 @@ class Alarm:
             self._timer = loop.call_at(at, self._rings)
 
     def cancel(self) -> None:
-        """Do not ring; the alarm can be set again."""
+        """Clear the alarm; it can be set again."""
         if self._timer is not None:
             self._timer.cancel()
         self._timer, self.at = None, math.inf

@@ -339,7 +339,7 @@ class Submitted:
 
 
 class _Life:
-    """Lives as long as any handle; warns about a connection left open, and closes it."""
+    """Exists as long as any handle; warns about a connection left open, and closes it."""
 
     def __init__(self, driver: AsyncioDriver) -> None:
         self._driver = driver

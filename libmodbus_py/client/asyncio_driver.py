@@ -1,8 +1,8 @@
 """
-One reader and one timer for a conversation: the asyncio client's side of it.
+The driver of asyncio clients: one reader and one timer for a conversation.
 
-A caller owns neither a task, a timer nor the connection, only its batch and its future.
-Cancelling the caller removes these two, and nothing else.
+A caller owns neither a task, a timer nor the connection, but only its batch and its future.
+Cancelling the caller removes only these two.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class AsyncioDriver:
     Runs the batches of one connection in an event loop.
 
     Args:
-        parts: of the client.
-        is_short: True if requests may be sent without asking `may_send` or keeping a pace.
+        parts: the parts of the client.
+        is_short: True if requests may be sent without calling `may_send` or keeping a pace.
     """
 
     def __init__(self, parts: Parts, is_short: bool) -> None:
@@ -48,7 +48,7 @@ class AsyncioDriver:
         self._endpoint = str(parts.endpoint)
         self._notices = parts.notices
         self._lone = LoneRequest(parts, is_short)
-        # Batches that callers wait for, each with what tells its caller.
+        # Batches that callers wait for, each with the future or function that tells its caller.
         self._callers: dict[Batch, Future[None] | Callable[[], object]] = {}
         self._begin_anew()
         abandoned_in_children(self)
@@ -108,7 +108,7 @@ class AsyncioDriver:
 
     @property
     def changing(self) -> asyncio.Lock:
-        """The lock held by a task that reads, changes and writes a register, one in a loop."""
+        """The lock held by the task that reads, changes and writes a register."""
         loop = asyncio.get_running_loop()
         if self._changing is None or self._changing[0] is not loop:
             self._changing = loop, asyncio.Lock()
@@ -135,8 +135,8 @@ class AsyncioDriver:
         Send the requests of a batch.
 
         Args:
-            caller: its result is set, or it is called, once the batch is settled, perhaps from
-                here. One that fails is logged.
+            caller: a future whose result is set, or a function that is called, once the batch is
+                settled, perhaps before this method returns. Exceptions of the function are logged.
 
         Raises:
             RuntimeError: the client belongs to another event loop.
@@ -167,7 +167,7 @@ class AsyncioDriver:
             self._loop.call_soon(self._enter, self._turn)
 
     def withdraw(self, batch: Batch) -> None:
-        """Drop a batch; its caller is told nothing any more."""
+        """Drop a batch; its outcome is not reported to its caller."""
         self._callers.pop(batch, None)
         if not batch.is_done:
             self._enter(self._abandon, batch)
@@ -177,7 +177,12 @@ class AsyncioDriver:
         self._turn()
 
     async def close(self) -> None:
-        """Raises RuntimeError."""
+        """
+        Close the client.
+
+        Raises:
+            RuntimeError: the client belongs to another event loop.
+        """
         self._bind()
         self._enter(self._close)
         if self._attempt is not None:
@@ -198,9 +203,9 @@ class AsyncioDriver:
 
     def _in_loop(self, call: Callable[[], None]) -> None:
         """
-        Call a function in the event loop: another thread may collect the garbage.
+        Call a function in the event loop, because garbage may be collected in another thread.
 
-        A loop that is not running calls no user functions either: a finalizer runs anywhere.
+        If the loop does not run, no user function is called: a finalizer may run anywhere.
         """
         if self._loop is not None and self._loop.is_running():
             with contextlib.suppress(RuntimeError):  # it was just closed
@@ -234,7 +239,7 @@ class AsyncioDriver:
         Forget the connection and the loop in a forked child: they belong to the parent.
 
         The child shares the epoll of that loop, so nothing is removed from it. The child may use
-        the client in a loop of its own, and is told then that the connection was lost.
+        the client in another loop; the first request there reports that the connection was lost.
         """
         self._port.abandon()
         self._callers.clear()
@@ -258,16 +263,16 @@ class AsyncioDriver:
             raise RuntimeError("this client belongs to another event loop; make one for each loop")
         return loop
 
-    # --- all ways in --------------------------------------------------------------------------
+    # --- entry --------------------------------------------------------------------------------
 
     def _enter(self, act: Callable[..., object], *arguments: Any) -> None:
         """
-        Change the state, and then tell of it; all that changes the state comes through here.
+        Change the state, then report the change. Every change of the state is made through this.
 
-        What an action raises ended it in the midst of its work, at a place that nothing is known
-        of. Then the connection is left, and all calls end; so no caller waits for ever.
+        If an action raises an exception, it is unknown how much of its work was done. Then the
+        connection is given up, and all calls end, so that no caller waits forever.
         """
-        if self._is_inside:  # user code, such as the class of a request, asks for it
+        if self._is_inside:  # called by user code, such as the class of a request
             assert self._loop is not None
             self._loop.call_soon(self._enter, act, *arguments)
             return
@@ -308,7 +313,7 @@ class AsyncioDriver:
 
     def _tell(self) -> None:
         """Call user functions, and wake callers, now that the state is consistent."""
-        if self._is_telling:  # a user function uses the client: the others are told behind it
+        if self._is_telling:  # a user function uses the client; the others are called after it
             return
         self._is_telling = True
         try:
@@ -330,7 +335,7 @@ class AsyncioDriver:
             if not caller.done():
                 caller.set_result(None)
             caller = None
-        # Not sooner, so that nothing raised in between loses a caller.
+        # Not sooner, so that an exception in between does not lose a caller.
         self._callers.pop(batch, None)
         self._ended.popleft()
         if caller is not None:
@@ -366,7 +371,7 @@ class AsyncioDriver:
         self._set_timer()
 
     def _send_alone(self, batch: Batch, now: float) -> None:
-        """Send a request the short way, which ends as soon as anything else happens."""
+        """Send a request without the conversation, until anything but its answer happens."""
         try:
             until = self._lone.send(batch, now)
         except ModbusConnectionError as error:
@@ -385,7 +390,7 @@ class AsyncioDriver:
         if not adus:
             return
         port = self._port
-        # Asked again, because user code was called since, and the process may have stood still.
+        # Checked again, because user code was called since, and the process may have been stopped.
         if self._conversation.is_guarded and not self._conversation.is_allowed():
             self._lose(forbidden(), by_itself=False)
             return
@@ -405,7 +410,7 @@ class AsyncioDriver:
             self._alarm.set(at, self._loop)
 
     def _ring(self) -> None:
-        """Look which timeouts are over, unless the only request in flight has time left."""
+        """Process timeouts that are over, unless the only request in flight has time left."""
         now, until = self._now(), self._lone.until
         if until > now:
             assert self._loop is not None
@@ -426,7 +431,7 @@ class AsyncioDriver:
             self._set_timer()
 
     def _read(self) -> bool:
-        """Take what has come; return True if requests wait to be sent."""
+        """Take the received bytes; return True if requests wait to be sent."""
         conversation, now = self._conversation, self._now()
         try:
             chunks = self._port.receive()
@@ -485,7 +490,7 @@ class AsyncioDriver:
     def _go_on(self) -> None:
         now = self._now()
         if not self._conversation.is_allowed():
-            self._lose(forbidden(), by_itself=False)  # and with it the bytes that it had not sent
+            self._lose(forbidden(), by_itself=False)  # drops the bytes that were not sent yet
             return
         try:
             self._port.go_on(now)
@@ -541,7 +546,7 @@ class AsyncioDriver:
         self._connection.connecting()
 
     def _end_attempt(self, attempt: asyncio.Task[None]) -> None:
-        if attempt is not self._attempt:  # its end was noted before its callback came
+        if attempt is not self._attempt:  # its end was noted before this callback was called
             return
         self._attempt = None
         failure = None if attempt.cancelled() else attempt.exception()
@@ -569,9 +574,9 @@ class AsyncioDriver:
 
     def _fail(self, error: ModbusConnectionError) -> None:
         self._conversation.failed(error, self._now(), self._attempt_until)
-        if self._conversation.is_wanted:  # by callers with more time than the attempt had
+        if self._conversation.is_wanted:  # some callers have more time than the attempt had
             self._turn()
-        else:  # all callers were told, and nothing is in flight
+        else:  # all callers have their outcome, and nothing is in flight
             self._cancel_timers()
 
     def _give_up(self, error: ModbusConnectionError) -> None:
@@ -579,7 +584,7 @@ class AsyncioDriver:
         if self._connection.state is State.CONNECTING:
             self._connection.given_up()
             self._conversation.refuse(error)
-        elif self._conversation.is_wanted:  # by callers since the attempt was cancelled
+        elif self._conversation.is_wanted:  # callers came after the attempt was cancelled
             self._turn()
 
 

@@ -28,12 +28,12 @@ NOT_ASKED: Final = object()
 
 EXPECTS_RESPONSE = attrgetter("expects_response")
 
-# As many requests and answers of full length as the buffers of two sockets hold: with
-# more, both sides might wait for the other to read before they go on.
+# The buffers of two sockets hold this many requests and answers of full length. With more, each
+# side might wait for the other one to read before it goes on.
 MAX_IN_FLIGHT = 256
 
-# The PDU that answers a request, or the error that says why there is none; or what the class of
-# the request raised.
+# The PDU of the answer to a request; or the error that explains why no answer was received; or an
+# exception that the class of the request raised.
 Reply = bytes | BaseException
 
 
@@ -42,10 +42,11 @@ class Pending:
     One request that was sent.
 
     Attributes:
-        index: of the request in its batch.
+        batch: the batch of the request.
+        index: the index of the request in its batch.
         adu: the frame.
-        sent: when it was sent.
-        since: when its timeout began: earlier, if it waited for the connection.
+        sent: the time at which it was sent.
+        since: the time at which its timeout began: before `sent` if it waited for the connection.
         order: its number among the requests of the connection; set by `Capacity`.
         has_company: True if others were in flight when it was sent; set by `Capacity`.
     """
@@ -73,33 +74,34 @@ class Pending:
 
 class Batch:
     """
-    Requests of one caller to one unit, which start in their order; often a single one.
+    Requests of one caller to one unit, which are sent in their order; often a single request.
 
-    A batch is settled as soon as everything before its first failure is; with `go_on` when
-    every request has its outcome. A batch without requests only waits for the connection.
+    A batch is settled as soon as its first failure and all requests before that have an outcome;
+    with `go_on`, when every request has an outcome. A batch without requests only waits for the
+    connection.
 
     Args:
-        name: of a request in messages; braces stand for its index.
+        name: the name of a request in messages; braces stand for its index.
         is_broadcast: True if the requests get no answer.
         pdus: what `encoded` returned for the requests; None to encode them here.
 
     Attributes:
         silent: True for each request that gets no answer; None if all are answered.
-        limit: how many may be in flight.
-        go_on: True to send the other requests after one failed.
-        outcomes: the result of each or its exception.
-        started: how many were sent.
+        limit: how many requests may be in flight.
+        go_on: True to send the other requests after one has failed.
+        outcomes: the result of each request, or its exception.
+        started: how many requests were sent.
         end: requests from this index on are ignored.
         repeated: the number of repetitions, by index and by True if the device was busy.
         sent: the frames of requests that are repeated, by index.
         in_flight: how many requests are pending, or will be repeated.
         queued: True while the batch is in the queue.
         since: when the batch began to wait for a connection; `used`: for how long it did.
-        refusal: the error that says why there is no connection, or None.
-        on_done: called once with the batch when that is settled.
+        refusal: the error that explains why there is no connection, or None.
+        on_done: called once with the batch when the batch is settled.
 
     Raises:
-        TypeError, ValueError: a request that cannot be sent, by its name.
+        TypeError, ValueError: a request cannot be sent; the message contains its name.
     """
 
     # fmt: off
@@ -136,7 +138,7 @@ class Batch:
             self.silent = [True] * len(requests)
         elif not all(expected := [*map(EXPECTS_RESPONSE, requests)]):
             self.silent = [not each for each in expected]
-        # A client without answers cannot tell in which order the others were carried out.
+        # Without an answer, it is unknown whether a request was carried out before the next one.
         self.limit: int = 1 if self.silent else limit
         self.go_on: bool = go_on
         self.outcomes: list[Any] = [NOT_ASKED] * len(requests)
@@ -155,11 +157,11 @@ class Batch:
 
     @property
     def wait_until(self) -> float:
-        """When a batch has waited for a connection for its timeout, which may be changed."""
+        """The time until which a batch waits for a connection; computed from its timeout."""
         return self.since + self.timeouts.timeout
 
     def matters(self, index: int) -> bool:
-        """Return True if the outcome of this request can still change that of the batch."""
+        """Return True if the outcome of this request can still change the outcome of the batch."""
         return index < self.end
 
     def settle(self, index: int, outcome: Any) -> None:
@@ -181,7 +183,7 @@ class Batch:
         self.end = end
 
     def fail(self, error: BaseException) -> None:
-        """End the batch, with this outcome of all requests that are still open."""
+        """End the batch, with this error as the outcome of all requests that have none yet."""
         for index in range(self.end):
             if self.outcomes[index] is NOT_ASKED:
                 self.outcomes[index] = error
@@ -190,7 +192,7 @@ class Batch:
         self.finish()
 
     def finish(self) -> None:
-        """End the batch: outcomes that are still open stay open."""
+        """End the batch; requests without an outcome do not get one."""
         if not self.is_done:
             self.is_done = True
             self.end = 0
@@ -203,7 +205,7 @@ def encoded(request: object, name: str, index: int, is_broadcast: bool) -> bytes
     Check and encode a request.
 
     Raises:
-        TypeError, ValueError: it cannot be sent.
+        TypeError, ValueError: the request cannot be sent.
     """
     if not isinstance(request, Request):
         given = type(request).__name__

@@ -1,8 +1,8 @@
 """
-Polls and sleeps for a conversation: the blocking client's side of it.
+The driver of blocking clients: it waits, reads and sends for a conversation.
 
-Here are threads, forks, signals and the lock; what is asked and answered is decided in
-`conversation`, and the way around it is `shortcut`.
+It deals with threads, forks, signals and the lock. The conversation decides what is sent, and what
+received bytes mean; `shortcut` carries out single requests without the conversation.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LEAVING = 1.0
 Arguments = TypeVarTuple("Arguments")
 Result = TypeVar("Result")
 
-# Silence on a line is shorter than the milliseconds that poll counts.
+# Shorter waits are slept, because silences on a line are shorter than the milliseconds of poll().
 SLEPT = 0.005
 
 
@@ -46,8 +46,8 @@ def _alone(
     """
     Decorate a method so that it runs while no other request is under way.
 
-    The method returns outcomes; an exception that it raises has ended it at an unknown point. The
-    connection is left then, and everything that was to be sent is dropped.
+    The method returns outcomes. If it raises an exception, it is unknown how far it got: the
+    connection is given up, and everything that was to be sent is dropped.
 
     The method raises RuntimeError when it is called from within a request of the same thread.
     """
@@ -62,7 +62,7 @@ def _alone(
                 )
             if self._is_left or self._closed:
                 self._tidy()
-            # Nothing may come between here and the end that a Ctrl-C could skip.
+            # From here to the end, nothing may be left undone by a Ctrl-C.
             try:
                 self._is_busy = self._is_left = True
                 outcome = carry(self, lock, *arguments)
@@ -86,9 +86,9 @@ class BlockingDriver:
     Runs the batches of one connection, one at a time, for any thread.
 
     Args:
-        parts: of the client.
-        native: True to let C carry requests that may go the short way.
-        is_short: True if any request may.
+        parts: the parts of the client.
+        native: True if C may carry out requests for which the shortcut is allowed.
+        is_short: True if the shortcut is allowed for any request.
 
     Attributes:
         waker: waits, on the clock of the port.
@@ -109,7 +109,8 @@ class BlockingDriver:
         weakref.finalize(self, parts.port.close)
 
     def _start_anew(self) -> None:
-        # Reentrant, so that a signal handler that interrupts a request is told, not stuck.
+        # Reentrant, so that a signal handler that sends a request during another one gets an error
+        # and does not wait forever.
         self._lock = threading.RLock()
         self._is_busy = False
         self._is_left = False
@@ -120,14 +121,14 @@ class BlockingDriver:
 
     def wait_until(self, at: float) -> bool:
         """
-        Wait until a time, beside the requests of other threads; return False if `close` was called.
+        Wait until a time; other threads may send requests. Return False if `close` was called.
 
         Raises:
             OSError: the process has no descriptor left.
         """
         waker = self._port.waker()
         try:
-            self._pauses.add(waker)  # before the look at what `close` sets before it wakes
+            self._pauses.add(waker)  # before `_closed` is read: `close` sets it, then wakes
             while not self._closed and self._now() < at:
                 try:
                     waker.wait(-1, READ, at)
@@ -140,7 +141,7 @@ class BlockingDriver:
 
     @property
     def lock(self) -> threading.RLock:
-        """The lock of the connection: while a thread holds it, only that thread can ask."""
+        """The lock of the connection: while a thread holds it, only that thread can send."""
         return self._lock
 
     @property
@@ -156,7 +157,7 @@ class BlockingDriver:
 
     def ask(self, unit: int, request: Request[Any], timeouts: Timeouts, is_broadcast: bool) -> Any:
         """
-        Send a single request, the short way if that may be, and return its result.
+        Send a single request, with the shortcut if that is allowed, and return its result.
 
         Raises:
             ModbusError: the outcome of the request.
@@ -186,7 +187,7 @@ class BlockingDriver:
         pdu: bytes,
         timeouts: Timeouts,
     ) -> Any:
-        """Return the outcome of a request that may go the short way, if it may now."""
+        """Return the outcome of a request, with the shortcut if that is possible now."""
         if self._shortcut is not None and self._conversation.is_plain:
             batch, outcome = self._shortcut.ask(unit, request, pdu, timeouts, self.waker.descriptor)
             if batch is None:
@@ -200,7 +201,7 @@ class BlockingDriver:
         return batch.outcomes[0]
 
     def change_timeout(self) -> None:
-        """Let a request that is under way, perhaps in another thread, see the new `Timeouts`."""
+        """Apply changed `Timeouts` to a request that is under way, perhaps in another thread."""
         if self._is_busy:
             self.waker.wake()
 
@@ -252,18 +253,18 @@ class BlockingDriver:
 
     def _wake(self) -> None:
         """
-        Go on after a wait that was ended for other timeouts.
+        Go on after a wait that was ended because timeouts have changed.
 
         Raises:
-            Woken: it was ended by `close`.
+            Woken: the wait was ended by `close`.
         """
-        self.waker.clear()  # before the look at what `close` sets before it wakes
+        self.waker.clear()  # before `_closed` is read: `close` sets it, then wakes
         if self._closed:
             raise Woken
         self._conversation.change_timeout(self._now())
 
     def _tidy(self) -> None:
-        """Do what remains of an earlier request, whose end was itself interrupted."""
+        """Finish what remains of an earlier request, if the end of that was interrupted."""
         if self._is_left:
             self._interrupt()
         if self._closed and self._connection.state is not State.CLOSED:
@@ -292,7 +293,7 @@ class BlockingDriver:
             if conversation.is_wanted:
                 self._send(now)
             if self._notices.waiting:
-                self._notices.give()  # of what was sent, before the wait for its answer
+                self._notices.give()  # the sent frames are traced before the wait for answers
             if not (batch.is_done or conversation.broken):
                 self._wait(now)
         except ModbusConnectionError as error:
@@ -301,7 +302,7 @@ class BlockingDriver:
             self._lose(conversation.broken, by_itself=False)
 
     def _turn_line(self) -> None:
-        """Finish sending: an answer may come while RTS is still set, as on a pseudo-terminal."""
+        """Finish sending, because an answer may come while RTS is set, as on a pseudo-terminal."""
         while self._port.resume_at is not None:
             now = self._now()
             self.waker.sleep(max(0.0, self._port.resume_at - now))
@@ -312,7 +313,7 @@ class BlockingDriver:
             self._port.send(adus, now)
 
     def _look(self, now: float) -> None:
-        """Read unasked bytes, or the end of the connection, before a request is sent."""
+        """Read bytes that no request expects, or the end of the connection, before sending."""
         conversation = self._conversation
         while self._port.has_input() and not conversation.broken:
             conversation.take(self._port.receive(), now)

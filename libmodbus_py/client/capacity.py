@@ -1,10 +1,10 @@
 """
-Finds out how many requests a device takes at once, while it is asked.
+Finds out, from the answers of a device, how many requests it takes at once.
 
-Many devices lose all but one of the requests that come together, and say nothing about it. So a
-connection begins with one request in flight, and doubles the number while answers come. What
-was lost beside other requests is asked again alone: if the answer comes then, the device takes
-fewer requests, and the number falls. No socket, no clock.
+Many devices silently lose all but one of the requests that arrive together. So a connection begins
+with one request in flight, and the number doubles as long as answers arrive. A request that was
+lost while others were in flight is sent again alone. If it is answered then, the device takes fewer
+requests at once, and the number is reduced. This module uses neither sockets nor clocks.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from .statistics import Statistics
 __all__ = ["Capacity"]
 
 
-# A request alone may take this many times as long as the slowest answer, but at least this
-# share of its timeout; others wait meanwhile.
+# A request that is sent alone may take this many times as long as the slowest answer, but at least
+# this share of its timeout; other requests wait meanwhile.
 PATIENCE, LEAST_SHARE = 4.0, 0.25
 
-# A network loses a request now and then, too: one loss among so many answers is not a sign.
+# Networks lose a request now and then, too: one loss among this many answers proves nothing.
 ANSWERS_BETWEEN_LOSSES = 1000
 
-# After n trials in a row without an answer, 2**n - 1 losses are not tried alone.
+# After n trials in a row without an answer, the next 2**n - 1 lost requests are not tried alone.
 MOST_DOUBLINGS = 10
 
 # Functions that change nothing; all others count as writes.
@@ -38,21 +38,21 @@ class Capacity:
     The number of requests that may be in flight on a connection.
 
     Args:
-        place: of the connection, for the log.
+        place: the endpoint, for the log.
         most: the most requests that may ever be in flight.
-        is_fixed: True to have `most` from the beginning, and find nothing out.
-        matching: knows which lost requests were answered late.
-        statistics: where falls are counted.
+        is_fixed: True to allow `most` from the beginning, and find out nothing.
+        matching: determines which lost requests were answered late.
+        statistics: counts the reductions of the number (`falls`).
 
     Attributes:
         now: how many requests may be in flight.
         is_open: True while the number may change.
-        is_growing: True while answers may make it greater.
-        lost: requests that were lost beside others, with their errors; none other is sent
-            until one of them was asked alone.
+        is_growing: True while answers may increase the number.
+        lost: requests that were lost while others were in flight, with their errors; no other
+            request is sent until one of them was tried alone.
         is_on_trial: True while one of them is in flight, alone.
-        silent: units and functions that gave no answer alone either, and 0 as the function of
-            units that answered nothing since.
+        silent: pairs of a unit and a function that was not answered even alone; the function is 0
+            for units that have answered nothing since.
     """
 
     def __init__(
@@ -71,10 +71,10 @@ class Capacity:
         self._asked: Lost | None = None
         self._starts = 0
         self._last_write = 0
-        self._count = 0  # answers at the present number
-        self._peak = 0  # the most in flight at the present number
+        self._count = 0  # answers since the number was changed
+        self._peak = 0  # the most requests in flight since then
         self._slowest = 0.0
-        self._responses = 0  # when the last loss was proven
+        self._responses = 0  # the number of responses when the last loss was proven
         self._fruitless = self._unheeded = 0
         self._was_told = False
 
@@ -84,7 +84,7 @@ class Capacity:
         return (self.is_growing and self.now == 1) or bool(self.silent)
 
     def reset(self) -> None:
-        """Begin anew on another connection."""
+        """Begin again for another connection."""
         self.forget()
         if self.is_open:
             self.now, self._most, self.is_growing = 1, self._most_ever, True
@@ -92,7 +92,7 @@ class Capacity:
             self._slowest = 0.0
 
     def forget(self) -> list[Lost]:
-        """Forget trials, because the connection is left; return the requests that were lost."""
+        """Forget trials, because the connection is given up; return the requests that were lost."""
         self.silent.clear()
         return self._end_trial()
 
@@ -111,7 +111,7 @@ class Capacity:
     # --- requests and answers -----------------------------------------------------------------
 
     def note_start(self, pending: Pending, in_flight: int) -> None:
-        """Note a request that is sent while so many others are in flight."""
+        """Note that a request is sent; `in_flight` counts the requests in flight before it."""
         self._starts += 1
         pending.order, pending.has_company = self._starts, in_flight > 0
         if in_flight >= self._peak:
@@ -123,7 +123,7 @@ class Capacity:
         self, replies: list[tuple[Pending, Reply]], in_flight: int, now: float
     ) -> None:
         """
-        Grow if so many were in flight, and answered, as may be.
+        Increase the number if as many requests as allowed were in flight, and all were answered.
 
         A request that was alone and got no answer is not a reason to hold others back.
         """
@@ -153,13 +153,13 @@ class Capacity:
     # --- losses -------------------------------------------------------------------------------
 
     def takes(self, error: ModbusError, pending: Pending) -> bool:
-        """Return True if a request that failed was lost beside others, and is to be asked again."""
+        """Return True if a failed request was lost beside others, and must be sent again."""
         had_company = pending.has_company or self._starts > pending.order
         if (
             not had_company
             or not isinstance(error, ModbusTimeoutError | ServerDeviceBusy)
             or not pending.batch.requests[pending.index].repeatable
-            # A write is never sent over a newer one.
+            # A write is never sent again after a newer write.
             or (pending.function not in READS and self._last_write > pending.order)
             or not self.silent.isdisjoint(_kinds(pending))
         ):
@@ -171,7 +171,7 @@ class Capacity:
         return True
 
     def next_trial(self) -> Lost | None:
-        """Return the request to ask alone now; None if no caller waits for any."""
+        """Return the request to send alone now; None if no caller waits for any of them."""
         while self.lost:
             lost = self.lost.pop(0)
             batch = lost[0].batch
@@ -182,12 +182,12 @@ class Capacity:
         return None
 
     def time_for_trial(self, timeout: float) -> float:
-        """Return how many seconds others wait at most for the answer to a request alone."""
+        """Return the seconds that others wait at most for the answer to a request sent alone."""
         return min(timeout, max(LEAST_SHARE * timeout, PATIENCE * self._slowest))
 
     def conclude(self, reply: Reply) -> tuple[bool, list[Lost]]:
         """
-        Judge a trial by what came; return True if the device takes requests that come alone,
+        Judge a trial by its reply. Return True if the device takes requests that are sent alone,
         and the other requests that were lost.
         """
         asked = self._asked
@@ -207,7 +207,7 @@ class Capacity:
         return True, lost
 
     def _fall(self, lost: list[Lost]) -> None:
-        """Take as many as were answered, at most half; late ones were not lost."""
+        """Reduce the number to at most half, and to as many as were answered, perhaps late."""
         gone = sum(self._matching.owes(pending) for pending, _ in lost)
         tried = min(self.now, self._peak)
         self.now = self._most = max(1, min(tried // 2, tried - gone))
@@ -216,26 +216,26 @@ class Capacity:
         self._statistics.falls += 1
 
     def tell(self) -> None:
-        """Log once that the number fell."""
+        """Log once that the number was reduced."""
         if self._most < self._most_ever and not self._was_told:
             self._was_told = True
             from ..protocol.logs import HarmlessLogger
 
             HarmlessLogger(__name__).warning(
-                "%s: requests beside others stay without an answer that comes to one alone; "
-                "%d in flight from now on (max_in_flight sets the number)",
+                "%s: requests that are sent together are lost, but answered when sent alone; "
+                "at most %d in flight from now on (max_in_flight sets the number)",
                 self._place,
                 self.now,
             )
 
 
 def _kinds(pending: Pending) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return what a request tells about: its unit, and the function of that unit."""
+    """Return the keys in `silent` that a request concerns: its unit, and the unit's function."""
     return (pending.batch.unit, 0), (pending.batch.unit, pending.function)
 
 
 def is_refused(reply: Reply) -> bool:
-    """Return True if a reply says that nothing came, or that the device is busy."""
+    """Return True if no answer was received, or the device answered that it is busy."""
     if not isinstance(reply, bytes):
         return isinstance(reply, ModbusTimeoutError)
     return reply[0] >= 0x80 and reply[1:2] == bytes([ServerDeviceBusy.code])

@@ -1,10 +1,10 @@
 """
-The requests of one connection: which may be sent when, and what became of each.
+The requests of one connection: when each may be sent, and what its outcome is.
 
-`Conversation` has no socket, no clock and no event loop. The drivers wait and read for it: they
-pass it bytes and times (time.monotonic()), and send the frames that it returns. Its `Matching`
-knows which answer belongs to which request: `in_flight` by transaction ids, `in_turn` on lines
-without them.
+`Conversation` uses no socket, clock or event loop. The drivers wait and read for it: they pass it
+bytes and times (time.monotonic()), and send the frames that it returns. Its `Matching` determines
+which answer belongs to which request: `in_flight` by transaction ids, `in_turn` on lines without
+them.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ __all__ = ["Conversation", "Pace", "forbidden"]
 
 BUSY = (Acknowledge, ServerDeviceBusy)
 
-# A connection with more bytes than this that belong to no request is flooded.
+# A connection is flooded if more bytes than this arrive that belong to no request.
 MAX_UNASKED = 1 << 16
 
 # After so many connections in a row that end without an answer, all waiting batches fail.
@@ -50,7 +50,7 @@ LOSSES_BEFORE_END = 3
 @dataclass(frozen=True, slots=True)
 class Pace:
     """
-    The pace at which requests follow each other, in seconds.
+    The minimum times between requests, in seconds.
 
     Attributes:
         turnaround: the duration of a request that gets no response.
@@ -71,19 +71,19 @@ class Conversation:
     Sends the requests of batches in the order of their callers, and settles them.
 
     Args:
-        endpoint: of the connection.
-        limit: how many requests may be in flight, at most.
-        may_send: as of `AsyncOptions`.
-        finds_out: True to find out how many of them the device takes.
+        endpoint: the endpoint of the connection.
+        limit: the most requests that may be in flight.
+        may_send: as in `AsyncOptions`.
+        finds_out: True to find out how many requests the device takes at once.
 
     Attributes:
-        limit: how many may be in flight, now.
-        in_flight: how many requests are, now.
-        alarm: when `tick` must be called; may be too early, never too late.
+        limit: how many requests may be in flight now.
+        in_flight: how many requests are in flight now.
+        alarm: the time at which `tick` must be called; may be too early, but never too late.
         capacity: how many requests the device takes at once.
-        is_guarded: True if `may_send` was given: then it is asked before each request.
-        broken: why the connection should be closed for a new one, or None.
-        is_flooded: True if more bytes came that belong to no request than can be an accident.
+        is_guarded: True if `may_send` was given, and must be called before each request.
+        broken: the reason to replace the connection by a new one, or None.
+        is_flooded: True if so many bytes arrived that belong to no request that it is no accident.
     """
 
     def __init__(
@@ -119,26 +119,26 @@ class Conversation:
         self._most = limit
         self.capacity = capacity
         self._queue: deque[Batch] = deque()
-        # Requests to send again: when, and which.
+        # Requests to send again, each with the time at which this is due.
         self._repeats: list[tuple[float, Batch, int]] = []
-        # Requests without an answer: when they are over.
+        # Requests that get no answer, each with the time at which it is over.
         self._silent: list[tuple[float, Pending]] = []
         self._replies: Replies = []
         self._next_start = 0.0
 
     @property
     def is_wanted(self) -> bool:
-        """True if a request waits to be sent, or a caller for the connection."""
+        """True if a request waits to be sent, or a caller waits for the connection."""
         return bool(self._queue or self._repeats or self.capacity.lost)
 
     @property
     def room(self) -> int:
-        """The most requests in flight; 0 while one is asked alone, or waits for that."""
+        """The most requests in flight; 0 while one is sent alone, or waits to be sent alone."""
         return 0 if self.capacity.lost or self.capacity.is_on_trial else self.limit
 
     @property
     def is_plain(self) -> bool:
-        """True if the next bytes can only be the answer to the next request, and no one waits."""
+        """True if the next bytes can only answer the next request, and no caller waits."""
         return (
             not self.in_flight
             and self._matching.is_clean
@@ -181,7 +181,7 @@ class Conversation:
             self.capacity.note_start(pending, 0)
 
     def abandon(self, batch: Batch, now: float) -> None:
-        """Drop a batch; its late answers count as missing until they come."""
+        """Drop a batch; its answers count as missing until they arrive."""
         batch.on_done = None
         batch.finish()
         self._leave_queue(batch)
@@ -210,7 +210,7 @@ class Conversation:
         """
         Return the frames to send now: up to half of what may be in flight.
 
-        The other half follows with the next call, so that the server has work meanwhile.
+        The next call returns the other half, so that the server has work meanwhile.
         """
         if not (self._queue or self._repeats or self.capacity.lost):
             return []
@@ -245,14 +245,14 @@ class Conversation:
         if self.broken is not None or not self.connection.is_open:
             return False
         if self._replies and self.limit == 1:
-            return False  # bytes that came on a line belong to the request that they answer
+            return False  # bytes on a line belong to the request that they answer
         matching = self._matching
         is_dead = (
             self._is_socket
             and matching.unanswered >= self._pace.timeouts_before_reconnect
-            and not self.capacity.lost  # what was lost beside others may come alone
+            and not self.capacity.lost  # lost requests may be answered when they are sent alone
         )
-        # The next answer would be taken into half a frame that no pending request expects.
+        # The next answer would be appended to half a frame that no pending request expects.
         has_leftover = matching.rest and self.in_flight == len(self._silent)
         if not is_dead and not has_leftover:
             return True
@@ -263,7 +263,7 @@ class Conversation:
     def _start_queue(self, adus: list[bytes], now: float) -> None:
         room = self._window()
         while room > 0 and self._queue and (batch := self._pick(now)) is not None:
-            # The other batches of the queue have their turn before the next request of this one.
+            # Other batches of the queue have their turn before the next request of this batch.
             most = 1 if self._queue else room
             count = max(0, min(most, batch.limit - batch.in_flight, batch.end - batch.started))
             for index in range(batch.started, batch.started + count):
@@ -284,7 +284,7 @@ class Conversation:
         return min(room, ((self.limit if first == 1 else min(first, self.limit)) + 1) // 2)
 
     def _pick(self, now: float) -> Batch | None:
-        """Take the first batch out of the queue that has a request which may be sent now."""
+        """Remove and return the first batch in the queue with a request that may be sent now."""
         queue = self._queue
         held: list[Batch] = []
         picked = None
@@ -418,10 +418,10 @@ class Conversation:
 
     def failed(self, error: ModbusConnectionError, now: float, until: float = math.inf) -> None:
         """
-        No connection was established: the batches that wait for it fail.
+        Note that no connection was established: the batches that wait for it fail.
 
         Args:
-            until: when the time for the attempt was over. If that was why it failed, batches that
+            until: the end of the time for the attempt. If it failed for lack of time, batches that
                 have more time wait for the next attempt.
         """
         later: set[Batch] = set()
@@ -436,12 +436,12 @@ class Conversation:
         return [*self._queue, *(batch for _, batch, _ in self._repeats)]
 
     def _has_time(self, batch: Batch, until: float, now: float) -> bool:
-        """Return True if a batch waits longer than an attempt, and so for the next one."""
+        """Return True if a batch has more time than an attempt had, and waits for the next one."""
         deadline = batch.wait_until
         return deadline > until and self.connection.refusal(now, deadline) is None
 
     def lost(self, error: ModbusConnectionError, now: float, *, by_itself: bool = True) -> None:
-        """The connection ended: requests in flight fail, the queue waits for the next one."""
+        """Note the end of the connection: requests in flight fail, others wait for a new one."""
         if by_itself and self.connection.fruitless and self.in_flight:
             hint = explain_end(self._scheme, error.errno)
             error.args = (f"{error.args[0]}; {hint}",) if hint else error.args
@@ -449,10 +449,10 @@ class Conversation:
             self.connection.lost(error, now, by_itself=by_itself)
         finally:
             self._fail_all(error, now)
-        if by_itself:  # else it is the same device behind the next one
+        if by_itself:  # else the next connection leads to the same device
             self.capacity.reset()
             self.limit = self.capacity.now
-        # A connection given up as dead took its time, and the next one may be alive.
+        # A connection that was given up as dead has taken its time, and the next one may be alive.
         if by_itself and self.connection.fruitless >= LOSSES_BEFORE_END:
             self.refuse(error)
         waiting, self._queue = self._queue, deque()
@@ -462,7 +462,7 @@ class Conversation:
                 self.add(batch, now)
 
     def closed(self, error: ModbusConnectionError, now: float) -> None:
-        """The client was closed: all batches fail, now and later."""
+        """Note that the client was closed: all batches fail, now and later."""
         try:
             self.connection.close()
         finally:
@@ -470,7 +470,7 @@ class Conversation:
             self.refuse(error)
 
     def interrupted(self, error: ModbusConnectionError, now: float) -> None:
-        """The callers are gone, at any point: forget their batches, and leave the connection."""
+        """Forget all batches, whose callers were interrupted, and give up the connection."""
         for pending in [*self._reset(now), *(pending for pending, _ in self._replies)]:
             self.statistics.note(pending.function, "cancelled")
         self._queue, self._repeats, self._replies = deque(), [], []
@@ -540,7 +540,7 @@ class Conversation:
         self._fail_at(batch, index, error)
 
     def _outcome(self, error: ModbusError, batch: Batch, index: int, sent: bytes) -> BaseException:
-        """Return an error with its request; or what the class of the request raised."""
+        """Return an error with its request, or the exception that the request's class raised."""
         try:
             return self._completed(error, batch, index, sent)
         except BaseException as mistake:
@@ -549,7 +549,7 @@ class Conversation:
     def _completed(
         self, error: ModbusError, batch: Batch, index: int | None, sent: bytes
     ) -> ModbusError:
-        """Return an error with its request, and a hint at the cause."""
+        """Return an error with its request, and with a hint at its cause."""
         error.unit, error.endpoint, error.sent = batch.unit, self._place, sent
         if index is not None:
             request = batch.requests[index]
@@ -569,8 +569,8 @@ class Conversation:
         """
         Take received bytes; `settle` decodes the replies.
 
-        Slots may be free again. Call `start` first if requests wait for them (True is returned),
-        so that the server has work meanwhile.
+        Return True if requests wait to be sent. Call `start` before `settle` then, because some of
+        them may be sent now, so that the server has work meanwhile.
         """
         matching = self._matching
         for data in chunks:
@@ -594,8 +594,8 @@ class Conversation:
         """
         Free the slots of requests that were answered.
 
-        A good answer also frees the place in its batch; after another one, what comes next in
-        the batch depends on it.
+        A valid answer also frees the place in its batch. After any other reply, the outcome decides
+        how the batch goes on.
         """
         if self.capacity.is_growing:
             self.capacity.note_replies(replies, self.in_flight, now)
@@ -651,12 +651,12 @@ class Conversation:
             self._let_go(batch, now)
 
     def _blame_class(self, pending: Pending, mistake: BaseException) -> None:
-        """End a request with what its class raised, which only its caller may meet."""
+        """Settle a request with an exception of its class, which only its caller must get."""
         self.statistics.note(pending.function, "invalid")
         pending.batch.settle(pending.index, mistake)
 
     def note_answer(self, function: int, result: str, seconds: float, now: float) -> None:
-        """Note an answer that fits, a refusal included: the connection is good."""
+        """Note a valid answer, perhaps an exception response: the connection works."""
         self.statistics.note_answer(function, result, seconds, now)
         if self.connection.fruitless:
             self.connection.prove()
@@ -677,7 +677,7 @@ class Conversation:
         now: float,
         again: Callable[[ModbusError, Pending, float], bool],
     ) -> None:
-        """Settle a request that failed, unless `again` has it sent again."""
+        """Settle a request that failed, unless `again` sends it again."""
         batch, index = pending.batch, pending.index
         try:
             is_repeated = again(error, pending, now)
@@ -717,12 +717,12 @@ class Conversation:
         return True
 
     def _let_go(self, batch: Batch, now: float) -> int:
-        """Wait no longer for a batch; return for how many answers it waited."""
+        """Stop waiting for a batch; return the number of answers that it waited for."""
         self._repeats = [each for each in self._repeats if each[1] is not batch]
         self.capacity.drop(batch)
         for due, pending in self._silent:
             if pending.batch is batch:
-                self._wake(due)  # its slot is free only then: the line is still in use
+                self._wake(due)  # its slot becomes free only then, because the line is in use
         withdrawn = self._matching.withdraw(batch, now)
         for pending in withdrawn:
             self.statistics.note(pending.function, "cancelled")
@@ -732,7 +732,7 @@ class Conversation:
     # --- time ---------------------------------------------------------------------------------
 
     def tick(self, now: float) -> None:
-        """End what is overdue; `settle` tells the callers."""
+        """End requests that are overdue; `settle` reports this to their callers."""
         matching = self._matching
         self.alarm = matching.alarm = math.inf
         self._end_silent(now)

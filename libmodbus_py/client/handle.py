@@ -35,7 +35,7 @@ Driving = TypeVar("Driving", bound=Driver)
 
 class Handle(Generic[Driving]):
     """
-    The base of both clients: a unit, its timeouts, and the connection that it shares.
+    The base of both clients: a unit, its timeouts, and the connection that handles share.
     """
 
     def __init__(

@@ -1,5 +1,5 @@
 """
-Likely causes of bytes that are not an answer: the usual mistakes, recognised by their traces.
+Likely causes of bytes that are not an answer: common mistakes, recognised by the received bytes.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ ASCII_FRAME = rb":[0-9A-Fa-f]{6}"
 
 def explain(scheme: str, sent: bytes, received: bytes) -> str:
     """
-    Return what may be wrong; an empty string if nothing is known.
+    Return the likely mistake; an empty string if none is recognised.
 
     Args:
-        scheme: of the endpoint's URL.
-        sent: the request as it went out.
-        received: the bytes that came and were no answer.
+        scheme: the scheme of the endpoint's URL.
+        sent: the request as it was sent.
+        received: the received bytes, which are not an answer.
     """
     framing = scheme.partition("+")[0]
     if scheme in PLAIN and _looks_tls(received):
@@ -43,10 +43,10 @@ def explain(scheme: str, sent: bytes, received: bytes) -> str:
 
 def explain_end(scheme: str, number: int | None) -> str:
     """
-    Return what may be wrong where a connection ends before anything was answered over it.
+    Return the likely mistake if a connection ended before any answer arrived over it.
 
     Args:
-        scheme: of the endpoint's URL.
+        scheme: the scheme of the endpoint's URL.
         number: the number of the error, or None.
     """
     is_ended = number in (errno.ECONNRESET, errno.EPIPE)
@@ -54,7 +54,7 @@ def explain_end(scheme: str, number: int | None) -> str:
 
 
 def _looks_tls(data: bytes) -> bool:
-    """The header of a record of TLS (RFC 8446, 5.1)."""
+    """Return True if bytes begin like the header of a TLS record (RFC 8446, 5.1)."""
     return len(data) >= 5 and data[0] in range(20, 24) and data[1] == 3 and data[2] <= 4
 
 
@@ -63,7 +63,7 @@ def _looks_ascii(data: bytes) -> bool:
 
 
 def _looks_tcp(data: bytes) -> bool:
-    """A header whose length fits."""
+    """Return True if bytes begin with an MBAP header whose length is right."""
     length = int.from_bytes(data[4:6], "big")
     return data[2:4] == b"\0\0" and 2 <= length <= 254 and len(data) == 6 + length
 

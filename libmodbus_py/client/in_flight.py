@@ -16,19 +16,19 @@ from .statistics import Statistics
 
 __all__ = ["InFlight"]
 
-# At most so many ids are kept for late answers; requests need the others.
+# The most ids that are kept for late answers; requests need the others.
 MAX_ABANDONED = 0x8000
 
 
 class InFlight(Matching):
     """
-    See `Matching`. An id is used again after all others, and not while a late answer to it
-    may come.
+    Matching by transaction ids. An id is used again after all others, and not while a late answer
+    with it may arrive.
 
     Args:
         limit: the number of requests that may be in flight.
-        any_unit: True if an answer may come from another unit than that of its request, as from
-            devices that always answer as unit 255.
+        any_unit: True to accept answers from other units than that of the request, because some
+            devices always answer as unit 255.
     """
 
     has_ids = True
@@ -49,7 +49,7 @@ class InFlight(Matching):
         self._pending: dict[int, Pending] = {}
         self._abandoned: dict[int, None] = {}
         self._strays = b""
-        # Id -> the frame that came in place of its answer; the right one may still follow.
+        # Id -> the error of a wrong frame with this id; the right answer may still follow.
         self._wrong: dict[int, FrameError] = {}
         # Id -> the unit that answered, with `any_unit`.
         self._units: dict[int, int] = {}
@@ -115,7 +115,7 @@ class InFlight(Matching):
         return replies
 
     def _drop(self, frame: Frame, now: float) -> None:
-        """Only an answer that is late proves that the server is there; a stray one does not."""
+        """Drop a frame. Late answers prove that the server is alive; stray frames do not."""
         self._statistics.late_answers += 1
         if frame.transaction in self._abandoned:
             del self._abandoned[frame.transaction]

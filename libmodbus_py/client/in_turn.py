@@ -1,10 +1,10 @@
 """
 Matching on framings without transaction ids: one request at a time.
 
-No frame says there which request it answers. So after a failure the line must have been quiet
-for one timeout before the same unit is asked again; an answer of another unit is recognised by
-its unit, and a collision by its check bytes. An answer that may be that to an earlier request
-(`suspicion`) is taken only if no other one follows.
+Their frames do not show which request they answer. So after a failure, the line must be quiet for
+one timeout before the same unit gets another request. The answer of another unit is recognised by
+its unit, and a collision by its check bytes. An answer that may belong to an earlier request
+(`suspicion`) is taken only if no other answer follows.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from .suspicion import Suspicion
 
 __all__ = ["InTurn"]
 
-# A unit that answers twice may be later with the copy than 3.5 characters.
+# A unit that answers twice may send the copy later than 3.5 characters after the first answer.
 SHORTEST_COPY, LONG_SILENCE, LONG_MEMORY = 4, 0.02, 60.0
 
 
 class InTurn(Matching):
     """
-    See `Matching`.
+    Matching on lines, where one request is pending at a time.
 
     Args:
-        silence: of the port.
-        delimiter: the byte behind CR in ASCII frames.
+        silence: the silence of the port.
+        delimiter: the byte after CR in ASCII frames.
     """
 
     has_ids = False
@@ -59,21 +59,21 @@ class InTurn(Matching):
         self._silence = silence
         self._pending: Pending | None = None
         self._replies: Replies = []
-        self._wrong: ModbusError | None = None  # what came in place of its answer so far
-        self._came_early = False  # an answer came before its request can have left
-        self._suspicion: Suspicion  # of this connection; from `reset` on
-        self._held: bytes | None = None  # an answer that may be that to an earlier request
+        self._wrong: ModbusError | None = None  # the error of bytes received before the answer
+        self._came_early = False  # an answer arrived before its request can have been sent
+        self._suspicion: Suspicion  # of this connection; set by `reset`
+        self._held: bytes | None = None  # an answer that may belong to an earlier request
         self._held_until: float
-        self._heard_at: float  # when bytes came
+        self._heard_at: float  # the time at which bytes were last received
         self._received = bytearray()
         self._late = bytearray()
         self._quiet_at: float | None = None
-        # Unit -> when it may be asked again, and the timeout that it had.
+        # Unit -> the time at which it may get a request again, and the timeout of its last request.
         self._doubts: dict[int, tuple[float, float]] = {}
-        # Since when a batch waits for silence.
+        # Batch -> the time since which it waits for silence.
         self._waiting: dict[Batch, float] = {}
-        self._is_noisy = False  # something came on this connection that was no answer
-        self._doubled_until = 0.0  # answers came twice recently, and may do so until then
+        self._is_noisy = False  # bytes arrived on this connection that were not an answer
+        self._doubled_until = 0.0  # until then, answers may come twice, as they did recently
 
     def _make_framer(self) -> Framer:
         framer = make_framer(self._framing, "client", self._pause)
@@ -105,15 +105,16 @@ class InTurn(Matching):
     def ready_at(self, unit: int) -> float:
         if unit or not self._doubts:
             return self._doubts[unit][0] if unit in self._doubts else 0.0
-        # A broadcast is for all units, so it waits for all.
+        # A broadcast is for all units, so it waits until all are ready.
         return max(ready_at for ready_at, _ in self._doubts.values())
 
     def _check_wait(self, batch: Batch, now: float) -> None:
         """
-        Limit the wait for silence to two timeouts; to one where more came than any late answer.
+        Limit the wait for silence to two timeouts, or to one if the line brought more bytes than a
+        late answer can have.
 
         Raises:
-            FrameError: it is over.
+            FrameError: the wait is over.
         """
         timeout = batch.timeouts.timeout
         since = self._waiting.setdefault(batch, now)
@@ -183,7 +184,7 @@ class InTurn(Matching):
         return replies
 
     def _take_unasked(self, data: bytes, now: float) -> None:
-        """A late answer, or noise: units that owe one must be quiet for as long again."""
+        """Take a late answer or noise: units that may still answer must be quiet anew."""
         self._is_noisy = True
         self.is_clean = False
         if self._doubts:
@@ -234,7 +235,7 @@ class InTurn(Matching):
             self._trace.tell("received", self._framer.encode(found), found.unit, found.pdu[0])
 
     def _weigh(self, pending: Pending, pdu: bytes, now: float) -> None:
-        """Take an answer; one that may be that to an earlier request only if no other follows."""
+        """Take an answer; if it may belong to an earlier request, only if no other follows."""
         unit, request = pending.batch.unit, pending.batch.pdus[pending.index]
         is_first = self._held is None
         if not is_first:
@@ -248,7 +249,7 @@ class InTurn(Matching):
         self._wake(min(self._held_until, pending.deadline))
 
     def _note_surplus(self, now: float) -> None:
-        """More answers than requests: have the line fall silent for longer for a while."""
+        """Note that there are more answers than requests: require longer silence for a while."""
         self._is_noisy = True
         self._statistics.late_answers += 1
         self._doubled_until = now + LONG_MEMORY
@@ -262,7 +263,7 @@ class InTurn(Matching):
             self._wrong = error
 
     def _note_other(self, unit: int, now: float) -> None:
-        """Another unit's answer does not end the wait (serial line, 2.4.1)."""
+        """Note an answer of another unit, which does not end the wait (serial line, 2.4.1)."""
         self._is_noisy = True
         if unit in self._doubts:
             self._statistics.late_answers += 1
@@ -274,7 +275,7 @@ class InTurn(Matching):
             self._wrong.answers_another = True
 
     def _note_other_function(self, pending: Pending, frame: Frame) -> None:
-        """The answer to another function does not end the wait either."""
+        """Note an answer to another function, which does not end the wait either."""
         self._is_noisy = True
         self._statistics.invalid += 1
         self._wrong = InvalidResponse(
@@ -283,12 +284,12 @@ class InTurn(Matching):
         self._wrong.answers_another = True
 
     def _note_early(self) -> None:
-        """An earlier answer came again: the unit cannot have received this request yet."""
+        """Note a repeated earlier answer: the unit cannot have received this request yet."""
         self._is_noisy = self._came_early = True
         self._statistics.late_answers += 1
 
     def _is_echo(self, pending: Pending, request: bytes, now: float) -> bool:
-        """Return True for a request that came back, unless its answer repeats it, as some do."""
+        """Return True if the bytes are an echo of the request, and not an answer equal to it."""
         if self._echo.may_be(request):
             return True
         try:
@@ -301,11 +302,11 @@ class InTurn(Matching):
         return False
 
     def _end_if_damaged(self, now: float) -> None:
-        """Noise does not end the wait, because an answer may follow; a damaged answer does."""
+        """End the wait for a damaged answer; after mere noise, an answer may still follow."""
         pending = self._pending
         if (
             pending is not None
-            and self._held is None  # else that answer is what was not damaged
+            and self._held is None  # else an undamaged answer is held
             and isinstance(self._wrong, FrameError)
             and self._is_damaged(pending)
         ):
@@ -357,7 +358,7 @@ class InTurn(Matching):
         return self._replies_so_far()
 
     def _take_held(self, pending: Pending, pdu: bytes, now: float) -> None:
-        """Take an answer that was doubted, once no other one came in time."""
+        """Take an answer that was held, because no other answer arrived in time."""
         if (until := min(self._held_until, pending.deadline)) > now:
             self._wake(until)
             return
@@ -367,7 +368,7 @@ class InTurn(Matching):
         self._end(pending, pdu, now)
 
     def _note_quiet(self, now: float) -> None:
-        """Judge what silence has ended."""
+        """Judge the bytes before a silence."""
         if self._quiet_at is None or self._pending is None:
             return
         if self._quiet_at > now:
@@ -385,13 +386,13 @@ class InTurn(Matching):
             self._doubt(pending.batch, now)
 
     def _doubt(self, batch: Batch, now: float) -> None:
-        """Let the line fall silent before this unit is asked again: it may still answer."""
+        """Require silence before the next request to this unit, which may still answer."""
         timeout = batch.timeouts.timeout
         self.is_clean = False
         self._doubts[batch.unit] = now + timeout, timeout
 
     def _doubt_unanswered(self, pending: Pending, now: float) -> None:
-        """As after a timeout, however early its caller went: the answer may be as late."""
+        """Require silence as after a timeout, even if the caller gave up before the timeout."""
         self._doubt(pending.batch, max(now, pending.deadline))
 
     def _follow(self, pdu: bytes) -> None:

@@ -1,5 +1,5 @@
 """
-Local echo at a client: a transceiver that returns all requests, which are not answers.
+Detects a local echo: a transceiver returns all requests, and these copies are not answers.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from .statistics import Statistics
 
 __all__ = ["LocalEcho"]
 
-# Functions that read: what comes back equal to the request is mostly no answer.
+# Functions that read: received bytes that are equal to the request are rarely an answer.
 READING = frozenset((1, 2, 3, 4, 7, 11, 12, 17, 20, 23, 24, 43))
 
 # Functions whose answer differs from the request, so that it shows whether an echo came before it.
@@ -18,15 +18,15 @@ TELLING = READING | {15, 16}
 
 class LocalEcho:
     """
-    Finds out from the answers of a connection whether its requests come back.
+    Finds out from the answers of a connection whether there is a local echo.
 
     Args:
-        place: of the connection, for the log.
-        statistics: where echoes are counted.
-        is_taken_out: True if the port itself takes the echo out of what it receives.
+        place: the endpoint, for the log.
+        statistics: counts the echo.
+        is_taken_out: True if the port itself removes the echo from the received bytes.
 
     Attributes:
-        is_there: True or False once it is known, else None.
+        is_there: True or False once it is known whether there is an echo, else None.
     """
 
     def __init__(self, place: str, statistics: Statistics, is_taken_out: bool) -> None:
@@ -37,12 +37,12 @@ class LocalEcho:
         self.reset()
 
     def reset(self) -> None:
-        """Know nothing of the next connection."""
+        """Forget what was learned, for the next connection."""
         self.is_there: bool | None = False if self._is_taken_out else None
         self._awaited = AwaitedEcho(b"")
 
     def sent(self, adu: bytes) -> None:
-        """Note a request that leaves, where requests come back."""
+        """Note a request that is sent, if there is an echo."""
         self._awaited = AwaitedEcho(adu)
 
     @property
@@ -51,21 +51,21 @@ class LocalEcho:
         return self._awaited.is_holding
 
     def without(self, data: bytes) -> bytes:
-        """Return received bytes without the echo of the request, if requests come back."""
+        """Return received bytes without the echo of the request, if there is one."""
         return data if self._awaited.is_over else self._awaited.without(data)
 
     def release(self) -> bytes:
-        """Return what is held back, because silence shows that it is not an echo."""
+        """Return the bytes held back, because silence shows that they are not an echo."""
         return self._awaited.release() if self._awaited.is_holding else b""
 
     def may_be(self, request: bytes) -> bool:
-        """Return True for a request PDU that came back and is probably not its own answer."""
+        """Return True if a received PDU equal to the request is probably not its answer."""
         if self.is_there:  # the first copy is an echo, and what follows is an answer
             return not self._awaited.came
         return self.is_there is None and request[0] in READING
 
     def accepts(self, request: bytes, pdu: bytes) -> bool:
-        """Return True for an answer that came alone, unless it may be an echo; learn from it."""
+        """Return True if a single received answer cannot be an echo; learn from it."""
         if pdu == request:
             return not self.is_there and not self.may_be(request)
         if request[0] in TELLING:
@@ -73,7 +73,7 @@ class LocalEcho:
         return True
 
     def learn(self, request: bytes, adu: bytes, received: bytearray) -> None:
-        """Learn from all that came until the answer, or the end of the wait for it."""
+        """Learn from all bytes received until the answer, or until the end of the wait."""
         if request[0] not in TELLING or not received:
             return
         if not begins_with_echo(received, adu):

@@ -1,11 +1,11 @@
 """
-The short way of the asyncio client: one request in flight, whose answer shows by itself that it is
-its own.
+The shortcut of asyncio clients: sends a single request without the conversation.
 
-Like `shortcut` for blocking clients, it leads around the conversation while that has nothing to
-decide. Whatever else happens before the answer is there, the request is handed over to the
-conversation first, which goes on as if it had sent it. Serial lines do not go this way: their
-answers come in pieces, and need silence between them.
+Like `shortcut` for blocking clients, it is used while the conversation has nothing to decide, and
+if the frame of an answer shows which request it answers. If anything else happens before the answer
+arrives, the request is first handed over to the conversation, which goes on as if it had sent the
+request. Serial lines do not use this, because their answers arrive in pieces, and need silence
+between them.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ __all__ = ["LoneRequest"]
 
 class LoneRequest:
     """
-    At most one request that was sent, and of which the conversation does not know.
+    The only request in flight, while the conversation does not know about it.
 
     Args:
-        parts: of the client.
-        is_short: True if requests may be sent without asking `may_send` or keeping a pace.
+        parts: the parts of the client.
+        is_short: True if requests may be sent without calling `may_send` or keeping a pace.
 
     Attributes:
         batch: the request; None if there is none.
@@ -46,11 +46,11 @@ class LoneRequest:
 
     @property
     def until(self) -> float:
-        """When the timeout of the request is over, which may be changed; 0 without a request."""
+        """The time at which the timeout of the request ends; 0 without a request."""
         return 0.0 if self.batch is None else self._sent + self.batch.timeouts.timeout
 
     def takes(self, batch: Batch) -> bool:
-        """Return True if the only request of a batch may be sent, and no other is in flight."""
+        """Return True if a batch has one request, which may be sent now in this way."""
         return (
             self._is_short
             and batch.end == 1
@@ -63,7 +63,7 @@ class LoneRequest:
 
     def send(self, batch: Batch, now: float) -> float:
         """
-        Send the request of a batch, and return when its timeout is over.
+        Send the request of a batch, and return the time at which its timeout ends.
 
         Raises:
             ModbusConnectionError: the port is gone.
@@ -83,7 +83,7 @@ class LoneRequest:
         Settle the request if received bytes are its answer and nothing else.
 
         Returns:
-            False if the conversation must look at the bytes.
+            True if it was settled; False if the conversation must process the bytes.
         """
         batch = self.batch
         if batch is None or len(chunks) != 1:
@@ -96,7 +96,7 @@ class LoneRequest:
             return False
         try:
             outcome = batch.requests[0].decode_response(pdu)
-        except ModbusError:  # the conversation meets it again, and tells what was asked
+        except ModbusError:  # the conversation raises it again, with the request
             return False
         except BaseException as mistake:  # of the class of the request
             self._statistics.note(pdu[0], "invalid")

@@ -1,5 +1,5 @@
 """
-Which answer belongs to which request: what the conversation needs to know of a framing.
+Decides which answer belongs to which request; each kind of framing has a subclass.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ __all__ = ["Matching", "Replies", "no_answer"]
 
 Replies = list[tuple[Pending, Reply]]
 
-# The most bytes that errors carry; more of the same says no more.
+# The most received bytes that errors contain; more bytes would not help.
 MAX_KEPT = MAX_RECEIVED
 
 
@@ -28,18 +28,19 @@ class Matching(ABC):
     Matches the bytes of one connection to the requests that were sent over it.
 
     Args:
-        endpoint: of the connection.
-        statistics: where late and invalid answers, and timeouts, are counted.
-        trace: of the connection.
+        endpoint: the endpoint of the connection.
+        statistics: counts late and invalid answers, and timeouts.
+        trace: the trace of the connection.
 
     Attributes:
-        is_clean: True if nothing of earlier requests may still come, where none is in flight now.
+        is_clean: True if no request is in flight, and no late answer may still arrive.
         has_ids: True if frames carry transaction ids: then any request may be sent at any time.
-        alarm: when `expire` must be called; may be too early, never too late.
-        unanswered: requests without an answer since the last answer came.
-        answered_at: when the last answer came; 0 where requests take turns.
-        unasked: bytes received since the last request was sent, while no answer was pending.
-        rest: the beginning of a frame whose end is still to come, where ids are.
+        alarm: the time at which `expire` must be called; may be too early, but never too late.
+        unanswered: the number of requests without an answer since the last answer arrived.
+        answered_at: the time at which the last answer arrived; 0 where frames have no ids.
+        unasked: the number of bytes received since the last request was sent, while no answer was
+            pending.
+        rest: the beginning of a frame whose end was not received yet, where frames have ids.
         is_in_step: False once the stream of bytes cannot be understood any more.
     """
 
@@ -64,20 +65,20 @@ class Matching(ABC):
 
     def accepts(self, unit: int, request: bytes, pdu: bytes, since: float, now: float) -> bool:
         """
-        Return True unless an answer may be that to an earlier request.
+        Return True unless an answer may belong to an earlier request.
 
         Args:
-            since: when the request was sent.
-            now: when the answer came.
+            since: the time at which the request was sent.
+            now: the time at which the answer was received.
         """
         return True
 
     def ready_at(self, unit: int) -> float:
-        """Return when a unit may be asked that owes an answer; 0.0 if it owes none."""
+        """Return when a unit that owes an answer may get a request; 0.0 if it owes none."""
         return 0.0
 
     def owes(self, pending: Pending) -> bool:
-        """Return True if no answer came to a request that was given up, not even a late one."""
+        """Return True if a request that was given up has got no answer, not even a late one."""
         return True
 
     def may_start(self, batch: Batch, now: float) -> bool:
@@ -95,8 +96,8 @@ class Matching(ABC):
         Expect the answer to a request from now on.
 
         Args:
-            batch, index: the request.
-            adu: its frame, if it was already sent; None to encode it.
+            batch, index: the batch of the request, and the index of the request in it.
+            adu: the frame of the request, if it was already sent; None to encode it.
         """
 
     @abstractmethod
@@ -105,7 +106,7 @@ class Matching(ABC):
 
     @abstractmethod
     def expire(self, now: float) -> Replies:
-        """Return the requests that silence has answered, and those whose time is over."""
+        """Return the requests that are complete because of a silence, and those timed out."""
 
     @abstractmethod
     def withdraw(self, batch: Batch, now: float) -> list[Pending]:
@@ -126,7 +127,7 @@ class Matching(ABC):
     def conclude(  # noqa: B027
         self, pending: Pending, error: ModbusError | None, now: float
     ) -> None:
-        """Note how a request ended. Transaction ids need no conclusions from that; lines do."""
+        """Note how a request ended. Only lines without transaction ids draw conclusions."""
 
     @abstractmethod
     def _make_framer(self) -> Framer: ...
@@ -142,7 +143,7 @@ class Matching(ABC):
 
 
 def no_answer(timeout: float, received: bytes) -> ModbusTimeoutError:
-    """Return the error for a request that got no answer, with what was received instead."""
+    """Return the error for a request that got no answer, with the bytes received instead."""
     if received:
         return ModbusTimeoutError(
             f"no complete answer within {timeout:g} s, but {in_hex(received)}", received=received

@@ -1,5 +1,5 @@
 """
-Calls of user functions that wait until the state of a client is consistent again.
+Calls of user functions, delayed until the state of a client is consistent again.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ __all__ = ["Notices"]
 
 class Notices:
     """
-    Callbacks to make: changes of state and traced ADUs, in the order in which they happened.
+    Pending calls of callbacks about changes of state and traced ADUs, in the order of these events.
 
-    What they do to the client, and what they raise, meets no half of a change: a driver makes the
-    calls between two steps.
+    A driver makes the calls between two steps, so that a callback that uses the client, or raises
+    an exception, never interrupts a change.
     """
 
     def __init__(self) -> None:
@@ -31,11 +31,11 @@ class Notices:
         self._is_giving = False
 
     def add(self, name: str, call: Callable[[], object]) -> None:
-        """Make a call later; `name` is that of the callback, for the log."""
+        """Make a call later; `name` is the name of the callback in the log."""
         self.waiting.append((name, call))
 
     def delaying(self, on_state: OnState) -> OnState:
-        """Return a function that has `on_state` called later."""
+        """Return a function that adds a call of `on_state`."""
 
         def note(state: State, error: ModbusError | None) -> None:
             self.add(f"on_state({state.name})", partial(on_state, state, error))
@@ -44,10 +44,10 @@ class Notices:
 
     def give(self) -> None:
         """
-        Make the calls. One that fails is logged; what is not an Exception is raised, and the other
-        calls are made the next time.
+        Make the calls. An Exception that a callback raises is logged. Any other BaseException is
+        raised, and the remaining calls are made the next time.
         """
-        if self._is_giving:  # a callback uses the client: the calls go on behind it
+        if self._is_giving:  # a callback uses the client; the other calls are made after it
             return
         self._is_giving = True
         try:

@@ -34,7 +34,7 @@ __all__ = ["AsyncOptions", "CheckedOptions", "ContextOptions", "Options", "Parts
 
 
 OF_ONE_KIND = ("native", "may_send")
-"""Options that not all clients have."""
+"""Options that only one kind of client has."""
 
 
 class Options(TypedDict, total=False):
@@ -231,9 +231,11 @@ class Parts:
 
 def assembled(endpoint: Endpoint, settings: CheckedOptions, most: int) -> Parts:
     """
-    Make the parts.
+    Make the parts of a client.
 
     Args:
+        endpoint: the endpoint to connect to.
+        settings: the checked options.
         most: the most requests in flight, unless the settings contain a number.
 
     Raises:

@@ -1,5 +1,5 @@
 """
-Answers that show by themselves that they are whole, and whose they are.
+Recognises answers whose frame shows that it is complete, and which request it answers.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["KNOWN", "PlainAnswers"]
 
 KNOWN = frozenset(bytes([code]) for code in (1, 2, 3, 4, 5, 6, 15, 16, 17, 22, 23))
-"""The functions that libmodbus has, as their codes stand in a PDU."""
+"""The function codes that libmodbus supports, as the first byte of a PDU."""
 
 
 PduIn = Callable[[bytes, int, int], bytes]
@@ -25,17 +25,17 @@ FrameOf = Callable[[int, int, bytes], bytes]
 
 class PlainAnswers:
     """
-    Recognises the answer to the only request that is in flight, in any framing but ASCII.
+    Recognises the answer to the only request in flight, in any framing except ASCII.
 
     Args:
-        parts: of the client.
+        parts: the parts of the client.
 
     Attributes:
         is_line: True if frames have no transaction ids.
-        frame: returns the frame of a request; is called with its transaction id, which only some
-            frames have, the unit, and the PDU.
-        pdu_in: returns the PDU of an answer that is all that was received, or an empty one; is
-            called with the bytes, the unit, and the transaction id.
+        frame: called with the transaction id, which only some frames have, the unit and the PDU of
+            a request; returns its frame.
+        pdu_in: called with the received bytes, the unit and the transaction id; returns the PDU if
+            the bytes are exactly one answer, else an empty one.
     """
 
     def __init__(self, parts: Parts) -> None:

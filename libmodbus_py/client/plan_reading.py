@@ -1,5 +1,5 @@
 """
-The procedure by which a client carries out a plan, and learns what the device cannot read.
+The procedure by which a client carries out a plan, and learns which cells the device refuses.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def plan_answers(
     Return the answers to the requests of a plan, for `Plan.results`.
 
     Raises:
-        ModbusError: the first failure; without `return_exceptions` only.
+        ModbusError: the first failure; only without `return_exceptions`.
     """
     known = plan.holes.get(client.device)
     first: list[Any] = []

@@ -1,5 +1,5 @@
 """
-Polls at a steady pace: what `watch` of both clients returns.
+Polls at a steady pace: the iterators that `watch` of both clients returns.
 
 The n-th poll is due n intervals after the first one, so that the times do not drift. A poll that
 is late, because the device or the program took longer, is left out.
@@ -129,7 +129,7 @@ def watched(what: Any, names: Any, every: float, options: Any) -> WatchedPoints 
     Return what is polled.
 
     Raises:
-        TypeError, ValueError: as of `RegisterMap.plan` and `Plan`; or `names` without a map.
+        TypeError, ValueError: as for `RegisterMap.plan` and `Plan`; or `names` without a map.
     """
     from ..maps.plan import planned
     from ..maps.register_map import RegisterMap

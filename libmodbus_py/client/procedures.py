@@ -1,5 +1,5 @@
 """
-Steps of the procedures of the clients: requests, one or several.
+The steps of procedures of the clients: one request or several.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ class Several(NamedTuple):
 
 class ChangeRegister(NamedTuple):
     """
-    A holding register that is read, changed and written, because the device has no function 22.
+    A holding register that is read, changed and written, because the device lacks function 22.
 
-    No other such step on the connection comes in between.
+    No other such step on the connection takes place at the same time.
     """
 
     request: pdu.MaskWriteRegister
 
     def write(self, register: int) -> pdu.WriteRegister:
-        """Return the request that writes the register, as section 6.16 of the specification."""
+        """Return the request that writes the register, as in section 6.16 of the specification."""
         request = self.request
         value = register & request.and_mask | request.or_mask & ~request.and_mask
         return pdu.WriteRegister(request.address, value & 0xFFFF)
