@@ -1,5 +1,5 @@
 """
-The requests of a page: set a value, switch a fault.
+Handles the requests of a page: set a value, switch a fault.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ __all__ = ["Actions", "Changed"]
 
 Given = Mapping[str, Any]
 
-# The settings of a fault that a page can give.
+# The settings of a fault that a page can choose.
 SETTINGS = ("kind", "function", "every", "probability", "seconds", "code", "length")
 
 
 class Changed(Protocol):
     """
-    The server that the requests change.
+    The parts of a server that the requests change.
 
     Attributes:
-        log: is told of values that are set.
-        faults: are switched.
+        log: records the values that are set.
+        faults: the faults to switch.
     """
 
     log: Log
@@ -106,7 +106,7 @@ class Actions:
 def _point(unit: ShownUnit, given: Given) -> Point:
     point = unit.points[integer("point", given["point"], 0, len(unit.points) - 1)]
     if point.name != given["name"]:
-        raise ValueError("there is no such point any more")
+        raise ValueError("this point no longer exists")
     return point
 
 

@@ -1,5 +1,5 @@
 """
-The faults of a server as a page lists them, and switches them on and off.
+The faults of a server, which a page lists and switches on and off.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ MOST_FAULTS = 200
 
 class FaultList:
     """
-    The faults of one server, with numbers that stay as long as they do; for any thread.
+    The faults of one server, each with a number that does not change. Safe from any thread.
 
     Args:
-        switch: that of the server, which others may use, too.
+        switch: the fault switch of the server, which other programs may use, too.
     """
 
     def __init__(self, switch: FaultSwitch) -> None:
@@ -33,7 +33,7 @@ class FaultList:
 
     @property
     def version(self) -> int:
-        """A number that grows with every change."""
+        """A number that increases with every change."""
         return self._switch.version
 
     def as_json(self) -> list[list[Any]]:
@@ -52,12 +52,12 @@ class FaultList:
         with self._lock:
             self._follow()
             if number not in self._states:
-                raise ValueError("there is no such fault any more")
+                raise ValueError("this fault no longer exists")
             self._switch.turn(self._states[number], is_on=is_on)
 
     def add(self, unit: int | None, fault: Fault) -> None:
         """
-        Switch on one more fault; None is every unit.
+        Add a fault and switch it on; `unit` is None for every unit.
 
         Raises:
             ValueError: there are `MOST_FAULTS` already.
@@ -65,7 +65,7 @@ class FaultList:
         with self._lock:
             self._follow()
             if len(self._states) >= MOST_FAULTS:
-                raise ValueError(f"there are {MOST_FAULTS} faults, as many as can be")
+                raise ValueError(f"there are {MOST_FAULTS} faults already, which is the maximum")
             self._switch.switch_on(fault, unit=unit)
 
     def _follow(self) -> None:
@@ -82,7 +82,7 @@ def _as_json(number: int, state: FaultState) -> list[Any]:
 
 
 def _settings(fault: Fault) -> str:
-    """All but the kind, such as ``seconds 1.5, function 3``."""
+    """Return all settings except the kind, such as ``seconds 1.5, function 3``."""
     given = {each.name: getattr(fault, each.name) for each in fields(fault) if each.name != "kind"}
     return ", ".join(
         f"{name} {value.hex(' ') if isinstance(value, bytes) else value}"

@@ -1,8 +1,8 @@
 """
-The check of requests: they must have the token, the page's own Host, and its own Origin.
+Checks requests: they must have the token, and the page's own address in Host and Origin.
 
-A page of another program in the same browser has none of these: if its name resolves to this
-address (DNS rebinding), that name is in the Host; its own address is in the Origin.
+A page of another program in the same browser has none of these. If its name resolves to this
+address (DNS rebinding), the Host header contains that name; the Origin header contains its address.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ class PageGuard:
     Checks the requests to one page.
 
     Args:
-        host: where the page listens, as it was given: a name or an address.
+        host: the name or address on which the page listens, as it was given.
         addresses: the addresses of this host.
-        port: where it listens.
-        token: the one that requests must have (`checked_token`); None for a new one.
+        port: the port on which it listens.
+        token: the token that requests must have (`checked_token`); None for a new one.
     """
 
     def __init__(
@@ -51,15 +51,15 @@ class PageGuard:
         return f"{self._cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
     def refusal(self, query: str, headers: Message, *, is_change: bool) -> str:
-        """Return why a request is refused; an empty string if it is not."""
+        """Return the reason to refuse a request; an empty string if it is allowed."""
         host = headers.get("Host", "")
         if len(headers.get_all("Host", [])) != 1 or not self._is_own(host):
-            return "the Host is not the address of this page"
+            return "the Host header is not the address of this page"
         origin = headers.get("Origin")
         if (is_change and origin is None) or origin not in (None, f"http://{host}"):
-            return "the Origin is not this page"
+            return "the Origin header is not the address of this page"
         if not self._has_token(query, headers):
-            return "the token is missing or wrong: open the address that was printed"
+            return "the token is missing or wrong: open the URL that was printed"
         return ""
 
     def _is_own(self, host: str) -> bool:
@@ -80,7 +80,7 @@ class PageGuard:
         Yield the values of the page's cookie, and ignore all other cookies.
 
         Pages on all ports of a machine share their cookies, and `http.cookies` stops at the first
-        that is not as it expects, such as one that contains JSON.
+        that it cannot parse, such as one that contains JSON.
         """
         for header in headers.get_all("Cookie", []):
             for each in header.split(";"):
@@ -94,7 +94,8 @@ def checked_token(token: str) -> str:
     Return a token.
 
     Raises:
-        TypeError, ValueError: it is too short, or has characters that URLs have not.
+        TypeError, ValueError: it is too short, or contains other characters than letters,
+            digits, - and _.
     """
     if not isinstance(token, str):
         raise TypeError(f"token must be a string, not {type(token).__name__}")

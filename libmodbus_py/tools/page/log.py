@@ -26,11 +26,11 @@ from .shown import ShownServer
 
 __all__ = ["Log", "LogRow", "Written", "request_name"]
 
-# ADUs that wait until a page looks, and rows that are remembered.
+# The most ADUs that wait to be shown, and the most rows that are remembered.
 MOST_ADUS = 2000
 MOST_ROWS = 300
 
-# Ranges of addresses whose last write is remembered.
+# The most ranges of addresses whose last write is remembered.
 MOST_RANGES = 1000
 
 MOST_VALUES = 10
@@ -41,7 +41,7 @@ _short.maxstring = _short.maxother = 80
 
 WRITES = frozenset(request.function for request, kind in ACCESSES.items() if kind.writes)
 
-# Kinds of transactions after which the device holds what was written.
+# Kinds of transactions after which the device has the written values.
 DONE = ("answered", "broadcast", "late", "invalid")
 
 
@@ -51,7 +51,7 @@ HEAD = (
     *("time", "client", "unit", "function", "request", "points", "response", "kind", "seconds"),
 )
 
-# With these a spreadsheet begins a formula.
+# Characters with which formulas of spreadsheets begin.
 FORMULAS = ("=", "+", "-", "@", "\t", "\r")
 
 
@@ -60,7 +60,7 @@ class LogRow(NamedTuple):
     A transaction as a row of the log.
 
     Attributes:
-        number: counts all rows since the page began.
+        number: the number of the row, counted since the page was opened.
         named: the points that are read or written, with their values.
         writes: True for a write.
     """
@@ -79,7 +79,7 @@ class LogRow(NamedTuple):
 
 
 class Written(NamedTuple):
-    """The last write to some addresses; `number` counts all writes since the page began."""
+    """The last write to some addresses; `number` is counted since the page was opened."""
 
     number: int
     unit: int | None
@@ -92,7 +92,7 @@ class Written(NamedTuple):
 
 class Log:
     """
-    Takes the trace of a server, in the server's loop, and returns rows, in any thread.
+    Collects the trace of a server, in the server's loop, and returns rows, in any thread.
 
     Args:
         shown: returns the units that the server has now.
@@ -104,15 +104,15 @@ class Log:
         self._pairing = TracePairing()
         self._rows: deque[LogRow] = deque(maxlen=MOST_ROWS)
         self._row_numbers = count(1)
-        # Writes are paired at once, because a page that is opened later shows them, too.
+        # Writes are paired at once, because pages that are opened later show them, too.
         self._writes = TracePairing()
         self._written: dict[tuple[int | None, str, int, int], Written] = {}
         self._write_numbers = count(1)
 
-    # --- what passed --------------------------------------------------------------------------
+    # --- input --------------------------------------------------------------------------------
 
     def note(self, traced: Traced) -> None:
-        """Take what a trace is called with; quickly, because the server waits."""
+        """Take an ADU of the trace; returns quickly, because the server waits."""
         self._adus.append(traced)
         if traced.function is not None and traced.function & 0x7F in WRITES:
             self._note_write(traced)
@@ -142,11 +142,11 @@ class Log:
                 start = access.address
                 self.wrote(number, access.table, start, start + access.count, peer)
 
-    # --- what pages are sent ------------------------------------------------------------------
+    # --- output -------------------------------------------------------------------------------
 
     def rows(self, after: int = 0) -> list[LogRow]:
         """Return the remembered rows after this number."""
-        # ADUs that come meanwhile wait: under load this would never return.
+        # ADUs that arrive meanwhile wait: otherwise this might never return under load.
         for _ in range(len(self._adus)):
             self._pairing.take(self._adus.popleft())
         self._pairing.tick(time.time())
@@ -155,7 +155,7 @@ class Log:
         return [each for each in self._rows if each.number > after]
 
     def download(self, query: Mapping[str, str]) -> str:
-        """Return the remembered rows that a query wants as CSV; see `as_csv`."""
+        """Return the remembered rows that a query selects as CSV; see `as_csv`."""
         writes, errors = ("1" in query.get(name, "") for name in ("writes", "errors"))
         return self.as_csv(query.get("unit", ""), writes=writes, errors=errors)
 
@@ -164,8 +164,9 @@ class Log:
         Return the remembered rows as CSV.
 
         Args:
-            unit: only of this unit; empty for all.
-            writes, errors: only writes, and only what was not answered well; both for either.
+            unit: only rows of this unit; empty for all units.
+            writes: True for only writes.
+            errors: True for only failed requests; with `writes` both kinds are returned.
         """
         rows = [
             [time_text(each.time), *each[2:6], each.named, each.outcome, each.kind, each.seconds]
@@ -175,7 +176,7 @@ class Log:
         return csv_rows([HEAD, *(map(_cell, row) for row in rows)])
 
     def _named(self, exchange: Exchange) -> str:
-        """Return the points of a transaction with their values; it may be of no unit here."""
+        """Return the points of a transaction with their values; "" if the server lacks its unit."""
         each, shown = exchange.transaction, self._shown()
         if each.request is None or each.unit is None or each.kind not in DONE:
             return ""
@@ -203,7 +204,7 @@ def _is_wanted(row: LogRow, *, writes: bool, errors: bool) -> bool:
 
 
 def _cell(value: Any) -> Any:
-    """Return a cell of CSV that no program takes for a formula."""
+    """Return a cell of CSV that spreadsheets do not take for a formula."""
     return f"'{value}" if isinstance(value, str) and value[:1] in FORMULAS and value else value
 
 
@@ -225,7 +226,7 @@ def _row(number: int, exchange: Exchange, named: str) -> LogRow:
 
 
 def _words(request: Request[Any]) -> str:
-    """Return such as ``read holding registers 100..102`` or ``diagnostics: sub function 0``."""
+    """Return a text such as ``read holding registers 100..102``."""
     match request:
         case pdu.WriteCoil() | pdu.WriteRegister():
             return f"write {_place(request)} {request.address}: {int(request.value)}"
@@ -253,7 +254,7 @@ def _span(address: int, count: int) -> str:
 
 
 def _listed(values: Any) -> str:
-    """Return bits and registers as numbers, the first few; other values as Python shows them."""
+    """Return the first few bits or registers as numbers; other values in the form of Python."""
     if not isinstance(values, list | tuple) or not all(isinstance(each, int) for each in values):
         return _short.repr(values)
     more = "" if len(values) <= MOST_VALUES else f", ... ({len(values)})"

@@ -20,7 +20,7 @@ __all__ = ["named_cells"]
 NO_CALLER = (0, "", None)
 
 MOST_POINTS = 6
-"""Points that are named; a request may contain more."""
+"""The most points that are named; a request may contain more."""
 
 
 def named_cells(unit: ShownUnit, request: Request[Any], response: Any) -> str:
@@ -28,10 +28,12 @@ def named_cells(unit: ShownUnit, request: Request[Any], response: Any) -> str:
     Return the points that a request reads or writes as a whole, with their values.
 
     Args:
-        response: the result of the request; None unless it was answered with values.
+        unit: the unit of the request.
+        request: the request.
+        response: the result of the request; None unless the response contains values.
 
     Returns:
-        Text such as "voltage 230.1 V, pump on"; empty if there is none.
+        Text such as "voltage 230.1 V, pump on"; empty if there are no such points.
     """
     kind = ACCESSES.get(type(request))
     if kind is None:

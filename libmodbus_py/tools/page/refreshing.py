@@ -1,5 +1,5 @@
 """
-Values that a device computes when they are read.
+Lets devices compute values that are computed when they are read.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ __all__ = ["Refreshing"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-# Seconds between two attempts: a device may refuse because it is busy, and one that refuses all
-# cells costs a call for each.
+# Seconds between two attempts. A device may refuse because it is busy; if it refuses all cells,
+# each cell costs a call.
 RETRY = 10.0
 
 
@@ -53,7 +53,7 @@ class Refreshing:
             middle = len(run) // 2
             parts = [run[:middle], run[middle:]] if middle else []
             return [each for part in parts for each in self._refreshed(table, part)]
-        except BaseException:  # a hook may mean to end a server, but this is none
+        except BaseException:  # a hook may raise it to end a server, but must not end the page
             if not self._has_failed:
                 self._has_failed = True
                 logger.exception("%s %s: before_read failed", table, run)

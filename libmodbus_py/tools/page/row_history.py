@@ -1,5 +1,5 @@
 """
-The numbers of the rows of a table over time, made of counters that only grow.
+The numbers of the rows of a table over time, computed from counters that only increase.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ class RowHistory(Generic[Row, Counts]):
     Samples numbers of rows, at most once a second. Safe from any thread.
 
     Args:
-        rows: returns the name of each row, as its first cell has it, and the row.
+        rows: returns the name of each row, as in its first cell, and the row.
         count: returns the counters of a row.
         figures: returns the numbers of a row, by the titles of their columns; called with its
-            counters before and now, and the seconds between. None stands for no number.
+            previous and current counters, and the seconds between them. None means no number.
         units: the units of each of these columns.
         clock: returns seconds since the epoch.
     """

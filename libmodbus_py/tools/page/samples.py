@@ -22,18 +22,18 @@ __all__ = [
 ]
 
 MOST_SAMPLES = 600
-"""The most samples of one value: at one a second, those of ten minutes."""
+"""The most samples of one value; with one sample a second, those of ten minutes."""
 
 FEWEST = 60
-"""Samples of a value, however many values there are."""
+"""The samples that each value may have, however many values there are."""
 
 MOST_BYTES = 64_000_000
-"""Bytes of the samples of all values, of which each has 16."""
+"""The most bytes of the samples of all values; a sample takes 16 bytes."""
 
 MOST_PAIRS = 1000
-"""Samples of a chart."""
+"""The most samples of a chart."""
 
-# Samples that are closer together replace each other.
+# A sample replaces the previous one if fewer seconds lie between them.
 SHORTEST = 0.4
 
 NUMBERS = (float, int, bool)
@@ -59,7 +59,7 @@ class Samples:
         most: the most samples that are kept, at least 2.
 
     Attributes:
-        low, high: the least and the greatest number since the first sample; None without one.
+        low, high: the lowest and the highest number since the first sample; None if there is none.
     """
 
     __slots__ = ("_at", "_most", "_newest", "_times", "_values", "high", "low")
@@ -92,7 +92,7 @@ class Samples:
     def _keep(self, time: float, number: float) -> None:
         times, at = self._times, self._at
         if 0 <= time - self._newest < SHORTEST:
-            if number == number:  # a gap may not hide a number
+            if number == number:  # a gap must not replace a number
                 self._values[at - 1] = number
             return
         self._newest = time
@@ -105,7 +105,7 @@ class Samples:
             self._at = (at + 1) % self._most
 
     def resize(self, most: int) -> None:
-        """Keep at most so many samples from now on; the oldest are dropped."""
+        """Set the most samples that are kept; the oldest ones are dropped."""
         if most != self._most:
             at, self._most, self._at = self._at, most, 0
             self._times = (self._times[at:] + self._times[:at])[-most:]
@@ -157,11 +157,11 @@ def _time(pair: tuple[float, Any]) -> float:
 
 def thinned(pairs: Sequence[tuple[float, float | None]], most: int) -> Pairs:
     """
-    Return at most so many samples of many: the extremes of each stretch, and every gap.
+    Return a limited number of samples: the extremes of each stretch of time, and every gap.
 
     Args:
-        pairs: time and number of each, the oldest first; None for a gap.
-        most: at least 4.
+        pairs: time and number of each sample, the oldest first; None for a gap.
+        most: the most samples to return, at least 4.
     """
     if len(pairs) <= most:
         return list(pairs)

@@ -1,5 +1,5 @@
 """
-A server as a page shows it: units, values, log, counters and faults.
+The source of the page of a server: units, values, log, counters and faults.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .views import CellsView, PointsView
 
 __all__ = ["ServerSource"]
 
-# The choices of the page; each kind of fault has the setting that it needs, if any.
+# The choices that the page offers; for each kind of fault, the setting that it needs, if any.
 WORDS: dict[str, Any] = {
     "types": list(TYPES),
     "orders": list(ORDERS),
@@ -36,7 +36,7 @@ WORDS: dict[str, Any] = {
 }
 
 MOST_SAMPLED = 5000
-"""Points whose samples are kept."""
+"""The most points whose samples are kept."""
 
 # The view of a page: unit, table or "points", the first of them, and the end.
 Key = tuple["int | None", str, int, int]
@@ -44,10 +44,10 @@ Key = tuple["int | None", str, int, int]
 
 class ServerSource:
     """
-    See `PageSource`.
+    The `PageSource` of a server.
 
     Args:
-        server: its devices may be replaced.
+        server: the server, whose devices may be replaced meanwhile.
 
     Attributes:
         log, faults: shown on all pages.
@@ -124,7 +124,7 @@ class ServerSource:
     # --- history -------------------------------------------------------------------------------
 
     def _samples_of(self, unit: ShownUnit, point: Point) -> Samples:
-        """Return the samples of a point; those that were looked at first make room for new ones."""
+        """Return the samples of a point; those of points not shown for longest make room."""
         key = unit.number, point.name
         samples = self._samples.pop(key, None) or Samples()
         while len(self._samples) >= MOST_SAMPLED:
@@ -140,7 +140,7 @@ class ServerSource:
         samples = self._samples.get((unit.number, row[1]))
         points = [each for each in unit.points if each.name == row[1]]
         if samples is None or not points:
-            raise ValueError("there is no such value any more")
+            raise ValueError("this value no longer exists")
         now = time.time()
         since = now - number("seconds", given["seconds"], 1, 86_400)
         return charted(samples.pairs(since), now, points[0].units)

@@ -1,8 +1,9 @@
 """
-Typed values, into cells: checked, set under the lock, and compared afterwards.
+Sets cells to values that a person typed. Values are checked, set under the lock, and compared
+afterwards.
 
-They are set by the device's own side, not by a client: cells that clients cannot write can be set,
-and hooks for writes are not called. Values that do not fit a point are refused.
+The program of the device sets them, not a client: cells that clients cannot write can be set, and
+hooks for writes are not called. Values that do not fit a point are refused.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ MOST_TEXT = 2000
 
 def set_point(unit: ShownUnit, point: Point, text: str) -> None:
     """
-    Set a point to the value that a text says, or to several, as `typed_values` takes them.
+    Set a point to the value, or the values, in a text, as `typed_values` reads them.
 
     Raises:
         ValueError: the text is not such a value, or the device computes the value itself.
@@ -42,7 +43,7 @@ def set_point(unit: ShownUnit, point: Point, text: str) -> None:
 
 def set_cells(unit: ShownUnit, table: str, address: int, text: str, type: str, order: str) -> range:
     """
-    Set one value of a type from an address on; in tables of bits the type is ignored.
+    Set cells from an address on to a value of a type; in tables of bits the type is ignored.
 
     Returns:
         The addresses of the cells that were set.
@@ -75,7 +76,7 @@ def set_cells(unit: ShownUnit, table: str, address: int, text: str, type: str, o
 
 
 def readings_at(unit: ShownUnit, table: str, address: int) -> list[list[str]]:
-    """Return type, order and value of each meaning of the cells from an address on."""
+    """Return type, order and value for each way to decode the cells from an address on."""
     if TABLES[table].is_bits:
         return []
     found = []
@@ -95,8 +96,10 @@ def _check_length(text: str) -> None:
 
 def _check_set(unit: ShownUnit, point: Point, cells: list[Any]) -> None:
     """
+    Check that a point still has the cells that were set.
+
     Raises:
-        ValueError: a point has other cells as soon as it is read.
+        ValueError: the point has other cells, because the device computes them when they are read.
     """
     Refreshing(unit.device).refresh(point.table, point.cells)
     if cells_after(point, unit.device.mapping) != cells:

@@ -29,7 +29,7 @@ class CanHold(Protocol):
 
     def hold(self, point: Point, *, is_on: bool) -> None:
         """
-        Hold a moving point at its value, or let it go on.
+        Hold a moving point at its value, or let it move again.
 
         Raises:
             ValueError: the point never moves.
@@ -44,8 +44,8 @@ class ShownUnit:
 
     Attributes:
         number: 0..255; None for a device that answers every unit.
-        name, description: those of its device file; empty without one.
-        points: its named values.
+        name, description: the texts in its device file; empty without a device file.
+        points: the named values of the device.
     """
 
     number: int | None
@@ -66,7 +66,7 @@ class ShownUnit:
         return found
 
     def points_from(self, table: str, address: int) -> Iterator[Point]:
-        """Yield the points of a table that begin at an address or behind it, in order."""
+        """Yield the points of a table that begin at or after an address, in order."""
         points = self._by_address.get(table, [])
         yield from points[bisect_left(points, (table, address), key=_place) :]
 
@@ -111,7 +111,7 @@ class ShownServer:
     All devices of a server.
 
     Attributes:
-        given: the devices of the server; if it has others, this object is out of date.
+        given: the devices of the server; if the server has other ones, this object is out of date.
     """
 
     given: Device | Mapping[int, Device]
@@ -121,7 +121,7 @@ class ShownServer:
         return [unit.as_json() for unit in self.units.values()]
 
     def units_of(self, number: int, *, is_line: bool) -> list[int | None]:
-        """Return the units that a request is for, by its unit and kind of connection."""
+        """Return the units that a request addresses, by its unit and kind of connection."""
         if is_line and number == 0:
             return list(self.units)
         if None in self.units:

@@ -1,5 +1,5 @@
 """
-The protocols between a page and what it shows: a server, a fleet, a gateway, a watch.
+The protocols between a page and the things that it shows: a server, a fleet, a gateway, a watch.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ Changes = dict[str, Any]
 
 Action = Callable[[Mapping[str, Any]], object]
 """
-Takes the JSON object of a request, and returns that of the response; it raises TypeError,
+Takes the JSON object of a request, and returns the JSON object of the response. Raises TypeError,
 ValueError or KeyError if the object is wrong or lacks a key.
 """
 
@@ -26,7 +26,7 @@ class PageView(Protocol):
     """The view of one or more pages."""
 
     def look(self) -> Changes:
-        """Return the changes since the last call; everything at the first."""
+        """Return the changes since the last call; everything on the first call."""
         ...
 
     def all(self) -> Changes:
@@ -46,33 +46,33 @@ class PageSource(Protocol):
 
     @property
     def actions(self) -> Mapping[str, Action]:
-        """Requests of pages, by path; they are called in any thread."""
+        """The functions that answer requests of pages, by path; called in any thread."""
         ...
 
     @property
     def downloads(self) -> Mapping[str, Download]:
-        """Files that pages offer, by path; they are called in any thread."""
+        """The functions that make files to download, by path; called in any thread."""
         ...
 
     def structure(self) -> object:
-        """Return what there is to be viewed; another object when that has changed."""
+        """Return the structure of what can be viewed; a new object if it has changed."""
         ...
 
     def described(self) -> Changes:
-        """Return the structure, for a page that does not know it."""
+        """Return the structure, for a page that has not received it."""
         ...
 
     def everything(self) -> Changes:
-        """Return what all pages show, for a page that missed something."""
+        """Return the parts that all pages show, for a page that missed a change of them."""
         ...
 
     def changes(self) -> Changes:
-        """Return the changes since the last call of what all pages show."""
+        """Return the changes since the last call in the parts that all pages show."""
         ...
 
     def key(self, given: Mapping[str, Any]) -> Hashable:
         """
-        Return the key of the view that a page asks for; equal ones share a view.
+        Return the key of the view that a page requests; pages with equal keys share a view.
 
         Raises:
             TypeError, ValueError, KeyError: there is no such view.
@@ -80,11 +80,11 @@ class PageSource(Protocol):
         ...
 
     def view(self, key: Any) -> PageView | None:
-        """Return a new view; None if what it shows has gone."""
+        """Return a new view; None if the unit or table that it shows no longer exists."""
         ...
 
     def is_current(self, view: Any) -> bool:
-        """Return False if a view shows what has gone or was replaced."""
+        """Return False if the unit or table of a view no longer exists or was replaced."""
         ...
 
     def named(self, key: Any) -> Changes:

@@ -1,5 +1,5 @@
 """
-The changes that open pages are sent, ten times a second at most.
+Sends the changes to open pages, at most ten times a second.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 
 MOST_STREAMS = 16
 
-# Seconds between two looks for changes. After each, the next waits for at least nine times as long
-# as it took, so that all together take at most a tenth of one processor.
+# Seconds between two searches for changes. Each search is followed by a pause of at least nine
+# times its duration, so that searches take at most a tenth of one processor.
 PERIOD = 0.1
 REST = 9
 
@@ -37,7 +37,7 @@ class FullError(Exception):
 
 
 class View:
-    """The key of what a page shows. A view that is set again, as another object, is sent whole."""
+    """The key of the view of a page. If a new object is set, the whole view is sent again."""
 
     def __init__(self, key: Hashable) -> None:
         self.key = key
@@ -50,7 +50,7 @@ class PageStream:
     Attributes:
         name: identifies the page in its requests.
         wake: a descriptor that is readable when there is a message.
-        view: what it shows.
+        view: the view that it shows.
     """
 
     def __init__(self) -> None:
@@ -58,7 +58,7 @@ class PageStream:
         self._flag = Flag()
         self.wake: int = self._flag.descriptor
         self.view = View(None)
-        # What the page was sent: whether everything, of which structure, and for which view.
+        # What the page has received: whether everything, of which structure, and for which view.
         self.is_behind = True
         self.shown: object = None
         self.told: View | None = None
@@ -66,7 +66,7 @@ class PageStream:
         self._message = ""
 
     def offer(self, message: str) -> bool:
-        """Offer a message; return False if the page has not taken the last one."""
+        """Offer a message; return False if the page has not taken the previous one."""
         with self._lock:
             if self._message or self.wake < 0:
                 return False
@@ -91,7 +91,7 @@ class Streams:
     All open pages of one address.
 
     Args:
-        source: what they show.
+        source: the things that the pages show.
     """
 
     def __init__(self, source: PageSource) -> None:
@@ -105,15 +105,15 @@ class Streams:
         self._has_failed = False
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
 
-    # --- pages that come and go ------------------------------------------------------------------
+    # --- open pages ------------------------------------------------------------------
 
     @contextlib.contextmanager
     def sending(self) -> Iterator[None]:
         """
-        Send open pages what has changed, from a thread, while the ``with`` block runs.
+        Send changes to open pages, from a thread, while the ``with`` block runs.
 
         Raises:
-            OSError: there are too many threads.
+            OSError: the system cannot start another thread.
         """
         start_thread(self._thread)
         try:
@@ -130,11 +130,11 @@ class Streams:
         Open one more page while the block runs.
 
         Raises:
-            FullError: there are too many.
+            FullError: `MOST_STREAMS` pages are open already.
         """
         with self._changed:
             if len(self._streams) >= MOST_STREAMS:
-                raise FullError(f"{MOST_STREAMS} pages are open, as many as may be")
+                raise FullError(f"{MOST_STREAMS} pages are open, which is the maximum")
             stream = PageStream()
             self._streams[stream.name] = stream
             self._is_asked = True
@@ -156,14 +156,14 @@ class Streams:
         name = given["stream"]
         stream = self._streams.get(name) if isinstance(name, str) else None
         if stream is None:
-            raise ValueError("there is no such page any more")
+            raise ValueError("this page is no longer open")
         key = self.source.key(given)
         with self._changed:
             stream.view = View(key)
             self._is_asked = True
             self._changed.notify_all()
 
-    # --- what they are sent ----------------------------------------------------------------------
+    # --- messages ----------------------------------------------------------------------
 
     def _run(self) -> None:
         while self._wait():

@@ -1,5 +1,5 @@
 """
-Tables as a page shows them: the rows that each page looks at, and the history of a value.
+The source of a page of tables: the rows that each page shows, and the history of a value.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from .tables import PageTable, cell_text
 __all__ = ["MOST_VISIBLE", "Older", "Shown", "TableSource", "TableView"]
 
 MOST_VISIBLE = 200
-"""Rows of one view."""
+"""The most rows of one view."""
 
 MOST_FOUND = 100
-"""Characters of what is searched for."""
+"""The most characters of a search text."""
 
 MOST_ROWS = 10_000_000
 
 MOST_SECONDS = 7 * 86_400.0
 
-# Seconds for which a journal is not asked.
+# A gap of fewer seconds before the samples in memory is not filled from the journal.
 SHORTEST = 2.0
 
-# Seconds between two selections of the rows that are in trouble.
+# Seconds between two selections of the rows with problems.
 SELECTED = 1.0
 
 Older = Callable[[str, str, float, float, int], Sequence["tuple[float, float | None]"]]
@@ -46,22 +46,22 @@ class Shown(Protocol):
 
     @property
     def kind(self) -> str:
-        """One word for it, such as "fleet"."""
+        """The kind of the page in one word, such as "fleet"."""
         ...
 
     @property
     def title(self) -> str:
-        """Its name."""
+        """The title of the page."""
         ...
 
     @property
     def tables(self) -> Sequence[PageTable]:
-        """Its tables, in the order of their tabs."""
+        """The tables, in the order of their tabs."""
         ...
 
     @property
     def log(self) -> Log | None:
-        """The log that is shown beside the tables; None for none."""
+        """The log that is shown beside the tables; None for no log."""
         ...
 
     @property
@@ -76,7 +76,7 @@ class Shown(Protocol):
 
 class TableSource:
     """
-    See `PageSource`.
+    A `PageSource` of tables.
 
     Args:
         shown: the tables.
@@ -142,7 +142,7 @@ class TableSource:
         if not isinstance(name, str) or name not in self._tables:
             raise ValueError("there is no such table")
         if not isinstance(wanted, str) or len(wanted) > MOST_FOUND:
-            raise ValueError(f"find must be a text of at most {MOST_FOUND} characters")
+            raise ValueError(f"find must be a string of at most {MOST_FOUND} characters")
         only = given["trouble"] is True
         return name, wanted.lower(), only, first, min(stop, first + MOST_VISIBLE)
 
@@ -163,10 +163,10 @@ class TableSource:
         if not isinstance(table, str) or table not in self._tables:
             raise ValueError("there is no such table")
         if not isinstance(name, list) or len(name) != 2 or not _are_texts([*name, column]):
-            raise ValueError("row must be two texts, and column one")
+            raise ValueError("row must be a list of two strings, and column a string")
         series = self._tables[table].series((name[0], name[1]), column)
         if series is None:
-            raise ValueError("there is no such value any more")
+            raise ValueError("this value no longer exists")
         now = time.time()
         since = now - number("seconds", given["seconds"], 1, MOST_SECONDS)
         pairs = series.samples.pairs(since)
@@ -187,12 +187,12 @@ def _are_texts(given: Sequence[object]) -> bool:
 
 class TableView:
     """
-    See `PageView`: rows of a table.
+    A `PageView` of rows of a table.
 
     Args:
-        wanted: what the words of a row must contain, in lower case.
-        only: True for rows in trouble only.
-        first, stop: the range of the rows, among those that are wanted.
+        wanted: the words that a row must contain, in lower case.
+        only: True to show only rows with problems.
+        first, stop: the range of the rows, among the rows that match.
     """
 
     def __init__(self, table: PageTable, wanted: str, only: bool, first: int, stop: int) -> None:

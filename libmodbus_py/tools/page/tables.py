@@ -22,13 +22,13 @@ __all__ = [
 ]
 
 MOST_TEXT = 200
-"""Characters of a cell."""
+"""The most characters of a cell."""
 
 SPARK = 60
-"""Samples of a sparkline."""
+"""The most samples of a sparkline."""
 
 MOST_VALUES = 20
-"""Items of a list that a cell shows."""
+"""The most items of a list that a cell shows."""
 
 
 class Column(NamedTuple):
@@ -36,10 +36,11 @@ class Column(NamedTuple):
     A column of a table.
 
     Attributes:
-        title: of the column, as text.
+        title: the title of the column.
         kind: how its cells are shown: "row" names the row, "age" and "since" are times in seconds
-            since the epoch, "state" is good or not, "spark" are levels, of which there is a chart.
-        is_wide: True if telephones leave it out.
+            since the epoch, "state" is good or not, "spark" are the levels of a sparkline, which
+            opens a chart.
+        is_wide: True if narrow screens, such as those of telephones, leave the column out.
     """
 
     title: str
@@ -54,9 +55,9 @@ class Series(NamedTuple):
     The numbers that a chart shows.
 
     Attributes:
-        samples: their times and values.
-        units: of them, as text.
-        is_stepped: True if a number holds until the next one, because it comes when it changes.
+        samples: the times and values.
+        units: the units of measurement.
+        is_stepped: True if a number is valid until the next one, because it is sampled on change.
     """
 
     samples: Samples
@@ -66,7 +67,7 @@ class Series(NamedTuple):
 
 class PageTable(Protocol):
     """
-    A table; its rows are any objects. A thread of the page calls the methods.
+    A table, whose rows may be any objects. A thread of the page calls the methods.
     """
 
     @property
@@ -89,15 +90,15 @@ class PageTable(Protocol):
         ...
 
     def words(self, row: Any) -> str:
-        """Return the text in which people search, in lower case."""
+        """Return the text of a row that is searched, in lower case."""
         ...
 
     def is_trouble(self, row: Any) -> bool:
-        """Return True if something is wrong with what the row is about."""
+        """Return True if the row shows a problem."""
         ...
 
     def stamp(self, row: Any) -> object:
-        """Return something that differs when the cells may have changed."""
+        """Return an object that is not equal to the last one if the cells may have changed."""
         ...
 
     def cells(self, row: Any) -> list[Any]:
@@ -106,7 +107,7 @@ class PageTable(Protocol):
 
     def series(self, name: tuple[str, str], column: str) -> Series | None:
         """
-        Return the numbers of a sparkline; None if there is none any more.
+        Return the numbers of a sparkline; None if the row or column no longer exists.
 
         Args:
             name: the first two texts of the cell that names the row.
@@ -120,9 +121,9 @@ class TableValue:
     A named value.
 
     Attributes:
-        device, name, units: as text.
+        device, name, units: the names of device and point, and the units of measurement.
         reading: time, device, name, value, unit, quality, reason, and perhaps more; None at first.
-        samples: its last numbers.
+        samples: the last numbers of the value.
     """
 
     __slots__ = ("device", "name", "reading", "samples", "units")
@@ -137,11 +138,11 @@ class TableValue:
 
 class ValuesTable:
     """
-    See `PageTable`: the last value of each point, which any thread may put.
+    A `PageTable` of the last value of each point. Any thread may call `put`.
 
     Args:
-        seen: returns when a device was last asked with success, in seconds since the epoch; a value
-            that is good is as old as that, or as its reading.
+        seen: called with a device; returns when it last answered, in seconds since the epoch. A
+            good value is as old as that, or as its reading if that is newer.
         is_stepped: called with device and name; see `Series`.
     """
 
@@ -170,10 +171,10 @@ class ValuesTable:
 
     def describe(self, points: Iterable[tuple[str, str, str]]) -> None:
         """
-        Set which values there are, and keep what is known of them.
+        Set the points of the table, and keep the values of those that it already contains.
 
         Args:
-            points: device, name and units of each.
+            points: device, name and units of each point.
         """
         before, after = self._values, dict[tuple[str, str], TableValue]()
         given = list(points)
@@ -250,7 +251,7 @@ def value_text(value: Any) -> str:
     if isinstance(value, bool):
         return "on" if value else "off"
     if isinstance(value, float):
-        # A longer one comes from 32 bits, of which seven digits are true.
+        # A longer number was decoded from 32 bits, which hold only seven exact digits.
         return text if len(text := repr(value)) <= LONGEST else f"{value:.7g}"
     if isinstance(value, list | tuple):
         more = ", ..." if len(value) > MOST_VALUES else ""

@@ -29,11 +29,11 @@ MOST_CELLS = 16_384
 # Cells are compared and sent in chunks of this size.
 CHUNK = 64
 
-# Seconds between two samples of a point that is looked at, and the samples of its line.
+# Seconds between two samples of a point that a page shows, and the most samples of its sparkline.
 SAMPLED = 1.0
 SPARK = 60
 
-# Characters of a value that a row can show.
+# The most characters of a value that a row can show.
 MOST_TEXT = 200
 
 
@@ -116,12 +116,12 @@ class PointsView:
 
 
 def point_text(point: Point, cells: list[Any], source: Any) -> str:
-    """Return the value of a point as a row shows it, or why there is none."""
+    """Return the value of a point as a row shows it, or the reason that it has none."""
     return judged_point(point, cells, source)[1]
 
 
 def judged_point(point: Point, cells: list[Any], source: Any) -> tuple[Any, str]:
-    """Return the value of a point, None without one, and the value as a row shows it."""
+    """Return the value of a point, or None if it has none, and the text that a row shows."""
     try:
         value, _, reason = point.judge(cells, source=source)
     except (TypeError, ValueError) as error:

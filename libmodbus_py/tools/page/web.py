@@ -66,7 +66,7 @@ class WebServer(TimedServer):
     The page on one address.
 
     Args:
-        token: the one that requests must have; None for a new one.
+        token: the token that requests must have; None for a new one.
 
     Attributes:
         url: with the token that a browser must send.
@@ -115,7 +115,7 @@ class Refused(Exception):
 
 
 class Handler(BaseHTTPRequestHandler):
-    """The one request of a connection."""
+    """The single request of a connection."""
 
     server: WebServer
     server_version = "libmodbus-py"
@@ -154,7 +154,7 @@ class Handler(BaseHTTPRequestHandler):
         try:
             parts = urlsplit(self.path)
         except ValueError:
-            raise Refused(400, "no such path") from None
+            raise Refused(400, "the path is invalid") from None
         return parts.path, parts.query
 
     def _get(self, path: str, query: str) -> None:
@@ -167,7 +167,7 @@ class Handler(BaseHTTPRequestHandler):
             self._send(200, "text/csv; charset=utf-8", text.encode(errors="replace"))
             return
         if path not in FILES:
-            raise Refused(404, "there is nothing here")
+            raise Refused(404, "not found")
         name, kind = FILES[path]
         data = FOLDER.joinpath(name or self.server.streams.source.document).read_bytes()
         self._send(200, kind, data, with_cookie=path == "/")
@@ -175,7 +175,7 @@ class Handler(BaseHTTPRequestHandler):
     def _post(self, path: str, query: str) -> None:
         action = self.server.actions.get(path)
         if action is None:
-            raise Refused(404, "there is nothing here")
+            raise Refused(404, "not found")
         try:
             found = action(self._body())
         except (TypeError, ValueError, KeyError) as error:
@@ -185,19 +185,19 @@ class Handler(BaseHTTPRequestHandler):
 
     def _body(self) -> dict[str, Any]:
         if self.headers.get_content_type() != "application/json":
-            raise Refused(415, "only JSON is taken")
+            raise Refused(415, "the Content-Type must be application/json")
         length = self.headers.get("Content-Length", "")
         if not (length.isascii() and length.isdigit()) or "Transfer-Encoding" in self.headers:
             raise Refused(411, "Content-Length is missing")
         if len(length) > 9 or int(length) > MOST_BODY:
-            raise Refused(413, f"there are more than {MOST_BODY} bytes")
+            raise Refused(413, f"the body has more than {MOST_BODY} bytes")
         data = self.rfile.read(int(length))
         try:
             found = json.loads(data)
         except (ValueError, RecursionError):
-            raise Refused(400, "that is not JSON") from None
+            raise Refused(400, "the body is not valid JSON") from None
         if not isinstance(found, dict):
-            raise Refused(400, "that is not a JSON object")
+            raise Refused(400, "the body is not a JSON object")
         return found
 
     def _send(self, status: int, kind: str, data: bytes, *, with_cookie: bool = False) -> None:
@@ -240,7 +240,7 @@ def _fields(query: str) -> dict[str, str]:
     try:
         return dict(parse_qsl(query, max_num_fields=MOST_FIELDS))
     except ValueError:
-        raise Refused(400, "there are too many fields") from None
+        raise Refused(400, "the query has too many fields") from None
 
 
 def _json(found: object) -> bytes:

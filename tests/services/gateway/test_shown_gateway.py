@@ -128,7 +128,7 @@ def test_numbers_of_lines_and_units_over_time(monkeypatch: pytest.MonkeyPatch) -
                 for column in ("rate", "queue", "time")
             }
             assert visitor.history(["127.0.0.1", "unit 1"], 60, "clients", "requests") == (
-                "there is no such value any more"
+                "this value no longer exists"
             )
     assert max(charts["lines", "rate"]["values"]) > 0
     assert max(charts["units", "rate"]["values"]) > 0

@@ -29,7 +29,7 @@ def test_faults_are_switched_off_and_on() -> None:
         visitor.post("/fault", number=0, on=True)
         until(lambda: not _reads(plc))
         found = visitor.post("/fault", number=9, on=True)
-        assert found == "there is no such fault any more"
+        assert found == "this fault no longer exists"
 
 
 def _reads(plc: Context) -> bool:

@@ -54,7 +54,7 @@ def test_what_is_off_does_not_happen_and_comes_back(server: Server) -> None:
 
 @pytest.mark.parametrize("number", [-1, 2])
 def test_a_fault_that_is_not_there_is_refused(server: Server, number: int) -> None:
-    with pytest.raises(ValueError, match="no such fault"):
+    with pytest.raises(ValueError, match="fault no longer exists"):
         listed(server).turn(number, is_on=False)
     assert len(happening(server)) == 2
 
@@ -77,7 +77,7 @@ def test_what_others_change_is_followed(server: Server) -> None:
     server.replace(server.devices, {3: [Fault("disconnect")]})
     assert faults.version != before
     assert faults.as_json() == [[2, 3, "disconnect", "", True]]
-    with pytest.raises(ValueError, match="no such fault"):
+    with pytest.raises(ValueError, match="fault no longer exists"):
         faults.turn(0, is_on=True)
 
 

@@ -68,7 +68,7 @@ def test_a_held_value_stays_can_be_set_and_goes_on(visitor: Visitor) -> None:
 def test_what_never_moves_cannot_be_held(visitor: Visitor) -> None:
     fixed = {"unit": 1, "point": 1, "name": "fixed", "on": True}
     assert visitor.post("/hold", **fixed) == "fixed: never moves by itself"
-    assert visitor.post("/hold", **{**fixed, "name": "level"}) == "there is no such point any more"
+    assert visitor.post("/hold", **{**fixed, "name": "level"}) == "this point no longer exists"
     assert visitor.post("/hold", **{**fixed, "unit": 9}) == "there is no unit 9"
     assert "point must be" in visitor.post("/hold", **{**fixed, "point": 2})
     assert not isinstance(Device(Mapping()), CanHold)

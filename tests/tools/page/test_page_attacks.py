@@ -270,7 +270,7 @@ def test_no_more_than_so_many_pages() -> None:
             stack.enter_context(Visitor(f"http://{visitor.host}/?token={visitor.token}").watching())
         status, _, data = visitor.ask("GET", "/events")
         assert status == 503
-        assert json.loads(data)["error"] == "16 pages are open, as many as may be"
+        assert json.loads(data)["error"] == "16 pages are open, which is the maximum"
         assert visitor.ask("GET", "/")[0] == 200
 
 

@@ -77,7 +77,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     (value(point=4, name="pump", text="maybe"), "value must be one of 0, 1, off, on"),
     (value(point=99), "point must be in 0..5, not 99"),
     (value(point=True), "point must be an integer"),
-    (value(name="other"), "there is no such point any more"),
+    (value(name="other"), "this point no longer exists"),
     (value(unit=9), "there is no unit 9"),
     (value(unit="1"), "there is no unit 1"),
     (value(text=5), "text must be a string"),

@@ -91,7 +91,7 @@ def test_devices_that_are_replaced_vanish_and_their_history_stays_with_those_tha
         assert visitor.seen["rows"]["0"][1:3] == ["2", "A"]
         assert visitor.history(row=["b", "x"], seconds=60)["values"] == [2]
         gone = visitor.history(row=["a", "x"], seconds=60)
-        assert gone == "there is no such value any more"
+        assert gone == "this value no longer exists"
 
 
 def test_history_is_that_of_memory_and_before_it_that_of_the_journal() -> None:
@@ -120,11 +120,11 @@ def test_history_is_that_of_memory_and_before_it_that_of_the_journal() -> None:
         ({"table": "none"}, "there is no such table"),
         ({"table": ["values"]}, "there is no such table"),
         ({"table": "__proto__"}, "there is no such table"),
-        ({"find": 5}, "find must be a text"),
-        ({"find": "x" * 101}, "find must be a text of at most 100 characters"),
+        ({"find": 5}, "find must be a string"),
+        ({"find": "x" * 101}, "find must be a string of at most 100 characters"),
         ({"first": -1}, "first must be in"),
         ({"stop": "9"}, "stop must be an integer"),
-        ({"stream": "none"}, "there is no such page any more"),
+        ({"stream": "none"}, "this page is no longer open"),
     ],
 )
 def test_wrong_views_are_refused(request_: dict[str, Any], said: str) -> None:

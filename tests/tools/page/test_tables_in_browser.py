@@ -210,7 +210,7 @@ def test_names_are_text_and_nothing_sticks_out(width: int) -> None:
         person.sees("#rows", "__proto__")
         person.click("#rows tr[data-at='2'] button")
         person.sees("#read", "")
-        person.sees("#plot", "no numbers in this time")
+        person.sees("#plot", "no numbers in this period")
         assert person.all("#values script, #values img") == []
         assert driver.title == "<script>document.title='hit'</script> - fleet"
         assert driver.execute_script("return ({}).polluted") is None
@@ -265,4 +265,4 @@ def test_a_page_that_lost_its_server_is_grey_and_returns_by_itself() -> None:
             person.sees("#unit-name", "tank")
         person.sees("#state", "no connection")
         with live_page(made_server(), "127.0.0.1", port):
-            person.sees("#state", "another token")
+            person.sees("#state", "new token")

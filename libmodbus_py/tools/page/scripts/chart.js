@@ -13,7 +13,7 @@ export function onChosen(call) { choose = call; }
 
 const chart = { of: null, seconds: 300, data: null, at: null, asked: 0 };
 
-// `of` says what is asked for: a row, and in tables which one and which column.
+// `of` names what the chart shows: a point, or in tables a row and a column.
 export function openChart(of, name) {
   const isNew = JSON.stringify(of) !== JSON.stringify(chart.of);
   if (isNew) { chart.of = of; chart.data = null; chart.at = null; }
@@ -131,7 +131,7 @@ function draw() {
   if (found.has) {
     for (const each of found.extremes) line("extreme", ROOM.left, y(each), width - ROOM.right, y(each));
     parts.push(drawn("path", { class: "line", d: path(x, y) }));
-  } else text("no numbers in this time", width / 2, tall / 2, "middle");
+  } else text("no numbers in this period", width / 2, tall / 2, "middle");
   if (chart.at !== null && chart.at < chart.data.times.length) {
     const value = chart.data.values[chart.at];
     const left = x(chart.data.times[chart.at]);
@@ -168,7 +168,7 @@ function say({ extremes, has }) {
   } else $("read").textContent = has ? `lowest ${short(extremes[0])}, highest ${short(extremes[1])}` : "";
 }
 
-// --- along it ------------------------------------------------------------------------------------
+// --- moving along it ------------------------------------------------------------------------------------
 
 function nearest(left) {
   const { x } = scales($("plot").clientWidth, $("plot").clientHeight);

@@ -1,4 +1,4 @@
-// The stream of messages from the server; while it is lost, the page is grey and says since when.
+// The stream of messages from the server; while it is lost, the page is grey and shows since when.
 
 import { $, clock } from "./elements.js";
 
@@ -18,18 +18,18 @@ export function connect(take) {
   events.onopen = () => { since = 0; say("live", "live"); };
   events.onmessage = (event) => {
     const message = JSON.parse(event.data);
-    // Another program may listen at this address now, and have another page.
+    // Another program, with another page, may listen at this address now.
     if (message.all && message.page !== here && DOCUMENTS.has(message.page)) location.reload();
     else take(message);
   };
   events.onerror = () => {
     since = since || Date.now() / 1000;
-    say(`no connection to the server since ${clock(since)}; all is as it was then`, "lost");
+    say(`no connection to the server since ${clock(since)}; the page shows the last known values`, "lost");
     if (events.readyState !== EventSource.CLOSED) return;
     events.close();
     setTimeout(() => connect(take), 2000);
     fetch("/icon.svg").then((response) => {
-      if (response.status === 403) say("the server has another token now: open the address that it printed", "lost");
+      if (response.status === 403) say("the server has a new token: open the URL that it printed", "lost");
     }, () => {});
   };
 }

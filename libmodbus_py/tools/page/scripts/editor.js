@@ -24,7 +24,7 @@ function openEditor(what) {
   $("text").select();
 }
 
-// A moving value of a simulator can be held, and set then.
+// A moving value of a simulator can be held, and then set.
 export function showHold() {
   const moves = view.edited?.isPoint ? view.moving.get(view.edited.point) : undefined;
   $("hold").hidden = moves === undefined;
@@ -69,7 +69,7 @@ function editPoint(index) {
     });
     return;
   }
-  const note = [`${SHORT[table]} ${address}`, kind, measure, access === "read" ? "clients can only read it" : "",
+  const note = [`${SHORT[table]} ${address}`, kind, measure, access === "read" ? "read-only for clients" : "",
     description].filter(Boolean).join(" · ");
   openEditor({ isPoint: true, point: index, name, table, address, text, note });
 }

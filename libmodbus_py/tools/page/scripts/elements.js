@@ -28,7 +28,7 @@ export function glow(element) {
   if (calm.matches) return;
   const before = glowing.get(element);
   if (before) {
-    before.currentTime = 0;  // one for each, however often it changes
+    before.currentTime = 0;  // one animation for each element, however often it changes
     before.play();
     return;
   }

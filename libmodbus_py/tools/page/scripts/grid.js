@@ -1,4 +1,4 @@
-// A table of which only the visible rows exist, and are requested.
+// A table. Only its visible rows exist in the page and are requested.
 
 import { $, clock, glow, made } from "./elements.js";
 import { fillSpark, sparkline } from "./spark.js";
@@ -76,7 +76,7 @@ export function take(count, rows) {
   }
 }
 
-// --- which rows there are ------------------------------------------------------------------------
+// --- rows ------------------------------------------------------------------------
 
 function place() {
   const box = $("scroll");
@@ -104,7 +104,7 @@ function place() {
   changed();
 }
 
-// Rows that left on one side come back on the other one.
+// Rows that leave the window on one side are used again on the other side.
 function rotate(by, number, isUp) {
   for (let at = 0; at < by; at += 1) {
     const row = isUp ? drawnRows.pop() : drawnRows.shift();
@@ -133,7 +133,7 @@ function emptyRow() {
   return row;
 }
 
-// --- what stands in them -------------------------------------------------------------------------
+// --- cells -------------------------------------------------------------------------
 
 const GOOD = { good: "good", up: "good", open: "good", answers: "good", down: "down", silent: "down", offline: "down" };
 
@@ -183,7 +183,7 @@ const FILL = {
     if (cell.textContent === text) return;
     cell.textContent = text;
     cell.title = text;
-    // What changes all the time does not glow.
+    // Cells that change all the time do not glow.
     const before = cell.changedAt || 0;
     cell.changedAt = glows ? performance.now() : 0;
     if (glows && (!before || cell.changedAt - before > 4000)) glow(cell);

@@ -1,4 +1,4 @@
-// The list of points or cells; only the visible rows exist, and are requested.
+// The list of points or cells; only the visible rows exist in the page and are requested.
 
 import { $, asCell, made } from "./elements.js";
 import { HEIGHT, addressOf, indexOf, layOut, layout } from "./layout.js";
@@ -19,7 +19,7 @@ export function look() {
   if (!known.stream || !unit() || !layout.count) return;
   let [first, stop] = visible();
   if (stop <= first) return;
-  // More than is seen, so that scrolling a little asks for nothing.
+  // More rows than are visible, so that scrolling a little needs no request.
   first = Math.max(0, Math.floor((first - 16) / 32) * 32);
   stop = Math.min(layout.count, Math.ceil((stop + 16) / 32) * 32);
   if (view.what !== "points") {
@@ -77,7 +77,7 @@ function show() {
     if (!rows.has(index)) {
       const row = view.what === "points" ? pointRow(index) : cellRow(index);
       row.style.transform = `translateY(${index * HEIGHT}px)`;
-      // In their order, for those who go from one to the next with the keyboard.
+      // In order, for people who move from one to the next with the keyboard.
       const next = [...space.children].find((each) => Number(each.dataset.index) > index);
       row.dataset.index = index;
       row.setAttribute("role", "row");

@@ -27,7 +27,7 @@ function wanted([number, , , unitNumber, , , , kind, , , isWrite]) {
   return !(writes || errors) || (writes && isWrite) || (errors && !GOOD.has(kind));
 }
 
-// What is saved is what is chosen.
+// Save downloads the rows that the filters choose.
 function aim() {
   const fields = new URLSearchParams();
   if (!["", "null"].includes($("filter").value)) fields.set("unit", $("filter").value);
@@ -36,7 +36,7 @@ function aim() {
   $("save").href = `/log.csv${fields.size ? "?" : ""}${fields}`;
 }
 
-// Where the units are not known beforehand, they are those that were seen.
+// If the units are not known beforehand, the filter lists the units in the log.
 function addUnits(entries) {
   const filter = $("filter");
   const known = new Set([...filter.options].map((each) => each.value));
@@ -67,7 +67,7 @@ export function addToLog(entries) {
 $("pause").addEventListener("click", () => {
   paused = !paused;
   $("pause").setAttribute("aria-pressed", String(paused));
-  $("pause").textContent = paused ? "Go on" : "Pause";
+  $("pause").textContent = paused ? "Resume" : "Pause";
   if (!paused) showLog();
 });
 $("clear").addEventListener("click", () => {

@@ -1,4 +1,4 @@
-// Messages of the server are kept and shown.
+// Takes the messages of the server and shows them.
 
 import { closeChart } from "./chart.js";
 import { connect } from "./connection.js";

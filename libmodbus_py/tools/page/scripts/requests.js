@@ -9,8 +9,8 @@ export async function post(path, body) {
   return found;
 }
 
-// One view is asked for at a time: each request has a connection of its own and may overtake another one, and the
-// server shows the view that it was asked for last.
+// Views are requested one at a time: each request has its own connection and may overtake another one, and the
+// server shows the view of the last request.
 
 let latest = "";
 let next = null;
@@ -24,7 +24,7 @@ export function lookAt(view) {
   if (!isAsking) askForViews();
 }
 
-// The server sends all of the next view, even if it is the same one.
+// The server sends the whole next view, even if it is the same view.
 export function forgetView() { latest = ""; }
 
 async function askForViews() {

@@ -1,4 +1,4 @@
-// A page of tables: messages of the server are kept and shown.
+// A page of tables: takes the messages of the server and shows them.
 
 import { closeChart, onChosen, openChart, setJournal } from "./chart.js";
 import { connect } from "./connection.js";
@@ -10,7 +10,7 @@ import { known } from "./state.js";
 
 const page = { tables: [], kind: "", title: "", stream: "", figures: {} };
 
-// --- what is looked at ---------------------------------------------------------------------------
+// --- the view ---------------------------------------------------------------------------
 
 const finding = () => $("find").value.trim();
 let timer = null;
@@ -23,7 +23,7 @@ function look() {
     first, stop: Math.max(stop, first + 60) });
 }
 
-// Of a view without rows.
+// The changes of a view without rows.
 function lookAfresh() {
   remember();
   forgetView();
@@ -81,7 +81,7 @@ $("rows").addEventListener("click", (event) => {
   else if (page.tables[0].name === "values" && grid.table.name === "devices") show("values", cells[0][1]);
 });
 
-// --- what the server tells -----------------------------------------------------------------------
+// --- messages of the server -----------------------------------------------------------------------
 
 function take(message) {
   if (message.now) grid.behind = Date.now() / 1000 - message.now;

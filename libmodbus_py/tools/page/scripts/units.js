@@ -12,7 +12,7 @@ function choose(number, what) {
   view.unit = number;
   view.what = what;
   if (other) {
-    clearRows();  // they are of what was looked at before
+    clearRows();  // they belong to the previous view
     view.points.clear();
     view.moving.clear();
     view.sparks.clear();
