@@ -1,9 +1,9 @@
 """
-Captures: traffic as pcapng, which Wireshark decodes without options, and back.
+Captures: writes traffic as pcapng, which Wireshark decodes without options, and reads it again.
 
-A frame is an exported PDU (link type 252) for the dissector "mbtcp": the PDU behind a made-up
-MBAP header, from or to port 502 of 10.0.0.UNIT. Bytes that are not a frame go to "mbrtu". Each port
-that was listened at is an interface.
+A frame is an exported PDU (link type 252) for the dissector "mbtcp": the PDU after a made-up MBAP
+header, from or to port 502 of 10.0.0.UNIT. Bytes that are not a frame are for the dissector
+"mbrtu". Each port that was listened to is an interface.
 
 Blocks: draft-ietf-opsawg-pcapng, sections 4.1-4.3. Tags: epan/exported_pdu.h of Wireshark.
 """
@@ -35,7 +35,7 @@ _TCP = 2
 
 CLIENT = bytes([10, 0, 1, 0])
 
-# More than any block has that was written here or saved by Wireshark.
+# The longest block that is read: longer than any written by this package or saved by Wireshark.
 MAX_BLOCK = 1 << 20
 MAX_INTERFACES = 256
 
@@ -69,7 +69,7 @@ class CaptureWriter:
 
     Args:
         path: the file, which is overwritten.
-        names: of the interfaces, such as URLs.
+        names: the names of the interfaces, such as URLs.
 
     Raises:
         OSError: the file cannot be written.
@@ -112,11 +112,11 @@ class CaptureWriter:
             link: the number of the connection, if there are several.
 
         Raises:
-            OSError: the disk is full, or the file closed.
+            OSError: the disk is full, or the file is closed.
         """
         port = FIRST_CLIENT_PORT + link % (65536 - FIRST_CLIENT_PORT)
         if heard.frame is None:
-            # The sender is not known: both ports are the client's.
+            # The sender is unknown: both ports are those of the client.
             tags = _tag(_DISSECTOR, b"mbrtu") + _ports(port, port)
             data = tags + bytes(4) + heard.data
         else:
@@ -155,7 +155,7 @@ class CaptureWriter:
 
     def _take_back(self, count: int) -> None:
         """Remove a part of a block from the end of the file, so that the rest can be read."""
-        with contextlib.suppress(OSError):  # a pipe, or a disk that is gone
+        with contextlib.suppress(OSError):  # the file is a pipe, or the disk was removed
             if count:
                 self._file.truncate(self._file.tell() - count)
 
@@ -175,8 +175,8 @@ class CaptureReader:
         path: the file.
 
     Attributes:
-        recorded: an iterator of `Recorded`; raises CaptureError where the file is not such an
-            capture, or ends inside a block.
+        recorded: an iterator of `Recorded`; raises CaptureError where the file is not a valid
+            capture of this package, or ends inside a block.
 
     Raises:
         OSError: the file cannot be read.
@@ -234,7 +234,7 @@ class CaptureReader:
     def _exactly(self, size: int, *, may_end: bool = False) -> bytes:
         data = self._file.read(size)
         if len(data) != size and (data or not may_end):
-            raise self._error("it ends inside a block")
+            raise self._error("the file ends inside a block")
         self._at += size
         return data
 
@@ -251,11 +251,11 @@ class CaptureReader:
             raise self._error(f"more than {MAX_INTERFACES} interfaces")
         resolution = dict(self._pairs(body[8:], self._order)).get(_IF_TSRESOL, b"\x06")[:1]
         if not resolution or resolution[0] > 12:
-            raise self._error("times in other parts of a second than powers of ten")
+            raise self._error("the unit of times is not a power of ten")
         self._units.append(10.0 ** -resolution[0])
 
     def _pairs(self, data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
-        """Options of a block, or tags of a packet: the last one is number 0."""
+        """Yield the options of a block, or the tags of a packet; number 0 ends them."""
         at = 0
         while at < len(data):
             if len(data) < at + 4:
@@ -273,7 +273,7 @@ class CaptureReader:
 
     def _packet(self, body: bytes) -> Recorded:
         if len(body) < 20:
-            raise self._error("a packet without a head")
+            raise self._error("a packet without a header")
         interface, high, low, size, _ = struct.unpack_from(self._order + "IIIII", body)
         if interface >= len(self._units):
             raise self._error(f"a packet of interface {interface}, which does not exist")

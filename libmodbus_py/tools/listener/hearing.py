@@ -1,5 +1,5 @@
 """
-Bytes and times in; frames that may be requests or responses, and bytes that are none, out.
+Cuts bytes into frames, which may be requests or responses, and bytes that are not a frame.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Candidate(NamedTuple):
 
 
 class Damage(NamedTuple):
-    """Bytes that are not a frame, 600 at most."""
+    """Bytes that are not a frame, at most 600."""
 
     began: float
     ended: float
@@ -36,33 +36,33 @@ class Damage(NamedTuple):
 
 
 class Hearing(Protocol):
-    """Cuts frames; `quiet`: the seconds without a byte after which `silence` is to be called."""
+    """Cuts frames. Call `silence` after `quiet` seconds without a byte."""
 
     quiet: float
 
     def hear(self, data: bytes, at: float, is_awaited: IsAwaited) -> Iterator[Candidate | Damage]:
-        """Take bytes that came at this time, in seconds; yield frames and damage, in order."""
+        """Take bytes and the time of their arrival in seconds; yield frames and damage in order."""
         ...
 
     def silence(
         self, is_awaited: IsAwaited, *, is_long: bool = False
     ) -> Iterator[Candidate | Damage]:
-        """Note that the line is quiet; if `is_long`, no pending frame will be completed."""
+        """Note that the line is quiet; if `is_long`, for too long to complete a pending frame."""
         ...
 
 
 class RtuHearing:
-    """Requests and responses in one stream, as on a line; each frame with its own time."""
+    """Cuts requests and responses in one stream, as on a line; each frame has its own time."""
 
     def __init__(self, pause: float = 0.0) -> None:
         self._frames = RtuEitherWay(pause)
         self.quiet: float = self._frames.quiet
         self._offsets: list[int] = []  # where in the stream each piece begins
-        self._times: list[float] = []  # when each piece came
+        self._times: list[float] = []  # when each piece arrived
         self._damage: Damage | None = None
 
     def hear(self, data: bytes, at: float, is_awaited: IsAwaited) -> Iterator[Candidate | Damage]:
-        # As many as there are bytes that wait for the rest of their frame.
+        # At most one for each byte that waits for the rest of its frame.
         self._offsets.append(self._frames.end)
         self._times.append(at)
         self._frames.feed(data)
@@ -115,10 +115,11 @@ class RtuHearing:
 
 class FramerHearing:
     """
-    Frames that a framer cuts; the time of each is that of the piece that ends it.
+    Cuts frames with a framer; the time of each frame is that of the piece that ends it.
 
     Args:
-        make_framer: for one direction of RTU, or for ASCII, whose frames have delimiters.
+        make_framer: makes a framer for one direction of RTU, or for ASCII, whose frames have
+            delimiters.
         is_asking: True for the direction of requests; None for both directions in one stream.
     """
 
@@ -162,7 +163,7 @@ class FramerHearing:
     def _heard(self, found: Frame | FrameError, began: float) -> Candidate | Damage:
         if isinstance(found, FrameError):
             return Damage(began, self._at, found.received)
-        if isinstance(found, Overheard) and found.pdu[0] < 0x80:  # clients do not answer
+        if isinstance(found, Overheard) and found.pdu[0] < 0x80:  # clients send no responses
             return Damage(began, self._at, self._framer.encode(found))
         is_asking = self._is_asking
         either = may_be(found.pdu) if is_asking is None else (is_asking, not is_asking)

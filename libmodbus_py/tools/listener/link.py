@@ -25,7 +25,7 @@ CONNECT_TIMEOUT = 10.0
 # Seconds without a byte after which a connection ends, as at a server (`Limits.idle_timeout`).
 IDLE = 3600.0
 
-# The same when one side has ended its part, or takes no bytes.
+# The same when one side has closed its direction, or takes no bytes.
 LEAVING = 60.0
 
 # Seconds of silence after which the system probes a side, as for clients.
@@ -43,10 +43,11 @@ class TapLink:
         clock: returns the time of each piece, in seconds.
 
     Attributes:
-        active_at: when the last bytes came, or the client (time.monotonic).
+        active_at: the time at which the last bytes arrived, or the client connected
+            (time.monotonic).
 
     Raises:
-        OSError: no descriptor is left.
+        OSError: the process has no descriptor left.
     """
 
     def __init__(self, client: socket.socket, clock: Callable[[], float]) -> None:
@@ -60,8 +61,8 @@ class TapLink:
         Connect to the device.
 
         Raises:
-            ModbusConnectionError: it cannot be connected to.
-            Woken: by `end`.
+            ModbusConnectionError: the connection could not be established.
+            Woken: `end` was called.
         """
         port = TcpPort(device.host, device.port, KEEPALIVE)
         run(port.opening(time.monotonic() + CONNECT_TIMEOUT), self._waker)
@@ -112,13 +113,13 @@ class TapLink:
             shut_down(end)
 
     def close(self) -> None:
-        """Close both connections; not while another thread may call `end`."""
+        """Close both connections. Must not be called while another thread may call `end`."""
         self._waker.close()
         for end in self._ends:
             end.close()
 
 
 def shut_down(end: socket.socket, how: int = socket.SHUT_RDWR) -> None:
-    """Shut down a socket that may be gone already."""
+    """Shut down a socket that may be disconnected already."""
     with contextlib.suppress(OSError):
         end.shutdown(how)

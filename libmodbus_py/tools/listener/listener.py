@@ -51,8 +51,8 @@ class Listener:
     Attributes:
         url: the URL, with the port that the system chose; or the path of the capture.
         summary: counts of the traffic so far.
-        capture_error: why the capture cannot be written any more; None while it can. Listening
-            goes on without it, and the log gets one warning.
+        capture_error: the error after which the capture is not written any more; None while it is
+            written. Listening goes on without the capture, and one warning is logged.
 
     Raises, while iterating:
         CaptureError: the capture that is read is invalid, or ends inside a block.
@@ -161,7 +161,7 @@ class Listener:
         found = None
         if self._enter():
             try:
-                # A flood or a capture never waits; other tasks must run, too.
+                # There is no other wait in a flood or a capture, but other tasks must run, too.
                 await asyncio.sleep(0)
                 found = await run_async(self._next())
             finally:
@@ -234,7 +234,7 @@ class Listener:
         return True
 
     def _separator(self, link: int) -> tuple[Separator, list[Transaction]]:
-        """Return the separator of a connection, and what ends if there are too many."""
+        """Return the separator of a connection, and transactions that end if there are too many."""
         made = self._separators.get(link)
         if made is not None:
             return made, []

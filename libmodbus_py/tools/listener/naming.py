@@ -1,10 +1,10 @@
 """
-Which frames on a line are requests and which are responses, where only the bytes tell.
+Decides which frames on a line are requests and which are responses, if only the bytes are known.
 
-Most frames tell by their length, and the rest by a trial: a response decodes as one to the
-request that is open. A response that repeats its request byte for byte (functions 5, 6, 8, 21,
-22) fits both ways; there the time decides, because no client sends the next request before a
-response can have come.
+The length of most frames shows what they are. Others are decoded on trial as the response to the
+open request. A response that repeats its request byte for byte (functions 5, 6, 8, 21, 22) could be
+both; then its time decides, because no client sends the next request before a response could have
+arrived.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class LearntTimes:
     """
     Recent response times of the units of a line, and times until its clients send the next request.
 
-    Only the last few of each are kept. Until some are known, usual ones are assumed: clients wait
-    for half a second (libmodbus) or longer, and adapters delay responses by up to 20 ms.
+    Only the last few of each are kept. Until some are known, typical times are assumed: clients
+    wait for half a second (libmodbus) or longer, and adapters delay responses by up to 20 ms.
     """
 
     USUAL_TIMEOUT = 0.5
@@ -48,8 +48,8 @@ class LearntTimes:
     def limit(self, unit: int) -> float:
         """Return the seconds after a request up to which equal bytes are its response."""
         slowest = max(self._answers.get(unit, ()), default=0.0)
-        # One of the shortest, because clients think before the next request. Not the shortest,
-        # because a frame that is merged into a damaged one looks like a request.
+        # One of the shortest times, because clients may pause before the next request; but not the
+        # shortest, because a frame that is merged into a damaged one looks like a request.
         known = sorted(self._timeout)
         timeout = known[len(known) // 4] if len(known) >= 4 else self.USUAL_TIMEOUT
         return sqrt(max(slowest, min(self.SHORTEST_ANSWER, timeout / 4)) * timeout)
@@ -57,10 +57,10 @@ class LearntTimes:
 
 class Naming:
     """
-    Says which frames are requests and which are responses, and pairs them.
+    Decides which frames are requests and which are responses, and pairs them.
 
     Args:
-        on_heard: called with each frame as soon as it is named, and with damaged bytes.
+        on_heard: called with each frame as soon as this is decided, and with damaged bytes.
 
     Attributes:
         pairing: the transactions.
@@ -70,7 +70,7 @@ class Naming:
         self.pairing: Pairing = Pairing()
         self._on_heard = on_heard
         self._times = LearntTimes()
-        self._is_certain = True  # of the open request: it cannot be a response
+        self._is_certain = True  # the open request cannot be a response
         self._held: Heard | None = None  # a request that may turn out to be a response
 
     def is_awaited(self, unit: int, function: int) -> bool:
@@ -95,22 +95,22 @@ class Naming:
             self._take_response(found)
 
     def tick(self, at: float) -> None:
-        """Note that nothing more came until this time."""
+        """Note that nothing more was received until this time."""
         self.pairing.tick(at)
         self._release()
 
     def end(self) -> None:
-        """Note that nothing more will come."""
+        """Note that nothing more will be received."""
         self.pairing.end()
         self._release()
 
     def _release(self) -> None:
-        """Release the held request: once given up, it cannot turn out to be a response."""
+        """Release the held request: after it is given up, it cannot turn out to be a response."""
         if self.pairing.due is None:
             self._note(None)
 
     def _note(self, heard: Heard | None) -> None:
-        """Call `on_heard`, first with what was held: in the order of the line."""
+        """Call `on_heard` in the order of the line: first with the request that was held."""
         held, self._held = self._held, None
         for each in (held, heard):
             if each is not None:
@@ -131,7 +131,7 @@ class Naming:
         return not answers and not self.is_awaited(found.frame.unit, found.frame.pdu[0] & 0x7F)
 
     def _is_repeated(self, asked: OpenRequest, found: Candidate) -> bool:
-        """Return True if a frame that fits both ways comes too late for a response."""
+        """Return True if a frame that could be both arrived too late for a response."""
         spoiled = asked.spoiled
         if spoiled is not None and found.began - spoiled.ended > GLUED:
             return True  # the damaged bytes were the response
@@ -146,10 +146,11 @@ class Naming:
 
     def _was_a_response(self, asked: OpenRequest, at: float) -> bool:
         """
-        Return True if the open request was none, now that the next one comes at this time.
+        Return True if the open request was in fact a response, judged by the time of the next
+        request.
 
-        It may be a response, and nothing answered it: it came for the second time, or its request
-        was damaged, because clients wait for their responses.
+        That is likely if it could be a response, and nothing answered it: it arrived twice, or its
+        request was damaged, because clients wait for their responses.
         """
         is_open = asked.spoiled is None and not self._is_certain
         return is_open and at - asked.ended <= self._times.limit(asked.frame.unit)
@@ -162,7 +163,7 @@ class Naming:
             self._held = self._held and self._held._replace(part="response")
             self.pairing.withdraw(before)
         elif before is not None:
-            # A guess must not teach what the next one is judged by.
+            # Times are not learned from guesses, because they decide the next guess.
             if before.spoiled is None and self._is_certain and not found.may_answer:
                 self._times.note_next_request(found.began - before.ended)
             self._note(None)
@@ -187,6 +188,6 @@ def _fits(asked: OpenRequest | None, found: Candidate) -> bool:
 
 
 def _has_function(found: Candidate) -> bool:
-    """0 is none, and from 128 on only answers have one (application protocol, 4.1)."""
+    """Return True if the function code is valid (application protocol, 4.1)."""
     code = found.frame.pdu[0]
     return 0 < code < 0x80 or (code > 0x80 and found.may_answer)

@@ -35,7 +35,7 @@ def decoded(pdu: bytes) -> Request[Any] | None:
     """
     Decode a request as a server does.
 
-    Function codes without a class become a `RawRequest`; None for what a server refuses.
+    Return a `RawRequest` for function codes without a class; None if a server refuses the PDU.
     """
     try:
         return decode_request(pdu)
@@ -62,7 +62,7 @@ def answered(request: Request[Any], pdu: bytes) -> Ending:
 
 
 def damaged(data: bytes) -> Ending:
-    """Return the outcome for bytes that came instead of a response."""
+    """Return the outcome for bytes that were received instead of a response."""
     size = len(data)
     why = f"{size} bytes that are not a frame" if size > 1 else "a byte that is not a frame"
     return Ending("damaged", None, FrameError(why, received=data))
@@ -74,7 +74,7 @@ def damage_alone(began: float, data: bytes) -> Transaction:
 
 
 def misused(began: float, frame: Frame) -> Transaction:
-    """Return the transaction for a frame whose function code is not allowed there."""
+    """Return the transaction for a frame whose function code is not allowed."""
     code = frame.pdu[0]
     error = InvalidResponse(f"a frame with function code {code:02X}h", received=frame.pdu)
     return Transaction(began, "invalid", frame.unit, error=error)

@@ -1,14 +1,14 @@
 """
-Which response belongs to which request of one connection or line, and how each request ended.
+Decides which response belongs to which request of one connection or line, and how each ended.
 
-Everything that shows or records traffic uses these rules: the page and the pytest plugin for the
-trace of a server, scans for that of a client, listeners for what they hear (`naming` decides
-first which frames are requests).
+All tools that show or record traffic use these rules: the page and the pytest plugin for the trace
+of a server, scans for the trace of a client, and listeners for the frames of a line (`naming` first
+decides which of these are requests).
 
 * A response belongs to the first open request with the same unit, function code and transaction
-  id (0 on lines) that it decodes for.
-* A request ends earlier ones with the same transaction id: on a line all of them, because its
-  client has stopped waiting. A response that still comes is late.
+  id (0 on lines) to which it can be decoded as a response.
+* A request ends earlier requests with the same transaction id: on a line all of them, because the
+  client has stopped waiting. A response that arrives afterwards is late.
 * Bytes that are not a frame belong to the request that is due, unless its response follows.
 """
 
@@ -25,25 +25,25 @@ from .transaction import Transaction
 
 __all__ = ["TIMEOUT", "OpenRequest", "Pairing"]
 
-# After so many seconds a request counts as unanswered, even if no other one was sent.
+# Seconds after which a request counts as unanswered, even if no other request was sent.
 TIMEOUT = 5.0
 
-# A response that comes more seconds after its request belongs to none.
+# A response belongs to no request that was sent more seconds before it.
 LATEST = 60.0
 
-# A server gets requests that a client sent without waiting within so many seconds.
+# Seconds within which a server receives requests that a client sent without waiting.
 TOGETHER = 0.001
 
-# What a server sends after a spoiled response follows within so many seconds.
+# Seconds within which the rest of what a server sends follows a spoiled response.
 SETTLED = 0.5
 
-# Open requests, and requests whose response may come late, that are remembered.
+# The most open requests, and the most requests with late responses, that are remembered.
 MOST = 256
 
 
 class Spoiled(NamedTuple):
     """
-    A frame or damaged bytes that came instead of a response.
+    A frame or damaged bytes that were received instead of a response.
 
     Attributes:
         ended: the time of its last byte, in seconds.
@@ -62,8 +62,8 @@ class OpenRequest:
     A request that may still be answered.
 
     Attributes:
-        began, ended: when its first and its last byte came, in seconds.
-        burst: equal for requests that a client sent without waiting for responses.
+        began, ended: the times of its first and its last byte, in seconds.
+        burst: a number that is equal for requests that a client sent without waiting.
         repeats: how often it had been sent before without a response.
     """
 
@@ -92,12 +92,12 @@ class Pairing:
 
     Args:
         is_line: True if unit 0 is a broadcast, as with RTU and ASCII frames.
-        is_server: True for what one server received and sent. Nothing was missed then: requests
-            may have come together, and every frame that was sent answers one of them.
+        is_server: True for the frames that a server received and sent. No frame is missing then:
+            requests may have arrived together, and every frame that was sent answers one of them.
         timeout: seconds after which a request counts as unanswered.
 
     Attributes:
-        done: transactions that have ended, in order; its user empties it.
+        done: transactions that have ended, in order; the caller empties it.
     """
 
     def __init__(
@@ -114,12 +114,12 @@ class Pairing:
 
     @property
     def due(self) -> OpenRequest | None:
-        """The request that is answered next: the first of those that came together last."""
+        """The request that is answered next: the first one in the last burst."""
         latest = self._open[-1].burst if self._open else 0
         return next((each for each in self._open if each.burst == latest), None)
 
     def given_up(self, unit: int) -> OpenRequest | None:
-        """Return the last request to a unit of a line whose response may come late."""
+        """Return the last request to a unit of a line whose response may still arrive."""
         return self._late.get((unit, 0))
 
     # --- traffic ---------------------------------------------------------------------------
@@ -170,7 +170,7 @@ class Pairing:
             self._spoil(asked, Spoiled(ended, damaged(data), alone))
 
     def misuse(self, began: float, ended: float, frame: Frame) -> None:
-        """Take a good frame whose function code is not allowed, instead of a response or alone."""
+        """Take a frame whose function code is not allowed, instead of a response or alone."""
         alone = misused(began, frame)
         asked = self.due
         if asked is None or asked.frame.unit != frame.unit:
@@ -179,7 +179,7 @@ class Pairing:
             self._spoil(asked, Spoiled(ended, Ending("invalid", None, alone.error), alone))
 
     def withdraw(self, asked: OpenRequest) -> None:
-        """Take an open request as a response that belongs to no request."""
+        """Turn an open request into a response that belongs to no request."""
         self._open.remove(asked)
         self.done.append(unasked(asked.began, asked.frame))
 
@@ -190,12 +190,12 @@ class Pairing:
                 self._give_up(each)
 
     def end(self) -> None:
-        """End all open requests, because nothing more will come."""
+        """End all open requests, because nothing more will be received."""
         for each in self._open.copy():
             self._give_up(each)
 
     def is_idle(self, at: float) -> bool:
-        """Return True if nothing that came before can be answered any more."""
+        """Return True if no earlier request can be answered any more."""
         return not self._open and all(at - each.ended > LATEST for each in self._late.values())
 
     # --- finding the request --------------------------------------------------------------
@@ -224,7 +224,7 @@ class Pairing:
         return True
 
     def _put_aside(self, began: float, ended: float, frame: Frame) -> None:
-        """Take a response without a request; if a server sent it, it spoils the request due."""
+        """Take a response without a request; if a server sent it, it belongs to the request due."""
         alone = unasked(began, frame)
         if not self._is_server or (asked := self.due) is None:
             self.done.append(alone)

@@ -1,5 +1,5 @@
 """
-Bytes and times in, transactions out: for one line or one connection, without clock or port.
+Turns the bytes of one line or connection into transactions, without clocks or ports.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ __all__ = ["Direction", "LineFraming", "Separator"]
 
 LineFraming = Literal["rtu", "ascii"]
 
-# The sender of bytes, where it is known.
+# The sender of bytes, if it is known.
 Direction = Literal["client", "server"]
 
 
-# The longest gap inside a frame, in seconds: that of ASCII (serial line, 2.5.2.1), which is more
-# than RTU needs.
+# The longest gap inside a frame, in seconds: that of ASCII (serial line, 2.5.2.1), which is longer
+# than that of RTU.
 LONGEST_GAP = 1.0
 
 

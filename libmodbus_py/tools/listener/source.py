@@ -15,12 +15,12 @@ __all__ = ["SerialSource", "Source", "TimedBytes"]
 
 class TimedBytes(NamedTuple):
     """
-    Bytes that came together.
+    Bytes that were received together.
 
     Attributes:
         link: the number of the connection; 0 on a serial line.
-        sender: None on a serial line, where it is not known.
-        at: when they came, in seconds.
+        sender: "client" or "server"; None on a serial line, where the sender is not known.
+        at: the time at which they arrived, in seconds.
         data: empty at the end of a connection.
     """
 
@@ -43,16 +43,16 @@ class Source(Protocol):
         Open the source, or open it again.
 
         Raises:
-            ModbusConnectionError: it cannot be opened, with errno.
+            ModbusConnectionError: the source cannot be opened, with errno.
         """
         ...
 
     def receive(self) -> list[TimedBytes]:
         """
-        Return the bytes that have come, oldest first.
+        Return the received bytes, oldest first.
 
         Raises:
-            ModbusConnectionError: the port is gone.
+            ModbusConnectionError: the port was removed, or failed.
         """
         ...
 

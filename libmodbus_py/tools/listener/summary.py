@@ -1,5 +1,5 @@
 """
-Counts of the traffic that was heard.
+Counts of the traffic on a line.
 """
 
 from __future__ import annotations

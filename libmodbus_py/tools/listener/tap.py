@@ -1,8 +1,8 @@
 """
 A tap between clients and a device: clients connect to it, and it connects to the device.
 
-Every connection has a thread of its own that passes bytes on before it keeps them for the listener,
-so that a slow listener delays no device.
+Every connection has its own thread, which passes bytes on before it keeps them for the listener, so
+that a slow listener does not delay a device.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ __all__ = ["MAX_LINKS", "Tap"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-# The number of connections at once; for one more, the one that has been idle longest ends.
+# The most connections at once; a further one ends the connection that has been idle longest.
 MAX_LINKS = 64
 
-# Bytes that are kept for the listener; more are passed on without being kept.
+# The most bytes that are kept for the listener; further bytes are passed on without being kept.
 MAX_UNSEEN = 1 << 20
 
-# The memory of a piece apart from its bytes.
+# The memory that a piece takes in addition to its bytes.
 PIECE_COST = 100
 
 
@@ -106,7 +106,7 @@ class Tap:
 
     def _close_listeners(self) -> None:
         for each in self._listeners:
-            shut_down(each)  # which ends the wait of its thread
+            shut_down(each)  # ends the wait of its thread
             each.close()
 
     # --- in threads -------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from .transaction import Transaction
 
 __all__ = ["Exchange", "TracePairing"]
 
-# Connections that are followed at once.
+# The most connections that are followed at once.
 MOST_CONNECTIONS = 1000
 
 
@@ -40,7 +40,7 @@ class TracePairing:
         timeout: seconds after which a request counts as unanswered.
 
     Attributes:
-        done: exchanges that have ended, in order; its user empties it.
+        done: exchanges that have ended, in order; the caller empties it.
     """
 
     def __init__(self, *, is_server: bool = True, timeout: float = TIMEOUT) -> None:
@@ -52,7 +52,7 @@ class TracePairing:
 
     def take(self, traced: Traced, at: float | None = None) -> None:
         """
-        Take an ADU that the trace was called with.
+        Take an ADU of the trace.
 
         Args:
             at: the time on another clock than that of `Traced.time`, in seconds.
@@ -84,7 +84,7 @@ class TracePairing:
                 del self._connections[key]
 
     def end(self) -> None:
-        """End all open requests, because nothing more will come."""
+        """End all open requests, because nothing more will be received."""
         for (_, peer), pairing in self._connections.items():
             pairing.end()
             self._collect(peer, pairing)

@@ -28,10 +28,10 @@ Kind = Literal[
 KINDS: dict[Kind, str] = {
     "answered": "the response fits the request",
     "exception": "the unit answered with an exception",
-    "invalid": "a response came that does not fit the request, or a frame without a function",
+    "invalid": "the response does not fit the request, or a frame has no valid function code",
     "late": "the response came after the request had been reported as unanswered",
     "unanswered": "no response came before the next request, or for several seconds",
-    "broadcast": "a request to unit 0, or one that asks for silence, which no unit answers",
+    "broadcast": "a request that no unit answers: one to unit 0, or one that demands silence",
     "damaged": "bytes that are not a frame, instead of a response or without a request",
     "unasked": "a response without a known request, or a second one",
 }

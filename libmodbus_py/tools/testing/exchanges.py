@@ -13,22 +13,22 @@ from ..listener.transaction import Transaction
 
 __all__ = ["MOST", "Exchanges"]
 
-# ADUs of one server that are kept: more than a test looks at, and a bound for those that run long.
+# The most ADUs of one server that are kept: more than a test needs, and a limit for long runs.
 MOST = 20_000
 
 
 class Exchanges:
     """
-    The last `MOST` ADUs of one server; for any thread.
+    The last `MOST` ADUs of one server. Safe from any thread.
 
-    They are paired only when `transactions` is called, so that pairing costs the server nothing.
+    They are paired only when `transactions` is called, so that this does not slow down the server.
     """
 
     def __init__(self) -> None:
         self._traced: deque[Traced] = deque(maxlen=MOST)
 
     def note(self, traced: Traced) -> None:
-        """Take what a trace is called with."""
+        """Take an ADU of the trace of the server."""
         self._traced.append(traced)
 
     def transactions(self) -> list[Transaction]:

@@ -1,5 +1,5 @@
 """
-The fault switch of a server, under the path that tests import it from.
+The fault switch of a server, under the name that tests import.
 """
 
 from ...server.faults.switch import FaultSwitch, Switched

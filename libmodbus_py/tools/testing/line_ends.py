@@ -12,12 +12,12 @@ import select
 
 __all__ = ["open_line", "read_what_is_there", "write_all"]
 
-# Seconds without room after which bytes are dropped, as on a line without flow control.
+# Bytes are dropped if the line takes none for this many seconds, as without flow control.
 TIMEOUT = 1.0
 
 
 def open_line() -> tuple[int, int, str]:
-    """Return the far end of a line that changes no byte, the near end, and the near end's path."""
+    """Return the far end and the near end of a raw line, and the path of the near end."""
     import pty
     import tty
 

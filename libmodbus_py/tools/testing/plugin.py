@@ -21,23 +21,23 @@ if TYPE_CHECKING:
 if not hasattr(pytest, "StashKey"):
     raise pytest.UsageError(
         f"the fixtures of libmodbus-py need pytest 7 or newer, not {pytest.__version__};"
-        " -p no:libmodbus_py leaves them out"
+        " use -p no:libmodbus_py to disable them"
     )
 
 # The servers of a test, while it runs.
 SERVERS = pytest.StashKey["list[RecordingServer]"]()
 
-# Transactions of each server that a report shows.
+# The most transactions of each server that a report shows.
 SHOWN = 50
 
-# Characters of one transaction, and the seconds from which on its duration is shown.
+# The most characters of a transaction, and the shortest duration, in seconds, that is shown.
 WIDTH = 160
 LATE = 0.05
 
 
 @pytest.fixture
 def make_modbus_server(request: pytest.FixtureRequest) -> Iterator[ServerMaker]:
-    """Make any number of servers: make_modbus_server("rtu+tcp://127.0.0.1:0", devices=device)."""
+    """Call it to start servers: make_modbus_server("rtu+tcp://127.0.0.1:0", devices=device)."""
     from .recording import ServerMaker
 
     with ServerMaker() as maker:
@@ -47,7 +47,7 @@ def make_modbus_server(request: pytest.FixtureRequest) -> Iterator[ServerMaker]:
 
 @pytest.fixture
 def modbus_server(make_modbus_server: ServerMaker) -> RecordingServer:
-    """A server that answers every unit, on a free port; all four tables, all zero."""
+    """A running server on a free port, which answers every unit; all its tables are zero."""
     return make_modbus_server()
 
 
@@ -59,15 +59,15 @@ def modbus_faults(modbus_server: RecordingServer) -> FaultSwitch:
 
 @pytest.fixture
 def modbus_serial_line(make_modbus_server: ServerMaker) -> Iterator[SerialWire]:
-    """Two serial ports, joined: their paths are .client and .server."""
+    """Two serial ports that are connected with each other; their paths are .client and .server."""
     from .wires import SerialWire
 
     with SerialWire() as line:
         yield line
-        make_modbus_server.close()  # before its port is gone
+        make_modbus_server.close()  # before the serial line is closed
 
 
-# The other form, wrapper=True, needs a newer pluggy than pytest 7 asks for.
+# The other form, wrapper=True, needs a newer pluggy than pytest 7 requires.
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
     report: pytest.TestReport = (yield).get_result()
@@ -79,12 +79,12 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
 
 
 def _told(server: RecordingServer) -> str:
-    """Return the transactions of a server as lines; classes of users may fail in repr."""
+    """Return the transactions of a server as lines, even if repr() of a user's class fails."""
     try:
         lines = [_line(each) for each in server.transactions]
     except Exception as error:
         lines = [f"cannot be shown: {error!r}"]
-    left_out = [f"... {len(lines) - SHOWN} before these"] if len(lines) > SHOWN else []
+    left_out = [f"... {len(lines) - SHOWN} earlier ones"] if len(lines) > SHOWN else []
     return "\n".join([server.url, *left_out, *lines[-SHOWN:]] if lines else [f"{server.url} none"])
 
 

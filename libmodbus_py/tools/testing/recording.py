@@ -84,7 +84,7 @@ class RecordingServer:
             AttributeError: the server has several devices, each with a mapping.
         """
         if self.device is None:
-            raise AttributeError("this server has several devices: each has a mapping of its own")
+            raise AttributeError("this server has several devices, each with its own mapping")
         return self.device.mapping
 
     @property
@@ -126,10 +126,10 @@ class ServerMaker:
         **options: Unpack[ServerOptions],
     ) -> RecordingServer:
         """
-        Return a new server, which runs already.
+        Start a new server, and return it.
 
         Args:
-            urls: the endpoints, as for `Server.serving`; without any, Modbus/TCP on a free port of
+            urls: the endpoints, as for `Server.serving`; by default Modbus/TCP on a free port of
                 127.0.0.1.
             devices: as for `Server`; None for a device that answers every unit and has all
                 addresses 0..65535 of the four tables, all zero.

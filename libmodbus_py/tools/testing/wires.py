@@ -1,8 +1,8 @@
 """
 Wires that record the bytes between a client and a server.
 
-`SerialWire` is a null-modem cable made of two pseudo-terminals; `TcpWire` a relay
-in front of a TCP server. Both are for demonstrations and tests.
+`SerialWire` is a null-modem cable made of two pseudo-terminals; `TcpWire` is a relay in front of a
+TCP server. Both are for demonstrations and tests.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class _Wire:
                 elif self._sleep.recv(1):
                     self._unplug()
                     self._unplugged.set()
-                    break  # the other descriptors may be gone
+                    break  # the other descriptors may be closed now
                 else:
                     return
 
@@ -122,7 +122,7 @@ class SerialWire(_Wire):
 
 
 class _RawPort:
-    """A pseudo-terminal that changes no byte, open at both ends, so that users can reopen it."""
+    """A raw pseudo-terminal, whose both ends are kept open, so that users can reopen it."""
 
     def __init__(self) -> None:
         self.master, self.slave, self.path = open_line()

@@ -214,7 +214,7 @@ def test_a_file_that_is_no_capture(tmp_path: Path) -> None:
     done = listen(file)
     assert done.code == 2
     assert done.err.count("\n") == 1
-    assert "it ends inside a block" in done.err
+    assert "the file ends inside a block" in done.err
 
 
 def test_what_devices_say_cannot_move_the_terminal(target: str) -> None:

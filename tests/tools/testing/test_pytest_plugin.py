@@ -133,7 +133,7 @@ class TestReports:
         found = [line for line in lines if line.startswith("unit 1: ReadHoldingRegisters(")]
         assert len(found) == 50
         assert "address=10," in found[0]
-        assert "... 10 before these" in lines
+        assert "... 10 earlier ones" in lines
         assert all(len(line) < 170 and line.endswith("...") for line in found)
 
     def test_an_answer_that_came_late_says_so(self, suite: pytest.Pytester) -> None:
