@@ -849,7 +849,7 @@ def exchanges_beside_the_tables() -> Iterator[Exchange]:
     # The identifier should come first and the run indicator next; it has them the other
     # way round, and no end that one could find.
     yield Exchange(
-        17, "pinned", lambda c: c.report_server_id(), pdu.ServerId(b"P", False, b"ymodbus\xff"[1:])
+        17, "pinned", lambda c: c.report_server_id(), pdu.ServerId(b"P", None, b"ymodbus\xff")
     )
 
 

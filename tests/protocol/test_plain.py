@@ -29,6 +29,10 @@ from tests.support.cases import each_case
         ([1, (b"\x02", float("inf"))], [1, ["02", None]]),
         ({1: b"\x03"}, {"1": "03"}),
         (pdu.ServerId(b"\x01", True, b""), {"identifier": "01", "running": True, "additional": ""}),
+        (
+            pdu.ServerId(b"A", None, b"C"),
+            {"identifier": "41", "running": None, "additional": "43"},
+        ),
         (pdu.SubFunction.CLEAR_COUNTERS, 10),
         (State.CONNECTED, "connected"),
         (

@@ -72,4 +72,7 @@ def _objects(identification: DeviceIdentification) -> list[tuple[str, bytes]]:
 
 
 def _server_id(server_id: ServerId) -> list[tuple[str, Any]]:
-    return [("server id", server_id.data), ("running", server_id.running)]
+    told: list[tuple[str, Any]] = [("server id", server_id.data)]
+    if server_id.running is not None:
+        told.append(("running", server_id.running))
+    return told

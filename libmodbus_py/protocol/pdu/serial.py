@@ -185,18 +185,21 @@ class ServerId(NamedTuple):
 
     Attributes:
         identifier: the bytes that identify the kind of device.
-        running: the run indicator: True for ON.
+        running: the run indicator behind the identifier (section 6.13): True for ON (FFh), False
+            for OFF (00h), None if the device sent another byte there, with which `additional`
+            then begins.
         additional: the remaining bytes.
     """
 
     identifier: bytes
-    running: bool
+    running: bool | None
     additional: bytes = b""
 
     @property
     def data(self) -> bytes:
         """All bytes, as on the wire."""
-        return self.identifier + (b"\xff" if self.running else b"\0") + self.additional
+        indicator = b"" if self.running is None else b"\xff" if self.running else b"\0"
+        return self.identifier + indicator + self.additional
 
     @classmethod
     def split(cls, data: bytes, length: int = 1) -> Self:
@@ -208,7 +211,8 @@ class ServerId(NamedTuple):
         """
         if not 0 <= length < len(data):
             raise ValueError(f"length must be in 0..{len(data) - 1}, not {length}")
-        return cls(data[:length], data[length] == 0xFF, data[length + 1 :])
+        running = {0x00: False, 0xFF: True}.get(data[length])
+        return cls(data[:length], running, data[length + (running is not None) :])
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 
+from libmodbus_py import Device, Mapping, Server, pdu
 from tests.support.commands import run
 
 
@@ -18,3 +19,14 @@ def test_identify(url: str) -> None:
     assert found["VendorName"] == "libmodbus-py"
     assert "ProductCode" not in found
     assert run("identify", url, "--level", "all").code == 2
+
+
+def test_a_server_id_without_a_run_indicator_is_shown_as_it_was_sent() -> None:
+    device = Device(Mapping(), server_id=pdu.ServerId(b"A", None, b"CME"))
+    with Server(device).background("tcp://127.0.0.1:0") as running:
+        told = run("identify", running.urls[0])
+        found = json.loads(run("identify", running.urls[0], "--json").out)
+    assert "server id           ACME\n" in told.out
+    assert "running" not in told.out
+    assert found["server id"] == "ACME"
+    assert "running" not in found

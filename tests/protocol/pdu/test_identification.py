@@ -25,14 +25,23 @@ from tests.support.cases import each_case
 class TestServerId:
     def test_identifier_is_one_byte_unless_split_again(self) -> None:
         found = ReportServerId().decode_response(b"\x11\6abc\xffde")
-        assert found == ServerId(b"a", False, b"c\xffde")
-        assert found.data == b"a\0c\xffde"  # only FFh says that it runs
+        assert found == ServerId(b"a", None, b"bc\xffde")
         assert ServerId.split(b"abc\xffde", 3) == ServerId(b"abc", True, b"de")
 
     def test_all_of_the_data_can_be_had_back(self) -> None:
-        for data in (b"\xb4\xff", b"\xb4\0", b"\xb4\xff3.1.6", bytes(251)):
-            found = ReportServerId().decode_response(bytes([0x11, len(data)]) + data)
+        for data in (b"\xb4\xff", b"\xb4\0", b"\xb4\xff3.1.6", b"ACME", b"A\x01", bytes(251)):
+            response = bytes([0x11, len(data)]) + data
+            found = ReportServerId().decode_response(response)
             assert found.data == data
+            assert ReportServerId().encode_response(found) == response
+            for length in range(len(data)):
+                assert ServerId.split(found.data, length).data == data
+
+    def test_only_00_and_ff_tell_whether_the_device_runs(self) -> None:
+        for byte in range(256):
+            found = ServerId.split(bytes([0x01, byte, 0x02]))
+            assert found.running is {0x00: False, 0xFF: True}.get(byte)
+            assert found.additional == (b"\2" if byte in (0x00, 0xFF) else bytes([byte, 2]))
 
     def test_split_takes_any_length_that_leaves_the_indicator(self) -> None:
         assert ServerId.split(b"\xff", 0) == ServerId(b"", True)

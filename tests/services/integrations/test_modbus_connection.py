@@ -129,7 +129,7 @@ IDENTIFIERS = {
     b"\xb4\xff3.1.6": b"\xb4",
     b"PUMP\x00abc": b"PUMP",
     b"\x00\x00": b"\x00",
-    b"AB": b"A",
+    b"ACME": b"ACME",  # no run indicator
 }
 
 

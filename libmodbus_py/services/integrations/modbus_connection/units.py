@@ -41,15 +41,17 @@ def in_turn(ask: Operation[Arguments, Result]) -> Operation[Arguments, Result]:
 class WholeServerId(ReportServerId):
     """
     A request for the server id. The identifier in its response ends before the first byte that can
-    be a run indicator.
+    be a run indicator; without one, it is the whole response.
     """
 
     __slots__ = ()
 
     def _decode_response(self, pdu: bytes) -> ServerId:
-        found, data = super()._decode_response(pdu), pdu[2:]
-        ends = (end for end in range(1, len(data)) if data[end] in (0x00, 0xFF))
-        return ServerId.split(data, next(ends, len(found.identifier)))
+        data = super()._decode_response(pdu).data
+        for end in range(1, len(data)):
+            if data[end] in (0x00, 0xFF):
+                return ServerId.split(data, end)
+        return ServerId(data, None)
 
 
 class ConnectionUnit:
