@@ -210,8 +210,8 @@ class ServerStatistics:
             or was not trusted any more.
         paused: how often a client was not read because it did not take its responses.
         throttled: how often a client exceeded `requests_per_second`.
-        reflected: datagrams not answered because they came from a port that servers use, or were
-            responses of this server that came back.
+        reflected: datagrams not answered because they were responses of this server that came
+            back more than ten times a second.
         echoes: serial ports, and TCP connections with RTU or ASCII frames, that were found to
             return what is sent on them (local echo).
         requests: frames that this server received, those for other units included.

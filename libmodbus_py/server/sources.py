@@ -15,11 +15,10 @@ from .limits import Allowance, Limits, ServerStatistics
 
 __all__ = ["Sources"]
 
-# Ports of servers: a datagram from there is an answer, or a forged request.
-SERVER_PORTS = (502, 802)
-
-# An answer may be a valid request, as for function 8; so two servers, or one and itself, would
-# answer each other for ever. A client repeats a request seldom, and gives up.
+# An answer may be a valid request, as for function 8; so a forged source lets two servers, or one
+# and itself, answer each other for ever. An answer that comes back from where it was sent more
+# than ten times a second is dropped once, which ends the circle; its port says nothing, because a
+# client may use any.
 RETURNS_PER_SECOND = 10
 RETURNS_REMEMBERED = 16_384
 
@@ -28,17 +27,11 @@ USUAL_RATE = 1000.0
 
 
 class Sources:
-    """
-    The clients at all UDP endpoints of a server.
-
-    Attributes:
-        ports: the ports of the server itself; datagrams from there are never from a client.
-    """
+    """The clients at all UDP endpoints of a server."""
 
     def __init__(
         self, limits: Limits, statistics: ServerStatistics, auditor: Audit | None = None
     ) -> None:
-        self.ports: set[int] = set(SERVER_PORTS)
         self._limits = limits
         self._statistics = statistics
         self._auditor = auditor
@@ -53,7 +46,7 @@ class Sources:
             self._statistics.disallowed += 1
             if self._auditor is not None:
                 self._auditor.note_disallowed(host, port)
-        elif port in self.ports or self._returns_too_often(datagram, source):
+        elif self._returns_too_often(datagram, source):
             self._statistics.reflected += 1
         elif self._is_too_fast(host):
             self._statistics.throttled += 1
@@ -72,10 +65,12 @@ class Sources:
             self._returns.popitem(last=False)
 
     def _returns_too_often(self, datagram: bytes, source: tuple[str, int]) -> bool:
-        allowance = self._returns.get(hash((source, datagram)))
+        key = hash((source, datagram))
+        allowance = self._returns.get(key)
         if allowance is None:
             return False
         if allowance.wait(self._loop.time()) > 0:
+            del self._returns[key]
             return True
         allowance.spend(1)
         return False

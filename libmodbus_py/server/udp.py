@@ -67,7 +67,6 @@ class UdpServer:
         """Open the sockets, and return the endpoint with its port."""
         self._sockets, endpoint = await bound(self._endpoint, socket.SOCK_DGRAM, bound_datagrams)
         self._make_session = self._service.sessions(endpoint, self._statistics)
-        self._sources.ports.add(endpoint.port)
         for made in self._sockets:
             self._loop.add_reader(made.fileno(), self._read, made)
         return endpoint

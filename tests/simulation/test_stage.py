@@ -57,10 +57,11 @@ def test_nobody_listens() -> None:
 def test_datagrams_can_have_forged_sources() -> None:
     server = served()
     with Stage() as stage, server.background("udp://10.0.0.1:0", "udp://10.0.0.2:0") as running:
-        target, other = (("10.0.0.1", 0), ("10.0.0.2", 0))
-        ports = [int(url.rpartition(":")[2]) for url in running.urls]
-        stage.send_datagram(READ, (other[0], ports[1]), (target[0], ports[0]))
-        stage.send_datagram(READ, ("192.0.2.7", 4711), (target[0], ports[0]))
+        first, second = (int(url.rpartition(":")[2]) for url in running.urls)
+        stage.send_datagram(READ, ("10.0.0.2", second), ("10.0.0.1", first))
+        stage.send_datagram(READ, ("192.0.2.7", 4711), ("10.0.0.1", first))
         stage.pass_time(1)
-        assert server.statistics.reflected == 1
-        assert server.statistics.requests == 1
+        # The second server takes the answer to the first datagram for a request, and refuses it;
+        # this refusal is the last request.
+        assert server.statistics.requests == 4
+        assert server.statistics.refused == 1
