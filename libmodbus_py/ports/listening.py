@@ -10,7 +10,7 @@ import socket
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["Make", "bind_all", "find_numeric", "listen_on", "look_up", "reason", "tcp_listener"]
+__all__ = ["Make", "bind_all", "listen_on", "look_up", "reason", "tcp_listener"]
 
 # A family, host and port -> a socket bound to them.
 Make = Callable[[socket.AddressFamily, tuple[str, int]], socket.socket]
@@ -20,17 +20,6 @@ BACKLOG = 4096
 
 # An address of a family that this machine does not have, such as ::1 without IPv6.
 NOT_HERE = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)
-
-
-def find_numeric(host: str, port: int, kind: socket.SocketKind) -> list[Any]:
-    """
-    Return what getaddrinfo says of a numeric address, without a look-up that could take time.
-
-    Raises:
-        OSError, UnicodeError: the host is not a numeric address.
-    """
-    flags = socket.AI_PASSIVE | socket.AI_NUMERICHOST
-    return socket.getaddrinfo(host, port, type=kind, flags=flags)
 
 
 def look_up(host: str, port: int, kind: socket.SocketKind) -> list[Any]:

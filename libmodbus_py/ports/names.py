@@ -1,8 +1,10 @@
 """
-Host names, looked up in threads: a look-up ends only when the system gives up, after many seconds.
+Host names, each looked up in a thread: a look-up ends only when the system gives up, after many
+seconds.
 
-The threads belong to no event loop, whose own would be busy for others, and would be waited for at
-its end. A program may end while they wait.
+All that ask for one name share its thread, so that there are no more threads than names, and none
+waits for another. The threads belong to no event loop, whose own would be busy for others, and
+would be waited for at its end. A program may end while they wait.
 """
 
 from __future__ import annotations
@@ -16,12 +18,7 @@ from typing import Any, NamedTuple
 
 from ..system import call_in_children
 
-# fmt: off
-__all__ = ["MOST_THREADS", "Question", "Resolve", "asked", "no_thread", "numeric", "start_thread"]
-# fmt: on
-
-# The number of names that are looked up at the same time; further names wait.
-MOST_THREADS = 32
+__all__ = ["Question", "Resolve", "asked", "numeric", "start_thread"]
 
 
 class Resolve(NamedTuple):
@@ -66,89 +63,6 @@ class Question:
         return self._found
 
 
-class Names:
-    """The questions that wait, and the threads that look them up."""
-
-    def __init__(self) -> None:
-        # Reentrant, because a signal handler may ask while its own thread does.
-        self._lock = threading.RLock()
-        self._asked: dict[tuple[Any, ...], Question] = {}
-        self._waiting: dict[tuple[Any, ...], Question] = {}
-        self._threads: set[threading.Thread] = set()
-
-    def put(self, wanted: Resolve, note: Callable[[], object]) -> Question:
-        """
-        Ask for a name, or join others who do.
-
-        Raises:
-            OSError: the system has no thread left.
-        """
-        key = _key(wanted)
-        with self._lock:
-            question = self._asked.get(key)
-            if question is not None:
-                question.notes.append(note)
-                return question
-            question = self._asked[key] = self._waiting[key] = Question(wanted)
-            question.notes.append(note)
-            try:
-                self._start_thread()
-            except BaseException:
-                self.leave(wanted, question, note)
-                raise
-        return question
-
-    def leave(self, wanted: Resolve, question: Question, note: Callable[[], object]) -> None:
-        """Stop waiting for an answer; may be called any number of times."""
-        key = _key(wanted)
-        with self._lock:
-            if note in question.notes:
-                question.notes.remove(note)
-            if not question.notes and self._waiting.get(key) is question:
-                del self._waiting[key], self._asked[key]
-
-    def _start_thread(self) -> None:
-        if len(self._threads) >= MOST_THREADS:
-            return
-        thread = threading.Thread(target=self._work, name="look-up", daemon=True)
-        self._threads.add(thread)
-        try:
-            start_thread(thread)
-        except BaseException:
-            self._threads.discard(thread)
-            raise
-
-    def _work(self) -> None:
-        while self._look_up_next():
-            pass
-
-    def _look_up_next(self) -> bool:
-        """Return False if no question waits, and the thread ends."""
-        taken = self._take()
-        if taken is None:
-            return False
-        key, question = taken
-        question.look_up()
-        with self._lock:
-            del self._asked[key]
-            notes, question.notes = question.notes, []
-        for note in notes:
-            with contextlib.suppress(Exception):  # a loop that was closed meanwhile
-                note()
-        return True
-
-    def _take(self) -> tuple[tuple[Any, ...], Question] | None:
-        with self._lock:
-            key = next(iter(self._waiting), None)
-            if key is None:
-                self._threads.discard(threading.current_thread())
-                return None
-            return key, self._waiting.pop(key)
-
-
-_names = Names()
-
-
 @contextlib.contextmanager
 def asked(wanted: Resolve, note: Callable[[], object]) -> Iterator[Question]:
     """
@@ -160,12 +74,32 @@ def asked(wanted: Resolve, note: Callable[[], object]) -> Iterator[Question]:
     Raises:
         OSError: the system has no thread left.
     """
-    names = _names
-    question = names.put(wanted, note)
+    key = wanted._replace(deadline=0.0)
+    with _lock:
+        question = _asked.get(key)
+        if question is None:
+            question = Question(wanted)
+            start_thread(
+                threading.Thread(target=_work, args=(key, question), name="look-up", daemon=True)
+            )
+            _asked[key] = question
+        question.notes.append(note)
     try:
         yield question
     finally:
-        names.leave(wanted, question, note)
+        with _lock, contextlib.suppress(ValueError):  # it was called
+            question.notes.remove(note)
+
+
+def _work(key: Resolve, question: Question) -> None:
+    question.look_up()
+    with _lock:
+        if _asked.get(key) is question:
+            del _asked[key]
+        notes, question.notes = question.notes, []
+    for note in notes:
+        with contextlib.suppress(Exception):  # a loop that was closed meanwhile
+            note()
 
 
 def numeric(wanted: Resolve) -> list[Any]:
@@ -182,15 +116,6 @@ def numeric(wanted: Resolve) -> list[Any]:
         return []
 
 
-def _key(wanted: Resolve) -> tuple[Any, ...]:
-    return wanted.host, wanted.port, wanted.kind, wanted.flags
-
-
-def no_thread(error: RuntimeError) -> OSError:
-    """Return the error for a system without a free thread, with its error number."""
-    return OSError(errno.EAGAIN, str(error))
-
-
 def start_thread(thread: threading.Thread) -> None:
     """
     Start a thread.
@@ -201,13 +126,18 @@ def start_thread(thread: threading.Thread) -> None:
     try:
         thread.start()
     except RuntimeError as error:
-        raise no_thread(error) from error
+        raise OSError(errno.EAGAIN, str(error)) from error
 
 
-def _begin_anew() -> None:
-    """In a forked child: the threads are its parent's, and one may have held the lock."""
-    global _names
-    _names = Names()
+def _begin() -> None:
+    """In a forked child, too: the threads are its parent's, and one may have held the lock."""
+    global _lock, _asked
+    # Reentrant, because a signal handler may ask while its own thread does.
+    _lock = threading.RLock()
+    _asked = {}
 
 
-call_in_children(_begin_anew)
+_lock: threading.RLock
+_asked: dict[Resolve, Question]
+_begin()
+call_in_children(_begin)

@@ -10,8 +10,8 @@ from dataclasses import replace
 from typing import Any
 
 from ..ports.endpoint import Endpoint
-from ..ports.listening import Make, bind_all, find_numeric, reason
-from ..ports.names import Resolve
+from ..ports.listening import Make, bind_all, reason
+from ..ports.names import Resolve, numeric
 from ..ports.waiting_async import look_up
 from ..protocol.errors import ModbusConnectionError
 
@@ -39,8 +39,5 @@ async def bound(
 
 
 async def _addresses(endpoint: Endpoint, kind: socket.SocketKind) -> list[Any]:
-    try:  # a numeric address needs no look-up, and so no thread
-        return find_numeric(endpoint.host, endpoint.port, kind)
-    except (OSError, UnicodeError):
-        host, port = endpoint.host, endpoint.port
-        return await look_up(Resolve(host, port, kind, math.inf, socket.AI_PASSIVE))
+    wanted = Resolve(endpoint.host, endpoint.port, kind, math.inf, socket.AI_PASSIVE)
+    return numeric(wanted) or await look_up(wanted)

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py.ports.names import MOST_THREADS, Question, Resolve, asked
+from libmodbus_py.ports.names import Question, Resolve, asked
 from libmodbus_py.ports.waiting import Steps, Waker, run
 from libmodbus_py.ports.waiting_async import look_up, run_async
 from tests.support.peers import until
@@ -91,25 +91,31 @@ def test_each_who_asked_gets_an_error_of_its_own(resolver: Resolver) -> None:
     assert first.errno == second.errno == socket.EAI_NONAME
 
 
-def test_the_threads_have_a_bound_and_what_nobody_wants_any_more_is_dropped(
-    resolver: Resolver,
-) -> None:
+def test_no_name_waits_for_others(resolver: Resolver) -> None:
+    """Nor does an address or this machine, for which the system asks nobody."""
+
     async def main() -> None:
-        names = [f"stuck{number}" for number in range(3 * MOST_THREADS)]
+        names = [f"stuck{number}" for number in range(100)]
         tasks = [asyncio.create_task(look_up(wanted(name))) for name in names]
-        await asyncio.sleep(0)
-        await asyncio.to_thread(until, lambda: len(resolver.asked) == MOST_THREADS)
-        assert threads() == MOST_THREADS
-        good = asyncio.create_task(look_up(wanted("good")))
-        await asyncio.sleep(0)
+        await asyncio.to_thread(until, lambda: len(resolver.asked) == 100)
+        for name in ("localhost", "good"):
+            assert await look_up(wanted(name)) == FOUND
+        assert not any(task.done() for task in tasks)
         for task in tasks:
             task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-        resolver.release.set()
-        assert await good == FOUND
 
     asyncio.run(main())
-    assert len(resolver.asked) == MOST_THREADS + 1
+
+
+def test_a_name_has_one_thread_however_often_its_clients_give_up(resolver: Resolver) -> None:
+    async def main() -> None:
+        for _ in range(20):
+            with pytest.raises(TimeoutError):
+                await look_up(wanted("stuck", 0.0))
+        assert threads() == 1
+
+    asyncio.run(main())
+    assert resolver.asked == ["stuck"]
 
 
 def test_the_loop_has_its_own_threads_for_itself_and_ends_without_waiting(
@@ -117,11 +123,9 @@ def test_the_loop_has_its_own_threads_for_itself_and_ends_without_waiting(
 ) -> None:
     async def main() -> None:
         tasks = [
-            asyncio.create_task(run_async(resolving(f"stuck{number}")))
-            for number in range(MOST_THREADS)
+            asyncio.create_task(run_async(resolving(f"stuck{number}"))) for number in range(40)
         ]
-        await asyncio.sleep(0)
-        await asyncio.to_thread(until, lambda: len(resolver.asked) == MOST_THREADS)
+        await asyncio.to_thread(until, lambda: len(resolver.asked) == 40)
         for task in tasks:
             task.cancel()
         assert await asyncio.to_thread(lambda: 7) == 7
