@@ -4,13 +4,13 @@ Values as JSON can contain them, and text as terminals can show it.
 
 from __future__ import annotations
 
-import dataclasses
 import enum
 import math
 import re
 from typing import Any
 
 from .pdu import Request
+from .pdu.request import arguments
 
 __all__ = ["CONTROL", "plain", "without_controls"]
 
@@ -31,11 +31,8 @@ def plain(value: Any) -> Any:
     if value is None or isinstance(value, int | str):
         return value
     if isinstance(value, Request):
-        names = [field.name for field in dataclasses.fields(value)]  # type: ignore[arg-type]
-        return {
-            "name": type(value).__name__,
-            **{each: plain(getattr(value, each)) for each in names},
-        }
+        given = {name: plain(each) for name, each in arguments(value).items()}
+        return {"name": type(value).__name__, **given}
     if isinstance(value, bytes):
         return value.hex()
     if hasattr(value, "isoformat"):  # a datetime, whose module most commands never load

@@ -5,7 +5,7 @@ The base of all requests; those that are echoed, and those without arguments.
 from __future__ import annotations
 
 import reprlib
-from typing import ClassVar, Generic, Self, TypeVar
+from typing import Any, ClassVar, Generic, Self, TypeVar
 
 from ..errors import ExceptionResponse, InvalidResponse, in_hex
 from .fields import LengthRule, fixed
@@ -102,13 +102,22 @@ class Request(Generic[Result]):
         return InvalidResponse(f"answered with {what}", function=self.function, asked=str(self))
 
     def __str__(self) -> str:
-        from dataclasses import fields
-
-        shown = (
-            f"{field.name}={reprlib.repr(getattr(self, field.name))}"
-            for field in fields(self)  # type: ignore[arg-type]
-        )
+        shown = (f"{name}={reprlib.repr(value)}" for name, value in arguments(self).items())
         return f"{type(self).__name__}({', '.join(shown)})"
+
+
+def arguments(request: Request[Any]) -> dict[str, Any]:
+    """
+    Return the arguments of a request by name, as people are shown them: the fields of a dataclass,
+    the public attributes of an object of any other class.
+    """
+    from dataclasses import fields, is_dataclass
+
+    if not is_dataclass(request):
+        given = getattr(request, "__dict__", {})
+        return {name: value for name, value in given.items() if name[0] != "_"}
+    names = [field.name for field in fields(request) if field.repr]
+    return {name: getattr(request, name) for name in names if hasattr(request, name)}
 
 
 class Echoed(Request[None]):

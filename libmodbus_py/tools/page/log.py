@@ -9,7 +9,6 @@ import reprlib
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import fields
 from itertools import count
 from typing import Any, NamedTuple
 
@@ -18,6 +17,7 @@ from ...ports.schemes import framing_of
 from ...ports.trace import Traced
 from ...protocol import pdu
 from ...protocol.pdu import Request
+from ...protocol.pdu.request import arguments
 from ...protocol.shown_time import time_text
 from ..files.csv_text import csv_rows
 from ..listener.traces import Exchange, TracePairing
@@ -264,9 +264,8 @@ def _listed(values: Any) -> str:
 def _all_words(request: Request[Any]) -> str:
     name = request_name(type(request))
     given = [
-        f"{each.name.replace('_', ' ')} {_short.repr(getattr(request, each.name))}"
-        for each in fields(request)  # type: ignore[arg-type]
-        if each.repr
+        f"{argument.replace('_', ' ')} {_short.repr(value)}"
+        for argument, value in arguments(request).items()
     ]
     return f"{name}: {', '.join(given)}" if given else name
 

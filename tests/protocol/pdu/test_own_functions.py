@@ -9,14 +9,17 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import pdu
+from libmodbus_py import Context, Device, Mapping, Server, pdu
 from libmodbus_py.protocol.errors import (
     IllegalDataValue,
     IllegalFunction,
     InvalidResponse,
     MemoryParityError,
+    ServerDeviceFailure,
 )
 from libmodbus_py.protocol.pdu import RawRequest, Request, decode_request
+from libmodbus_py.protocol.plain import plain
+from libmodbus_py.tools.page.log import _words
 from tests.protocol.pdu.examples import Doubled
 from tests.support.cases import each_case
 
@@ -25,6 +28,66 @@ from tests.support.cases import each_case
 def doubled() -> Iterator[type[Doubled]]:
     yield pdu.register(Doubled)
     pdu.REQUESTS.pop(Doubled.function)
+
+
+class Plain(Request[None]):
+    """A class that is no dataclass."""
+
+    function = 0x42
+    request_length = response_length = pdu.fixed(2)
+
+    def __init__(self, channel: int) -> None:
+        self.channel = channel
+        self._cached = b""
+
+    def encode(self) -> bytes:
+        return bytes([self.function, self.channel])
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Plain:
+        return cls(pdu[1])
+
+    def encode_response(self, result: None = None) -> bytes:
+        return self.encode()
+
+    def _decode_response(self, pdu: bytes) -> None:
+        return None
+
+
+class Changed(Doubled):
+    """Derived from a dataclass, with arguments of its own."""
+
+    def __init__(self) -> None:
+        pass
+
+
+@each_case(
+    ("request_", "text", "fields", "words"),
+    [
+        (Plain(7), "Plain(channel=7)", {"name": "Plain", "channel": 7}, "plain: channel 7"),
+        (Changed(), "Changed()", {"name": "Changed"}, "changed"),
+    ],
+)
+def test_a_request_that_is_no_dataclass_is_shown(
+    request_: Any, text: str, fields: dict[str, Any], words: str
+) -> None:
+    assert str(request_) == text
+    assert plain(request_) == fields
+    assert _words(request_) == words
+
+
+def test_failures_of_a_request_that_is_no_dataclass_are_told() -> None:
+    pdu.register(Plain)
+    try:
+        device = Device(Mapping(), handlers={Plain: lambda _: 1 / 0})
+        with (
+            Server(device).background("tcp://127.0.0.1:0") as running,
+            Context.from_url(running.urls[0]) as plc,
+            pytest.raises(ServerDeviceFailure, match=r"Plain\(channel=7\)"),
+        ):
+            plc.execute(Plain(7))
+    finally:
+        pdu.REQUESTS.pop(Plain.function)
 
 
 class TestRegister:
