@@ -348,7 +348,7 @@ class Device:
 
         Args:
             data: frames as received.
-            start: the index of the first one in `data`.
+            start: the index of the first one in `data`, 0..len(data).
             unit: the unit whose requests are executed, 0..255.
 
         Returns:
@@ -356,8 +356,12 @@ class Device:
             that were executed; and how many of them were refused.
 
         Raises:
+            TypeError, ValueError: `start` or `unit` is outside its range.
             ModbusConnectionError: libmodbus failed in memory.
         """
+        if not (0 <= start <= len(data) and 0 <= unit <= 0xFF):  # C does not check them
+            start = integer("start", start, 0, len(data))
+            unit = integer("unit", unit, 0, 0xFF)
         with self.mapping.lock:
             return answer_in_c(self.mapping, self._watched, self._tally, unit, data, start)
 

@@ -93,11 +93,23 @@ class FrameScanner:
             state: `GOES_ON`; `SILENT` after a silence, which ends frames without a length; or
                 `AT_END` to find, after a silence, the first one that ends with the data, past
                 all that may still be completed.
+
+        Raises:
+            ValueError: `start` is negative.
         """
+        if start < 0:  # C would read before the data
+            raise ValueError(f"start must be 0 or more, not {start}")
         return self._call(lib.next_frame, data, start, state)
 
     def at(self, data: bytes, start: int, fresh: int, state: int = GOES_ON) -> int:
-        """Return the end of the frame that begins at `start`; `NO_FRAME` or `UNFINISHED`."""
+        """
+        Return the end of the frame that begins at `start`; `NO_FRAME` or `UNFINISHED`.
+
+        Raises:
+            ValueError: `start` is negative.
+        """
+        if start < 0:  # as in `next`
+            raise ValueError(f"start must be 0 or more, not {start}")
         self.fresh = fresh
         end: int = lib.frame_at(self._scan, data, len(data), start, fresh, state)
         return end if end != ASK_PYTHON else self._call(lib.frame_at, data, start, state)

@@ -66,3 +66,17 @@ def test_what_is_left_gets_the_same_answers() -> None:
         assert requests == 1
         assert hooked.answer(request) == answers[7:]
     assert len(told) == 1
+
+
+@pytest.mark.parametrize("start", [-1, -(1 << 40), 13, 1 << 40])
+def test_a_start_outside_the_data_is_refused(start: int) -> None:
+    frame = bytes.fromhex("0001 0000 0006 01 03 0000 0001")
+    with pytest.raises(ValueError, match=r"start must be in 0\.\.12, not"):
+        Device(Mapping(holding_registers=1)).answer_chunk(frame, start, 1)
+
+
+@pytest.mark.parametrize("unit", [-1, 256, 1 << 40])
+def test_a_unit_that_cannot_be_is_refused(unit: int) -> None:
+    frame = bytes.fromhex("0001 0000 0006 01 03 0000 0001")
+    with pytest.raises(ValueError, match=r"unit must be in 0\.\.255, not"):
+        Device(Mapping(holding_registers=1)).answer_chunk(frame, 0, unit)

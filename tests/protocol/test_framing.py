@@ -28,6 +28,7 @@ from libmodbus_py.protocol.framing import (
     is_delimiter,
     lrc,
     make_framer,
+    scanner,
 )
 from tests.support.cases import each_case
 from tests.support.vectors import (
@@ -1117,3 +1118,12 @@ class TestWhateverComes:
         take(framer, pattern * (100_000 // len(pattern)))
         assert framer.pending <= PENDING[type(framer)]
         assert time.process_time() - began < 10
+
+
+@pytest.mark.parametrize("start", [-1, -5])
+def test_a_scanner_looks_at_no_byte_before_the_data(start: int) -> None:
+    data = bytes.fromhex("11 03 02 0001") * 5
+    with pytest.raises(ValueError, match="start must be 0 or more, not -"):
+        scanner("client").at(data, start, 0)
+    with pytest.raises(ValueError, match="start must be 0 or more, not -"):
+        scanner("client").next(data, start)
