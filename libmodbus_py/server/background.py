@@ -7,7 +7,6 @@ from __future__ import annotations
 import _thread
 import asyncio
 import contextlib
-import sys
 import threading
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
@@ -29,6 +28,8 @@ class Background(Generic[Running]):
     A server in a separate thread that serves while the ``with`` block runs.
 
     When the block has been left, even by Ctrl-C, the thread has ended and all endpoints are closed.
+    If Ctrl-C comes right before the end of the block, or the block is never left and the object is
+    forgotten, they end soon after, without a wait.
 
     Args:
         serving: returns a context manager that serves while it is entered.
@@ -55,17 +56,17 @@ class Background(Generic[Running]):
         self._finish()
 
     def __del__(self) -> None:
-        # Ctrl-C may have come before __exit__ began. At the end of the program its thread does
-        # not run any more, and waiting for it would never end.
+        # Ctrl-C may have come before __exit__ began. This waits for nothing: the server's thread
+        # may wait for a lock that is held where the garbage collector runs.
         thread = vars(self).get("_thread")
-        if thread is not None and not sys.is_finalizing():
-            thread.finish()
+        if thread is not None:
+            thread.stop()
 
     def _finish(self) -> None:
         try:
             self._thread.finish()
         finally:
-            self._thread.finish()  # likewise
+            self._thread.finish()  # Ctrl-C may have come before it began
 
 
 class InThread(Generic[Running]):
@@ -128,14 +129,18 @@ class InThread(Generic[Running]):
         if failure is not None:
             raise failure
 
-    def _end(self) -> None:
+    def stop(self) -> None:
+        """Let the server end, without waiting."""
         self._is_wanted = False
+        if self._stop is not None:
+            self._stop()
+
+    def _end(self) -> None:
+        self.stop()
         if not self._is_starting:
             return
         if not self._has_begun:
             self._begun.acquire()
-        if self._stop is not None:
-            self._stop()
         if self._thread.ident not in (None, threading.get_ident()):  # a hook cannot wait for it
             self._thread.join()
 

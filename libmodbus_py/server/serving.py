@@ -173,7 +173,7 @@ class Serving(ABC):
         Serve in a separate thread while the ``with`` block runs.
 
         When the block has been left, even by Ctrl-C, the thread has ended and all endpoints are
-        closed.
+        closed; if Ctrl-C comes right before the end of the block, they end soon after.
 
         The arguments are those of `serving`, and its exceptions are raised when the block is
         entered. If a hook raises SystemExit or KeyboardInterrupt, the server ends at once, and the

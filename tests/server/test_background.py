@@ -151,6 +151,32 @@ def test_a_program_ends_though_a_block_was_never_left() -> None:
     assert (done.returncode, done.stderr) == (0, b"")
 
 
+def test_the_collector_does_not_wait_for_a_forgotten_server() -> None:
+    """The server may wait for a lock, such as a mapping's, that the collector's thread holds."""
+    is_blocked, goes_on = threading.Event(), threading.Event()
+    told: list[bool] = []
+
+    def hook(access: Access) -> None:
+        is_blocked.set()
+        told.append(goes_on.wait(PATIENCE))
+
+    before = left()
+    server = Server(Device(Mapping(holding_registers=1), before_read=hook))
+    circle: list[Any] = [server.background("tcp://127.0.0.1:0")]
+    circle.append(circle)
+    port = int(circle[0].__enter__().urls[0].rpartition(":")[2])
+    with connect(port) as client:
+        client.sendall(adu(READ_ONE))
+        assert is_blocked.wait(PATIENCE)
+        del circle
+        gc.collect()
+        goes_on.set()
+        assert receive(client, 11) == adu(bytes.fromhex("03 02 0000"))
+        assert receive(client, 1) == b""
+    assert told == [True]
+    assert is_left(before)
+
+
 # --- hooks that end the program ----------------------------------------------------------
 
 ENDS = [SystemExit(3), KeyboardInterrupt()]

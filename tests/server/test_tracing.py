@@ -371,12 +371,12 @@ def test_one_that_closes_the_server_is_obeyed(scheme: str) -> None:
 
     background: AbstractContextManager[Any]
     background = Server({17: made_device()}, trace=closing).background(f"{scheme}://127.0.0.1:0")
-    with stack:
-        running = stack.enter_context(background)
-        with connect(port_of(running.urls[0])) as one:
-            one.sendall(FRAMED[scheme]("11 03 0000 0002"))
-            while one.recv(100):
-                pass
+    running = stack.enter_context(background)
+    with connect(port_of(running.urls[0])) as one:
+        one.sendall(FRAMED[scheme]("11 03 0000 0002"))
+        while one.recv(100):
+            pass
+    background.__exit__(None, None, None)  # the server's own thread could not wait for its end
     assert closed.is_set()
 
 
