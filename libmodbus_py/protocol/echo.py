@@ -1,0 +1,112 @@
+"""
+The local echo of a line: a transceiver or converter returns all that is sent.
+
+An echo lies before everything that a peer sends, because it comes back at once. So received bytes
+are compared with those that were sent, in their order, and equal ones are taken out.
+
+Equal bytes alone do not prove an echo: the response to a write is equal to its request, and a
+master may send the same write again and again. Unless a user has set whether there is an echo, it
+is found out from *telling* frames only. Such a frame can be nothing else when it comes back: the
+request of a read at a client, because its response differs; a response that is no possible request
+at a server. If a telling frame comes back whole, there is an echo; if other bytes come in its
+place, there is none. Until then nothing is taken out. An echo that was found out, and not set, is
+disbelieved at the first frame that does not come back. Time is no evidence: converters keep bytes
+for longer than some masters wait.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from .scan import MIN_ADU
+
+__all__ = ["Echo"]
+
+# Frames whose echo is awaited at once, more than a server sends before the first comes back. Where
+# nothing is ever received, such as after broadcasts, the oldest are forgotten.
+MAX_AWAITED = 64
+
+
+class Echo:
+    """
+    Takes the echo of what was sent out of what is received.
+
+    Args:
+        setting: True if all that is sent comes back, False if not, None to find out.
+
+    Attributes:
+        is_there: True or False once it is known or set, else None.
+    """
+
+    def __init__(self, setting: bool | None) -> None:
+        self._setting = setting
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin again for another connection."""
+        self.is_there: bool | None = self._setting
+        self.forget()
+
+    def forget(self) -> None:
+        """Expect nothing back of what was sent, because received bytes were discarded."""
+        self._awaited: deque[tuple[bytes, bool]] = deque(maxlen=MAX_AWAITED)
+        self._held = b""
+
+    @property
+    def is_holding(self) -> bool:
+        """True while received bytes are held back that may be the beginning of an echo."""
+        return bool(self._held)
+
+    def sent(self, adu: bytes, *, is_telling: bool) -> None:
+        """Expect bytes back that are sent now; `is_telling` if they can be nothing else then."""
+        if adu and self.is_there is not False:
+            self._awaited.append((adu, is_telling))
+
+    def without(self, data: bytes) -> bytes:
+        """Return received bytes without echoes; hold back a beginning until it is whole or not."""
+        if not self._awaited:
+            return data
+        data, self._held = self._held + data, b""
+        passed = b""
+        while data and self._awaited:
+            adu, is_telling = self._awaited[0]
+            start = _start(adu, data)
+            if start is None:
+                if is_telling or self.is_there:
+                    self._miss()
+                else:  # it shows nothing, and the next may come in its place
+                    self._awaited.popleft()
+                continue
+            end = start + len(adu)
+            if len(data) < end:
+                self._held = data
+                return passed
+            self._awaited.popleft()
+            if is_telling:
+                self.is_there = True
+            passed += data[:start] if self.is_there else data[:end]
+            data = data[end:]
+        return passed + data
+
+    def release(self) -> bytes:
+        """Return what is held back, because silence shows that it is no echo."""
+        held = self._held
+        if held:
+            self._miss()
+        return held
+
+    def _miss(self) -> None:
+        """Note that a frame did not come back, and that nothing else will."""
+        was_telling = self.is_there or any(is_telling for _, is_telling in self._awaited)
+        if self._setting is None and was_telling:
+            self.is_there = False
+        self.forget()
+
+
+def _start(adu: bytes, data: bytes) -> int | None:
+    """
+    Return where an echo begins in received bytes, or may still begin; None for nowhere.
+
+    A transceiver that turns round may add bytes before an echo: fewer than the shortest frame has.
+    """
+    return next((at for at in range(MIN_ADU) if adu.startswith(data[at : at + len(adu)])), None)
