@@ -19,7 +19,6 @@ from ..protocol.checks import integer, seconds
 from ..protocol.close_names import unknown_option
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.pauses import pause_between_frames
-from ..protocol.returned import AwaitedEcho
 from ..system import has_transmission_time, set_odd_baudrate
 from .port import Port, Silence, lost
 from .schemes import SERIAL_DEFAULTS, character_bits, parity_of
@@ -48,7 +47,7 @@ class LineSettings(TypedDict, total=False):
     stop_bits: int
     rs485: Rs485 | None
     rts_delay: float | None
-    echo: bool
+    echo: bool | None
     silence: float | None
 
 
@@ -74,8 +73,8 @@ class SerialPort(Port):
             by the driver; "rts-up" or "rts-down", by setting or clearing RTS while sending.
         rts_delay: seconds between switching RTS and the first bit, and between the last bit and
             switching back, 0..1; None for the length of one character.
-        echo: True if all sent bytes come back, as from some two-wire transceivers; the echo is
-            removed from the received bytes.
+        echo: True if all sent bytes come back, as from some two-wire transceivers, False if not;
+            None to find out. Clients and servers remove the echo, the port itself does not.
         silence: seconds without a byte before anything is sent, 0..1; None for the 3.5
             characters of the specification (1.75 ms above 19200 bit/s).
 
@@ -113,7 +112,6 @@ class SerialPort(Port):
             raise unknown_option(min(unknown), [*SerialSettings.__annotations__])
         self.device = device
         self._take(settings)
-        self._echo = AwaitedEcho(b"")
         self._sending: Iterator[float] = iter(())
         self._guards: list[int] = []
         self._number = 0
@@ -139,9 +137,9 @@ class SerialPort(Port):
         self.baudrate: int = integer("baudrate", usual["baudrate"], 1, 4_000_000)
         self.data_bits: int = integer("data_bits", usual["data_bits"], 5, 8)
         self.stop_bits: int = integer("stop_bits", usual["stop_bits"], 1, 2)
-        self.echo: bool = settings.get("echo", False)
-        if not isinstance(self.echo, bool):
-            raise TypeError(f"echo must be True or False, not {self.echo!r}")
+        self.echo: bool | None = settings.get("echo")
+        if not isinstance(self.echo, bool | None):
+            raise TypeError(f"echo must be True, False or None, not {self.echo!r}")
         bits = character_bits({**usual, "parity": self.parity})
         wait, silence = settings.get("rts_delay"), settings.get("silence")
         self.character: float = bits / self.baudrate
@@ -294,8 +292,6 @@ class SerialPort(Port):
             raise lost(error) from error
         if not data and self._is_gone():
             raise ModbusConnectionError("the port is gone", errno=errno.EIO)
-        if not self._echo.is_over:
-            data = self._echo.without(data)
         return [data] if data else []
 
     def _is_gone(self) -> bool:
@@ -304,15 +300,12 @@ class SerialPort(Port):
         return bool(events & (select.POLLHUP | select.POLLERR))
 
     def discard_input(self) -> None:
-        self._echo = AwaitedEcho(b"")
         # modbus_flush would throw away output, too.
         with contextlib.suppress(termios.error):
             termios.tcflush(self.descriptor, termios.TCIFLUSH)
 
     def send(self, adus: list[bytes], now: float) -> None:
         data = b"".join(adus)
-        if self.echo:
-            self._echo = AwaitedEcho(data)
         self._sending = self._steps(data)
         self.go_on(now)
 

@@ -8,7 +8,7 @@ from ..protocol.errors import FrameError
 from ..protocol.framing import AsciiFramer, Frame, Framing, Overheard
 from .faults.delivery import Delivery
 from .faults.faulty import FaultyAnswers
-from .framed import Framed
+from .framed import Echoes, Framed
 from .limits import ServerStatistics
 from .service import Channel
 from .units import SerialUnits, TcpUnits
@@ -22,7 +22,7 @@ class ByFrame(Framed):
 
     Args:
         units: the devices.
-        framing, channel, statistics, at_once, is_datagram, pause: as for `Framed`.
+        framing, channel, statistics, at_once, is_datagram, pause, echoes: as for `Framed`.
     """
 
     def __init__(
@@ -35,6 +35,7 @@ class ByFrame(Framed):
         *,
         is_datagram: bool = False,
         pause: float = 0.0,
+        echoes: Echoes | None = None,
     ) -> None:
         super().__init__(
             framing,
@@ -44,6 +45,7 @@ class ByFrame(Framed):
             at_once,
             is_datagram=is_datagram,
             pause=pause,
+            echoes=echoes,
         )
         self._units = units
         self._faulty: FaultyAnswers | None = None  # None until a fault may happen on this channel
@@ -88,7 +90,7 @@ class ByFrame(Framed):
 
     def _faulty_answers(self) -> FaultyAnswers:
         if self._faulty is None:
-            delivery = Delivery(self._channel, self._trace)
+            delivery = Delivery(self._channel, self._trace, self._write)
             self._faulty = FaultyAnswers(
                 self._units, self._framer, self._answer, self._statistics, delivery
             )

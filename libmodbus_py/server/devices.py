@@ -7,7 +7,7 @@ from __future__ import annotations
 from ..ports.endpoint import Endpoint
 from .by_chunk import ByChunk, Singles
 from .by_frame import ByFrame
-from .framed import AT_ONCE
+from .framed import AT_ONCE, Echoes
 from .limits import ServerStatistics
 from .service import Channel, Later, MakeSession, Session
 from .units import SerialUnits, TcpUnits, Units
@@ -33,6 +33,7 @@ class Devices:
     ) -> MakeSession:
         framing = endpoint.framing
         at_once = None if later is None else AT_ONCE
+        echoes = Echoes(endpoint, statistics)
 
         def by_frame(units: TcpUnits | SerialUnits, channel: Channel) -> Session:
             return ByFrame(
@@ -43,6 +44,7 @@ class Devices:
                 at_once,
                 is_datagram=endpoint.is_datagram,
                 pause=endpoint.pause,
+                echoes=echoes,
             )
 
         if not endpoint.has_transactions:

@@ -8,13 +8,16 @@ import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable
 
+from ..ports.endpoint import Endpoint
+from ..protocol.echo import Echo
+from ..protocol.either_way import may_be
 from ..protocol.errors import FrameError
-from ..protocol.framing import Frame, Framing, Overheard, RtuFramer, make_framer
+from ..protocol.framing import Frame, Framing, Overheard, RtuFramer, make_framer, pdu_of
 from ..protocol.logs import HarmlessLogger
 from .limits import ServerStatistics
 from .service import Channel, SessionState
 
-__all__ = ["AT_ONCE", "FOUND_AT_ONCE", "Framed"]
+__all__ = ["AT_ONCE", "FOUND_AT_ONCE", "Echoes", "Framed"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -22,6 +25,42 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 # requests that are answered. Searching 64 bytes is cheap; answering the requests in them is not.
 AT_ONCE = 64
 FOUND_AT_ONCE = 4
+
+
+class Echoes:
+    """
+    The local echoes of one endpoint: found ones are counted, and the first is logged.
+
+    Args:
+        endpoint: the endpoint, with the setting `echo`.
+        statistics: where connections with an echo are counted.
+
+    Attributes:
+        is_sent_later: True if answers wait for silence after `Channel.write`, as on a serial port:
+            then the channel calls `Framed.sent`.
+    """
+
+    def __init__(self, endpoint: Endpoint, statistics: ServerStatistics) -> None:
+        self.is_sent_later: bool = endpoint.is_serial
+        self._endpoint = endpoint
+        self._statistics = statistics
+        self._was_logged = False
+
+    def new(self) -> Echo | None:
+        """Return the echo of a new connection, or None if there cannot be one."""
+        setting = self._endpoint.options.get("echo")
+        # A frame with a transaction id cannot be an echo, and a datagram has no connection.
+        if self._endpoint.has_transactions or self._endpoint.is_datagram or setting is False:
+            return None
+        return Echo(setting)
+
+    def note_found(self) -> None:
+        """Count a connection that was found to return what is sent; log the first one."""
+        self._statistics.echoes += 1
+        if not self._was_logged:
+            self._was_logged = True
+            text = "%s: what is sent comes back (local echo), and is dropped; set echo=1 in the URL"
+            logger.warning(text, self._endpoint)
 
 
 class Framed(ABC):
@@ -38,6 +77,7 @@ class Framed(ABC):
             `FOUND_AT_ONCE` are answered. None for no limit, where no other client waits.
         is_datagram: True if what is received at once is all there will be of its frames.
         pause: the seconds between two frames on a serial line, else 0.
+        echoes: the echoes of the endpoint; None if it has none.
     """
 
     def __init__(
@@ -50,7 +90,11 @@ class Framed(ABC):
         *,
         is_datagram: bool = False,
         pause: float = 0.0,
+        echoes: Echoes | None = None,
     ) -> None:
+        self._framing: Framing = framing
+        self._echoes = echoes
+        self._echo = None if echoes is None else echoes.new()
         self._framer = make_framer(framing, "server", pause)
         if isinstance(self._framer, RtuFramer):
             self._framer.is_ours = is_ours
@@ -94,7 +138,7 @@ class Framed(ABC):
         if data:
             if self._timer is not None:
                 self._timer.cancel()
-            self._unsearched += data
+            self._unsearched += data if self._echo is None else self._without_echo(self._echo, data)
             self._is_heard = False
             if self._at_once is not None and len(self._unsearched) > self._at_once:
                 self._channel.follow()
@@ -113,11 +157,16 @@ class Framed(ABC):
                 raise FrameError("stream out of step")
         if self._is_behind:
             self._channel.follow()
-        elif self._framer.quiet and self._framer.pending and not self._is_heard:
+        elif self._framer.quiet and self._is_unfinished and not self._is_heard:
             self._is_heard = True
             loop = asyncio.get_running_loop()
             self._timer = loop.call_later(self._framer.quiet, self._note_silence)
         return requests
+
+    @property
+    def _is_unfinished(self) -> bool:
+        """True if silence would show the end of what was received."""
+        return bool(self._framer.pending) or (self._echo is not None and self._echo.is_holding)
 
     def take(self, found: Iterable[Frame | FrameError]) -> int:
         """Answer the frames that were found, and return the number of requests."""
@@ -141,6 +190,7 @@ class Framed(ABC):
         self._has_ended = True
         if self._timer is not None:
             self._timer.cancel()
+        self._release_held()
         self.tell_rest(self._unsearched)
         self._unsearched, self._found = b"", []
 
@@ -198,8 +248,39 @@ class Framed(ABC):
     def _note_silence(self) -> None:
         """Make the channel call `receive` in its turn, so that the requests are counted."""
         self._timer = None
+        self._release_held()
         self._is_quiet = True
         self._channel.follow()
+
+    # --- local echo ---------------------------------------------------------------------------
+
+    def sent(self, data: bytes) -> None:
+        """Note that bytes of answers leave now, which may come back."""
+        if (echo := self._echo) is not None:
+            is_unknown = echo.is_there is None
+            echo.sent(data, is_telling=is_unknown and not _may_ask(self._framing, data))
+
+    def _without_echo(self, echo: Echo, data: bytes) -> bytes:
+        was_there = echo.is_there
+        data = echo.without(data)
+        if echo.is_there is not was_there and self._echoes is not None:
+            if echo.is_there:
+                self._echoes.note_found()
+            else:
+                self._echo = None
+        return data
+
+    def _release_held(self) -> None:
+        """Take what was held back for the beginning of an echo, because nothing follows."""
+        if self._echo is not None:
+            self._unsearched += self._echo.release()
+
+    def _write(self, data: bytes) -> None:
+        self._channel.write(data)
+        if self._echoes is not None and not self._echoes.is_sent_later:
+            self.sent(data)
+
+    # --- answers ------------------------------------------------------------------------------
 
     def _take_one(self, request: Frame) -> None:
         if (answer := self._answer(request)) is not None:
@@ -221,8 +302,17 @@ class Framed(ABC):
         self._statistics.refused += answer.pdu[0] >> 7
         if self._trace is not None:
             self._trace.tell("sent", adu, answer.unit, answer.pdu[0])
-        self._channel.write(adu)
+        self._write(adu)
 
     @abstractmethod
     def _answer(self, request: Frame) -> Frame | None:
         """Return the answer, or None if there is none yet."""
+
+
+def _may_ask(framing: Framing, adu: bytes) -> bool:
+    """Return True if bytes that are sent may be a request when they come back; by length."""
+    try:
+        pdu = pdu_of(framing, adu)
+    except ValueError:  # a part of a frame, or garbage of a fault
+        return True
+    return not pdu or may_be(pdu)[0]

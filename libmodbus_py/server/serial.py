@@ -17,7 +17,7 @@ from ..ports.trace import Trace
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.logs import HarmlessLogger
 from ..security.describing import CertificateHolder
-from .echo import EchoWatch
+from .framed import Framed
 from .limits import ServerStatistics
 from .service import ENDS, Service, SessionState
 
@@ -55,7 +55,6 @@ class SerialServer:
     ) -> None:
         self._port = SerialPort(endpoint.device, **endpoint.serial_settings)
         self._endpoint = endpoint
-        self._statistics = statistics
         self._make_session = service.sessions(endpoint, statistics)
         self.address: str = endpoint.device
         self.role: str | None = None
@@ -67,9 +66,6 @@ class SerialServer:
         self._retry: asyncio.TimerHandle | None = None
         self._unsent: deque[bytes] = deque()
         self._timer: asyncio.TimerHandle | None = None
-        # The end of an answer on trial, and when it leaves: see `EchoWatch`.
-        self._held = b""
-        self._trial: asyncio.TimerHandle | None = None
         abandoned_in_children(self)
 
     async def open(self) -> Endpoint:
@@ -87,9 +83,6 @@ class SerialServer:
 
     def _open(self) -> None:
         self._port.open()
-        silence = self._port.silence
-        character = silence.character if silence.is_timed else 0.0
-        self._echo = EchoWatch(self._endpoint.framing, self._endpoint.pause, character)
         self._session = self._make_session(self)
         self._loop.add_reader(self._port.descriptor, self._read)
 
@@ -100,10 +93,6 @@ class SerialServer:
             if self._timer is not None:
                 self._timer.cancel()
                 self._timer = None
-            if self._trial is not None:
-                self._trial.cancel()
-                self._trial = None
-            self._held = b""
             self._unsent.clear()
             self._port.close()
 
@@ -111,46 +100,11 @@ class SerialServer:
         try:
             for data in self._port.receive():
                 self._port.silence.heard(self._loop.time())
-                if rest := self._without_echo(data):
-                    self._receive(rest)
+                self._receive(data)
         except ModbusConnectionError as error:
             self._outage.begin(error)
             self._close()
             self._retry = self._loop.call_later(REOPEN_AFTER, self._reopen)
-
-    def _without_echo(self, data: bytes) -> bytes:
-        """Return received bytes without the echo of an answer; from the first on the port does."""
-        rest = self._echo.without_echo(data, self._loop.time())
-        self._note_verdict()
-        if self._held and not self._echo.is_trying:
-            self._send_held()
-        return rest
-
-    def _note_verdict(self) -> None:
-        if self._echo.has_echo and not self._port.echo:
-            self._port.echo = True
-            self._statistics.echoes += 1
-            text = "%s: what is sent comes back (local echo), and is dropped; set echo=1"
-            logger.warning(text, self._endpoint)
-
-    def _end_trial(self) -> None:
-        """Judge what has come while the end of an answer was held back, and send that."""
-        if self._timer is not None:  # the line is still being turned round
-            self._trial = self._loop.call_later(self._echo.gap, self._end_trial)
-            return
-        heard = self._echo.end_trial(self._loop.time())
-        self._note_verdict()
-        self._send_held()
-        if heard:
-            self._receive(heard)
-
-    def _send_held(self) -> None:
-        """Send what was held back for a trial, which is over, before what waits."""
-        if self._trial is not None:
-            self._trial.cancel()
-            self._trial = None
-        held, self._held = self._held, b""
-        self._pass(held, self._loop.time())
 
     def _receive(self, data: bytes = b"") -> None:
         try:
@@ -176,7 +130,7 @@ class SerialServer:
         self._unsent.append(data)
         while sum(map(len, self._unsent)) > MAX_UNSENT:
             self._unsent.popleft()
-        if self._timer is None and not self._held:
+        if self._timer is None:
             self._send_after_silence()
 
     def _send_after_silence(self) -> None:
@@ -191,15 +145,8 @@ class SerialServer:
         data = self._unsent.popleft()
         # The next read fails if the port is gone.
         now = self._loop.time()
-        if not self._port.echo:
-            self._held = self._echo.sent(data, now)
-            if self._held:
-                data = data[: -len(self._held)]
-                self._trial = self._loop.call_later(self._echo.gap, self._end_trial)
-        self._pass(data, now)
-
-    def _pass(self, data: bytes, now: float) -> None:
-        """Pass bytes to the port, and note when the next ones may follow."""
+        if isinstance(self._session, Framed):
+            self._session.sent(data)
         with contextlib.suppress(ModbusConnectionError):
             self._port.send([data], now)
         self._port.silence.sent(len(data), now)
@@ -216,5 +163,5 @@ class SerialServer:
         if self._port.resume_at is not None:
             pause = self._port.resume_at - self._loop.time()
             self._timer = self._loop.call_later(pause, self._go_on)
-        elif self._unsent and not self._held:
+        elif self._unsent:
             self._send_after_silence()

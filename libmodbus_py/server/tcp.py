@@ -16,7 +16,6 @@ from .listening import bound
 from .peers import MakePeerSession, Peers
 from .service import MakeSession, Service
 from .tls import Handshakes, TlsSession
-from .without_echo import WithoutEcho
 
 __all__ = ["TcpServer"]
 
@@ -62,8 +61,6 @@ class TcpServer:
         """Open the sockets, and return the endpoint with its port."""
         self._listeners, endpoint = await bound(self._endpoint, socket.SOCK_STREAM, tcp_listener)
         make = self._service.sessions(endpoint, self._peers.statistics, self._peers.later)
-        if endpoint.framing in ("rtu", "ascii"):
-            make = WithoutEcho(endpoint, make, self._peers.statistics)
         self._make_session = make if self._handshakes is None else _within(self._handshakes, make)
         for listener in self._listeners:
             self._loop.add_reader(listener.fileno(), self._accept, listener)

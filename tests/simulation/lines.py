@@ -12,7 +12,6 @@ from typing import Any
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.ports.waiting import Waker
 from libmodbus_py.protocol.errors import ModbusConnectionError
-from libmodbus_py.protocol.returned import AwaitedEcho
 
 from .events import Events
 from .loop import Descriptors
@@ -122,7 +121,6 @@ class MemorySerialPort(SerialPort, Party):
             )
         self.descriptor = self._descriptors.new()
         self._inbox, self._is_lost = b"", False
-        self._echo = AwaitedEcho(b"")
         self._line.character = self._line.character or self.character
         self._line.join(self)
 
@@ -142,12 +140,9 @@ class MemorySerialPort(SerialPort, Party):
         self._follow()
         if not data and self._is_lost:
             raise ModbusConnectionError("the port is gone", errno=errno.EIO)
-        if not self._echo.is_over:
-            data = self._echo.without(data)
         return [data] if data else []
 
     def discard_input(self) -> None:
-        self._echo = AwaitedEcho(b"")
         self._inbox = b""
         self._follow()
 

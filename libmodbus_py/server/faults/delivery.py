@@ -127,17 +127,24 @@ class Delivery:
     Args:
         channel: channel of the client; `follow` is called whenever `is_waiting` has changed.
         trace: called with all that is sent, or None.
+        write: sends bytes; by default the channel's.
 
     Attributes:
         is_waiting: True while something is to be sent later.
         is_over: True once the connection was closed; nothing more is sent.
     """
 
-    def __init__(self, channel: Channel, trace: Trace | None = None) -> None:
+    def __init__(
+        self,
+        channel: Channel,
+        trace: Trace | None = None,
+        write: Callable[[bytes], None] | None = None,
+    ) -> None:
         self.is_waiting: bool = False
         self.is_over: bool = False
         self._channel = channel
         self._trace = trace
+        self._write = write or channel.write
         self._loop = asyncio.get_running_loop()
         self._queue: deque[Fragment] = deque()
         self._queued = 0
@@ -182,7 +189,7 @@ class Delivery:
         if self._trace is not None:
             _tell(self._trace, fragment.told)
         if fragment.data or not fragment.is_last:
-            self._channel.write(fragment.data)
+            self._write(fragment.data)
         if fragment.is_last and self._channel.hang_up():
             self.is_over = True
             self.close()

@@ -26,7 +26,7 @@ from ...protocol.errors import (
 from ...protocol.framing import Frame
 from ...protocol.logs import HarmlessLogger
 from ...security.describing import CertificateHolder
-from ...server.framed import AT_ONCE, Framed
+from ...server.framed import AT_ONCE, Echoes, Framed
 from ...server.limits import ServerStatistics, host_of
 from ...server.service import Channel, Later, MakeSession
 from .line import Forwarded, GatewayLine
@@ -110,9 +110,10 @@ class Dispatcher:
     ) -> MakeSession:
         has_ids = endpoint.has_transactions
         at_once = None if has_ids or later is None else AT_ONCE
+        echoes = Echoes(endpoint, statistics)
 
         def make(channel: Channel) -> ForwardingSession:
-            return ForwardingSession(self, endpoint, channel, statistics, at_once)
+            return ForwardingSession(self, endpoint, channel, statistics, at_once, echoes)
 
         return make
 
@@ -319,6 +320,7 @@ class ForwardingSession(Framed):
         channel: Channel,
         statistics: ServerStatistics,
         at_once: int | None,
+        echoes: Echoes | None = None,
     ) -> None:
         super().__init__(
             endpoint.framing,
@@ -328,6 +330,7 @@ class ForwardingSession(Framed):
             at_once,
             is_datagram=endpoint.is_datagram,
             pause=endpoint.pause,
+            echoes=echoes,
         )
         self.peer: str = channel.address
         self.role: str | None = channel.role
