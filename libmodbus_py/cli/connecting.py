@@ -7,7 +7,13 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from ..ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS, TRANSPORTS
+from ..ports.schemes import (
+    CLIENT_OPTIONS,
+    SECURITY_OPTIONS,
+    SERIAL_OPTIONS,
+    TRANSPORTS,
+    options_of,
+)
 from .arguments import REPEATED, checked, flag, given
 
 if TYPE_CHECKING:
@@ -80,9 +86,10 @@ def with_options(
 
     endpoints = [parse(url) for url in urls]
     typed = _typed(options, names)
+    useful = {name for each in endpoints for name in options_of(each.scheme)}
     for transport, own in OF_TRANSPORTS.items():
-        useless = [name for name in typed if name in own]
-        if useless and not any(each.transport == transport for each in endpoints):
+        useless = [name for name in typed if name in own and name not in useful]
+        if useless:
             wanted = "serial ports" if TRANSPORTS[transport].is_serial else f"{transport}:// URLs"
             places = ", ".join(map(str, endpoints))
             raise ValueError(f"{flag(useless[0])} applies to {wanted} only, not to {places}")
@@ -100,7 +107,7 @@ def _typed(options: argparse.Namespace, names: Collection[str]) -> dict[str, Any
 def _overridden(endpoint: Endpoint, typed: Mapping[str, Any]) -> Endpoint:
     from dataclasses import replace
 
-    own = OF_TRANSPORTS.get(endpoint.transport, {})
+    own = options_of(endpoint.scheme)
     settings = {name: value for name, value in typed.items() if name in own}
     client = {name: value for name, value in typed.items() if name in CLIENT_OPTIONS}
     return replace(

@@ -16,8 +16,9 @@ HOST is a name, an IPv4 address or an IPv6 address in brackets. The default port
 for tls. With udp, each datagram contains one frame of Modbus/TCP; with rtu+udp, one RTU frame. tls
 takes `cert` (or `certificate`), `key`, `ca` (or `trust`), `pin` and `server_name`, which are the
 arguments of `Security`, and `password_env`, the environment variable that contains the password of
-the key. Serial ports also take rs485 (kernel, rts-up, rts-down), rts_delay and silence (seconds),
-and echo (0, 1).
+the key. Serial ports also take rs485 (kernel, rts-up, rts-down), rts_delay and silence (seconds).
+rtu, ascii, rtu+tcp and ascii+tcp take echo: 1 if all that is sent comes back, 0 if not; without it,
+this is found out.
 
 Every URL may contain options of clients: ``tcp://192.0.2.10?unit=7&timeout=0.5``.
 """
@@ -44,6 +45,7 @@ from .schemes import (
     Scheme,
     Transport,
     character_bits,
+    options_of,
 )
 
 if TYPE_CHECKING:
@@ -66,7 +68,7 @@ class Endpoint:
         scheme: one of `SCHEMES`.
         host, port: the host and its port; empty and 0 for serial ports.
         device: the path of the serial port; empty for networks.
-        options: settings of the serial port, or files for TLS, converted but not checked.
+        options: settings of the serial line, or files for TLS, converted but not checked.
         client_options: options of a client, converted but not checked.
     """
 
@@ -139,7 +141,7 @@ class Endpoint:
         return self._shown({**self.options, **self.client_options})
 
     def __str__(self) -> str:
-        return self._shown(self.options if self.is_serial else {})
+        return self._shown({} if self.is_secure else self.options)
 
     def _shown(self, options: dict[str, Any]) -> str:
         from urllib.parse import quote
@@ -238,7 +240,7 @@ def _parse_network(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
         port = rules.port if parts.port is None else parts.port
     except ValueError:
         raise ValueError(f"{url!r}: the port must be in 0..65535") from None
-    options, others = _options(url, parts.query, rules.options)
+    options, others = _options(url, parts.query, options_of(scheme))
     return Endpoint(scheme, host=parts.hostname, port=port, options=options, client_options=others)
 
 
@@ -248,7 +250,7 @@ def _parse_serial(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
     device = unquote(parts.path)
     if parts.netloc or not device.strip("/"):
         raise ValueError(f"{url!r}: a device is missing, as in {scheme}:///dev/ttyUSB0")
-    options, others = _options(url, parts.query, TRANSPORTS[SCHEMES[scheme][1]].options)
+    options, others = _options(url, parts.query, options_of(scheme))
     return Endpoint(scheme, device=device, options=options, client_options=others)
 
 

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 __all__ = [
     "ASCII_DEFAULTS", "CLIENT_OPTIONS", "DEFAULT_PORT", "OTHER_NAMES", "PARITIES", "SCHEMES",
     "SECURE_PORT", "SECURITY_OPTIONS", "SERIAL_DEFAULTS", "SERIAL_OPTIONS", "TRANSPORTS", "Option",
-    "Scheme", "Transport", "TransportRules", "character_bits", "framing_of", "parity_of",
-    "shape_of",
+    "Scheme", "Transport", "TransportRules", "character_bits", "framing_of", "options_of",
+    "parity_of", "shape_of",
 ]
 # fmt: on
 
@@ -112,7 +112,7 @@ SERIAL_OPTIONS: dict[str, Option] = {
         "direction control of an RS-485 transceiver: kernel, rts-up or rts-down", "MODE"
     ),
     "rts_delay": _seconds("seconds between RTS and the data; unless given, one character"),
-    "echo": Option(_switch, "0 or 1", "the line echoes everything that is sent", ""),
+    "echo": Option(_switch, "0 or 1", "all that is sent comes back; unless given, found out", ""),
     "silence": _seconds("seconds of silence between frames; unless given, 3.5 characters"),
 }
 
@@ -168,6 +168,14 @@ TRANSPORTS: dict[Transport, TransportRules] = {
     "tls": TransportRules("tls.TlsPort", SECURITY_OPTIONS, SECURE_PORT, is_secure=True),
     "serial": TransportRules("serial.SerialPort", SERIAL_OPTIONS, 0, is_serial=True),
 }
+
+
+def options_of(scheme: Scheme) -> Mapping[str, Option]:
+    """Return the options that URLs of a scheme may contain, besides those of clients."""
+    framing, transport = SCHEMES[scheme]
+    if transport == "tcp" and framing != "tcp":  # a line behind a converter
+        return {"echo": SERIAL_OPTIONS["echo"]}
+    return TRANSPORTS[transport].options
 
 
 def shape_of(scheme: Scheme) -> str:

@@ -13,7 +13,7 @@ Bottom up:
     pauses     the silence between frames on a serial line
     hearing_requests  requests on a line where other units answer, too
     framing    unit and PDU as bytes on TCP, UDP, RTU and ASCII lines, and back
-    returned   the echo of sent bytes among received ones
+    echo       the local echo of a line among received bytes (returned: for the client)
     either_way  frames on a line that may be requests or responses, for listeners
     words      the words of tables, types and orders, as vendors write them
     close_names  names that are close to one that is not known

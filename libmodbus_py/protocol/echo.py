@@ -1,17 +1,18 @@
 """
 The local echo of a line: a transceiver or converter returns all that is sent.
 
-An echo lies before everything that a peer sends, because it comes back at once. So received bytes
-are compared with those that were sent, in their order, and equal ones are taken out.
+An echo comes back at once, before anything that the peer sends in response. So received bytes are
+compared with those that were sent, in their order, and equal ones are taken out.
 
 Equal bytes alone do not prove an echo: the response to a write is equal to its request, and a
 master may send the same write again and again. Unless a user has set whether there is an echo, it
 is found out from *telling* frames only. Such a frame can be nothing else when it comes back: the
 request of a read at a client, because its response differs; a response that is no possible request
 at a server. If a telling frame comes back whole, there is an echo; if other bytes come in its
-place, there is none. Until then nothing is taken out. An echo that was found out, and not set, is
-disbelieved at the first frame that does not come back. Time is no evidence: converters keep bytes
-for longer than some masters wait.
+place, there is none. Until then other frames that come back are left in, and decide nothing: on a
+line with an echo that is not set, a server carries out its own responses to writes again and again
+until it answers a read. An echo that was found out is disbelieved at the first frame that does not
+come back. Time is no evidence: converters keep bytes for longer than some masters wait.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ from .scan import MIN_ADU
 
 __all__ = ["Echo"]
 
-# Frames whose echo is awaited at once, more than a server sends before the first comes back. Where
-# nothing is ever received, such as after broadcasts, the oldest are forgotten.
-MAX_AWAITED = 64
+# Frames that are remembered, more than are ever on their way. Where nothing is received, such as
+# after broadcasts, the oldest are forgotten.
+MAX_SENT = 64
 
 
 class Echo:
@@ -49,7 +50,8 @@ class Echo:
 
     def forget(self) -> None:
         """Expect nothing back of what was sent, because received bytes were discarded."""
-        self._awaited: deque[tuple[bytes, bool]] = deque(maxlen=MAX_AWAITED)
+        self._awaited: deque[bytes] = deque(maxlen=MAX_SENT)
+        self._undecided: deque[bytes] = deque(maxlen=MAX_SENT)  # sent before a telling frame
         self._held = b""
 
     @property
@@ -59,8 +61,12 @@ class Echo:
 
     def sent(self, adu: bytes, *, is_telling: bool) -> None:
         """Expect bytes back that are sent now; `is_telling` if they can be nothing else then."""
-        if adu and self.is_there is not False:
-            self._awaited.append((adu, is_telling))
+        if self.is_there is False or not adu:
+            return
+        if self.is_there or is_telling or self._awaited:
+            self._awaited.append(adu)
+        elif adu not in self._undecided:
+            self._undecided.append(adu)
 
     def without(self, data: bytes) -> bytes:
         """Return received bytes without echoes; hold back a beginning until it is whole or not."""
@@ -69,24 +75,20 @@ class Echo:
         data, self._held = self._held + data, b""
         passed = b""
         while data and self._awaited:
-            adu, is_telling = self._awaited[0]
-            start = _start(adu, data)
+            adu, start = self._find(data)
             if start is None:
-                if is_telling or self.is_there:
-                    self._miss()
-                else:  # it shows nothing, and the next may come in its place
-                    self._awaited.popleft()
-                continue
+                self._miss()
+                break
             end = start + len(adu)
             if len(data) < end:
                 self._held = data
-                return passed
-            self._awaited.popleft()
-            if is_telling:
+                break
+            if adu == self._awaited[0]:
+                self._awaited.popleft()
                 self.is_there = True
             passed += data[:start] if self.is_there else data[:end]
             data = data[end:]
-        return passed + data
+        return passed if self._held else passed + data
 
     def release(self) -> bytes:
         """Return what is held back, because silence shows that it is no echo."""
@@ -95,17 +97,23 @@ class Echo:
             self._miss()
         return held
 
+    def _find(self, data: bytes) -> tuple[bytes, int | None]:
+        """Return which frame comes, or may be coming, and where it begins; None for none."""
+        for adu in (self._awaited[0], *(self._undecided if self.is_there is None else ())):
+            if (start := _start(adu, data)) is not None:
+                return adu, start
+        return b"", None
+
     def _miss(self) -> None:
-        """Note that a frame did not come back, and that nothing else will."""
-        was_telling = self.is_there or any(is_telling for _, is_telling in self._awaited)
-        if self._setting is None and was_telling:
+        """Note that an awaited frame did not come back."""
+        if self._setting is None:
             self.is_there = False
         self.forget()
 
 
 def _start(adu: bytes, data: bytes) -> int | None:
     """
-    Return where an echo begins in received bytes, or may still begin; None for nowhere.
+    Return where a frame begins in received bytes, or may still begin; None for nowhere.
 
     A transceiver that turns round may add bytes before an echo: fewer than the shortest frame has.
     """

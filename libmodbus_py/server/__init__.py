@@ -9,8 +9,6 @@ In the order in which a request goes through::
     background   a server in a thread of its own
     garbage      excludes what does not change from garbage collection
     signals      signal handlers in the loop; the previous ones are restored afterwards
-    echo         EchoWatch: finds out whether a port returns what is sent
-    without_echo  the same for the connections of a TCP endpoint
     listening    sockets of endpoints; forked children close them
     tcp          takes connections and hands them to `peers`; udp answers datagrams (datagrams:
                  from the address that was asked), serial a port
@@ -22,8 +20,8 @@ In the order in which a request goes through::
     tracing      callbacks for every ADU that sessions receive and send
     service      the interface between endpoints and what answers; devices implements it
     by_chunk     ByChunk: Modbus/TCP by the chunk, in C; requests of many peers together
-    framed       the base of sessions that answer frame by frame; ByFrame (by_frame) asks
-                 devices, also for requests that C leaves
+    framed       the base of sessions that answer frame by frame, without their own echo; ByFrame
+                 (by_frame) asks devices, also for requests that C leaves
     units        finds the device of a frame, on TCP and on serial lines
     faults       Fault: mistakes in answers, for simulations
 """

@@ -1,5 +1,5 @@
 """
-The unit that commands ask.
+The unit and the settings of URLs with the options that were typed.
 """
 
 from __future__ import annotations
@@ -7,6 +7,8 @@ from __future__ import annotations
 import json
 
 from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.cli.commands import parsed
+from libmodbus_py.cli.connecting import endpoint_of
 from tests.support.cases import each_case
 from tests.support.commands import run
 
@@ -25,3 +27,9 @@ def test_the_unit_is_that_of_the_url_unless_it_is_told(
         assert json.loads(done.out)["unit"] == unit
         assert run("write", *where, "1", *options).code == 0
     assert devices[unit].mapping.coils[unit - 1]
+
+
+@each_case(("flag", "echo"), [("--echo", True), ("--no-echo", False)])
+def test_an_echo_is_set_for_lines_behind_a_converter_too(flag: str, echo: bool) -> None:
+    options = parsed(["read", "rtu+tcp://h:4001", "coils", "0", flag])
+    assert endpoint_of(options).options == {"echo": echo}

@@ -102,6 +102,22 @@ def test_serial_settings_are_shown() -> None:
     assert endpoint.url == f"{url}&timeout=2.0"
 
 
+@pytest.mark.parametrize("scheme", ["rtu+tcp", "ascii+tcp"])
+@pytest.mark.parametrize(("text", "echo"), [("1", True), ("0", False)])
+def test_a_line_behind_a_converter_may_have_an_echo(scheme: str, text: str, echo: bool) -> None:
+    endpoint = parse(f"{scheme}://h:4001?echo={text}&unit=7")
+    assert endpoint.options == {"echo": echo}
+    assert endpoint.client_options == {"unit": 7}
+    assert str(endpoint) == f"{scheme}://h:4001?echo={echo}"
+    assert parse(endpoint.url) == endpoint
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu+udp", "tls"])
+def test_an_echo_has_no_meaning_elsewhere(scheme: str) -> None:
+    with pytest.raises(ValueError, match="'echo' must be one of"):
+        parse(f"{scheme}://h:4001?echo=1")
+
+
 ASCII = {"data_bits": 7, "silence": 0.0}
 
 

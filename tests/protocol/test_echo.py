@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py.protocol.echo import Echo
-from tests.support.talk import rtu
+from tests.support.talk import little_kept, rtu
 
 WRITE = rtu("01 06 0001 0003")  # its response is the same
 READ = rtu("01 03 0001 0001")
@@ -63,12 +63,15 @@ def test_an_equal_write_shows_nothing_however_often_it_comes(take: Any) -> None:
         assert echo.is_there is None
 
 
-def test_a_read_among_writes_that_come_back_shows_the_echo(take: Any) -> None:
-    """As at a server that has answered its own answers so far."""
-    echo = sent(None, WRITE, WRITE, ANSWER, WRITE)
-    assert take(echo, WRITE + WRITE) == WRITE + WRITE
-    assert echo.is_there is None
-    assert take(echo, ANSWER + WRITE + READ) == READ
+@pytest.mark.parametrize("on_the_way", [1, 2, 3])
+def test_an_answer_among_writes_that_go_round_shows_the_echo(take: Any, on_the_way: int) -> None:
+    """As at a server that has answered its own answers so far, before and after it was asked."""
+    echo = sent(None, *[WRITE] * on_the_way, ANSWER)
+    for _ in range(on_the_way):
+        assert take(echo, WRITE) == WRITE
+        assert echo.is_there is None
+        echo.sent(WRITE, is_telling=False)
+    assert take(echo, ANSWER + WRITE * on_the_way + READ) == READ
     assert echo.is_there is True
 
 
@@ -128,10 +131,10 @@ def test_a_beginning_is_held_back_until_silence() -> None:
         assert echo.release() == b""
 
 
-def test_silence_behind_half_a_write_shows_nothing() -> None:
-    echo = sent(None, WRITE)
-    assert echo.without(WRITE[:4]) == b""
-    assert echo.release() == WRITE[:4]
+def test_writes_alone_hold_nothing_back() -> None:
+    echo = sent(None, WRITE, WRITE)
+    assert echo.without(WRITE[:4]) == WRITE[:4]
+    assert echo.without(WRITE[4:]) == WRITE[4:]
     assert echo.is_there is None
 
 
@@ -187,11 +190,10 @@ def test_another_connection_begins_again() -> None:
     assert echo.is_there is None
 
 
-def test_what_never_comes_back_is_forgotten_in_the_end() -> None:
+@pytest.mark.parametrize("setting", [None, True])
+def test_what_never_comes_back_is_forgotten_in_the_end(setting: bool | None) -> None:
     """As broadcasts, to which nothing is ever received."""
-    echo = sent(None, *[WRITE] * 10_000)
-    for _ in range(64):
-        echo.without(WRITE[:-1])
-        assert echo.is_holding
-        assert echo.without(WRITE[-1:]) == WRITE
-    assert echo.without(WRITE[:-1]) == WRITE[:-1]
+    with little_kept():
+        echo = Echo(setting)
+        for value in range(10_000):
+            echo.sent(rtu("00 06 0001") + value.to_bytes(2), is_telling=False)

@@ -1,5 +1,5 @@
 """
-Servers on a port that returns all that is sent: their answers are not carried out as requests.
+Servers on a line that returns all that is sent: their answers are not carried out as requests.
 """
 
 from __future__ import annotations
@@ -12,62 +12,112 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, Device, Gateway, Mapping, Route, Server
+from libmodbus_py import Device, Gateway, Mapping, Route, Server
+from libmodbus_py.serve import Fault
 from tests.simulation.lines import SerialLine
 from tests.simulation.stage import LineEnd, Stage
 from tests.support.talk import ascii_frame, rtu
 
 FRAMES = {"rtu": rtu, "ascii": ascii_frame}
 WRITES = ["01 05 0001 FF00", "01 06 0001 0003", "01 16 0001 00FF 0000", "01 08 0000 A537"]
-READ = "01 03 0001 0001"
+READ, READ_BACK = "01 03 0000 0001", "01 03 02 0000"
+REFUSED = "01 06 0009 0003"
+LINE, TCP = "/dev/line?baudrate=9600", "10.0.0.1:502"
+STRAYS = [(b"", b""), (b"\0", b""), (b"", b"\0"), (b"\xff\0\xff", b"\xff")]
 
 
 class Echoing:
     """Returns to each party of a line what it writes, when the line has carried it."""
 
-    def __init__(self, stage: Stage, line: SerialLine) -> None:
-        self.is_on = True
+    def __init__(
+        self, stage: Stage, line: SerialLine, stray: tuple[bytes, bytes] = STRAYS[0]
+    ) -> None:
         self._stage = stage
         self._line = line
+        self._stray = stray
         self._write = line.write
         line.write = self.write  # type: ignore[method-assign]
 
     def write(self, sender: Any, data: bytes) -> None:
         self._write(sender, data)
-        if self.is_on and not isinstance(sender, LineEnd):
+        if not isinstance(sender, LineEnd):
             later = len(data) * self._line.character
-            self._stage.events.at(self._stage.events.now + later, sender.hear, data)
+            before, behind = self._stray
+            self._stage.events.at(
+                self._stage.events.now + later, sender.hear, before + data + behind
+            )
+
+
+class Converter:
+    """A connection whose other end returns all that it receives, after a time."""
+
+    def __init__(self, stage: Stage, way: float) -> None:
+        end, _ = stage.connect("10.0.0.1", 502)
+        assert end is not None
+        self.heard = b""
+        self._end = end
+        self._stage = stage
+        self._way = way
+        stage.pass_time(0.1)
+        end.on_input = self._return
+
+    def write(self, data: bytes) -> None:
+        self._end.send(data)
+
+    def close(self) -> None:
+        self._end.on_input = lambda: None
+        self._end.close()
+
+    def _return(self) -> None:
+        while self._end.is_readable and (data := self._end.recv(4096)):
+            self.heard += data
+            self._stage.events.after(self._way, self._end.send, data)
 
 
 @contextmanager
-def served(stage: Stage, scheme: str, is_gateway: bool) -> Iterator[tuple[Any, list[Any]]]:
+def served(
+    url: str, *, is_gateway: bool = False, **settings: Any
+) -> Iterator[tuple[Any, list[Any]]]:
     writes: list[Any] = []
     device = Device(Mapping(holding_registers=4, coils=4), before_write=writes.append)
-    line = f"{scheme}:///dev/line?baudrate=9600"
-    server = Server({1: device})
+    server = Server({1: device}, **settings)
     if not is_gateway:
-        with server.background(line):
+        with server.background(url):
             yield server, writes
         return
     gateway = Gateway([Route("tcp://10.0.0.2:502", units="1")])
-    with server.background("tcp://10.0.0.2:502"), gateway.background(line):
+    with server.background("tcp://10.0.0.2:502"), gateway.background(url):
         yield gateway, writes
+
+
+def warnings(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [each.getMessage() for each in caplog.records if each.levelno == logging.WARNING]
 
 
 @pytest.mark.parametrize("is_gateway", [False, True])
 @pytest.mark.parametrize("scheme", FRAMES)
 @pytest.mark.parametrize("request_", WRITES)
-def test_an_echo_is_not_carried_out(
+@pytest.mark.parametrize("stray", STRAYS)
+@pytest.mark.parametrize("is_set", [False, True])
+def test_writes_are_carried_out_once(
     stage: Stage,
     scheme: str,
     is_gateway: bool,
     request_: str,
+    stray: tuple[bytes, bytes],
+    is_set: bool,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
+    """From the first on if the echo is set; else from the first read on, which shows it."""
     frame = FRAMES[scheme]
-    with served(stage, scheme, is_gateway) as (server, writes):
-        Echoing(stage, stage.line("/dev/line"))
+    url = f"{scheme}://{LINE}{'&echo=1' if is_set else ''}"
+    with served(url, is_gateway=is_gateway) as (server, writes):
+        Echoing(stage, stage.line("/dev/line"), stray)
         master = LineEnd(stage.line("/dev/line"))
+        if not is_set:
+            master.write(frame(READ))
+            stage.pass_time(1)
+            assert master.heard == frame(READ_BACK)
         for count in (1, 2, 3):
             master.heard = b""
             master.write(frame(request_))
@@ -77,82 +127,179 @@ def test_an_echo_is_not_carried_out(
         master.heard = b""
         master.write(frame(READ))
         stage.pass_time(1)
-        assert len(master.heard) == len(frame("01 03 02 0000"))
+        assert len(master.heard) == len(frame(READ_BACK))
+        assert server.statistics.echoes == (0 if is_set else 1)
+        if stray == STRAYS[0]:
+            assert server.statistics.bad_frames == 0
+    told = warnings(caplog)
+    assert len(told) == (0 if is_set else 1)
+    for text in told:
+        assert text.startswith(f"{scheme}://{LINE}: what is sent comes back (local echo)")
+        assert "set echo=1" in text
+
+
+@pytest.mark.parametrize("scheme", FRAMES)
+@pytest.mark.parametrize("telling", [READ, REFUSED])
+@pytest.mark.parametrize("way", [0.0005, 0.02, 0.1])
+@pytest.mark.parametrize("count", [1, 3])
+def test_an_echo_over_tcp_is_found_beside_writes_that_go_round(
+    stage: Stage, scheme: str, telling: str, way: float, count: int
+) -> None:
+    frame = FRAMES[scheme]
+    with served(f"{scheme}+tcp://{TCP}") as (server, writes):
+        end = Converter(stage, way)
+        for _ in range(count):
+            end.write(frame(WRITES[1]))
+            stage.pass_time(way / 4)
+        stage.pass_time(1)
+        assert len(writes) > count
+        assert server.statistics.echoes == 0
+        end.write(frame(telling))
+        stage.pass_time(1)
         assert server.statistics.echoes == 1
-        assert server.statistics.bad_frames == 0
-    told = [each for each in caplog.records if each.levelno == logging.WARNING]
-    assert len(told) == 1
-    assert "echo" in told[0].getMessage()
+        writes.clear()
+        for _ in range(3):
+            end.write(frame(WRITES[1]))
+            stage.pass_time(1)
+        assert len(writes) == 3
 
 
-def test_an_answer_that_is_no_request_shows_the_echo(stage: Stage) -> None:
-    with served(stage, "rtu", False) as (server, writes):
+@pytest.mark.parametrize("scheme", FRAMES)
+def test_an_echo_on_a_line_is_found_beside_a_write_that_goes_round(
+    stage: Stage, scheme: str
+) -> None:
+    frame = FRAMES[scheme]
+    with served(f"{scheme}://{LINE}") as (server, writes):
         Echoing(stage, stage.line("/dev/line"))
         master = LineEnd(stage.line("/dev/line"))
-        for request in (READ, WRITES[1], READ, WRITES[1]):
-            master.write(rtu(request))
+        master.write(frame(WRITES[1]))
+        stage.pass_time(1)
+        assert len(writes) > 1
+        for _ in range(3):  # it may meet an answer on the line
+            master.write(frame(READ))
             stage.pass_time(1)
-        assert len(writes) == 2
-        assert server.statistics.requests == 4
         assert server.statistics.echoes == 1
+        writes.clear()
+        master.write(frame(WRITES[1]))
+        stage.pass_time(1)
+        assert len(writes) == 1
 
 
-@pytest.mark.parametrize("pause", [0.0, 0.05])
-def test_a_client_that_repeats_a_write_is_no_echo(stage: Stage, pause: float) -> None:
-    line = "rtu:///dev/line?baudrate=9600"
-    with served(stage, "rtu", False) as (server, writes):
-        with Context.from_url(line, unit=1, timeout=1) as plc:
-            for _ in range(60):
-                plc.write_register(1, 3)
-                stage.pass_time(pause)
-        assert len(writes) == 60
+@pytest.mark.parametrize("scheme", FRAMES)
+def test_an_echo_over_tcp_that_is_set(
+    stage: Stage, scheme: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    frame = FRAMES[scheme]
+    with served(f"{scheme}+tcp://{TCP}?echo=1") as (server, writes):
+        end = Converter(stage, 0.02)
+        for _ in range(3):
+            end.write(frame(WRITES[1]))
+            stage.pass_time(1)
+        assert len(writes) == 3
         assert server.statistics.echoes == 0
+    assert not warnings(caplog)
 
 
-def test_an_echo_that_is_late_is_found_out_in_the_end(stage: Stage) -> None:
-    """An adapter keeps bytes for 16 ms, so that an echo may as well be a request."""
-    with served(stage, "rtu", False) as (server, writes):
+def test_nothing_is_looked_for_where_it_is_set_that_there_is_no_echo(stage: Stage) -> None:
+    for url in (f"rtu://{LINE}&echo=0", f"rtu+tcp://{TCP}?echo=0"):
+        with served(url) as (server, _):
+            Echoing(stage, stage.line("/dev/line"))
+            end = LineEnd(stage.line("/dev/line")) if "line" in url else Converter(stage, 0.01)
+            for _ in range(3):
+                end.write(rtu(READ))
+                stage.pass_time(1)
+            assert server.statistics.echoes == 0
+            assert server.statistics.requests == 3
+
+
+def test_connections_with_an_echo_are_counted_each_and_told_once(
+    stage: Stage, caplog: pytest.LogCaptureFixture
+) -> None:
+    with served(f"rtu+tcp://{TCP}") as (server, _):
+        for count in (1, 2, 3):
+            end = Converter(stage, 0.01)
+            end.write(rtu(READ))
+            stage.pass_time(1)
+            assert server.statistics.echoes == count
+            end.close()
+    (told,) = warnings(caplog)
+    assert told.startswith(f"rtu+tcp://{TCP}: what is sent comes back")
+
+
+def test_a_port_that_was_unplugged_is_looked_at_again(stage: Stage) -> None:
+    with served(f"rtu://{LINE}") as (server, writes):
         line = stage.line("/dev/line")
-        line.character = 11 / 115200
-        echoing = Echoing(stage, line)
-        echoing.is_on = False
-        carried = line.write
-
-        def late(sender: Any, data: bytes) -> None:
-            carried(sender, data)
-            if not isinstance(sender, LineEnd):
-                stage.events.at(stage.events.now + 0.02, sender.hear, data)
-
-        line.write = late  # type: ignore[method-assign]
-        LineEnd(line).write(rtu(WRITES[1]))
-        stage.pass_time(60)
-        assert len(writes) <= 66
+        master = LineEnd(line)
+        master.write(rtu(READ))
+        stage.pass_time(1)
+        line.unplug()
+        stage.pass_time(1)
+        line.is_unplugged = False
+        stage.pass_time(3)
+        Echoing(stage, line)
+        master = LineEnd(line)
+        master.write(rtu(READ))
+        stage.pass_time(1)
         assert server.statistics.echoes == 1
+        master.write(rtu(WRITES[1]))
+        stage.pass_time(1)
+        assert len(writes) == 1
 
 
-def test_a_terminal_that_echoes(tmp_path: object) -> None:
-    """As above, on a real port, where bytes take no time."""
+@pytest.mark.parametrize("scheme", FRAMES)
+def test_an_answer_that_trickles_comes_back_as_it_leaves(stage: Stage, scheme: str) -> None:
+    faults = {1: [Fault("trickle", seconds=0.005)]}
+    with served(f"{scheme}://{LINE}&echo=1", faults=faults) as (_, writes):
+        Echoing(stage, stage.line("/dev/line"))
+        master = LineEnd(stage.line("/dev/line"))
+        for count in (1, 2, 3):
+            master.write(FRAMES[scheme](WRITES[1]))
+            stage.pass_time(2)
+            assert len(writes) == count
+
+
+def test_a_request_that_begins_like_the_last_answer_is_answered_after_silence(
+    stage: Stage,
+) -> None:
+    """Status 41h: the answer to function 7 is its request and a zero byte."""
+    device = Device(Mapping(holding_registers=4), exception_status=0x41)
+    for url in (f"rtu://{LINE}", f"rtu+tcp://{TCP}"):
+        with Server({1: device}).background(url):
+            for _ in range(3):
+                if "line" in url:
+                    end: Any = LineEnd(stage.line("/dev/line"))
+                    end.write(rtu("01 07"))
+                    stage.pass_time(0.1)
+                    assert end.heard == rtu("01 07 41")
+                else:
+                    end = stage.talk(url)
+                    for _ in range(3):
+                        end.sendall(rtu("01 07"))
+                        assert end.receive(5) == rtu("01 07 41")
+                    end.close()
+
+
+def test_a_terminal_that_echoes() -> None:
+    """On a real port, where bytes take no time."""
     from libmodbus_py.tools.testing.line_ends import open_line, write_all
     from tests.support.peers import until
 
     far, near, path = open_line()
-    writes: list[Any] = []
     heard = bytearray()
+    answer = rtu(READ_BACK)
 
     def echo() -> bool:
         try:
             data = os.read(far, 4096)
         except BlockingIOError:
-            return len(heard) >= len(READ_BACK)
+            return len(heard) >= len(answer)
         heard.extend(data)
         write_all(far, data)
-        return len(heard) >= len(READ_BACK)
+        return len(heard) >= len(answer)
 
-    device = Device(Mapping(holding_registers=4), before_write=writes.append)
-    server = Server({1: device})
     try:
-        with server.background(f"rtu://{path}?baudrate=9600"):
-            write_all(far, rtu("01 03 0000 0001"))
+        with served(f"rtu://{path}?baudrate=9600") as (server, writes):
+            write_all(far, rtu(READ))
             until(echo)
             until(lambda: server.statistics.echoes == 1)
             heard.clear()
@@ -163,6 +310,3 @@ def test_a_terminal_that_echoes(tmp_path: object) -> None:
         os.close(far)
         os.close(near)
     assert len(writes) == 1
-
-
-READ_BACK = rtu("01 03 02 0000")
