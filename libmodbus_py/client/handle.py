@@ -5,7 +5,7 @@ A handle to one unit on a connection, blocking or not.
 from __future__ import annotations
 
 import copy
-from collections.abc import Hashable, Iterable
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 
 from ..protocol import pdu
@@ -15,6 +15,9 @@ from .batch import MAX_IN_FLIGHT, Batch
 from .reconnecting import State
 
 if TYPE_CHECKING:
+    from ..maps.holes import Holes, Unreadable
+    from ..maps.plan import Plan
+    from ..maps.register_map import RegisterMap
     from .options import CheckedOptions, Parts
     from .statistics import Statistics
     from .timeouts import Timeouts
@@ -53,6 +56,7 @@ class Handle(Generic[Driving]):
         self._statistics = parts.statistics
         self._has_broadcast = parts.endpoint.framing in ("rtu", "ascii")
         self._driver = driver
+        self._holes: dict[int, Holes] = {}
 
     def for_unit(
         self, unit: int, *, timeout: float | None = None, retries: int | None = None
@@ -135,6 +139,28 @@ class Handle(Generic[Driving]):
         """The number of responses that were dropped because their request had been given up."""
         return self._statistics.late_answers
 
+    def unreadable(self, what: RegisterMap | Plan) -> list[Unreadable]:
+        """
+        Return the items that this client leaves out, because the unit refused them.
+
+        `read_map`, `read_many` of a `Plan`, and `watch` find them, and try them again, one in each
+        call, after ten minutes and after a new connection. All handles to a unit that `for_unit`
+        made of one client share what they know.
+
+        Args:
+            what: a `RegisterMap`, of which all readable points count, or a `Plan`.
+
+        Raises:
+            TypeError: `what` is neither.
+        """
+        from ..maps.plan import Plan, unreadable_of
+        from ..maps.register_map import RegisterMap
+
+        plan = what.plan() if isinstance(what, RegisterMap) else what
+        if not isinstance(plan, Plan):
+            raise TypeError(f"what must be a RegisterMap or a Plan, not {type(what).__name__}")
+        return unreadable_of(plan, self.holes, self.device)
+
     def __repr__(self) -> str:
         name = type(self).__name__
         return f"<{name} {self._endpoint}, unit {self.unit}, {self.state.value}>"
@@ -176,7 +202,7 @@ class Handle(Generic[Driving]):
                 of the type of an item.
             IllegalDataAddress: a merged request covers cells that the device
                 lacks. With a `Plan`, the items that the device refuses are found by halving the
-                request; with `return_exceptions` they are left out (`Plan.unreadable`), otherwise
+                request; with `return_exceptions` they are left out (`unreadable`), otherwise
                 the first of them is named in `names` of the error.
         """
         raise NotImplementedError
@@ -219,14 +245,16 @@ class Handle(Generic[Driving]):
     # --- for procedures ----------------------------------------------------------------
 
     @property
-    def device(self) -> tuple[Hashable, int]:
-        """The device behind this handle: equal for all handles to the same unit of an endpoint."""
-        return self._endpoint.place, self._unit
+    def device(self) -> str:
+        """The device behind this handle, for messages."""
+        return f"{self.url}, unit {self.unit}"
 
     @property
-    def connection(self) -> tuple[int, int]:
-        """The client, and how many connections it has made; another one after each connection."""
-        return id(self._connection), self._statistics.connects
+    def holes(self) -> Holes:
+        """The refusals of the unit, as all handles of this client know them."""
+        from ..maps.holes import Holes
+
+        return self._holes.setdefault(self._unit, Holes())
 
     def now(self) -> float:
         """Return the time in seconds, of the clock by which timeouts are measured."""

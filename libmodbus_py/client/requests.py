@@ -528,9 +528,9 @@ class Requests:
         Points that touch or overlap share a request; cells between points are only read if `gap`
         allows it. A device refuses a whole request because of a single cell that it lacks. The
         points that it refuses are found once, by halving the request. With `return_exceptions`
-        they are then left out, and tried again after a minute, then every ten minutes, and after a
-        new connection (`Plan.unreadable` of ``map.plan()``). Without it, the refusal of the first
-        of these points is raised, with the name of the point in `names`.
+        they are then left out (`unreadable` lists them), and tried again, one at each call, after
+        ten minutes and after a new connection. Without it, the refusal of the first of these
+        points is raised, with the name of the point in `names`.
 
         Args:
             map: the register map, such as `load_map` returns.

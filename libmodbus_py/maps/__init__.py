@@ -17,11 +17,7 @@ The registers of a device, by name, and the requests that read and write them. N
     watched        the points of a map from poll to poll
     totals         totals that are smaller than before
     plan           few requests of many reads: Plan, Read
-    plan_run       one run of a plan at a device: its requests, and the search for what it refuses
-    strict_run     a run of a plan that ends with the first failure
-    holes          the ranges that a device refuses, and when they are tried again
-    pieces         the parts of a request that a device may refuse one by one
-    block_answers  what a run reads of one request of the plan
+    holes          the items that a device refuses, found by halving
     typed          values of points and registers from typed text
     writing        few requests of many writes
 """

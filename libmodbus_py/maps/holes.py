@@ -1,19 +1,36 @@
 """
-The holes of a device: ranges that it refuses, and when they are tried again. No I/O, no clock.
+The items of a plan that a device refuses, found by halving. No I/O, no clock.
+
+A request of a plan reads pieces: cells that are read together, because a value is never cut. A
+device that cannot read one piece refuses the whole request, with exception 2, 3 or 4.
+
+1. A request that is refused is halved, and both halves are asked for, until single pieces are
+   known. A piece that is refused alone is a hole. One hole among 20 pieces costs up to 10 requests.
+2. Later runs leave holes out, and read what lies between two holes with one request.
+3. If both halves of a refused request are answered, the device takes no request that long, or
+   cannot read cells between the halves: later requests begin at the second half. This is a cut.
+4. A run asks for one hole again, the one that was asked for longest ago, if that was ten minutes
+   ago or on an earlier connection, or if all pieces are holes. If it is answered, the device has
+   changed: all holes are forgotten, and asked for at once. Cuts are forgotten when they are as old.
+5. While a run has no answer at all, it sends few halves, because each may take the time that a
+   gateway waits for a silent device; all pieces that were refused are holes then.
+6. Another failure, such as silence or a busy device, says nothing about pieces. It ends the
+   search of that run.
+
+Holes are known by their cells, so that all plans of a unit share them.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Hashable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from itertools import groupby
+from typing import Any, NamedTuple, TypeVar
 
+from ..protocol import pdu
 from ..protocol.errors import (
-    FrameError,
     IllegalDataAddress,
     IllegalDataValue,
-    InvalidResponse,
     ModbusError,
     ServerDeviceFailure,
     alike,
@@ -21,54 +38,37 @@ from ..protocol.errors import (
 from ..protocol.tables import TABLES
 
 __all__ = [
-    "DAMAGE",
-    "REFUSALS",
-    "Hole",
+    "Block",
     "Holes",
-    "HolesByDevice",
+    "PartialAnswer",
     "Span",
+    "Steps",
     "Unreadable",
+    "carried_out",
     "is_refusal",
+    "reading",
 ]
 
-RETRY = 600.0
-"""Seconds between two trials of what a device refused."""
+RETRY_S = 600.0
+"""Seconds after which what a device refused is tried again."""
 
-RETRY_SOONER = 60.0
-"""Seconds until the first such trial, and between those because of new connections."""
+REFUSED_HALVES = 16
+"""PastRefusal halves that end a search without an answer: 14 lead to one of 125 registers."""
 
-REPEATEDLY = 3
-"""Invalid responses to the same request, in a row, that count as a refusal."""
+Result = TypeVar("Result")
+Steps = Generator[list[pdu.Request[Any]], list[Any], Result]
 
-MOST_SEARCHED = 256
-"""Requests of searches at one device, at most, before they are rationed."""
-
-SEARCHED_AGAIN = 32 / RETRY_SOONER
-"""Requests of searches a second, from then on: a device may change all the time."""
-
-SEARCHED_FOR_ONE = 8
-"""Requests of searches that are not rationed for a hole that is found for the first time, and that
-one found again counts as."""
-
-MOST_CLIENTS = 16
-"""Clients of one device that are remembered."""
-
-MOST_DEVICES = 10_000
-"""Devices of one plan whose holes are kept."""
-
-# The others do not depend on what is read: the function, a busy device, a gateway.
-REFUSALS = (IllegalDataAddress, IllegalDataValue, ServerDeviceFailure)
-
-DAMAGE = (FrameError, InvalidResponse)
+_TABLE_OF: dict[Any, str] = {rules.read: table for table, rules in TABLES.items()}
 
 
 def is_refusal(outcome: object) -> bool:
     """True if an outcome is exception 2, 3 or 4, which can depend on the cells that are read."""
-    return isinstance(outcome, REFUSALS)
+    # The others do not depend on them: the function, a busy device, a gateway.
+    return isinstance(outcome, IllegalDataAddress | IllegalDataValue | ServerDeviceFailure)
 
 
 class Span(NamedTuple):
-    """Cells of a table that are read in one request."""
+    """Cells of a table."""
 
     table: str
     start: int
@@ -79,35 +79,6 @@ class Span(NamedTuple):
         cell = "coil or input" if TABLES[self.table].is_bits else "register"
         what = f"{self.start}" if count == 1 else f"{self.start}..{self.stop - 1}"
         return f"{self.table} {what} ({count} {cell}{'s' * (count > 1)})"
-
-
-@dataclass(frozen=True, slots=True)
-class Hole:
-    """
-    A span that a device refused.
-
-    Attributes:
-        error: the last refusal.
-        tried_at: the time of the last refusal, in seconds of any steady clock.
-        refusals: how many trials were refused.
-    """
-
-    error: ModbusError
-    tried_at: float
-    refusals: int = 1
-
-    @property
-    def copied_error(self) -> ModbusError:
-        """A copy of the error, which may be raised."""
-        return alike(self.error)
-
-    def again(self, error: ModbusError, now: float) -> Hole:
-        """Return the same hole after another refusal."""
-        return Hole(error, now, self.refusals + 1)
-
-    def is_due(self, now: float) -> bool:
-        """True if it is time for another trial."""
-        return now - self.tried_at >= (RETRY_SOONER if self.refusals == 1 else RETRY)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,144 +102,374 @@ class Unreadable:
 
     def __str__(self) -> str:
         cells = Span(self.table, self.cells.start, self.cells.stop)
-        return f"{self.name}, {cells}: {reason_of(self.error)}"
+        return f"{self.name}, {cells}: {_reason_of(self.error)}"
 
 
-def reason_of(error: ModbusError) -> str:
+def _reason_of(error: ModbusError) -> str:
     """Return the reason of an error without the request that it is about."""
     return str(error.args[0]) if error.args else str(error)
 
 
+class PastRefusal(NamedTuple):
+    """When, and on which connection of its client, a device refused something last."""
+
+    error: ModbusError
+    at: float
+    connects: int
+
+    def is_due(self, now: float, connects: int) -> bool:
+        return connects != self.connects or now - self.at >= RETRY_S
+
+
 class Holes:
     """
-    The facts that are known of one device. Each is complete at any time.
-
-    Args:
-        device: its name in messages.
+    The refusals of one unit, as one client knows them.
 
     Attributes:
-        refused: the holes. Those of a single item are found by halving; one that covers a whole
-            request of a plan means that no read within it was answered.
-        cuts: (table, address) of cells with which a request must begin, because the cells before
-            them can be read, but not in the same request.
-        most: the number of cells, by table, that one request may ask for, if fewer than the
-            plan allows.
-        seen: spans that were answered, in places where most are refused.
-        search_after: the time before which nothing is searched for, because a search found nothing.
+        refused: the pieces that were refused alone.
+        cuts: the table and address at which a request must begin.
     """
 
-    def __init__(self, device: str = "") -> None:
-        self.device: str = device
-        self.refused: dict[Span, Hole] = {}
-        self.cuts: set[tuple[str, int]] = set()
-        self.most: dict[str, int] = {}
-        self.seen: set[Span] = set()
-        self.search_after: float = -math.inf
-        self._damaged: dict[Span, int] = {}
-        self._connections: dict[Hashable, int] = {}
-        self._learnt_at = 0.0
-        # Requests of searches that the device has not yet got over, and at which time.
-        self._searched = 0.0
-        self._searched_at = 0.0
-        self._ever: set[Span] = set()
-
-    def __bool__(self) -> bool:
-        return bool(self.refused or self.cuts or self.most or self._damaged)
-
-    def note_connection(self, client: Hashable, connects: int, now: float) -> None:
-        """
-        Note the connection that is used. With another client all holes are due, because the device
-        may be another one at the same place; after another connection of the same client those
-        that were tried longer than `RETRY_SOONER` ago.
-        """
-        known = self._connections.get(client)
-        if known == connects:
-            return
-        is_first = not self._connections
-        if known is None and len(self._connections) >= MOST_CLIENTS:
-            self._connections.clear()
-        self._connections[client] = connects
-        if is_first:
-            return
-        self.expire(now, 0.0 if known is None else RETRY_SOONER)
-        if known is None or now - self._learnt_at >= RETRY:
-            self.cuts.clear()
-            self.most.clear()
-
-    def expire(self, now: float, age: float = 0.0) -> None:
-        """Make holes due that were tried so many seconds ago, or earlier."""
-        for span, hole in list(self.refused.items()):
-            if now - hole.tried_at >= age:
-                self.refused[span] = Hole(hole.error, now - RETRY, hole.refusals)
-
-    def add(self, span: Span, error: ModbusError, now: float) -> bool:
-        """Add a hole, or note that it was refused again; return True if it is new."""
-        known = self.refused.get(span)
-        self.refused[span] = known.again(error, now) if known else Hole(error, now)
-        if span not in self._ever:
-            self._ever.add(span)
-            self._searched -= SEARCHED_FOR_ONE
-        elif known is None:  # it comes and goes, and each hole makes two requests of one
-            self._searched += SEARCHED_FOR_ONE
-        return known is None
-
-    def fill(self, span: Span) -> bool:
-        """Remove a hole; return True if it was there."""
-        return self.refused.pop(span, None) is not None
-
-    def cut(self, table: str, address: int, now: float) -> None:
-        """Note that a request must begin at an address."""
-        self.cuts.add((table, address))
-        self._learnt_at = now
-
-    def shorten(self, table: str, most: int, now: float) -> None:
-        """Note how many cells of a table one request may ask for."""
-        self.most[table] = min(most, self.most.get(table, most))
-        self._learnt_at = now
-
-    def may_search(self, now: float) -> int:
-        """Return how many requests may be sent now to search for what cannot be read."""
-        over = SEARCHED_AGAIN * max(0.0, now - self._searched_at)
-        self._searched, self._searched_at = max(0.0, self._searched - over), now
-        return int(MOST_SEARCHED - self._searched)
-
-    def note_searched(self, requests: int) -> None:
-        """Note requests of a search."""
-        self._searched += requests
-
-    def is_damaged(self, span: Span, outcome: object) -> bool:
-        """True if this is the third invalid response in a row to the request for these cells."""
-        if not isinstance(outcome, DAMAGE):
-            self._damaged.pop(span, None)
-            return False
-        count = self._damaged[span] = self._damaged.get(span, 0) + 1
-        return count >= REPEATEDLY
-
-    def error_of(self, span: Span) -> ModbusError | None:
-        """Return why a span cannot be read; None if no hole is known in it."""
-        hole = self.refused.get(span)
-        return None if hole is None else hole.copied_error
-
-
-class HolesByDevice:
-    """The `Holes` of each device at which a plan, or another plan of the same map, was run."""
+    __slots__ = ("cuts", "refused")
 
     def __init__(self) -> None:
-        self._known: dict[Hashable, Holes] = {}
+        self.refused: dict[Span, PastRefusal] = {}
+        self.cuts: dict[tuple[Any, ...], PastRefusal] = {}
 
-    def __reduce__(self) -> tuple[type[HolesByDevice], tuple[()]]:
-        # A copy of a map, in another process for one, learns for itself.
-        return HolesByDevice, ()
+    def __bool__(self) -> bool:
+        return bool(self.refused or self.cuts)
 
-    def __iter__(self) -> Iterator[Holes]:
-        return iter(list(self._known.values()))
+    def forget(self) -> None:
+        self.refused.clear()
+        self.cuts.clear()
 
-    def get(self, device: Hashable) -> Holes | None:
-        """Return what is known of a device; None if nothing was refused yet."""
-        return self._known.get(device)
 
-    def made(self, device: Hashable, name: str) -> Holes:
-        """Return what is known of a device, kept from now on."""
-        if len(self._known) >= MOST_DEVICES and device not in self._known:
-            self._known.pop(next(iter(self._known)), None)
-        return self._known.setdefault(device, Holes(name))
+class BlockPiece(NamedTuple):
+    """Cells that are read together or not at all, and the names of the items in them."""
+
+    span: Span
+    names: tuple[Any, ...]
+
+    @property
+    def cut(self) -> tuple[Any, ...]:
+        return self.span[:2]
+
+
+class Block:
+    """
+    One request of a plan, and the pieces that it reads, in the order of their addresses.
+
+    Args:
+        request: the request.
+        parts: the places of the pieces in its answer, and their names.
+    """
+
+    def __init__(self, request: Any, parts: list[tuple[int, int, tuple[Any, ...]]]) -> None:
+        table, start = _TABLE_OF[type(request)], request.address
+        self.request: pdu.Request[list[Any]] = request
+        self.pieces: tuple[BlockPiece, ...] = tuple(
+            BlockPiece(Span(table, start + first, start + last), names)
+            for first, last, names in parts
+        )
+
+
+class PartialAnswer(list[Any]):
+    """
+    The cells of an answer, with None for those that could not be read.
+
+    Attributes:
+        lost: the names of the items that could not be read.
+        errors: why the cells from one index to another could not be read.
+    """
+
+    def __init__(self, size: int) -> None:
+        super().__init__([None] * size)
+        self.lost: list[Any] = []
+        self.errors: dict[tuple[int, int], ModbusError] = {}
+
+
+class _BlockRun:
+    """
+    The cells that one run has read of a block.
+
+    Attributes:
+        states: of each piece: None before it is asked for, what was refused if it is left out,
+            then its cells or its error.
+    """
+
+    def __init__(self, block: Block) -> None:
+        self.pieces = block.pieces
+        self.request: Any = block.request
+        self.states: list[Any] = [None] * len(block.pieces)
+        self._whole: Any = None
+
+    def take(self, first: int, last: int, outcome: Any) -> None:
+        if isinstance(outcome, ModbusError):
+            self.states[first:last] = [outcome] * (last - first)
+            return
+        if last - first == len(self.pieces):
+            self._whole = outcome
+        start = self.pieces[first].span.start
+        for at in range(first, last):
+            span = self.pieces[at].span
+            self.states[at] = outcome[span.start - start : span.stop - start]
+
+    @property
+    def answer(self) -> Any:
+        """The answer to the request of the block, as `Plan.results` takes it."""
+        if self._whole is not None:
+            return self._whole
+        states = [
+            alike(each.error) if isinstance(each, PastRefusal) else each for each in self.states
+        ]
+        if all(isinstance(each, ModbusError) for each in states):
+            return states[0]
+        answer = PartialAnswer(self.request.count)
+        for piece, state in zip(self.pieces, states, strict=True):
+            start, stop = (each - self.request.address for each in piece.span[1:])
+            if isinstance(state, ModbusError):
+                answer.errors[start, stop] = state
+                answer.lost += piece.names
+            else:
+                answer[start:stop] = state
+        return answer
+
+
+class _Portion(NamedTuple):
+    """The pieces first..last-1 of a block, in one request."""
+
+    part: _BlockRun
+    first: int
+    last: int
+
+    @property
+    def span(self) -> Span:
+        pieces = self.part.pieces[self.first : self.last]
+        return pieces[0].span._replace(stop=max(each.span.stop for each in pieces))
+
+    @property
+    def request(self) -> pdu.Request[list[Any]]:
+        if self.last - self.first == len(self.part.pieces):
+            return self.part.request  # type: ignore[no-any-return]
+        table, start, stop = self.span
+        return TABLES[table].read(start, stop - start)
+
+
+class _SearchEnds(Exception):
+    """A run cannot find out more."""
+
+
+class _PlanRun:
+    """One run of a plan at one unit."""
+
+    def __init__(self, blocks: Sequence[Block], holes: Holes, now: float, connects: int) -> None:
+        self.parts = [_BlockRun(each) for each in blocks]
+        self._holes = holes
+        # The first connection is made by the first request.
+        self._time = now, max(connects, 1)
+        self._found: set[Span] = set()
+        self._is_answered = False
+        self._refused_halves = 0
+
+    def tolerant(self) -> Steps[list[Any]]:
+        """Read all pieces but the holes, and search for others."""
+        left_out = list(self._left_out())
+        asked = self._portions()
+        trial, hole = min(left_out, key=lambda each: each[1].at, default=(None, None))
+        if trial and hole and (not asked or hole.is_due(*self._time)):
+            *outcomes, tried = yield from self._send([*asked, trial])
+            if isinstance(tried, ModbusError):
+                error = tried if is_refusal(tried) else hole.error
+                self._holes.refused[trial.span] = PastRefusal(error, *self._time)
+            else:
+                self._holes.forget()
+                for each, _ in left_out:
+                    if each != trial:
+                        each.part.states[each.first] = None
+                again = self._portions()
+                outcomes += yield from self._send(again)
+                asked += again
+        else:
+            outcomes = yield from self._send(asked)
+        try:
+            for portion, outcome in zip(asked, outcomes, strict=True):
+                if is_refusal(outcome):
+                    yield from self._search(portion)
+        except _SearchEnds:
+            pass
+        return [each.answer for each in self.parts]
+
+    def strict(self) -> Steps[list[Any]]:
+        """Read everything; the last answer is the first error, with the names of its piece."""
+        outcomes = yield [each.request for each in self.parts]
+        answers = []
+        for part, outcome in zip(self.parts, outcomes, strict=True):
+            answers.append(outcome)
+            if is_refusal(outcome):
+                answers[-1] = yield from self._first_refused(part, outcome)
+            elif not isinstance(outcome, ModbusError):
+                if any(each.span in self._holes.refused for each in part.pieces):
+                    self._holes.forget()
+                continue
+            break
+        return answers
+
+    def news(self) -> Iterator[str]:
+        """Yield a sentence about all holes that were found side by side."""
+        for part in self.parts:
+            found = [at for at, each in enumerate(part.pieces) if each.span in self._found]
+            for _, group in groupby(enumerate(found), lambda each: each[1] - each[0]):
+                indexes = [at for _, at in group]
+                portion = _Portion(part, indexes[0], indexes[-1] + 1)
+                names = [str(name) for at in indexes for name in part.pieces[at].names]
+                told = ", ".join(names[:3]) + ", ..." * (len(names) > 3)
+                yield f"{told}, {portion.span}: {_reason_of(part.states[indexes[0]])}"
+
+    def _left_out(self) -> Iterator[tuple[_Portion, PastRefusal]]:
+        """Leave known holes out, and forget old cuts."""
+        refused, cuts = self._holes.refused, self._holes.cuts
+        for part in self.parts:
+            for at, piece in enumerate(part.pieces):
+                if (cut := cuts.get(piece.cut)) and cut.is_due(*self._time):
+                    cuts.pop(piece.cut, None)
+                if hole := refused.get(piece.span):
+                    part.states[at] = hole
+                    yield _Portion(part, at, at + 1), hole
+
+    def _portions(self) -> list[_Portion]:
+        """Return what is to be asked for, in as few requests as holes and cuts allow."""
+        found: list[_Portion] = []
+        for part in self.parts:
+            first = None
+            for at, (piece, state) in enumerate(zip(part.pieces, part.states, strict=True)):
+                if state is not None:
+                    first = None
+                elif first is None or piece.cut in self._holes.cuts:
+                    first = at
+                    found.append(_Portion(part, at, at + 1))
+                else:
+                    found[-1] = _Portion(part, first, at + 1)
+        return found
+
+    def _send(self, asked: Sequence[_Portion]) -> Steps[list[Any]]:
+        outcomes = (yield [each.request for each in asked]) if asked else []
+        for each, outcome in zip(asked, outcomes, strict=True):
+            each.part.take(each.first, each.last, outcome)
+            self._is_answered |= not isinstance(outcome, ModbusError)
+        return outcomes
+
+    def _ask(self, asked: Sequence[_Portion]) -> Steps[list[Any]]:
+        """Send requests of a search; raise `_SearchEnds` after a failure that is no refusal."""
+        outcomes = yield from self._send(asked)
+        if any(isinstance(each, ModbusError) and not is_refusal(each) for each in outcomes):
+            raise _SearchEnds
+        return outcomes
+
+    def _search(self, portion: _Portion) -> Steps[None]:
+        """Find the holes in a portion that was refused."""
+        part, first, last = portion
+        if last - first == 1:
+            self._add(part, first)
+            return
+        if self._refused_halves >= REFUSED_HALVES and not self._is_answered:
+            for each in self.parts:
+                for at, state in enumerate(each.states):
+                    if is_refusal(state):
+                        self._add(each, at)
+            raise _SearchEnds
+        error, middle = part.states[first], (first + last) // 2
+        halves = _Portion(part, first, middle), _Portion(part, middle, last)
+        outcomes = yield from self._ask(halves)
+        refused = [half for half, each in zip(halves, outcomes, strict=True) if is_refusal(each)]
+        if not refused:
+            self._holes.cuts[part.pieces[middle].cut] = PastRefusal(error, *self._time)
+        self._refused_halves += len(refused)
+        for half in refused:
+            yield from self._search(half)
+
+    def _first_refused(self, part: _BlockRun, error: ModbusError) -> Steps[ModbusError]:
+        """Return the refusal of the first piece that is refused alone; `error` if there is none."""
+        part.take(0, len(part.pieces), error)
+        known = (at for at, each in enumerate(part.pieces) if each.span in self._holes.refused)
+        at = next(known, None)
+        try:
+            if at is not None and not (yield from self._is_refused(part, at, at + 1)):
+                self._holes.forget()
+                at = None
+            if at is None:
+                at = yield from self._halved(part)
+        except _SearchEnds:
+            return error
+        if at is None:
+            return error
+        self._add(part, at)
+        found: ModbusError = part.states[at]
+        found.names = part.pieces[at].names
+        return found
+
+    def _halved(self, part: _BlockRun) -> Steps[int | None]:
+        """Return the first piece that is refused alone, if the device lacks one."""
+        first, last, is_refused = 0, len(part.pieces), True
+        while last - first > 1:
+            middle = (first + last) // 2
+            is_refused = yield from self._is_refused(part, first, middle)
+            first, last = (first, middle) if is_refused else (middle, last)
+        if is_refused or (yield from self._is_refused(part, first, last)):
+            return first
+        return None
+
+    def _is_refused(self, part: _BlockRun, first: int, last: int) -> Steps[bool]:
+        (outcome,) = yield from self._ask([_Portion(part, first, last)])
+        return is_refusal(outcome)
+
+    def _add(self, part: _BlockRun, at: int) -> None:
+        span = part.pieces[at].span
+        if span not in self._holes.refused:
+            self._found.add(span)
+        self._holes.refused[span] = PastRefusal(part.states[at], *self._time)
+
+
+def reading(
+    blocks: Sequence[Block],
+    holes: Holes,
+    now: float,
+    connects: int,
+    *,
+    is_strict: bool = False,
+    tell: Callable[[str], object] | None = None,
+) -> Steps[list[Any]]:
+    """
+    Read the blocks of a plan: yield requests, take their outcomes, and return the answers.
+
+    Args:
+        blocks: the blocks of the plan.
+        holes: what is known of the unit, to which is added what is found.
+        now: the time in seconds, of any steady clock.
+        connects: how many connections the client has made.
+        is_strict: True to ask for everything until one request fails: the last answer is its error
+            then, with the names of the first piece that is refused alone.
+        tell: is called with a sentence about each hole that was found, or holes side by side.
+
+    Returns:
+        The answers to the requests of the plan, as `Plan.results` takes them.
+    """
+    run = _PlanRun(blocks, holes, now, connects)
+    try:
+        return (yield from (run.strict() if is_strict else run.tolerant()))
+    finally:
+        if tell is not None:
+            for each in run.news():
+                tell(each)
+
+
+def carried_out(
+    steps: Steps[Result], ask: Callable[[list[pdu.Request[Any]]], Iterable[Any]]
+) -> Result:
+    """Return the result of steps whose outcomes another function gets."""
+    try:
+        requests = next(steps)
+        while True:
+            requests = steps.send(list(ask(requests)))
+    except StopIteration as done:
+        result: Result = done.value
+        return result

@@ -22,13 +22,12 @@ from ..protocol.mistakes import WrongType, WrongValue, inside, placed
 from ..protocol.pdu.fields import checked_span, store
 from ..protocol.tables import TABLE_SIZE, TABLES, Table, checked_table
 from ..protocol.values import Order, TypeName, ValueType, value_type
-from .holes import Holes, HolesByDevice, Unreadable
-from .pieces import Block, PartialAnswer
+from .holes import Block, Holes, PartialAnswer, Unreadable
 
 # fmt: off
 __all__ = [
     "Forbidden", "Item", "Items", "Key", "Named", "Plan", "PlanOptions",
-    "Read", "Strict", "Tolerant", "Values", "planned",
+    "Read", "Strict", "Tolerant", "Values", "planned", "unreadable_of",
 ]
 # fmt: on
 
@@ -182,9 +181,10 @@ class Plan:
     request is never split, so that all its cells are read at the same moment. A longer item is
     split, but not inside a typed value, whose halves would then be read at different moments.
 
-    A device may refuse a request because it covers cells that do not exist or cannot be read. The
-    items that it refuses are found once, by halving that request, and are then left out: see
-    `unreadable`. Cells between items that must not be read can be named in `forbidden`.
+    A device may refuse a request because it covers cells that do not exist or cannot be read. A
+    client finds the items that a device refuses once, by halving that request, and then leaves
+    them out: see the method `unreadable` of clients. Cells between items that must not be read can
+    be named in `forbidden`.
 
     Args:
         items: a list in which each item is a `Read` or a tuple of its arguments, such as
@@ -200,7 +200,6 @@ class Plan:
     Attributes:
         requests: request objects of `libmodbus_py.pdu`, table by table, in the order of
             addresses.
-        holes: what is known about each device; `unreadable` returns it by items.
 
     Raises:
         TypeError, ValueError: an argument is of the wrong type or range, an item touches a
@@ -226,7 +225,6 @@ class Plan:
         self._is_named = isinstance(items, Mapping)
         self._parts: dict[Any, list[_Part]] = {name: [] for name in self._reads}
         self._requests: list[pdu.Request[list[Any]]] = []
-        self.holes: HolesByDevice = HolesByDevice()
         self._check_reads(registers)
         for table, rules in TABLES.items():
             self._merge(table, bits if rules.is_bits else registers)
@@ -253,31 +251,6 @@ class Plan:
         found = {name: self._values(name, given) for name in self._reads}
         return found if self._is_named else list(found.values())
 
-    @property
-    def unreadable(self) -> list[Unreadable]:
-        """
-        The items that devices refused, and that are left out until they are tried again.
-
-        A client that runs this plan (`read_many`) finds them for each device separately. They
-        are tried again one minute after the first refusal, then every ten minutes, and after a new
-        connection.
-        """
-        return [each for holes in self.holes for each in self.unreadable_of(holes)]
-
-    def unreadable_of(self, holes: Holes) -> list[Unreadable]:
-        """Return the items that one device refused."""
-        found: dict[Any, ModbusError] = {}
-        for block in self.blocks:
-            for piece in block.pieces:
-                error = holes.error_of(block.span) or holes.error_of(block.span_of(piece))
-                if error is not None:
-                    found |= dict.fromkeys(piece.names, error)
-        return [
-            Unreadable(holes.device, name, read.table, read.cells, found[name])
-            for name, read in self._reads.items()
-            if name in found
-        ]
-
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
         """The pieces of each request, for those that read them otherwise."""
@@ -299,7 +272,7 @@ class Plan:
             answer = answers[request]
             if isinstance(answer, ModbusError):
                 return answer
-            if isinstance(answer, PartialAnswer) and (error := answer.error_of(start, stop)):
+            if isinstance(answer, PartialAnswer) and (error := answer.errors.get((start, stop))):
                 return error
             cells += answer[start:stop]
         return self._decoded(name, cells)
@@ -387,6 +360,20 @@ def planned(items: Plan | Items, options: PlanOptions) -> Plan:
     if options:
         raise ValueError(f"{', '.join(options)} must be given to the plan, not beside it")
     return items
+
+
+def unreadable_of(plan: Plan, holes: Holes, device: str) -> list[Unreadable]:
+    """Return the items of a plan that a device is known to refuse."""
+    found: dict[Any, ModbusError] = {}
+    for block in plan.blocks:
+        for piece in block.pieces:
+            if (hole := holes.refused.get(piece.span)) is not None:
+                found |= dict.fromkeys(piece.names, hole.error)
+    return [
+        Unreadable(device, name, read.table, read.cells, found[name])
+        for name, read in plan._reads.items()
+        if name in found
+    ]
 
 
 def _overlap(first: range, second: range) -> bool:

@@ -15,9 +15,8 @@ from ..protocol.close_names import close_to
 from ..protocol.errors import ModbusError
 from ..protocol.mistakes import WrongType, WrongValue
 from ..protocol.values import ValueType
-from .holes import HolesByDevice
+from .holes import PartialAnswer
 from .meaning import NoValue
-from .pieces import PartialAnswer
 from .plan import Plan, PlanOptions
 from .point import Point
 from .scaling import scaling_by
@@ -44,12 +43,11 @@ class RegisterMap(Mapping[str, Point]):
             does not name a readable number of the map, or leads back to its own point.
     """
 
-    __slots__ = ("_holes", "_kept", "_points")
+    __slots__ = ("_kept", "_points")
 
     def __init__(self, points: Iterable[Point]) -> None:
         self._points: dict[str, Point] = {}
         self._kept: tuple[object, PointPlan] | None = None
-        self._holes = HolesByDevice()
         for point in points:
             if not isinstance(point, Point):
                 raise WrongType("points", f"must be Point objects, not {type(point).__name__}")
@@ -88,7 +86,6 @@ class RegisterMap(Mapping[str, Point]):
             return kept[1]
         points = self._readable(wanted)
         made = PointPlan(points, sources_of(points, self._points), **options)
-        made.holes = self._holes
         # The caller may change the list of forbidden ranges later.
         if "forbidden" not in options:
             self._kept = (asked, made)

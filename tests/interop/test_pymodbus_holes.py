@@ -27,8 +27,6 @@ def test_registers_behind_the_end_are_left_out() -> None:
             counts.append(plc.statistics.requests - before)
         good = {name: value for name, value in found.items() if isinstance(value, int)}
         assert good == {f"r{at}": holding_register(at) for at in range(first, END)}
-        assert [each.name for each in points.plan().unreadable] == [
-            f"r{END + at}" for at in range(3)
-        ]
+        assert [each.name for each in plc.unreadable(points)] == [f"r{END + at}" for at in range(3)]
     assert counts[0] <= 1 + 10
     assert counts[1:] == [1, 1, 1]

@@ -71,9 +71,9 @@ class Awaited:
 
         def call(*arguments: Any, **options: Any) -> Any:
             result = found(*arguments, **options)
-            if not inspect.iscoroutine(result):
-                return Awaited(self._run, result)
-            return self._run(result)
+            if inspect.iscoroutine(result):
+                return self._run(result)
+            return result if isinstance(result, list) else Awaited(self._run, result)
 
         return call
 

@@ -35,6 +35,7 @@ from libmodbus_py import (
     TlsContext,
     Traced,
     UdpContext,
+    Unreadable,
     load_map,
     pdu,
 )
@@ -187,6 +188,8 @@ def named(plc: TcpContext) -> None:
     assert_type(meter["level"], Point)
     assert_type(plc.read_map(meter), dict[str, Any])
     plc.read_map(meter, ["level"], return_exceptions=True, gap=4)
+    assert_type(plc.unreadable(meter), list[Unreadable])
+    assert_type(plc.unreadable(meter.plan(["level"])), list[Unreadable])
     plc.write_map(meter, {"setpoint": 21.5, "run": True}, multiple=True)
     made = RegisterMap([Point("level", "holding_registers", 100, type="float32", scale=0.1)])
     assert_type(plc.read_many(made.plan(["level"])), Any)

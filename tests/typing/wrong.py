@@ -70,6 +70,7 @@ def blocking(plc: TcpContext) -> None:
     plc.read_many([("coils", 0, 8)], gpa=4)  # wrong
     meter = load_map("meter.csv")
     plc.read_map(meter, gpa=4)  # wrong
+    plc.unreadable("meter.csv")  # wrong
     plc.write_map(meter, ["setpoint"])  # wrong
     Point("level", "coil", 0)  # wrong
     Point("level", "coils", 0, access="rw")  # wrong

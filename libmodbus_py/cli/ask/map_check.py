@@ -10,8 +10,7 @@ from contextlib import closing
 from typing import Any
 
 from ...client.blocking import Context
-from ...maps.holes import Holes
-from ...maps.plan_run import PlanRun
+from ...maps.holes import Holes, carried_out, reading
 from ...maps.register_map import PointPlan, RegisterMap
 from ...ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
 from ...protocol.errors import ExceptionResponse, ModbusError
@@ -31,9 +30,6 @@ OF_DEVICES = (*CLIENT_OPTIONS, *SERIAL_OPTIONS, *SECURITY_OPTIONS)
 
 MOST_MISTAKES = 20
 """Mistakes in a file that are printed, at most."""
-
-MOST_RUNS = 100
-"""Runs of a plan, at most, until all is known that the device refuses."""
 
 
 def check(options: argparse.Namespace) -> int:
@@ -70,7 +66,7 @@ def _check_file(file: str, context: Context | None = None) -> int:
 def _check_device(points: RegisterMap, context: Context) -> int:
     """Print the points that a device refuses; return 1 if there are any."""
     plan = points.plan()
-    values, run = _read(plan, context)
+    values, requests = _read(plan, context)
     failed = {name: value for name, value in values.items() if isinstance(value, ModbusError)}
     device = f"{context.url}, unit {context.unit}"
     if failed and len(failed) == len(values):
@@ -78,39 +74,39 @@ def _check_device(points: RegisterMap, context: Context) -> int:
         complain(f"{device}: all {counted(len(values), 'point')} refused: {error}")
         return 1
     read = f"{len(values) - len(failed)} of {counted(len(values), 'point')} can be read"
-    print(f"  {device}: {read}, in {counted(len(run.first_requests), 'request')}")
+    print(f"  {device}: {read}, in {counted(requests, 'request')}")
     sys.stdout.flush()
     for name, error in failed.items():
         complain(f"{name} cannot be read: {error}")
     return 1 if failed else 0
 
 
-def _read(plan: PointPlan, context: Context) -> tuple[dict[str, Any], PlanRun]:
+def _read(plan: PointPlan, context: Context) -> tuple[dict[str, Any], int]:
     """
-    Return all values of a device, or their errors, and a run without those that it refuses.
+    Return all values of a device, or their errors, and the number of requests without those that it
+    refuses.
 
     Raises:
         ModbusError: the device does not answer.
     """
-    holes = Holes()
-    context.connect()
-    run = _run(plan, holes, context)
-    runs = 1
-    while runs < MOST_RUNS and (run.news or not run.is_complete):
-        run = _run(plan, holes, context)
-        runs += 1
-    return plan.results(run.answers, return_exceptions=True), run
+    sent: list[int] = []
 
-
-def _run(plan: PointPlan, holes: Holes, context: Context) -> PlanRun:
-    run = PlanRun(plan, holes, context.now(), *context.connection)
-    while run.requests:
-        outcomes = context.execute_many(run.requests, max_in_flight=1, return_exceptions=True)
+    def ask(requests: list[Any]) -> list[Any]:
+        sent.append(len(requests))
+        outcomes = context.execute_many(requests, max_in_flight=1, return_exceptions=True)
         for each in outcomes:
             if isinstance(each, ModbusError) and not isinstance(each, ExceptionResponse):
                 raise each
-        run.take(outcomes)
-    return run
+        return outcomes
+
+    context.connect()
+    holes = Holes()
+    answers: list[Any] = []
+    while not sent or len(sent) > 1:  # until nothing is searched for
+        sent.clear()
+        steps = reading(plan.blocks, holes, context.now(), context.statistics.connects)
+        answers = carried_out(steps, ask)
+    return plan.results(answers, return_exceptions=True), sent[0]
 
 
 def _wrong(lines: list[str]) -> int:

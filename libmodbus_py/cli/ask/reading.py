@@ -13,9 +13,8 @@ from dataclasses import replace
 from typing import Any, Protocol
 
 from ...client.blocking import Context
-from ...maps.holes import Holes
+from ...maps.holes import Holes, carried_out, reading
 from ...maps.pace import PointIntervals
-from ...maps.plan_run import PlanRun
 from ...maps.totals import Totals
 from ...protocol.errors import (
     ExceptionResponse,
@@ -123,10 +122,10 @@ class Reader:
         plan = self._plan_of(due or (), formatters)
         self._status = Status(after=STATUS_AFTER)
         try:
-            run = PlanRun(plan.plan, self._holes, context.now(), *context.connection)
-            while run.requests:
-                run.take(self._answers(context, run.requests))
-            found = plan.cells(run.answers, self._answers(context, plan.requests))
+            connects = context.statistics.connects
+            steps = reading(plan.plan.blocks, self._holes, context.now(), connects)
+            answers = carried_out(steps, lambda requests: self._answers(context, requests))
+            found = plan.cells(answers, self._answers(context, plan.requests))
         finally:
             self._status.clear()
         count = len(formatters)

@@ -437,6 +437,7 @@ class Fleet:
         statistics.refusals += poller.is_refused
         for each in poller.news:
             logger.warning("%s: cannot be read: %s", poller.name, each)
+        poller.news.clear()
         if poller.told_state is not poller.state:
             self._count(poller.told_state, -1)
             self._count(poller.state, 1)

@@ -125,9 +125,8 @@ class FleetLine:
             return
         poller.planned = poller.waits_since = planned
         poller.is_trial = poller.state is DeviceState.DOWN
-        connects = self.client.statistics.connects
         now = self._loop.time()
-        poller.begin(now, id(self.client), connects)
+        poller.begin(now, self.client.statistics.connects)
         if poller.rest_until > now:
             self._rest(poller)
         elif not (self._is_closed or poller.is_trial) and self._room.begin(poller, now):

@@ -4,16 +4,15 @@ One device while it is polled: the state of its poll, and of the device.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Sequence
+from collections.abc import Collection, Sequence
 from enum import Enum
 from typing import Any
 
 from ...client.asynchronous import Submitted
 from ...client.waiting_room import rest_after
-from ...maps.holes import Holes, Unreadable
+from ...maps.holes import Holes, PartialAnswer, Steps, Unreadable, is_refusal, reading
 from ...maps.pace import PointIntervals
-from ...maps.pieces import PartialAnswer
-from ...maps.plan_run import PlanRun, says_something
+from ...maps.plan import unreadable_of
 from ...maps.register_map import PointPlan
 from ...maps.totals import Totals
 from ...protocol.errors import ModbusError
@@ -98,16 +97,13 @@ class Poller:
         since: since when the device is up or down, in seconds since the epoch; 0 if NEW.
         rest_until: when the next request may be sent to the device.
         waits_since: when the current poll was due.
-        news: sentences about points that the device was found to refuse in the last poll.
+        news: sentences about points that the device was found to refuse, until they are logged.
     """
 
     # fmt: off
     __slots__ = (
         "_answers",
-        "_begun",
         "_changes",
-        "_client",
-        "_connects",
         "_due",
         "_error",
         "_first",
@@ -116,8 +112,9 @@ class Poller:
         "_pace",
         "_plan",
         "_requests",
-        "_run",
+        "_steps",
         "_taken",
+        "_time",
         "_totals",
         "answered_at",
         "asked_at",
@@ -166,11 +163,9 @@ class Poller:
         self._due: tuple[int, ...] | None = None
         self._plan = reads.plan
         self._requests: Sequence[Any] = reads.plan.requests
-        self._run: PlanRun | None = None
+        self._steps: Steps[list[Any]] | None = None
         self._holes: Holes | None = None
-        self._begun = 0.0
-        self._client: Hashable = None
-        self._connects = 0
+        self._time = 0.0, 1
         self._error: ModbusError | None = None
         self._first = 0
         self._taken: list[Any] = []
@@ -190,34 +185,35 @@ class Poller:
     @property
     def unreadable(self) -> list[Unreadable]:
         """The points that the device refuses, and that are left out until they are tried again."""
-        return [] if self._holes is None else self.reads.plan.unreadable_of(self._holes)
+        if self._holes is None:
+            return []
+        device = f"{self.config.endpoint}, unit {self.config.unit}"
+        return unreadable_of(self.reads.plan, self._holes, device)
 
-    def begin(self, now: float = 0.0, client: Hashable = None, connects: int = 1) -> None:
+    def begin(self, now: float = 0.0, connects: int = 1) -> None:
         """
         Begin a poll; earlier responses are dropped.
 
         Args:
             now: the time in seconds, of any steady clock.
-            client: anything that tells the clients of the device apart.
-            connects: how many connections that client has made.
+            connects: how many connections the client of the device has made.
         """
-        self._begun, self._client, self._connects = now, client, connects
+        self._time = now, connects
         self._answers, self._taken = [], []
         self._has_answered = False
         self._error = None
         if self._pace is not None:
             self._due = self._pace.due(now if self.planned is None else self.planned)
             self._plan = self.reads.plan_of(self._due)
-        self._run = self._new_run() if self._holes else None
-        self._requests = self._run.requests if self._run else self._plan.requests
+        self._steps, self._requests = None, self._plan.requests
+        if self._holes:
+            self._requests = self._new_steps(self._holes)
         self._advance()
 
-    def _new_run(self) -> PlanRun:
-        if self._holes is None:
-            place = self.config.endpoint.place, self.config.unit
-            name = f"{self.config.endpoint}, unit {self.config.unit}"
-            self._holes = self.reads.plan.holes.made(place, name)
-        return PlanRun(self._plan, self._holes, self._begun, self._client, self._connects)
+    def _new_steps(self, holes: Holes) -> Sequence[Any]:
+        """Begin to leave out what is refused; return the first requests."""
+        self._steps = reading(self._plan.blocks, holes, *self._time, tell=self.news.append)
+        return next(self._steps)
 
     def take(self, outcome: Any) -> None:
         """Take a response or an error; a poll ends if its first request is not answered."""
@@ -244,18 +240,17 @@ class Poller:
         # The first request was not the first one of the plan.
         first = len(self._taken) - self._first % len(self._taken)
         taken = self._taken[first:] + self._taken[:first]
-        if self._run is None and any(map(says_something, taken)):
-            self._run = self._new_run()
-            if self._run.requests != list(self._requests):  # another poller has learnt meanwhile
-                self._run = None
-        if self._run is None:
+        if self._steps is None:
             self._answers = taken
-            return
-        self._run.take(taken)
-        if self._run.requests:
-            self._requests, self._taken = self._run.requests, []
-        else:
-            self._answers = self._run.answers
+            if not any(map(is_refusal, taken)):
+                return
+            self._holes = self._holes or Holes()
+            self._new_steps(self._holes)
+        assert self._steps is not None
+        try:
+            self._requests, self._taken = self._steps.send(taken), []
+        except StopIteration as done:
+            self._answers = done.value
             if self._error is None:
                 self._error = next(filter(None, map(_error_of, self._answers)), None)
 
@@ -268,7 +263,7 @@ class Poller:
             self._first += 1
         self.state = DeviceState.DOWN if self.misses else DeviceState.UP
         self.rest_until = now + self.config.spacing
-        self.news, self._run = self._run.news if self._run else [], None
+        self._steps = None
 
     def readings(self, time: float, first: int = 0) -> list[Reading]:
         """
@@ -339,7 +334,7 @@ def _is_lost(value: object) -> bool:
 def _error_of(answer: Any) -> ModbusError | None:
     """Return why an answer, or a part of it, is missing."""
     if isinstance(answer, PartialAnswer):
-        return answer.error
+        return next(iter(answer.errors.values()), None)
     return answer if isinstance(answer, ModbusError) else None
 
 

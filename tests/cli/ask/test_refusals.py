@@ -102,6 +102,7 @@ def test_a_request_that_is_refused_is_halved(maker: ServerMaker, points: Path) -
         "address=0, count=4)",
         "address=0, count=1)",
         "address=0, count=2)",
+        "address=2, count=2)",
         "address=2, count=1)",
         "address=3, count=1)",
     ]

@@ -1,5 +1,5 @@
 """
-Runs of plans at devices that cannot read everything, without sockets and clocks: what is found,
+Plans of devices that cannot read everything, without sockets and clocks: which holes are found,
 what it costs, and that no value is wrong.
 """
 
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterable
-from typing import Any, ClassVar
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -23,15 +23,11 @@ from libmodbus_py.errors import (
     ServerDeviceBusy,
     ServerDeviceFailure,
 )
-from libmodbus_py.maps.holes import Holes, HolesByDevice, Span
-from libmodbus_py.maps.plan import Plan
-from libmodbus_py.maps.plan_run import PlanRun
-from libmodbus_py.maps.strict_run import StrictRun
+from libmodbus_py.maps.holes import Holes, carried_out, reading
+from libmodbus_py.maps.plan import Plan, unreadable_of
 from tests.support.cases import each_case
 
 H = "holding_registers"
-HIGHEST = 50
-"""More requests than one run may ever take beyond those of its plan and of its holes."""
 
 
 class Registers:
@@ -67,23 +63,34 @@ class Registers:
 
 
 class Polls:
-    """Runs of one plan at one device."""
+    """Reads one plan of one device again and again, as one client does."""
 
     def __init__(self, plan: Plan, device: Any) -> None:
         self.plan = plan
         self.device = device
-        self.holes = Holes("device")
+        self.holes = Holes()
         self.news: list[str] = []
-        self.connection = 1
+        self.connects = 1
+
+    def ask(self, requests: list[Any]) -> list[Any]:
+        return [self.device(each) for each in requests]
+
+    def steps(self, now: float = 0.0, *, is_strict: bool = False) -> Any:
+        tell = self.news.append
+        blocks, connects = self.plan.blocks, self.connects
+        return reading(blocks, self.holes, now, connects, is_strict=is_strict, tell=tell)
 
     def poll(self, now: float = 0.0) -> tuple[int, Any]:
-        """Run the plan; return the number of requests, and the values."""
+        """Read the plan; return the number of requests, and the values."""
         before = len(self.device.asked)
-        run = PlanRun(self.plan, self.holes, now, 1, self.connection)
-        while run.requests:
-            run.take([self.device(each) for each in run.requests])
-        self.news += run.news
-        return len(self.device.asked) - before, self.plan.results(run.answers)
+        answers = carried_out(self.steps(now), self.ask)
+        return len(self.device.asked) - before, self.plan.results(answers)
+
+    def strictly(self) -> tuple[int, list[Any]]:
+        """Read until the first failure; return the number of requests, and the answers."""
+        before = len(self.device.asked)
+        answers = carried_out(self.steps(is_strict=True), self.ask)
+        return len(self.device.asked) - before, answers
 
     def requests(self, count: int) -> list[int]:
         """Return the requests of so many polls, a second apart."""
@@ -91,7 +98,7 @@ class Polls:
 
     @property
     def unreadable(self) -> list[Any]:
-        return [each.name for each in self.plan.unreadable_of(self.holes)]
+        return [each.name for each in unreadable_of(self.plan, self.holes, "device")]
 
 
 def singles(count: int) -> Plan:
@@ -110,11 +117,11 @@ def lost(values: Iterable[Any]) -> list[int]:
     [IllegalDataAddress, IllegalDataValue, ServerDeviceFailure],
     ids=lambda each: each.code,
 )
-def test_a_hole_costs_one_point_and_six_requests_once(refusal: type[ModbusError]) -> None:
+def test_a_hole_costs_one_point_and_ten_requests_once(refusal: type[ModbusError]) -> None:
     for hole in range(20):
         polls = Polls(singles(20), Registers([hole], refusal=refusal))
         first, values = polls.poll()
-        assert first <= 1 + 6
+        assert 1 + 8 <= first <= 1 + 10
         assert lost(values) == [hole]
         assert isinstance(values[hole], refusal)
         assert [values[at] for at in range(20) if at != hole] == [
@@ -124,6 +131,15 @@ def test_a_hole_costs_one_point_and_six_requests_once(refusal: type[ModbusError]
         assert polls.requests(10) == [later] * 10
         assert polls.unreadable == [hole]
         assert len(polls.news) == 1
+
+
+def test_both_halves_are_read_until_single_registers_are_known() -> None:
+    polls = Polls(singles(8), Registers([2]))
+    polls.poll()
+    assert polls.device.asked == [(0, 8), (0, 4), (4, 4), (0, 2), (2, 2), (2, 1), (3, 1)]
+    polls.device.asked.clear()
+    polls.poll()
+    assert polls.device.asked == [(0, 2), (3, 5)]
 
 
 def test_a_plan_without_holes_costs_nothing_more() -> None:
@@ -139,7 +155,7 @@ def test_values_of_several_registers_are_never_cut() -> None:
     assert [name for name, value in values.items() if isinstance(value, ModbusError)] == ["v5"]
     assert values["v6"] == [12 << 16 | 13]
     assert all(address % 2 == 0 and count % 2 == 0 for address, count in polls.device.asked)
-    assert [str(each) for each in plan.unreadable_of(polls.holes)] == [
+    assert [str(each) for each in unreadable_of(plan, polls.holes, "device")] == [
         "v5, holding_registers 10..11 (2 registers): illegal data address (exception 2)"
     ]
 
@@ -147,19 +163,37 @@ def test_values_of_several_registers_are_never_cut() -> None:
 def test_an_item_longer_than_a_request_is_lost_as_a_whole() -> None:
     plan = Plan({"long": (H, 0, 200), "next": (H, 200, 3)})
     polls = Polls(plan, Registers([150]))
-    values = [polls.poll(now)[1] for now in range(3)][-1]
+    _, values = polls.poll()
     assert isinstance(values["long"], IllegalDataAddress)
     assert values["next"] == [200, 201, 202]
+
+
+def test_a_value_that_overlaps_a_refused_one_is_read() -> None:
+    polls = Polls(Plan({"both": (H, 4, 1, "uint32"), "first": (H, 4), "next": (H, 6)}), None)
+    polls.device = Registers([5])
+    for _ in range(3):
+        _, values = polls.poll()
+        assert (values["first"], values["next"]) == ([4], [6])
+        assert polls.unreadable == ["both"]
 
 
 def test_a_hole_between_items_costs_no_item() -> None:
     """With a gap, cells are read that are in no item."""
     plan = Plan([(H, address) for address in range(0, 60, 3)], gap=2)
     polls = Polls(plan, Registers([28]))
-    for now in range(5):
+    for now in range(2):
         _, values = polls.poll(now)
-    assert lost(values) == []
-    assert max(polls.requests(2)) <= 3
+        assert lost(values) == []
+    assert polls.requests(2) == [2, 2]
+    assert polls.unreadable == []
+
+
+def test_plans_of_one_unit_share_what_is_known() -> None:
+    polls = Polls(singles(20), Registers([5]))
+    polls.poll()
+    polls.plan = Plan([(H, at) for at in (4, 5, 6)])
+    count, values = polls.poll()
+    assert (count, lost(values)) == (2, [1])
 
 
 # --- many holes, or nothing else -----------------------------------------------------------------
@@ -174,46 +208,43 @@ def test_a_hole_between_items_costs_no_item() -> None:
         range(0, 500, 2),
     ],
 )
-def test_many_holes_are_found_in_some_runs_of_few_requests(missing: Iterable[int]) -> None:
+def test_many_holes_are_found_at_once(missing: Iterable[int]) -> None:
     polls = Polls(singles(500), Registers(missing))
-    counts = []
-    for now in range(59):
-        usual = 4 + len(polls.holes.refused)
-        count, values = polls.poll(now)
-        assert count <= usual + HIGHEST
-        counts.append(count)
+    first, values = polls.poll()
     assert lost(values) == sorted(missing)
-    assert counts[-1] <= len(set(missing)) + 4
+    assert first <= 2 * 500
+    assert polls.poll()[0] <= len(set(missing)) + 4
+    assert lost(polls.poll()[1]) == sorted(missing)
 
 
 @each_case("count", [1, 2, 7, 20, 500, 2000])
 def test_a_device_that_refuses_everything_is_asked_once_a_run(count: int) -> None:
     polls = Polls(singles(count), Registers(range(65536)))
     first, values = polls.poll(0)
-    blocks = -(-count // 125)
-    assert first <= blocks + HIGHEST
-    assert lost(values) == list(range(count))
-    assert [polls.poll(now)[0] for now in range(1, 50)] == [1] * 49
-    assert len(polls.holes.refused) == blocks
-    # Every ten minutes it is tried whether something can be read now.
-    an_hour = sum(polls.poll(now)[0] for now in range(50, 3650, 10))
-    assert an_hour <= 360 + 7 * (2 * blocks + 32)
+    # It is not searched for long while nothing is answered.
+    assert first <= -(-count // 125) + 17
+    assert lost(values) == polls.unreadable == list(range(count))
+    assert [polls.poll(now)[0] for now in range(1, 700)] == [1] * 699
     polls.device.missing = set()
-    polls.poll(4000)
-    for now in (4001, 4002):
-        _, values = polls.poll(now)
+    _, values = polls.poll(700)
     assert lost(values) == []
-    assert not polls.holes.refused
+    assert polls.unreadable == []
+    assert polls.poll(701) == (-(-count // 125), [[at] for at in range(count)])
 
 
-def test_a_block_that_is_not_there_is_left_out_as_a_whole() -> None:
+def test_a_device_that_only_refuses_is_not_searched_further_at_the_next_run() -> None:
+    """Coils need more halvings than a run without an answer makes."""
+    polls = Polls(Plan([("coils", at) for at in range(2000)]), Registers(range(65536)))
+    assert polls.requests(20) == [1 + 16] + [1] * 19
+
+
+def test_a_block_that_is_not_there_costs_two_requests_a_register_once() -> None:
     plan = Plan([(H, address) for address in (*range(100), *range(1000, 1100))])
     polls = Polls(plan, Registers(range(1000, 1100)))
     first, values = polls.poll()
-    assert first <= 2 + 32
+    assert first == 1 + 2 * 100 - 1
     assert lost(values) == list(range(100, 200))
     assert polls.requests(5) == [1] * 5
-    assert len(polls.holes.refused) == 1
     assert polls.news == [
         "100, 101, 102, ..., holding_registers 1000..1099 (100 registers): "
         "illegal data address (exception 2)"
@@ -222,13 +253,9 @@ def test_a_block_that_is_not_there_is_left_out_as_a_whole() -> None:
 
 def test_one_readable_register_among_many_is_found_in_time() -> None:
     polls = Polls(singles(125), Registers(set(range(125)) - {77}))
-    for now in range(0, 7 * 3600, 60):
-        _, values = polls.poll(now)
-        if lost(values) != list(range(125)):
-            break
-    for more in range(60):
-        _, values = polls.poll(now + more)
-    assert lost(values) == [at for at in range(125) if at != 77]
+    lost_then = [len(lost(polls.poll(now)[1])) for now in range(200)]
+    assert lost_then[:78] == [125] * 78
+    assert lost_then[78:] == [124] * (200 - 78)
 
 
 @each_case("most", [1, 10, 50, 64, 124])
@@ -237,75 +264,111 @@ def test_short_requests_only_cost_no_point(most: int) -> None:
     polls = Polls(singles(300), Registers([7], most=most))
     for now in range(10):
         count, values = polls.poll(now)
-    assert lost(values) == [7]
+        assert lost(values) == [7]
     assert count <= 2 * (300 // most + 2)
+
+
+def test_holes_side_by_side_are_told_together() -> None:
+    polls = Polls(singles(20), Registers([3, 4, 9]))
+    polls.poll()
+    assert [each.split(" (")[0] for each in polls.news] == [
+        "3, 4, holding_registers 3..4",
+        "9, holding_registers 9",
+    ]
 
 
 # --- again ---------------------------------------------------------------------------------------
 
 
-def test_a_hole_is_tried_again_after_a_minute_and_every_ten() -> None:
+def test_a_hole_is_tried_again_every_ten_minutes() -> None:
     polls = Polls(singles(20), Registers([5]))
     polls.poll(0)
     tried = [now for now in range(1, 2000) if polls.poll(now)[0] > 2]
-    assert tried == [60, 660, 1260, 1860]
+    assert tried == [600, 1200, 1800]
     assert len(polls.news) == 1
 
 
-def test_what_can_be_read_again_is_read_again() -> None:
-    polls = Polls(singles(20), Registers([5]))
+def test_each_run_tries_one_hole_again() -> None:
+    polls = Polls(singles(20), Registers([5, 9, 13]))
     polls.poll(0)
-    polls.device.missing.clear()
-    _, values = polls.poll(60)
-    assert lost(values) == []
-    assert polls.poll(61) == (1, [[at] for at in range(20)])
-    assert polls.unreadable == []
+    polls.device.asked.clear()
+    counts = [polls.poll(now)[0] for now in range(598, 605)]
+    assert counts == [4, 4, 5, 5, 5, 4, 4]
+    for hole in (5, 9, 13):
+        assert polls.device.asked.count((hole, 1)) == 1
 
 
-def test_a_new_connection_brings_another_trial_once_a_minute() -> None:
+def test_what_can_be_read_again_is_read_at_once() -> None:
+    polls = Polls(singles(20), Registers([5, 9, 13]))
+    polls.poll(0)
+    polls.device.missing = {13}
+    count, values = polls.poll(600)
+    # Three portions and a trial; as that is answered, the other two holes.
+    assert count == 4 + 1 + 2
+    assert lost(values) == [13]
+    assert polls.poll(601)[0] == 2
+    assert polls.unreadable == [13]
+
+
+def test_another_connection_brings_another_trial() -> None:
     polls = Polls(singles(20), Registers([5]))
     polls.poll(0)
-    polls.poll(60)
     counts = []
-    for now in range(100, 220, 10):
-        polls.connection += 1
+    for now in range(1, 7):
+        polls.connects = 1 + now // 3
         counts.append(polls.poll(now)[0])
-    assert counts == [2, 2, 3, 2, 2, 2, 2, 2, 3, 2, 2, 2]
+    assert counts == [2, 2, 3, 2, 2, 3]
 
 
-def test_another_client_tries_everything_again() -> None:
+def test_the_first_connection_is_not_another_one() -> None:
+    """It is made by the first request."""
+    polls = Polls(singles(20), Registers([5]))
+    polls.connects = 0
+    polls.poll(0)
+    polls.connects = 1
+    assert polls.poll(1)[0] == 2
+
+
+def test_a_trial_that_fails_is_a_trial() -> None:
     polls = Polls(singles(20), Registers([5]))
     polls.poll(0)
-    counts = []
-    for client in (2, 2, 3, 2, 3, 2):
-        polls.holes.note_connection(client, 1, 10)
-        counts.append(len(PlanRun(polls.plan, polls.holes, 10, client, 1).requests))
-        polls.poll(10)
-    assert counts == [3, 2, 3, 2, 2, 2]
+    silent = Registers([5], refusal=ModbusTimeoutError)
+    polls.device = silent
+    assert [polls.poll(now)[0] for now in (600, 601)] == [3, 2]
+    assert isinstance(unreadable_of(polls.plan, polls.holes, "")[0].error, IllegalDataAddress)
+
+
+def test_a_shorter_request_is_tried_again_too() -> None:
+    polls = Polls(singles(100), Registers(most=60))
+    assert polls.requests(3) == [3, 2, 2]
+    polls.device.most = 125
+    assert [polls.poll(now)[0] for now in (599, 600, 601)] == [2, 1, 1]
 
 
 @each_case(
-    "moves",
+    ("moves", "average"),
     [
-        lambda now: {now * 7 % 100},
-        lambda now: {now // 10 * 7 % 100},
-        lambda now: set(random.Random(now).sample(range(100), 10)),
-        lambda now: set(range(100)) if now % 2 else set(),
-        lambda now: set(range(now % 3, 100, 3)),
+        (lambda now: {now * 7 % 100}, 10),
+        (lambda now: {now // 10 * 7 % 100}, 10),
+        (lambda now: set(random.Random(now).sample(range(100), 10)), 20),
+        (lambda now: set(range(100)) if now % 2 else set(), 20),
+        (lambda now: set(range(now % 3, 100, 3)), 2 * 100),
     ],
 )
-def test_holes_that_move_cost_few_requests(moves: Callable[[int], set[int]]) -> None:
+def test_holes_that_move_cost_few_requests(
+    moves: Callable[[int], set[int]], average: float
+) -> None:
     """A device changes what it can read at each poll, or at some, for an hour."""
     device = Registers()
     polls = Polls(singles(100), device)
-    most = total = 0
+    total = 0
     for number in range(900):
         device.missing = moves(number)
         count, values = polls.poll(4.0 * number)
         assert all(isinstance(each, ModbusError) or each == [at] for at, each in enumerate(values))
-        most, total = max(most, count), total + count
-    assert most <= 50 + HIGHEST
-    assert total <= 900 * 10
+        assert count <= 2 * 100 + 1
+        total += count
+    assert total <= 900 * average
     device.missing = set()
     for number in range(900, 1100):
         _, values = polls.poll(4.0 * number)
@@ -316,7 +379,13 @@ def test_holes_that_move_cost_few_requests(moves: Callable[[int], set[int]]) -> 
 
 
 @each_case(
-    "error", [ServerDeviceBusy(), GatewayTargetFailedToRespond(), ModbusTimeoutError("silence")]
+    "error",
+    [
+        ServerDeviceBusy(),
+        GatewayTargetFailedToRespond(),
+        ModbusTimeoutError("silence"),
+        InvalidResponse("wrong length"),
+    ],
 )
 def test_other_failures_are_no_holes(error: ModbusError) -> None:
     class Failing(Registers):
@@ -331,8 +400,8 @@ def test_other_failures_are_no_holes(error: ModbusError) -> None:
 
 @each_case("error", [ServerDeviceBusy(), ModbusTimeoutError("silence")])
 def test_a_search_that_fails_learns_nothing_false(error: ModbusError) -> None:
-    """The device leaves in the middle, at each possible request."""
-    for working in range(1, 8):
+    """The device leaves in the middle, at each possible request; the search ends there."""
+    for working in range(1, 11):
 
         class Leaving(Registers):
             def __call__(self, request: Any) -> Any:
@@ -340,109 +409,97 @@ def test_a_search_that_fails_learns_nothing_false(error: ModbusError) -> None:
                 return answer if len(self.asked) <= working else error  # noqa: B023
 
         polls = Polls(singles(20), Leaving([13]))
-        polls.poll(0)
+        count, _ = polls.poll(0)
+        assert count <= working + 2
         assert set(polls.unreadable) <= {13}
         polls.device = Registers([13])
-        polls.poll(100)
-        assert lost(polls.poll(101)[1]) == [13]
-
-
-def test_a_disturbance_is_no_hole_and_garbage_is_one() -> None:
-    class Garbling(Registers):
-        garbled: ClassVar[set[int]] = set()
-
-        def __call__(self, request: Any) -> Any:
-            answer = super().__call__(request)
-            if self.garbled & set(range(request.address, request.address + request.count)):
-                return InvalidResponse("wrong length")
-            return answer
-
-    device = Garbling()
-    polls = Polls(singles(20), device)
-    for now in range(10):
-        device.garbled = {3} if now % 3 else set()
-        assert polls.poll(now)[0] == 1
-    assert polls.unreadable == []
-    device.garbled = {3}
-    counts = [polls.poll(now)[0] for now in range(10, 16)]
-    assert counts[:2] == [1, 1]
-    assert counts[2] <= 1 + 12
-    assert counts[3:] == [2, 2, 2]
-    assert polls.unreadable == [3]
+        assert lost(polls.poll(100)[1]) == [13]
 
 
 def test_two_runs_at_once_learn_the_same() -> None:
-    plan, device, holes = singles(20), Registers([5]), Holes()
-    runs = [PlanRun(plan, holes, 0.0) for _ in range(2)]
-    while any(run.requests for run in runs):
-        for run in runs:
-            if run.requests:
-                run.take([device(each) for each in run.requests])
-    for run in runs:
-        assert lost(plan.results(run.answers)) == [5]
-    assert [each.name for each in plan.unreadable_of(holes)] == [5]
-    assert len(device.asked) <= 2 * 7
+    polls = Polls(singles(20), Registers([5]))
+    runs = [polls.steps(), polls.steps()]
+    asked = {at: next(run) for at, run in enumerate(runs)}
+    answers = []
+    while asked:
+        for at, requests in list(asked.items()):
+            try:
+                asked[at] = runs[at].send(polls.ask(requests))
+            except StopIteration as done:
+                answers.append(done.value)
+                del asked[at]
+    assert [lost(polls.plan.results(each)) for each in answers] == [[5], [5]]
+    assert polls.unreadable == [5]
+    assert len(polls.news) == 1
 
 
 def test_a_run_that_is_left_leaves_what_was_learnt_whole() -> None:
-    for steps in range(8):
-        plan, device, holes = singles(40), Registers([5, 31]), Holes()
-        run = PlanRun(plan, holes, 0.0)
+    for steps in range(10):
+        polls = Polls(singles(40), Registers([5, 31]))
+        run = polls.steps()
+        requests = next(run)
         for _ in range(steps):
-            if run.requests:
-                run.take([device(each) for each in run.requests])
-        del run
-        polls = Polls(plan, device)
-        polls.holes = holes
-        polls.poll(1)
-        assert lost(polls.poll(2)[1]) == [5, 31]
+            requests = run.send(polls.ask(requests))
+        run.close()
+        assert len(polls.news) == len(polls.unreadable)
+        assert lost(polls.poll(1)[1]) == [5, 31]
 
 
 # --- the first failure ---------------------------------------------------------------------------
 
 
-def test_a_strict_run_names_what_was_refused() -> None:
+def test_a_strict_reading_names_what_was_refused() -> None:
     for hole in range(20):
-        plan, device, holes = singles(40), Registers([hole, 30]), Holes()
+        polls = Polls(singles(40), Registers([hole, 30]))
         for most in (1 + 7, 2):
-            device.asked.clear()
-            run = StrictRun(plan, holes, 0.0)
-            while run.requests:
-                run.take([device(each) for each in run.requests])
-            (error,) = [each for each in run.answers if isinstance(each, ModbusError)]
+            count, answers = polls.strictly()
+            (error,) = [each for each in answers if isinstance(each, ModbusError)]
             assert error.names == (hole,)
             assert str(error).startswith(f"{hole}: illegal data address")
-            assert len(device.asked) <= most
-        device.missing.clear()
-        run = StrictRun(plan, holes, 0.0)
-        run.take([device(each) for each in run.requests])
-        assert plan.results(run.answers) == [[at] for at in range(40)]
+            assert count <= most
+        assert polls.unreadable == [hole]
+        polls.device.missing.clear()
+        count, answers = polls.strictly()
+        assert polls.plan.results(answers) == [[at] for at in range(40)]
+        assert count == 1
+        assert not polls.holes
 
 
-def test_an_item_that_is_answered_and_then_refused() -> None:
-    """The second refusal says nothing about the first value."""
+def test_a_known_hole_that_is_answered_is_not_named() -> None:
+    polls = Polls(singles(20), Registers([5]))
+    polls.strictly()
+    polls.device.missing = {12}
+    _, answers = polls.strictly()
+    assert answers[0].names == (12,)
+    assert polls.unreadable == [12]
 
-    class Wavering(Registers):
+
+def test_no_item_is_named_if_each_is_answered_alone() -> None:
+    polls = Polls(singles(100), Registers(most=60))
+    _, answers = polls.strictly()
+    assert isinstance(answers[0], IllegalDataAddress)
+    assert answers[0].names == ()
+    assert not polls.holes
+
+
+def test_a_failure_while_the_item_is_searched_leaves_the_refusal() -> None:
+    class Leaving(Registers):
         def __call__(self, request: Any) -> Any:
-            is_first = (request.address, request.count) == (2, 1) and (2, 1) not in self.asked
             answer = super().__call__(request)
-            return [2] if is_first else answer
+            return answer if len(self.asked) < 3 else ModbusTimeoutError("silence")
 
-    plan, holes = singles(20), Holes()
-    holes.add(Span(H, 2, 3), IllegalDataAddress(), 0.0)
-    device = Wavering([2])
-    run = StrictRun(plan, holes, 1.0)
-    while run.requests:
-        run.take([device(each) for each in run.requests])
-    assert [type(each) for each in run.answers] == [IllegalDataAddress]
-    assert device.asked.count((2, 1)) == 2
+    polls = Polls(singles(20), Leaving([15]))
+    count, answers = polls.strictly()
+    assert count == 3
+    assert isinstance(answers[0], IllegalDataAddress)
+    assert answers[0].names == ()
 
 
 # --- any device ----------------------------------------------------------------------------------
 
 
 @given(st.data())
-def test_each_item_has_its_value_or_is_refused_in_the_end(data: st.DataObject) -> None:
+def test_each_item_has_its_value_or_is_refused(data: st.DataObject) -> None:
     items = data.draw(
         st.lists(
             st.tuples(
@@ -456,9 +513,9 @@ def test_each_item_has_its_value_or_is_refused_in_the_end(data: st.DataObject) -
     gap = data.draw(st.integers(0, 3))
     plan = Plan(items, gap=gap)
     polls = Polls(plan, Registers(missing))
-    for now in range(0, 4000, 61):
+    for now in range(30):
         count, values = polls.poll(now)
-        assert count <= 3 * len(items) + HIGHEST
+        assert count <= 3 * len(items) + 2
     for read, value in zip(plan._reads.values(), values, strict=True):
         if isinstance(value, ModbusError):
             assert missing & set(read.cells)
@@ -485,24 +542,15 @@ class Whims(Registers):
         return self._random.choice(FAILURES)() if self._random.random() < self._share else answer
 
 
-@each_case("kind", [PlanRun, StrictRun])
-def test_no_value_is_wrong_whatever_a_device_answers(kind: type[PlanRun]) -> None:
+@each_case("is_strict", [False, True])
+def test_no_value_is_wrong_whatever_a_device_answers(is_strict: bool) -> None:
     for seed in range(60):
-        device, plan, holes = Whims(seed), singles(100), Holes()
+        polls = Polls(singles(100), Whims(seed))
         for now in range(0, 2000, 100):
-            run = kind(plan, holes, now)
-            before = len(device.asked) + len(run.requests)
-            while run.requests:
-                run.take([device(each) for each in run.requests])
-            assert len(device.asked) - before <= HIGHEST
-            for answer, request in zip(run.answers, plan.requests, strict=False):
+            before = len(polls.device.asked)
+            answers = carried_out(polls.steps(now, is_strict=is_strict), polls.ask)
+            assert len(polls.device.asked) - before <= 2 * 100 + 1
+            for answer, request in zip(answers, polls.plan.requests, strict=False):
                 cells = range(request.address, request.address + request.count)  # type: ignore[attr-defined]
                 if not isinstance(answer, ModbusError):
                     assert all(got in (None, at) for got, at in zip(answer, cells, strict=True))
-
-
-def test_what_is_known_of_devices_is_bounded() -> None:
-    known = HolesByDevice()
-    for unit in range(20_000):
-        known.made(unit, str(unit))
-    assert len(list(known)) == 10_000
