@@ -83,16 +83,14 @@ def _check_device(points: RegisterMap, context: Context) -> int:
 
 def _read(plan: PointPlan, context: Context) -> tuple[dict[str, Any], int]:
     """
-    Return all values of a device, or their errors, and the number of requests without those that it
-    refuses.
+    Return all values of a device, or their errors, and how many requests a poll takes without the
+    points that it refuses.
 
     Raises:
         ModbusError: the device does not answer.
     """
-    sent: list[int] = []
 
     def ask(requests: list[Any]) -> list[Any]:
-        sent.append(len(requests))
         outcomes = context.execute_many(requests, max_in_flight=1, return_exceptions=True)
         for each in outcomes:
             if isinstance(each, ModbusError) and not isinstance(each, ExceptionResponse):
@@ -101,12 +99,9 @@ def _read(plan: PointPlan, context: Context) -> tuple[dict[str, Any], int]:
 
     context.connect()
     holes = Holes()
-    answers: list[Any] = []
-    while not sent or len(sent) > 1:  # until nothing is searched for
-        sent.clear()
-        steps = reading(plan.blocks, holes, context.now(), context.statistics.connects)
-        answers = carried_out(steps, ask)
-    return plan.results(answers, return_exceptions=True), sent[0]
+    facts = plan.blocks, holes, context.now(), context.statistics.connects
+    answers = carried_out(reading(*facts), ask)
+    return plan.results(answers, return_exceptions=True), len(next(reading(*facts), []))
 
 
 def _wrong(lines: list[str]) -> int:
