@@ -15,27 +15,35 @@ __all__ = ["scale_mistakes", "sources_of"]
 
 def scale_mistakes(points: Mapping[str, Point]) -> Iterator[tuple[str, WrongValue]]:
     """Yield the name of each point whose `scale_from` is wrong, and the error."""
+    ending: set[str] = set()  # those whose chain of sources is known to end
     for name, point in points.items():
         if point.scale_from is None:
             continue
-        if reason := _unfit(points, point):
+        if reason := _unfit(points, point.scale_from) or _circle(points, point, ending):
             yield name, WrongValue.about((name, "scale_from"), reason)
 
 
-def _unfit(points: Mapping[str, Point], point: Point) -> str:
-    source = points.get(point.scale_from or "")
+def _unfit(points: Mapping[str, Point], name: str) -> str:
+    source = points.get(name)
     if source is None:
-        return f"the map has no point {point.scale_from!r}"
+        return f"the map has no point {name!r}"
     if not has_numbers(source) or source.count > 1:
         return f"{source.name!r} must be one number"
     if not source.is_readable:
         return f"{source.name!r} cannot be read: its access is write"
-    chain = [point.name]
-    while source is not None and source.scale_from is not None:
-        chain.append(source.name)
-        if source.scale_from in chain:
-            return f"leads back to a point: {', '.join((*chain, source.scale_from))}"
-        source = points.get(source.scale_from)
+    return ""
+
+
+def _circle(points: Mapping[str, Point], point: Point, ending: set[str]) -> str:
+    """Return why the chain of sources of a point has no end; if it has, add it to `ending`."""
+    chain = {point.name: None}
+    source: Point | None = point
+    while source is not None and (name := source.scale_from) is not None and name not in ending:
+        if name in chain:
+            return f"leads back to a point: {', '.join((*chain, name))}"
+        chain[name] = None
+        source = points.get(name)
+    ending.update(chain)
     return ""
 
 
