@@ -53,7 +53,7 @@ RETRY_S = 600.0
 """Seconds after which what a device refused is tried again."""
 
 REFUSED_HALVES = 16
-"""PastRefusal halves that end a search without an answer: 14 lead to one of 125 registers."""
+"""Refused halves that end a search without an answer: 14 lead to one of 125 registers."""
 
 Result = TypeVar("Result")
 Steps = Generator[list[pdu.Request[Any]], list[Any], Result]
