@@ -12,11 +12,8 @@ from typing import Any
 
 from ..protocol.errors import IllegalFunction, ServerDeviceFailure
 from ..protocol.pdu import (
-    Diagnostics,
-    EncapsulatedTransport,
     MaskWriteRegister,
     Request,
-    SubFunction,
     decode_request,
 )
 from .access import ACCESSES, Access
@@ -24,27 +21,7 @@ from .caller import Auditor, Caller, Executed, ValueChange
 from .mapping import Mapping
 from .record_file import RecordFile
 
-__all__ = ["answer_audited", "changes_of", "is_change", "values_at"]
-
-# Diagnostics that change how a device answers, or clear what it has counted.
-CHANGING = (
-    SubFunction.RESTART_COMMUNICATIONS,
-    SubFunction.CHANGE_ASCII_DELIMITER,
-    SubFunction.FORCE_LISTEN_ONLY,
-    SubFunction.CLEAR_COUNTERS,
-    SubFunction.CLEAR_OVERRUN,
-)
-
-
-def is_change(request: Request[Any] | None) -> bool:
-    """Return True if a request changes a device; None, one that cannot be decoded, does not."""
-    if isinstance(request, Diagnostics):
-        return request.sub_function in CHANGING
-    kind = ACCESSES.get(type(request))  # type: ignore[arg-type]
-    if kind is not None:
-        return bool(kind.writes)
-    # Only its two ends know what a CANopen message does.
-    return request is not None and (request.is_write or isinstance(request, EncapsulatedTransport))
+__all__ = ["answer_audited", "changes_of", "values_at"]
 
 
 def answer_audited(
@@ -68,7 +45,7 @@ def answer_audited(
         request = decode_request(pdu)
     except Exception:
         request = None
-    changes = is_change(request)
+    changes = request is not None and request.changes
     with mapping.lock:
         found = changes_of(request, caller, mapping, files) if changes else ()
         if changes and not auditor.may_change():

@@ -70,6 +70,7 @@ class ReadFileRecords(Request[list[list[int]]]):
 
     function = 0x14
     repeatable = True
+    changes = False
     request_length: ClassVar[LengthRule] = counted(2, at=1)
     response_length: ClassVar[LengthRule] = counted(2, at=1)
     max_response: ClassVar[int] = MAX_PDU - 2
@@ -208,6 +209,7 @@ class ReadFifoQueue(Request[list[int]]):
 
     function = 0x18
     repeatable = True
+    changes = False
     request_length: ClassVar[LengthRule] = fixed(3)
     response_length: ClassVar[LengthRule] = in_c(_counted_wide, lib.COUNTED_WIDE, 3, 1)
     max_count: ClassVar[int] = 31

@@ -169,6 +169,7 @@ class ReadDeviceIdentification(_Encapsulated[IdentificationPage]):
     object_id: int = 0
 
     repeatable = True
+    changes = False
     room: ClassVar[int] = MAX_PDU - 7
 
     def __post_init__(self) -> None:

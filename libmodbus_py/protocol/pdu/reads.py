@@ -42,6 +42,7 @@ class _Read(Request[Values]):
 
     limit: ClassVar[int]
     repeatable = True
+    changes = False
     request_length: ClassVar[LengthRule] = fixed(5)
     response_length: ClassVar[LengthRule] = _COUNTED
 

@@ -24,6 +24,7 @@ class Request(Generic[Result]):
             response contains nothing new.
         repeatable: True if it may be sent again when its response was lost, because executing it
             twice has the same effect as executing it once.
+        changes: False if it changes nothing in the device, so that it may be sent beside others.
 
     Attributes:
         expects_response: True if a server answers it, unless it is a broadcast.
@@ -39,6 +40,7 @@ class Request(Generic[Result]):
     response_length: ClassVar[LengthRule]
     is_write: ClassVar[bool] = False
     repeatable: ClassVar[bool] = False
+    changes: bool = True
     expects_response: bool = True
 
     def encode(self) -> bytes:
@@ -141,6 +143,7 @@ class Bare(Request[Result]):
 
     __slots__ = ()
     repeatable = True
+    changes = False
     request_length: ClassVar[LengthRule] = fixed(1)
 
     def encode(self) -> bytes:

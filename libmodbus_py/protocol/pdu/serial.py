@@ -62,6 +62,16 @@ def _diagnostics_length(head: bytes) -> int | None:
     return 5 if head[1:3] != b"\0\0" else 0
 
 
+# Sub-functions that change how a device answers, or clear what it has counted.
+CHANGING = (
+    SubFunction.RESTART_COMMUNICATIONS,
+    SubFunction.CHANGE_ASCII_DELIMITER,
+    SubFunction.FORCE_LISTEN_ONLY,
+    SubFunction.CLEAR_COUNTERS,
+    SubFunction.CLEAR_OVERRUN,
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Diagnostics(Request[bytes]):
     """
@@ -90,6 +100,10 @@ class Diagnostics(Request[bytes]):
     @property
     def expects_response(self) -> bool:  # type: ignore[override]
         return self.sub_function != SubFunction.FORCE_LISTEN_ONLY
+
+    @property
+    def changes(self) -> bool:  # type: ignore[override]
+        return self.sub_function in CHANGING
 
     request_length: ClassVar[LengthRule] = in_c(_diagnostics_length, lib.DIAGNOSTICS)
     response_length: ClassVar[LengthRule] = request_length

@@ -157,7 +157,7 @@ class Dispatcher:
         auditor: Auditor,
     ) -> bytes | None:
         """Forward a request, and record it if it is refused at once; if not, `told` does."""
-        changes = request.may_change
+        changes = request.changes
         response: bytes | None
         if changes and not auditor.may_change():
             response = self._exception(session, frame.pdu, ServerDeviceFailure.code)
@@ -368,7 +368,7 @@ class ForwardingSession(Framed):
 
     def told(self, forwarded: Forwarded, response: bytes | None) -> None:
         self.asked.pop(forwarded, None)
-        if forwarded.request.may_change:
+        if forwarded.request.changes:
             self.record(forwarded.from_unit, forwarded.request, response or b"")
         if response is None and self.has_ids and forwarded.request.is_write:
             response = forwarded.request.response_to_broadcast()
@@ -400,7 +400,7 @@ class ForwardingSession(Framed):
 
     def _withdraw(self, forwarded: Forwarded) -> None:
         line = self.asked.pop(forwarded)
-        if forwarded.request.may_change:
+        if forwarded.request.changes:
             self.record(forwarded.from_unit, forwarded.request, b"")
         if line is None:
             forwarded.asker = None

@@ -8,7 +8,6 @@ from functools import lru_cache
 from typing import Any
 
 from ...device.access import Touched, Who, touched
-from ...device.auditing import is_change
 from ...protocol import pdu
 from ...protocol.errors import ExceptionResponse, IllegalDataValue, IllegalFunction
 
@@ -39,12 +38,12 @@ class RequestBytes(pdu.Request[bytes]):
 
     Attributes:
         is_read: True if it reads a table and does nothing else.
-        may_change: True if it may change a device, as one that cannot be decoded may.
+        changes: True if it may change a device, as one that cannot be decoded may.
     """
 
     # fmt: off
     __slots__ = (
-        "_usual", "expects_response", "function", "is_read", "is_write", "known", "may_change",
+        "_usual", "changes", "expects_response", "function", "is_read", "is_write", "known",
         "pdu", "repeatable",
     )
     # fmt: on
@@ -56,7 +55,7 @@ class RequestBytes(pdu.Request[bytes]):
         self.is_read: bool = isinstance(known, READS)
         self.is_write: bool = known is not None and known.is_write  # type: ignore[misc]
         self.repeatable: bool = known is not None and known.repeatable  # type: ignore[misc]
-        self.may_change: bool = known is None or is_change(known)
+        self.changes: bool = known is None or known.changes
         self.expects_response: bool = known is None or known.expects_response
         # Length and start of a valid response to a read: with these, any values are valid.
         self._usual: tuple[int, bytes] | None = None

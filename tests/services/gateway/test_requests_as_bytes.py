@@ -54,7 +54,7 @@ def test_a_request_of_an_unknown_function_may_do_anything_once() -> None:
     assert request.known is None
     assert (request.is_read, request.is_write, request.repeatable) == (False, False, False)
     assert request.expects_response
-    assert request.may_change
+    assert request.changes
     assert str(request) == "a request of 3 bytes"
 
 

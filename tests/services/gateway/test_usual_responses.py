@@ -93,7 +93,7 @@ def test_the_echo_of_a_write_must_be_that_of_this_write() -> None:
     ],
 )
 def test_what_may_change_a_device_is_known_before_it_is_sent(request: str, changes: bool) -> None:
-    assert request_of(bytes.fromhex(request)).may_change is changes
+    assert request_of(bytes.fromhex(request)).changes is changes
 
 
 @pytest.mark.parametrize("seed", range(5))
