@@ -71,7 +71,7 @@ BESIDE = {
 WORLD = "simulation"
 
 GROUPS = ("services", "tools")
-"""Folders of the package that hold folders only."""
+"""Folders of the package whose folders have tests of their own."""
 
 # Imported before the first fork, for they take the time of many tests.
 HEAVY = ("asyncio", "cffi", "cryptography.x509", "hypothesis", "ssl", "pytest_timeout", "xdist")
@@ -292,7 +292,7 @@ def _is_about(test: str, path: Path) -> bool:
 
 
 def _beside(path: Path) -> tuple[str, ...]:
-    depth = 3 if path.parts[1] in GROUPS else 2
+    depth = 3 if path.parts[1] in GROUPS and len(path.parts) > 3 else 2
     name = "/".join(path.parts[1:depth])
     return (*BESIDE.get(name, (name,)), WORLD)
 

@@ -117,7 +117,7 @@ TUNING: dict[str, frozenset[str]] = {
         {
             *("LARGEST_WAL", "MARGIN", "MAX_ABANDONED", "MAX_KEPT", "MAX_RECEIVED"),
             *("MAX_UNASKED", "MAX_WAITING", "MOST_ASKING", "MOST_ERRORS", "MOST_IN_MEMORY"),
-            *("MOST_COMMON", "MOST_MESSAGES", "MOST_OF_CSV", "MOST_STALE", "OVERHEAD"),
+            *("MOST_MESSAGES", "MOST_OF_CSV", "MOST_STALE", "OVERHEAD"),
             *("REMEMBERED", "ROOM_AT_MOST", "SPARE_DESCRIPTORS"),
         }
     ),
@@ -125,11 +125,8 @@ TUNING: dict[str, frozenset[str]] = {
         {
             *("COARSEST", "EXACTNESS", "FADING", "FIRST_PAUSE", "FORCED", "GATHERED", "LAST_WAIT"),
             *("LEAVING", "LONGEST_PAUSE", "LOOK", "MOST_DOUBLINGS", "MOST_TRIES", "PAUSE", "QUICK"),
-            *("RESOLUTION", "SAMPLED", "SHORTEST_COPY", "SHORTEST_TRIAL", "SLEPT"),
+            *("RESOLUTION", "SAMPLED", "SHORTEST_TRIAL", "SLEPT_S"),
         }
-    ),
-    "of averages that estimate what chance can explain": frozenset(
-        {"BY_CHANCE", "FASTER", "LEAST_LATER", "OF_LAST", "OF_USUAL", "OUTLIER", "SHARE_LATER"}
     ),
 }
 """Constants whose exact values no test should repeat, by what they are bounds of."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import re
 import select
 import socket
 import struct
@@ -29,7 +28,6 @@ __all__ = [
     "allow_all_descriptors",
     "boot_time",
     "call_in_children",
-    "has_transmission_time",
     "lock_file",
     "make_poller",
     "most_descriptors",
@@ -56,12 +54,6 @@ KEY_REJECTED: int = getattr(errno, "EKEYREJECTED", errno.EACCES)
 
 # Descriptors without a limit that this process could ask for.
 USUAL_DESCRIPTORS = 1024
-
-# The major numbers of the near ends of pseudo-terminals (the kernel's devices.txt).
-PSEUDO_TERMINALS = range(136, 144)
-
-# Their names on macOS, and on other systems.
-NAMES_OF_PSEUDO_TERMINALS = r"/dev/(ttys\d+|pts/\d+)"
 
 
 class Flag:
@@ -269,13 +261,6 @@ def reserve_descriptors(descriptor: int, highest: int) -> None:
 
 
 # --- serial ports -----------------------------------------------------------------------------
-
-
-def has_transmission_time(path: str, device: int) -> bool:
-    """Return False if bytes take no time, as between pseudo-terminals; `device`: st_rdev."""
-    if sys.platform == "linux":
-        return os.major(device) not in PSEUDO_TERMINALS
-    return re.fullmatch(NAMES_OF_PSEUDO_TERMINALS, os.path.realpath(path)) is None
 
 
 # struct termios2 and its ioctls of asm-generic/termbits.h; where they differ the

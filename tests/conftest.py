@@ -15,6 +15,7 @@ import pytest
 from hypothesis import settings
 
 from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.client.window import ONE_AT_A_TIME
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.c_programs import SOURCES, compile_c
 from tests.support.certificates import Papers, secured
@@ -60,6 +61,12 @@ def _own_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
             patch.delenv(name)
         patch.setenv("HOME", str(tmp_path_factory.mktemp("home")))
         yield
+
+
+@pytest.fixture(autouse=True)
+def _unknown_endpoints() -> None:
+    """Forget which endpoints take one request at a time: other tests use the same ports."""
+    ONE_AT_A_TIME.clear()
 
 
 @pytest.fixture

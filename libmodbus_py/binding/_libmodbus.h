@@ -233,5 +233,5 @@ typedef struct {
     int error;
 } exchange_t;
 
-int exchange(exchange_t *exchange, int descriptor, int waker, int unit, int number,
-             const uint8_t *pdu, int size, double timeout);
+int exchange(exchange_t *exchange, int descriptor, int waker, const uint8_t *adu, int size,
+             double timeout);

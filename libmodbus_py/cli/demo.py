@@ -16,7 +16,6 @@ from typing import Any
 
 from ..binding.low_level import loaded_version
 from ..client.blocking import AsciiContext, Context, RtuContext, TcpContext
-from ..client.plain_answers import KNOWN
 from ..device.device import Device
 from ..device.mapping import Mapping
 from ..protocol import pdu
@@ -150,8 +149,7 @@ def _show(line: str, example: Example, context: Context, wire: Any) -> bool:
         answer = example.show(context.execute(example.request))
     except ExceptionResponse as refusal:
         answer = f"refused: {refusal.args[0]}"
-    is_known = bytes([example.request.function]) in KNOWN
-    carrier = "C" if line != "ASCII" and is_known else "Python"
+    carrier = "Python" if line == "ASCII" else "C"
     print(f"\n  {styled(example.title, BOLD)}")
     _row("function", f"{example.request.function}, carried by {carrier}")
     _row("request", _wire_text(line, wire.sent_by("client")))

@@ -25,7 +25,7 @@ from ..protocol import pdu
 from ..protocol.checks import integer, seconds
 from ..protocol.errors import InvalidResponse, ModbusError
 from .asyncio_driver import AsyncioDriver
-from .batch import MAX_IN_FLIGHT, Batch, encoded, raised
+from .call import MAX_IN_FLIGHT, Call, Phase, encoded, raised
 from .handle import Handle
 from .options import AsyncOptions, CheckedOptions, assembled
 from .polling import AwaitedPolls, interval_of, watched
@@ -87,13 +87,9 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         endpoint = parse(url)
         settings = CheckedOptions.of(endpoint, options, max_pause=MAX_PAUSE, may_send=None)
         parts = assembled(endpoint, settings, IN_FLIGHT)
-        timeouts = settings.timeouts
-        is_paced = settings.request_spacing or settings.connect_delay
-        is_simple = endpoint.framing != "ascii" and not endpoint.is_serial
-        driver = AsyncioDriver(parts, is_simple and not is_paced and settings.may_send is None)
-        super().__init__(parts, settings, driver, timeouts)
-        self._matching = parts.matching
-        self._life = _Life(self._driver)
+        super().__init__(parts, settings, AsyncioDriver(parts))
+        self._matching = parts.connection.matching
+        self._last = _Last(self._driver)
 
     async def connect(self) -> None:
         """
@@ -104,10 +100,9 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
                 client is closed.
             RuntimeError: the client belongs to another event loop.
         """
-        batch = Batch(self.unit, [], self._timeouts)
-        await self._driver.run(batch)
-        if batch.refusal is not None:
-            raise batch.refusal
+        call = self._waiter()
+        await self._driver.run(call)
+        raised([call.outcome])
 
     async def close(self) -> None:
         """
@@ -144,14 +139,9 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         timeout: float | None = None,
         retries: int | None = None,
     ) -> Result:
-        timeouts = self._timeouts
-        if timeout is not None or retries is not None:
-            timeouts = timeouts.but(timeout, retries)
-        is_broadcast = self._has_broadcast and self._unit == 0
-        pdus = [encoded(request, "request", 0, is_broadcast)]
-        batch = Batch(self._unit, [request], timeouts, is_broadcast=is_broadcast, pdus=pdus)
-        await self._driver.run(batch)
-        result: Result = batch.outcomes[0]
+        call = self._call(request, timeout, retries)
+        await self._driver.run(call)
+        result: Result = call.outcome
         if isinstance(result, BaseException):
             raise result
         return result
@@ -181,10 +171,10 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         if type(unit) is not int or not 0 <= unit <= 255:
             unit = integer("unit", unit, 0, 255)
         is_broadcast = unit == 0 and self._has_broadcast
-        pdus = [encoded(request, "request", 0, is_broadcast)]
-        batch = Batch(unit, [request], self._timeouts, is_broadcast=is_broadcast, pdus=pdus)
-        self._driver.ask(batch, on_done)
-        return Submitted(batch, self._driver)
+        encoding = encoded(request, "request", 0, is_broadcast)
+        call = Call(unit, request, encoding, self._timeouts, is_broadcast)
+        self._driver.ask(call, on_done)
+        return Submitted(call, self._driver)
 
     @property
     def has_ids(self) -> bool:
@@ -196,24 +186,26 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         """
         The most requests that should be pending now: `max_in_flight`, or 0 for a while.
 
-        It is 0 while a request that was lost while others were pending is sent again alone.
-        Requests that are submitted meanwhile are sent after it, even if its outcome shows that
-        their unit does not answer.
+        It is 0 while a request is pending beside which nothing is sent: a write, unless
+        `max_in_flight` was given, or a request that was lost while others were pending and is sent
+        again alone. Requests that are submitted meanwhile are sent after it, even if its outcome
+        shows that their unit does not answer.
         """
-        return self._conversation.room
+        return self._connection.room
 
-    def ready_at(self, unit: int) -> float:
+    def ready_at(self, unit: int, function: int | None = None) -> float:
         """
         Return when a unit may get a request, in the time of the event loop; 0.0 if at once.
 
-        On a serial line, a unit gets no request for one `timeout` after a failure, because its
-        late response could not be told from the next one. A request that is submitted earlier
-        waits for that time, and so do all requests behind it.
+        On a serial line, a unit gets no request of the same function for one `timeout` after a
+        failure, because its late response could not be told from the next one. A request that is
+        submitted earlier waits for that time, and so do those to the same unit behind it.
 
         Args:
             unit: the unit, 0..255.
+            function: the function code, 1..127; None for all functions of the unit.
         """
-        return self._matching.ready_at(unit)
+        return self._matching.ready_at(unit, function)
 
     @overload
     async def read_many(  # type: ignore[overload-overlap]  # mappings first
@@ -313,32 +305,55 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         if not isinstance(step, Several):
             return await self.execute(step)
         batch = self._batch(step.requests, step.max_in_flight, step.return_exceptions)
-        if batch.pdus:
-            await self._driver.run(batch)
-        raised(batch.outcomes, step.returned)
-        return batch.outcomes
+        await self._driver.run(batch)
+        outcomes = batch.outcomes
+        raised(outcomes, step.returned)
+        return outcomes
 
 
 class Submitted:
     """A request that was submitted."""
 
-    __slots__ = ("_batch", "_driver")
+    __slots__ = ("_call", "_driver")
 
-    def __init__(self, batch: Batch, driver: AsyncioDriver) -> None:
-        self._batch = batch
+    def __init__(self, call: Call, driver: AsyncioDriver) -> None:
+        self._call = call
         self._driver = driver
 
     @property
     def outcome(self) -> Any:
         """Return the result, or the exception that `AsyncClient.execute` would raise."""
-        return self._batch.outcomes[0]
+        return self._call.outcome
 
     def withdraw(self) -> None:
         """Drop the request: `on_done` is not called, and a late response is ignored."""
-        self._driver.withdraw(self._batch)
+        self._driver.withdraw(self._call)
+
+    @property
+    def is_sent(self) -> bool:
+        """False while the request waits to be sent, for the first time or again."""
+        return self._call.state is not Phase.WAITING
+
+    @property
+    def is_answered(self) -> bool:
+        """True if a response was received, even if it may still turn out to be another one's."""
+        return self._call.state is Phase.ANSWERED
+
+    def send_no_more(self) -> bool:
+        """
+        Withdraw the request if it waits to be sent; else do not send it again.
+
+        Returns:
+            True if it was withdrawn.
+        """
+        self._call.is_wanted = False
+        if self.is_sent:
+            return False
+        self.withdraw()
+        return True
 
 
-class _Life:
+class _Last:
     """Exists as long as any handle; warns about a connection left open, and closes it."""
 
     def __init__(self, driver: AsyncioDriver) -> None:

@@ -1,7 +1,7 @@
 """
-The driver of asyncio clients: one reader and one timer for a conversation.
+The driver of asyncio clients: one reader and one timer for a connection.
 
-A caller owns neither a task, a timer nor the connection, but only its batch and its future.
+A caller owns neither a task, a timer nor the connection, but only its call or batch and its future.
 Cancelling the caller removes only these two.
 """
 
@@ -19,13 +19,11 @@ from time import monotonic
 from typing import Any
 
 from ..ports.forking import abandoned_in_children
-from ..ports.waiting_async import run_async
+from ..ports.waiting_async import Alarm, run_async
 from ..protocol.callbacks import finished, log_failure
 from ..protocol.errors import ModbusConnectionError
-from .alarm import Alarm
-from .batch import Batch
-from .conversation import forbidden
-from .lone_request import LoneRequest
+from .call import Batch, Call
+from .connection import forbidden
 from .options import Parts
 from .reconnecting import FORKED, State
 
@@ -34,22 +32,20 @@ __all__ = ["AsyncioDriver"]
 
 class AsyncioDriver:
     """
-    Runs the batches of one connection in an event loop.
+    Runs the requests of one connection in an event loop.
 
     Args:
         parts: the parts of the client.
-        is_short: True if requests may be sent without calling `may_send` or keeping a pace.
     """
 
-    def __init__(self, parts: Parts, is_short: bool) -> None:
+    def __init__(self, parts: Parts) -> None:
         self._port = parts.port
-        self._conversation = parts.conversation
         self._connection = parts.connection
+        self._life = parts.life
         self._endpoint = str(parts.endpoint)
         self._notices = parts.notices
-        self._lone = LoneRequest(parts, is_short)
-        # Batches that callers wait for, each with the future or function that tells its caller.
-        self._callers: dict[Batch, Future[None] | Callable[[], object]] = {}
+        # What callers wait for, each with the future or function that tells its caller.
+        self._callers: dict[Call | Batch, Future[None] | Callable[[], object]] = {}
         self._begin_anew()
         abandoned_in_children(self)
 
@@ -68,7 +64,7 @@ class AsyncioDriver:
         self._is_inside = False
         self._is_left = False
         self._is_telling = False
-        self._ended: deque[Batch] = deque()
+        self._ended: deque[Call | Batch] = deque()
         self._pauses: set[Future[None]] = set()
 
     def now(self) -> float:
@@ -104,7 +100,7 @@ class AsyncioDriver:
         return not self._is_closed()
 
     def _is_closed(self) -> bool:
-        return self._connection.state is State.CLOSED
+        return self._life.state is State.CLOSED
 
     @property
     def changing(self) -> asyncio.Lock:
@@ -114,66 +110,65 @@ class AsyncioDriver:
             self._changing = loop, asyncio.Lock()
         return self._changing[1]
 
-    async def run(self, batch: Batch) -> None:
+    async def run(self, job: Call | Batch) -> None:
         """
-        Send the requests of a batch; returns when it is settled.
+        Send requests; returns when they are over.
 
         Raises:
             RuntimeError: the client belongs to another event loop.
         """
         done = self._bind().create_future()
         try:
-            self.ask(batch, done)
-            if not batch.is_done:
+            self.ask(job, done)
+            if not job.is_done:
                 await done
         finally:
-            if not batch.is_done:
-                self.withdraw(batch)
+            if not job.is_done:
+                self.withdraw(job)
 
-    def ask(self, batch: Batch, caller: Future[None] | Callable[[], object]) -> None:
+    def ask(self, job: Call | Batch, caller: Future[None] | Callable[[], object]) -> None:
         """
-        Send the requests of a batch.
+        Send requests.
 
         Args:
-            caller: a future whose result is set, or a function that is called, once the batch is
-                settled, perhaps before this method returns. Exceptions of the function are logged.
+            caller: a future whose result is set, or a function that is called, once they are over,
+                perhaps before this method returns. Exceptions of the function are logged.
 
         Raises:
             RuntimeError: the client belongs to another event loop.
         """
         if asyncio.get_running_loop() is not self._loop:
             self._bind()
-        self._callers[batch] = caller
-        batch.on_done = self._ended.append
+        self._callers[job] = caller
+        job.on_done = self._ended.append
         try:
-            self._enter(self._add, batch)
+            self._enter(self._add, job)
         except BaseException:
-            self._callers.pop(batch, None)
+            self._callers.pop(job, None)
             raise
 
-    def _add(self, batch: Batch) -> None:
-        conversation, now = self._conversation, self._now()
-        if self._is_reading and self._lone.takes(batch):
-            self._send_alone(batch, now)
-            return
-        conversation.add(batch, now)
-        if batch.is_done:
-            return
-        if not conversation.in_flight:
+    def _add(self, job: Call | Batch) -> None:
+        connection, now = self._connection, self._now()
+        if isinstance(job, Batch):
+            connection.submit_batch(job, now)
+        else:
+            connection.submit(job, now)
+        if not connection.in_flight:
             self._turn(now)
         elif not self._is_due:  # requests of this turn of the loop are sent together
             self._is_due = True
             assert self._loop is not None
             self._loop.call_soon(self._enter, self._turn)
 
-    def withdraw(self, batch: Batch) -> None:
-        """Drop a batch; its outcome is not reported to its caller."""
-        self._callers.pop(batch, None)
-        if not batch.is_done:
-            self._enter(self._abandon, batch)
+    def withdraw(self, job: Call | Batch) -> None:
+        """Drop requests; their outcome is not reported to their caller."""
+        self._callers.pop(job, None)
+        if not job.is_done:
+            self._enter(self._abandon, job)
 
-    def _abandon(self, batch: Batch) -> None:
-        self._conversation.abandon(batch, self._now())
+    def _abandon(self, job: Call | Batch) -> None:
+        job.on_done = None
+        self._connection.withdraw(job, self._now())
         self._turn()
 
     async def close(self) -> None:
@@ -191,7 +186,7 @@ class AsyncioDriver:
 
     def forget(self) -> None:
         """Close the port after the last handle was garbage collected."""
-        if self._connection.state not in (State.CONNECTING, State.CONNECTED):
+        if self._life.state not in (State.CONNECTING, State.CONNECTED):
             self._in_loop(self._cancel_timers)
             return
         try:
@@ -216,7 +211,7 @@ class AsyncioDriver:
     def _close(self) -> None:
         closed = ModbusConnectionError("this client is closed", errno=errno.EBADF)
         self._close_port()
-        self._conversation.closed(closed, self._now())
+        self._connection.closed(closed, self._now())
         self._cancel_timers()
         for pause in self._pauses:
             _end(pause)
@@ -225,7 +220,7 @@ class AsyncioDriver:
         if self._attempt is not None and self._loop is not None and not self._loop.is_closed():
             self._attempt.cancel()
         self._close_port()
-        self._connection.close()
+        self._life.close()
         self._cancel_timers()
 
     def _cancel_timers(self) -> None:
@@ -245,12 +240,11 @@ class AsyncioDriver:
         self._callers.clear()
         self._begin_anew()
         gone = ModbusConnectionError(FORKED, errno=errno.EBADF)
-        self._lone.hand_over()
-        self._conversation.interrupted(gone, self._now())
+        self._connection.interrupted(gone, self._now())
 
     def change_timeout(self) -> None:
         """Note that some `Timeouts` were changed."""
-        self._conversation.change_timeout(self._now())
+        self._connection.change_timeout(self._now())
         if self._loop is not None:
             self._set_timer()
 
@@ -278,13 +272,7 @@ class AsyncioDriver:
             return
         self._is_inside = True
         try:
-            if self._is_left:
-                self._interrupt(None)
-            self._is_left = True
-            if self._lone.batch is not None and act not in (self._readable, self._ring):
-                self._lone.hand_over()
             act(*arguments)
-            self._is_left = False
         except BaseException as error:
             self._interrupt(error)
             raise
@@ -293,23 +281,19 @@ class AsyncioDriver:
             if self._ended or self._notices.waiting:
                 self._tell()
 
-    def _interrupt(self, cause: BaseException | None) -> None:
+    def _interrupt(self, cause: BaseException) -> None:
         """Leave the connection, because it is unknown what was sent, and end all calls."""
-        assert self._loop is not None
-        self._loop.call_soon(self._enter, self._turn)  # if this does not come to its end either
         error = ModbusConnectionError(f"interrupted: {cause!r}", errno=errno.EINTR)
         error.__cause__ = cause
-        self._lone.hand_over()
         if self._attempt is None:
             self._close_port()
         else:
             self._attempt.cancel()
-        self._conversation.interrupted(error, self._now())
-        for batch in list(self._callers):
-            batch.fail(error)
+        self._connection.interrupted(error, self._now())
+        for job in list(self._callers):
+            job.fail(error)
         self._ended.clear()
         self._ended.extend(self._callers)
-        self._is_left = False
 
     def _tell(self) -> None:
         """Call user functions, and wake callers, now that the state is consistent."""
@@ -329,16 +313,11 @@ class AsyncioDriver:
             self._is_telling = False
 
     def _tell_caller(self) -> None:
-        batch = self._ended[0]
-        caller = self._callers.get(batch)
+        caller = self._callers.pop(self._ended.popleft(), None)
         if isinstance(caller, Future):
             if not caller.done():
                 caller.set_result(None)
-            caller = None
-        # Not sooner, so that an exception in between does not lose a caller.
-        self._callers.pop(batch, None)
-        self._ended.popleft()
-        if caller is not None:
+        elif caller is not None:
             try:
                 result = caller()
                 if result is not None:
@@ -351,47 +330,27 @@ class AsyncioDriver:
     def _turn(self, now: float | None = None) -> None:
         """Send what may be sent now, and set the timer for the rest."""
         self._is_due = False
-        conversation = self._conversation
+        connection = self._connection
         if now is None:
             now = self._now()
         if self._attempt is not None and self._attempt.done():
             self._end_attempt(self._attempt)
-        if not self._connection.is_open:
+        if not self._life.is_open:
             self._seek_connection(now)
         else:
-            if not conversation.in_flight and self._port.has_input():
+            if not connection.in_flight and self._port.has_input():
                 self._read()
-            adus = conversation.start(now)
-            if adus:
-                self._send(adus, now)
-                if conversation.is_wanted:
-                    self._send(conversation.start(now), now)
-        if conversation.broken is not None:
-            self._lose(conversation.broken, by_itself=False)
+            self._send(connection.start(now), now)
+        if connection.broken is not None:
+            self._lose(connection.broken, by_itself=False)
         self._set_timer()
-
-    def _send_alone(self, batch: Batch, now: float) -> None:
-        """Send a request without the conversation, until anything but its answer happens."""
-        try:
-            until = self._lone.send(batch, now)
-        except ModbusConnectionError as error:
-            self._lone.hand_over()
-            self._lose(error)
-            return
-        if self._port.has_unsent:
-            self._lone.hand_over()
-            self._follow_port(now)
-            self._set_timer()
-        elif until < self._alarm.at:
-            assert self._loop is not None
-            self._alarm.set(until, self._loop)
 
     def _send(self, adus: list[bytes], now: float) -> None:
         if not adus:
             return
         port = self._port
         # Checked again, because user code was called since, and the process may have been stopped.
-        if self._conversation.is_guarded and not self._conversation.is_allowed():
+        if self._connection.is_guarded and not self._connection.is_allowed():
             self._lose(forbidden(), by_itself=False)
             return
         try:
@@ -404,53 +363,43 @@ class AsyncioDriver:
             self._lose(error)
 
     def _set_timer(self) -> None:
-        at = self._conversation.alarm
-        if at < self._alarm.at and self._connection.state is not State.CLOSED:
+        at = self._connection.alarm
+        if at < self._alarm.at and self._life.state is not State.CLOSED:
             assert self._loop is not None
             self._alarm.set(at, self._loop)
 
     def _ring(self) -> None:
-        """Process timeouts that are over, unless the only request in flight has time left."""
-        now, until = self._now(), self._lone.until
-        if until > now:
-            assert self._loop is not None
-            self._alarm.set(until, self._loop)
-            return
-        self._lone.hand_over()
-        self._conversation.tick(now)
-        self._conversation.settle(now)
-        self._turn()
+        """Process timeouts that are over."""
+        now = self._now()
+        self._connection.tick(now)
+        self._connection.settle(now)
+        self._turn(now)
 
     # --- reading and writing ------------------------------------------------------------------
 
     def _readable(self) -> None:
         is_wanted = self._read()
-        if is_wanted or self._conversation.broken is not None:
+        if is_wanted or self._connection.broken is not None:
             self._turn()
         else:
             self._set_timer()
 
     def _read(self) -> bool:
         """Take the received bytes; return True if requests wait to be sent."""
-        conversation, now = self._conversation, self._now()
+        connection, now = self._connection, self._now()
         try:
             chunks = self._port.receive()
         except ModbusConnectionError as error:
-            self._lone.hand_over()
             self._lose(error)
             return False
-        if self._lone.batch is not None:
-            if self._lone.take(chunks, now):
-                return False
-            self._lone.hand_over()
-        adus = conversation.start(now) if conversation.take(chunks, now) else []
+        adus = connection.start(now) if connection.take(chunks, now) else []
         if adus:  # sending also acknowledges received bytes
             self._send(adus, now)
-        elif conversation.in_flight:
+        elif connection.in_flight:
             self._port.acknowledge()
-        elif conversation.is_flooded:
+        elif connection.is_flooded:
             self._pause_reading()
-        return conversation.settle(now)
+        return connection.settle(now)
 
     def _pause_reading(self) -> None:
         """Stop reading until the next request: a flood must not keep an idle client busy."""
@@ -489,7 +438,7 @@ class AsyncioDriver:
 
     def _go_on(self) -> None:
         now = self._now()
-        if not self._conversation.is_allowed():
+        if not self._connection.is_allowed():
             self._lose(forbidden(), by_itself=False)  # drops the bytes that were not sent yet
             return
         try:
@@ -501,7 +450,7 @@ class AsyncioDriver:
 
     def _lose(self, error: ModbusConnectionError, *, by_itself: bool = True) -> None:
         self._close_port()
-        self._conversation.lost(error, self._now(), by_itself=by_itself)
+        self._connection.lost(error, self._now(), by_itself=by_itself)
         self._turn()
 
     def _close_port(self) -> None:
@@ -520,11 +469,11 @@ class AsyncioDriver:
     def _seek_connection(self, now: float) -> None:
         """Connect, now or when the next attempt is due, if a caller waits for it."""
         assert self._loop is not None
-        if not self._conversation.is_wanted or self._connection.state is not State.DISCONNECTED:
+        if not self._connection.is_wanted or self._life.state is not State.DISCONNECTED:
             return
         if self._retry is not None or self._attempt is not None:
             return
-        pause = self._connection.next_attempt - now
+        pause = self._life.next_attempt - now
         if pause > 0:
             self._retry = self._loop.call_later(pause, self._enter, self._start_attempt)
         else:
@@ -533,24 +482,24 @@ class AsyncioDriver:
     def _start_attempt(self) -> None:
         assert self._loop is not None
         self._retry = None
-        if not self._conversation.is_wanted:
+        if not self._connection.is_wanted:
             return
-        if not self._conversation.is_allowed():
-            self._conversation.refuse(forbidden())
+        if not self._connection.is_allowed():
+            self._connection.refuse(forbidden())
             return
-        self._attempt_until = self._now() + self._conversation.time_to_connect()
+        self._attempt_until = self._connection.connect_until()
         opening = self._port.opening(self._attempt_until)
         self._attempt = self._loop.create_task(run_async(opening))
         # Not in the task itself, because a task that is cancelled early never begins.
         self._attempt.add_done_callback(partial(self._enter, self._end_attempt))
-        self._connection.connecting()
+        self._life.connecting()
 
     def _end_attempt(self, attempt: asyncio.Task[None]) -> None:
         if attempt is not self._attempt:  # its end was noted before this callback was called
             return
         self._attempt = None
         failure = None if attempt.cancelled() else attempt.exception()
-        if attempt.cancelled() or self._connection.state is State.CLOSED:
+        if attempt.cancelled() or self._life.state is State.CLOSED:
             self._give_up(ModbusConnectionError("connecting was cancelled"))
         elif failure is None:
             self._begin()
@@ -569,22 +518,22 @@ class AsyncioDriver:
             self._close_port()
             self._fail(error)
         else:
-            self._conversation.opened(self._now())
+            self._connection.opened(self._now())
             self._turn()
 
     def _fail(self, error: ModbusConnectionError) -> None:
-        self._conversation.failed(error, self._now(), self._attempt_until)
-        if self._conversation.is_wanted:  # some callers have more time than the attempt had
+        self._connection.failed(error, self._now(), self._attempt_until)
+        if self._connection.is_wanted:  # some callers have more time than the attempt had
             self._turn()
         else:  # all callers have their outcome, and nothing is in flight
             self._cancel_timers()
 
     def _give_up(self, error: ModbusConnectionError) -> None:
         self._port.close()
-        if self._connection.state is State.CONNECTING:
-            self._connection.given_up()
-            self._conversation.refuse(error)
-        elif self._conversation.is_wanted:  # callers came after the attempt was cancelled
+        if self._life.state is State.CONNECTING:
+            self._life.given_up()
+            self._connection.refuse(error)
+        elif self._connection.is_wanted:  # callers came after the attempt was cancelled
             self._turn()
 
 

@@ -8,12 +8,12 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar, Unpack, overload
 
-from ..ports.schemes import DEFAULT_PORT, PARITIES, SECURE_PORT, SERIAL_OPTIONS, Scheme
+from ..ports.schemes import DEFAULT_PORT, PARITIES, SECURE_PORT, SERIAL_OPTIONS, Scheme, options_of
 from ..protocol import pdu
 from ..protocol.checks import integer, seconds
 from ..protocol.errors import InvalidResponse, ModbusError
-from .batch import MAX_IN_FLIGHT, Batch, raised
 from .blocking_driver import BlockingDriver
+from .call import MAX_IN_FLIGHT, raised
 from .handle import Handle
 from .polling import Polls, interval_of, watched
 from .procedures import ChangeRegister, Several
@@ -105,10 +105,10 @@ class Context(Handle[BlockingDriver], Blocking):
 
         settings = CheckedOptions.of(endpoint, options, native=True)
         parts = assembled(endpoint, settings, MAX_IN_FLIGHT)
-        # ASCII, echoes and pauses are for the conversation.
-        is_paced = settings.request_spacing or settings.connect_delay
-        is_plain = endpoint.framing != "ascii" and not endpoint.options.get("echo")
-        driver = BlockingDriver(parts, settings.native, is_plain and not is_paced)
+        # C reads and writes the descriptor itself, and knows no ASCII.
+        in_c = endpoint.framing != "ascii" and not endpoint.is_secure
+        is_on_libmodbus = endpoint.has_transactions or parts.port.context is not None
+        driver = BlockingDriver(parts, settings.native and in_c and is_on_libmodbus)
         super().__init__(parts, settings, driver)
 
     @staticmethod
@@ -138,10 +138,9 @@ class Context(Handle[BlockingDriver], Blocking):
             ModbusConnectionError: the connection could not be established, with errno; or the
                 client is closed.
         """
-        batch = Batch(self.unit, [], self._timeouts)
-        self._driver.run(batch)
-        if batch.refusal is not None:
-            raise batch.refusal
+        call = self._waiter()
+        self._driver.run(call)
+        raised([call.outcome])
 
     def close(self) -> None:
         """
@@ -169,11 +168,11 @@ class Context(Handle[BlockingDriver], Blocking):
         timeout: float | None = None,
         retries: int | None = None,
     ) -> Result:
-        timeouts = self._timeouts
-        if timeout is not None or retries is not None:
-            timeouts = timeouts.but(timeout, retries)
-        is_broadcast = self._has_broadcast and self._unit == 0
-        result: Result = self._driver.ask(self._unit, request, timeouts, is_broadcast)
+        call = self._call(request, timeout, retries)
+        self._driver.run(call)
+        result: Result = call.outcome
+        if isinstance(result, BaseException):
+            raise result
         return result
 
     @overload
@@ -274,10 +273,10 @@ class Context(Handle[BlockingDriver], Blocking):
         if not isinstance(step, Several):
             return self.execute(step)
         batch = self._batch(step.requests, step.max_in_flight, step.return_exceptions)
-        if batch.pdus:
-            self._driver.run(batch)
-        raised(batch.outcomes, step.returned)
-        return batch.outcomes
+        self._driver.run(batch)
+        outcomes = batch.outcomes
+        raised(outcomes, step.returned)
+        return outcomes
 
 
 class Client(Context):
@@ -413,24 +412,26 @@ class AsciiContext(Context, schemes=("ascii",)):
 
 
 def _parsed(url: str, options: UrlOptions) -> tuple[Endpoint, Mapping[str, Any]]:
-    """Return the endpoint of a URL, with the options that are of a serial port, and the others."""
+    """Return the endpoint of a URL, with the options that are of a line, and the others."""
     from dataclasses import replace
 
     from ..ports.endpoint import parse
 
     endpoint = parse(url)
-    if not endpoint.is_serial:
+    if endpoint.has_transactions:
         return endpoint, options
-    settings, others = _split(options)
+    settings, others = _split(options, options_of(endpoint.scheme))
     return replace(endpoint, options={**endpoint.options, **settings}), others
 
 
-def _split(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the options of a serial port, and those of the client."""
+def _split(
+    options: Mapping[str, Any], of_line: Mapping[str, Any] = SERIAL_OPTIONS
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the options of a line, and those of the client."""
     settings: dict[str, Any] = {}
     others: dict[str, Any] = {}
     for name, value in options.items():
-        (settings if name in SERIAL_OPTIONS else others)[name] = value
+        (settings if name in of_line else others)[name] = value
     if isinstance(parity := settings.get("parity"), str):
         settings["parity"] = PARITIES.get(parity.lower(), parity)
     return settings, others

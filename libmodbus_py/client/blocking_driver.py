@@ -1,107 +1,96 @@
 """
-The driver of blocking clients: it waits, reads and sends for a conversation.
+The driver of blocking clients: it waits, reads and sends for a connection, for any thread.
 
-It deals with threads, forks, signals and the lock. The conversation decides what is sent, and what
-received bytes mean; `shortcut` carries out single requests without the conversation.
+It deals with threads, forks, signals and the lock. The connection decides what is sent, and what
+received bytes mean. A single request is sent, and its answer awaited, by one call of C where that
+is possible (`Carrier`); what came is given to the connection as all that is received.
 """
 
 from __future__ import annotations
 
 import errno
+import os
 import threading
 import weakref
-from collections.abc import Callable
-from functools import update_wrapper
-from typing import TYPE_CHECKING, Any, TypeVar, TypeVarTuple
+from typing import TYPE_CHECKING
 
+from ..binding.library import ffi, lib
 from ..ports.forking import abandoned_in_children
-from ..ports.waiting import READ, WRITE, Woken, run
+from ..ports.port import lost
+from ..ports.waiting import LONGEST, READ, WRITE, Woken, run
 from ..protocol.errors import ModbusConnectionError
-from ..protocol.pdu import Request
-from .batch import Batch, encoded
-from .plain_answers import KNOWN
+from .call import Batch, Call
 from .reconnecting import FORKED, State
-from .shortcut import Shortcut
 
 if TYPE_CHECKING:
+    from ..ports.port import Port
     from ..ports.waiting import Waker
     from .options import Parts
-    from .timeouts import Timeouts
 
 __all__ = ["BlockingDriver"]
 
 # How long `close` waits for another thread to leave a connection that it was told to leave.
-LEAVING = 1.0
-
-Arguments = TypeVarTuple("Arguments")
-Result = TypeVar("Result")
+LEAVING_S = 1.0
 
 # Shorter waits are slept, because silences on a line are shorter than the milliseconds of poll().
-SLEPT = 0.005
+SLEPT_S = 0.005
 
 
-def _alone(
-    carry: Callable[[BlockingDriver, threading.RLock, *Arguments], Result],
-) -> Callable[[BlockingDriver, *Arguments], Result]:
+class Carrier:
     """
-    Decorate a method so that it runs while no other request is under way.
+    Sends a request, waits, and reads once, in one call of C without the GIL.
 
-    The method returns outcomes. If it raises an exception, it is unknown how far it got: the
-    connection is given up, and everything that was to be sent is dropped.
-
-    The method raises RuntimeError when it is called from within a request of the same thread.
+    Args:
+        port: a TCP connection, a UDP socket, or a serial port in RTU mode; there libmodbus sends.
     """
 
-    def method(self: BlockingDriver, /, *arguments: *Arguments) -> Result:
-        lock = self._lock
-        with lock:
-            if self._is_busy:
-                raise RuntimeError(
-                    "a request of this thread is in progress on the same connection; a signal "
-                    "handler or a callback must not send another one"
-                )
-            if self._is_left or self._closed:
-                self._tidy()
-            # From here to the end, nothing may be left undone by a Ctrl-C.
-            try:
-                self._is_busy = self._is_left = True
-                outcome = carry(self, lock, *arguments)
-                self._is_left = False
-                return outcome
-            except BaseException:
-                self._interrupt()
-                raise
-            finally:
-                self._is_busy = False
-                if self._closed:
-                    self._shut()
-                if self._notices.waiting:
-                    self._notices.give()
+    def __init__(self, port: Port) -> None:
+        self._port = port
+        self._exchange = ffi.new("exchange_t *")
+        self._answer = ffi.buffer(self._exchange.answer)
+        if port.context is not None:
+            self._exchange.context = port.context
 
-    return update_wrapper(method, carry)
+    def carry(self, adu: bytes, timeout: float, waker: int) -> bytes | None:
+        """
+        Return what came, or nothing; None if there is something to read before the request.
+
+        Args:
+            waker: a descriptor that is readable when the wait must end.
+
+        Raises:
+            ModbusConnectionError: the connection is lost.
+        """
+        exchange = self._exchange
+        wait = timeout if timeout < LONGEST else LONGEST
+        if not lib.exchange(exchange, self._port.descriptor, waker, adu, len(adu), wait):
+            return None
+        if exchange.error:
+            raise lost(OSError(exchange.error, os.strerror(exchange.error)))
+        got: bytes = self._answer[: exchange.got]
+        return got
 
 
 class BlockingDriver:
     """
-    Runs the batches of one connection, one at a time, for any thread.
+    Runs the requests of one connection, those of one caller at a time, for any thread.
 
     Args:
         parts: the parts of the client.
-        native: True if C may carry out requests for which the shortcut is allowed.
-        is_short: True if the shortcut is allowed for any request.
+        native: True if C may carry single requests.
 
     Attributes:
         waker: waits, on the clock of the port.
     """
 
-    def __init__(self, parts: Parts, native: bool, is_short: bool) -> None:
+    def __init__(self, parts: Parts, native: bool) -> None:
         self._port = parts.port
-        self._conversation = parts.conversation
         self._connection = parts.connection
+        self._life = parts.life
         self._notices = parts.notices
         self.waker = _waker(parts)
         self._now = self.waker.now
-        self._shortcut = Shortcut(parts, native, self.waker) if is_short else None
+        self._carrier = Carrier(parts.port) if native else None
         self._closed = False
         self._pauses: set[Waker] = set()
         self._start_anew()
@@ -149,56 +138,38 @@ class BlockingDriver:
         """True once `close` was called."""
         return self._closed
 
-    @_alone
-    def run(self, lock: threading.RLock, batch: Batch) -> None:
-        """Send the requests of a batch; returns when it is settled."""
-        self._conversation.add(batch, self._now())
-        self._drive(batch, lock)
-
-    def ask(self, unit: int, request: Request[Any], timeouts: Timeouts, is_broadcast: bool) -> Any:
+    def run(self, job: Call | Batch) -> None:
         """
-        Send a single request, with the shortcut if that is allowed, and return its result.
+        Send requests; return when they are over.
+
+        An exception that is not the outcome of a request, such as a KeyboardInterrupt, gives up the
+        connection and all requests on it, because it is unknown how much was done.
 
         Raises:
-            ModbusError: the outcome of the request.
-            TypeError, ValueError: nothing was sent.
+            RuntimeError: called from within a request of the same thread.
         """
-        pdu = encoded(request, "request", 0, is_broadcast)
-        if self._shortcut is None or is_broadcast or pdu[:1] not in KNOWN:
-            is_known = False
-        else:
-            is_known = request.expects_response
-        if is_known:
-            outcome = self._ask_shortly(unit, request, pdu, timeouts)
-        else:
-            batch = Batch(unit, [request], timeouts, is_broadcast=is_broadcast, pdus=[pdu])
-            self.run(batch)
-            outcome = batch.outcomes[0]
-        if isinstance(outcome, BaseException):
-            raise outcome
-        return outcome
-
-    @_alone
-    def _ask_shortly(
-        self,
-        lock: threading.RLock,
-        unit: int,
-        request: Request[Any],
-        pdu: bytes,
-        timeouts: Timeouts,
-    ) -> Any:
-        """Return the outcome of a request, with the shortcut if that is possible now."""
-        if self._shortcut is not None and self._conversation.is_plain:
-            batch, outcome = self._shortcut.ask(unit, request, pdu, timeouts, self.waker.descriptor)
-            if batch is None:
-                return outcome
-            if outcome is not None:
-                self._lose(outcome, by_itself=True)
-        else:
-            batch = Batch(unit, [request], timeouts, pdus=[pdu])
-            self._conversation.add(batch, self._now())
-        self._drive(batch, lock)
-        return batch.outcomes[0]
+        lock = self._lock
+        with lock:
+            if self._is_busy:
+                raise RuntimeError(
+                    "a request of this thread is in progress on the same connection; a signal "
+                    "handler or a callback must not send another one"
+                )
+            if self._is_left or self._closed:
+                self._tidy()
+            try:
+                self._is_busy = self._is_left = True
+                self._drive(job, lock)
+                self._is_left = False
+            except BaseException:
+                self._interrupt()
+                raise
+            finally:
+                self._is_busy = False
+                if self._closed:
+                    self._shut()
+                if self._notices.waiting:
+                    self._notices.give()
 
     def change_timeout(self) -> None:
         """Apply changed `Timeouts` to a request that is under way, perhaps in another thread."""
@@ -211,7 +182,7 @@ class BlockingDriver:
         self.waker.wake()
         for waker in tuple(self._pauses):
             waker.wake()
-        if self._lock.acquire(timeout=LEAVING):
+        if self._lock.acquire(timeout=LEAVING_S):
             try:
                 if not self._is_busy:
                     self._shut()
@@ -225,29 +196,57 @@ class BlockingDriver:
         self.waker.renew()
         self._start_anew()
         gone = ModbusConnectionError(FORKED, errno=errno.EBADF)
-        self._conversation.interrupted(gone, self._now())
+        self._connection.interrupted(gone, self._now())
         if self._closed:
             self.waker.close()
 
     def _shut(self) -> None:
         self._port.close()
         closed = ModbusConnectionError("this client is closed", errno=errno.EBADF)
-        self._conversation.closed(closed, self._now())
+        self._connection.closed(closed, self._now())
         self.waker.close()
 
-    # --- one batch ------------------------------------------------------------------------
+    def _tidy(self) -> None:
+        """Finish what remains of an earlier request, if the end of that was interrupted."""
+        if self._is_left:
+            self._interrupt()
+        if self._closed and self._life.state is not State.CLOSED:
+            self._shut()
 
-    def _drive(self, batch: Batch, lock: threading.RLock) -> None:
+    def _interrupt(self) -> None:
+        """Leave the connection, because it is unknown what was sent, and forget all requests."""
+        self._port.close()
+        interrupted = ModbusConnectionError("interrupted", errno=errno.EINTR)
+        self._connection.interrupted(interrupted, self._now())
+        self._is_left = False
+
+    # --- the requests of one caller -----------------------------------------------------------
+
+    def _drive(self, job: Call | Batch, lock: threading.RLock) -> None:
+        connection, now = self._connection, self._now()
         try:
-            while not batch.is_done:
+            carrier = None
+            if isinstance(job, Batch):
+                connection.submit_batch(job, now)
+            else:
+                connection.submit(job, now)
+                carrier = None if job.is_silent else self._carrier
+            while not job.is_done:
+                now = now or self._now()
                 if lock is not self._lock:  # a callback or a signal handler forked
-                    raise ModbusConnectionError(FORKED, errno=errno.EBADF, unit=batch.unit)
+                    raise ModbusConnectionError(FORKED, errno=errno.EBADF)
                 try:
-                    self._step(batch)
+                    if self._life.is_open:
+                        self._step(job, carrier, now)
+                    else:
+                        self._connect()
                 except Woken:
                     self._wake()
-                self._notices.give()
-            self._turn_line()
+                if self._notices.waiting:
+                    self._notices.give()
+                now = 0.0
+            if self._port.resume_at is not None:
+                self._turn_line()
         except Woken:
             self._shut()
 
@@ -261,45 +260,36 @@ class BlockingDriver:
         self.waker.clear()  # before `_closed` is read: `close` sets it, then wakes
         if self._closed:
             raise Woken
-        self._conversation.change_timeout(self._now())
+        self._connection.change_timeout(self._now())
 
-    def _tidy(self) -> None:
-        """Finish what remains of an earlier request, if the end of that was interrupted."""
-        if self._is_left:
-            self._interrupt()
-        if self._closed and self._connection.state is not State.CLOSED:
-            self._shut()
-
-    def _interrupt(self) -> None:
-        """Leave the connection, because it is unknown what was sent, and forget all requests."""
-        self._port.close()
-        if self._shortcut is not None:
-            self._shortcut.interrupt()
-        interrupted = ModbusConnectionError("interrupted", errno=errno.EINTR)
-        self._conversation.interrupted(interrupted, self._now())
-        self._is_left = False
-
-    def _step(self, batch: Batch) -> None:
-        """Connect; or send requests that may be sent, wait for bytes, and process them."""
-        conversation = self._conversation
-        now = self._now()
-        if not self._connection.is_open:
-            self._connect(batch, now)
-            return
+    def _step(self, job: Call | Batch, carrier: Carrier | None, now: float) -> None:
+        """Send requests that may be sent, wait for bytes, and process them."""
+        connection, port = self._connection, self._port
         try:
-            if not conversation.in_flight and self._port.has_input():
+            if carrier is None and not connection.in_flight and port.has_input():
                 self._look(now)
-            self._send(now)
-            if conversation.is_wanted:
-                self._send(now)
+            adus = connection.start(now)
             if self._notices.waiting:
                 self._notices.give()  # the sent frames are traced before the wait for answers
-            if not (batch.is_done or conversation.broken):
-                self._wait(now)
+            if adus and carrier is not None:
+                wait = connection.alarm - now
+                got = carrier.carry(adus[0], wait, self.waker.descriptor)
+                if got is None:
+                    connection.take_back()
+                    self._look(now)
+                elif got:
+                    now = self._now()
+                    connection.take((got,), now)
+                    connection.settle(now)
+            else:
+                if adus:
+                    port.send(adus, now)
+                if not (job.is_done or connection.broken):
+                    self._wait(now)
         except ModbusConnectionError as error:
             self._lose(error, by_itself=True)
-        if conversation.broken is not None:
-            self._lose(conversation.broken, by_itself=False)
+        if connection.broken is not None:
+            self._lose(connection.broken, by_itself=False)
 
     def _turn_line(self) -> None:
         """Finish sending, because an answer may come while RTS is set, as on a pseudo-terminal."""
@@ -308,25 +298,21 @@ class BlockingDriver:
             self.waker.sleep(max(0.0, self._port.resume_at - now))
             self._port.go_on(self._now())
 
-    def _send(self, now: float) -> None:
-        if adus := self._conversation.start(now):
-            self._port.send(adus, now)
-
     def _look(self, now: float) -> None:
         """Read bytes that no request expects, or the end of the connection, before sending."""
-        conversation = self._conversation
-        while self._port.has_input() and not conversation.broken:
-            conversation.take(self._port.receive(), now)
-            if conversation.is_flooded:
+        connection = self._connection
+        while self._port.has_input() and not connection.broken:
+            connection.take(self._port.receive(), now)
+            if connection.is_flooded:
                 self._port.discard_input()
                 return
 
     def _wait(self, now: float) -> None:
-        conversation, port = self._conversation, self._port
-        until = conversation.alarm
+        connection, port = self._connection, self._port
+        until = connection.alarm
         if port.resume_at is not None:
             until = min(until, port.resume_at)
-        if not conversation.in_flight and until - now < SLEPT:
+        if not connection.in_flight and until - now < SLEPT_S:
             self.waker.sleep(max(0.0, until - now))
         elif port.has_unsent:
             self.waker.wait(port.descriptor, READ | WRITE, until)
@@ -337,47 +323,48 @@ class BlockingDriver:
         now = self._now()
         if port.has_unsent or (port.resume_at is not None and port.resume_at <= now):
             port.go_on(now)
-        if conversation.alarm <= now:
-            conversation.tick(now)
-        conversation.settle(now)
+        if connection.alarm <= now:
+            connection.tick(now)
+        connection.settle(now)
 
     def _receive(self) -> None:
-        conversation, port = self._conversation, self._port
+        connection, port = self._connection, self._port
         now = self._now()
-        # Sent before the replies are decoded, so that the server has work meanwhile.
-        adus = conversation.start(now) if conversation.take(port.receive(), now) else []
+        # Sent before the answers are decoded, so that the server has work meanwhile.
+        adus = connection.start(now) if connection.take(port.receive(), now) else []
         if adus:  # sending also acknowledges received bytes
             port.send(adus, now)
-        elif conversation.in_flight:
+        elif connection.in_flight:
             port.acknowledge()
 
     def _lose(self, error: ModbusConnectionError, *, by_itself: bool) -> None:
         self._port.close()
-        self._conversation.lost(error, self._now(), by_itself=by_itself)
+        self._connection.lost(error, self._now(), by_itself=by_itself)
 
     # --- connecting -------------------------------------------------------------------------
 
-    def _connect(self, batch: Batch, now: float) -> None:
-        deadline = batch.wait_until
-        refusal = self._connection.refusal(now, deadline)
+    def _connect(self) -> None:
+        connection, life, now = self._connection, self._life, self._now()
+        deadline = connection.connect_until()
+        refusal = life.refusal(now, deadline)
         if refusal is not None:
-            self._conversation.refuse(refusal)
+            connection.refuse(refusal)
             return
-        if self._connection.next_attempt > now:
-            self.waker.wait(-1, READ, self._connection.next_attempt)
-        self._connection.connecting()
+        if life.next_attempt > now:
+            self.waker.wait(-1, READ, life.next_attempt)
+        life.connecting()
         self._notices.give()
         try:
             run(self._port.opening(deadline), self.waker)
         except ModbusConnectionError as error:
-            self._conversation.failed(error, self._now())
+            connection.failed(error, self._now())
         else:
             self.waker.watch(self._port.descriptor)
-            self._conversation.opened(self._now())
+            connection.opened(self._now())
         finally:
-            if self._connection.state is State.CONNECTING:
+            if life.state is State.CONNECTING:
                 self._port.close()
-                self._connection.given_up()
+                life.given_up()
 
 
 def _waker(parts: Parts) -> Waker:

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 from ..protocol import pdu
 from ..protocol.checks import integer, seconds
 from ..protocol.errors import InvalidResponse
-from .batch import MAX_IN_FLIGHT, Batch
+from .call import MAX_IN_FLIGHT, Batch, Call, encoded
 from .reconnecting import State
 
 if TYPE_CHECKING:
     from ..maps.holes import Holes, Unreadable
     from ..maps.plan import Plan
     from ..maps.register_map import RegisterMap
+    from .call import Timeouts
     from .options import CheckedOptions, Parts
     from .statistics import Statistics
-    from .timeouts import Timeouts
 
 __all__ = ["Handle"]
 
@@ -51,8 +51,8 @@ class Handle(Generic[Driving]):
         self._unit = settings.unit
         self._timeouts = timeouts or settings.timeouts
         self._endpoint = parts.endpoint
+        self._life = parts.life
         self._connection = parts.connection
-        self._conversation = parts.conversation
         self._statistics = parts.statistics
         self._has_broadcast = parts.endpoint.framing in ("rtu", "ascii")
         self._driver = driver
@@ -117,7 +117,7 @@ class Handle(Generic[Driving]):
     @property
     def state(self) -> State:
         """The state of the connection."""
-        return self._connection.state
+        return self._life.state
 
     @property
     def closed(self) -> bool:
@@ -132,7 +132,7 @@ class Handle(Generic[Driving]):
     @property
     def max_in_flight(self) -> int:
         """The most requests that may be pending together, as set or as found out by now."""
-        return self._conversation.limit
+        return self._connection.window.limit
 
     @property
     def late_answers(self) -> int:
@@ -265,6 +265,18 @@ class Handle(Generic[Driving]):
     @property
     def _is_broadcast(self) -> bool:
         return self.unit == 0 and self._has_broadcast
+
+    def _call(self, request: pdu.Request[Any], timeout: float | None, retries: int | None) -> Call:
+        """Check and encode a request."""
+        timeouts = self._timeouts.but(timeout, retries)
+        unit = self._unit
+        is_broadcast = unit == 0 and self._has_broadcast
+        encoding = encoded(request, "request", 0, is_broadcast)
+        return Call(unit, request, encoding, timeouts, is_broadcast)
+
+    def _waiter(self) -> Call:
+        """Return a call that only waits for the connection."""
+        return Call(self._unit, None, b"", self._timeouts)
 
     def _batch(
         self, requests: Iterable[pdu.Request[Any]], max_in_flight: int, go_on: bool

@@ -1,5 +1,5 @@
 """
-Likely causes of bytes that are not an answer: common mistakes, recognised by the received bytes.
+Texts of errors: that no answer came, and which mistake is likely, as the received bytes show.
 """
 
 from __future__ import annotations
@@ -8,14 +8,27 @@ import errno
 import re
 
 from ..ports.schemes import SCHEMES
+from ..protocol.errors import MAX_RECEIVED, ModbusTimeoutError, in_hex
 from ..protocol.framing import crc16
 
-__all__ = ["explain", "explain_end"]
+__all__ = ["MAX_KEPT", "explain", "explain_end", "no_answer"]
+
+MAX_KEPT = MAX_RECEIVED
+"""The most received bytes that errors contain; more bytes would not help."""
 
 PLAIN = tuple(scheme for scheme, (_, transport) in SCHEMES.items() if transport == "tcp")
 """The schemes of connections without TLS."""
 
 ASCII_FRAME = rb":[0-9A-Fa-f]{6}"
+
+
+def no_answer(timeout: float, received: bytes) -> ModbusTimeoutError:
+    """Return the error for a request that got no answer, with the bytes received instead."""
+    if received:
+        return ModbusTimeoutError(
+            f"no complete answer within {timeout:g} s, but {in_hex(received)}", received=received
+        )
+    return ModbusTimeoutError(f"no answer within {timeout:g} s")
 
 
 def explain(scheme: str, sent: bytes, received: bytes) -> str:

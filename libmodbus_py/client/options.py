@@ -17,14 +17,13 @@ from ..protocol.callbacks import checked_callback
 from ..protocol.checks import integer, seconds
 from ..protocol.close_names import unknown_option
 from ..protocol.framing import is_delimiter
-from .batch import MAX_IN_FLIGHT
-from .conversation import Conversation, Pace
-from .in_flight import InFlight
-from .matching import Matching
+from .call import MAX_IN_FLIGHT, Timeouts
+from .connection import Matching, Pace, Transactions
+from .ids import Ids
 from .notices import Notices
 from .reconnecting import OnState, Reconnecting
 from .statistics import Statistics
-from .timeouts import Timeouts
+from .window import Window
 
 if TYPE_CHECKING:  # ssl, which it needs, takes longer to import than the rest of a client
     from ..security.given import GivenContext
@@ -197,7 +196,7 @@ class CheckedOptions:
         """
         names = [field.name for field in fields(cls)]
         known = [name for name in names if name not in OF_ONE_KIND or name in usual]
-        for name in options:
+        for name in (*endpoint.client_options, *options):
             if name not in known:
                 serial = SERIAL_OPTIONS if endpoint.is_serial and "native" in usual else ()
                 raise unknown_option(name, [*known, *serial])
@@ -222,9 +221,8 @@ class Parts:
 
     endpoint: Endpoint
     port: Port
-    conversation: Conversation
-    matching: Matching
-    connection: Reconnecting
+    connection: Transactions
+    life: Reconnecting
     statistics: Statistics
     notices: Notices
 
@@ -236,7 +234,8 @@ def assembled(endpoint: Endpoint, settings: CheckedOptions, most: int) -> Parts:
     Args:
         endpoint: the endpoint to connect to.
         settings: the checked options.
-        most: the most requests in flight, unless the settings contain a number.
+        most: the most requests in flight, unless the settings contain a number; 1 where frames
+            have no transaction ids.
 
     Raises:
         TypeError, ValueError: the endpoint is wrong, or an option does not apply to it.
@@ -245,7 +244,7 @@ def assembled(endpoint: Endpoint, settings: CheckedOptions, most: int) -> Parts:
     statistics = Statistics() if settings.statistics is None else settings.statistics
     notices = Notices()
     on_state = settings.on_state and notices.delaying(settings.on_state)
-    connection = Reconnecting(str(port), settings.max_pause, statistics, on_state)
+    life = Reconnecting(str(port), settings.max_pause, statistics, on_state)
     pace = Pace(
         settings.turnaround,
         settings.request_spacing,
@@ -253,42 +252,36 @@ def assembled(endpoint: Endpoint, settings: CheckedOptions, most: int) -> Parts:
         settings.timeouts_before_reconnect,
     )
     trace = Trace(str(endpoint), settings.trace, later=notices.add)
-    limit = in_flight_limit(endpoint, settings.max_in_flight or most)
-    matching = _matching(endpoint, settings, limit, port, statistics, trace)
-    conversation = Conversation(
+    limit = (settings.max_in_flight or most) if endpoint.has_transactions else 1
+    is_given = settings.max_in_flight is not None
+    connection = Transactions(
         endpoint,
-        limit,
         pace,
-        matching,
-        connection,
+        _matching(endpoint, settings, port, statistics, trace),
+        Window(endpoint, limit, is_given, statistics),
+        life,
         statistics,
         trace,
         settings.may_send,
-        finds_out=settings.max_in_flight is None,
+        is_ordered=not is_given,
     )
-    return Parts(endpoint, port, conversation, matching, connection, statistics, notices)
-
-
-def in_flight_limit(endpoint: Endpoint, most: int) -> int:
-    """Return how many requests may be in flight: one where frames carry no transaction id."""
-    return most if endpoint.framing in ("tcp", "udp") else 1
+    return Parts(endpoint, port, connection, life, statistics, notices)
 
 
 def _matching(
     endpoint: Endpoint,
     settings: CheckedOptions,
-    limit: int,
     port: Port,
     statistics: Statistics,
     trace: Trace,
 ) -> Matching:
-    if endpoint.framing in ("tcp", "udp"):
+    if endpoint.has_transactions:
         any_unit = settings.accept_unit == "any"
-        return InFlight(endpoint, statistics, trace, limit=limit, any_unit=any_unit)
-    from .in_turn import InTurn
+        return Ids(endpoint, statistics, trace, any_unit=any_unit)
+    from .line import Line
 
     _refuse_ids(endpoint, settings)
-    return InTurn(endpoint, statistics, trace, silence=port.silence, delimiter=settings.delimiter)
+    return Line(endpoint, statistics, trace, silence=port.silence, delimiter=settings.delimiter)
 
 
 def _refuse_ids(endpoint: Endpoint, settings: CheckedOptions) -> None:

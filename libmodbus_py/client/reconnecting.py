@@ -74,6 +74,11 @@ class Reconnecting:
         self._on_state = on_state
         self.fruitless: int = 0
         self._last_failure: ModbusConnectionError | None = None
+        self._uniform: Callable[[float, float], float] | None = None
+        if max_pause:  # not at the first failure, when no descriptor may be left for an import
+            import random
+
+            self._uniform = random.uniform
 
     def refusal(self, now: float, deadline: float) -> ModbusConnectionError | None:
         """Return why there will be no connection before the deadline; None if it is not known."""
@@ -131,10 +136,10 @@ class Reconnecting:
             self._change(State.CLOSED)
 
     def _back_off(self, error: ModbusConnectionError, now: float) -> None:
-        import random  # no sooner than needed: most connections are never lost
-
         pause = min(self._max_pause, FIRST_PAUSE * 2 ** min(self.fruitless - 1, 20))
-        self.next_attempt = now + pause * random.uniform(0.8, 1.0)
+        if self._uniform is not None:
+            pause *= self._uniform(0.8, 1.0)
+        self.next_attempt = now + pause
         self._last_failure = error
 
     def _change(self, state: State, error: ModbusError | None = None) -> None:

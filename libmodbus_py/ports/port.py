@@ -25,28 +25,23 @@ class Silence:
 
     Attributes:
         over_at: the time from which frames may be sent.
-        left_at: the time when the last byte sent has left: no answer comes sooner.
-        is_timed: True if bytes take the time given by the settings; not on pseudo-terminals.
     """
 
     def __init__(self, seconds: float = 0.0, character: float = 0.0, turn: float = 0.0) -> None:
         self.seconds = seconds
         self.character = character
         self.over_at: float = 0.0
-        self.left_at: float = 0.0
-        self.is_timed: bool = True
         self._turn = turn
         self._turned_at = 0.0
 
     def heard(self, now: float) -> None:
-        """Note that a byte came; if it belongs to an answer, all bytes sent have left."""
+        """Note that a byte came."""
         self.over_at = max(now + self.seconds, self._turned_at)
 
     def sent(self, size: int, now: float) -> None:
         """Note bytes that were passed to the driver; the last one leaves later."""
         gone_at = now + size * self.character + 2 * self._turn
         self.over_at = gone_at + self.seconds
-        self.left_at = gone_at - self._turn if self.is_timed else now
         self._turned_at = gone_at if self._turn else 0.0
 
 

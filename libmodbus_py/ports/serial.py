@@ -19,7 +19,7 @@ from ..protocol.checks import integer, seconds
 from ..protocol.close_names import unknown_option
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.pauses import pause_between_frames
-from ..system import has_transmission_time, set_odd_baudrate
+from ..system import set_odd_baudrate
 from .port import Port, Silence, lost
 from .schemes import SERIAL_DEFAULTS, character_bits, parity_of
 from .waiting import Steps, of_system
@@ -195,7 +195,6 @@ class SerialPort(Port):
         if self.baudrate not in self.baudrates:
             set_odd_baudrate(self.descriptor, self.baudrate)
         self._set_direction_control()
-        self.silence.is_timed = has_transmission_time(self.device, self._number)
         self.discard_input()
 
     def _connect(self) -> bool:

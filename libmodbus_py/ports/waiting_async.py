@@ -1,5 +1,6 @@
 """
-Steps that wait, run by the event loop; separate, because blocking clients need no asyncio.
+Steps that wait, run by the event loop, and a timer; separate, because blocking clients need no
+asyncio.
 """
 
 from __future__ import annotations
@@ -8,12 +9,13 @@ import asyncio
 import errno
 import math
 import os
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 from .names import Resolve, asked, numeric
 from .waiting import READ, Ready, Steps, of_system
 
-__all__ = ["look_up", "resolve", "run_async"]
+__all__ = ["Alarm", "look_up", "resolve", "run_async"]
 
 Result = TypeVar("Result")
 
@@ -90,3 +92,37 @@ async def _ready(wanted: Ready) -> bool:
     finally:
         remove(wanted.descriptor)
     return True
+
+
+class Alarm:
+    """
+    A timer that is replaced only when an earlier time is set, because most timers are not needed.
+
+    Args:
+        ring: is called in the loop; it sets the alarm again if there is more to wait for.
+
+    Attributes:
+        at: when the alarm rings, by the clock of the loop in seconds; infinite if it is not set.
+    """
+
+    def __init__(self, ring: Callable[[], object]) -> None:
+        self.at: float = math.inf
+        self._ring = ring
+        self._timer: asyncio.TimerHandle | None = None
+
+    def set(self, at: float, loop: asyncio.AbstractEventLoop) -> None:
+        """Ring at this time, or earlier if the alarm is set for an earlier time."""
+        if at < self.at:
+            self.cancel()
+            self.at = at
+            self._timer = loop.call_at(at, self._rings)
+
+    def cancel(self) -> None:
+        """Clear the alarm; it can be set again."""
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer, self.at = None, math.inf
+
+    def _rings(self) -> None:
+        self._timer, self.at = None, math.inf
+        self._ring()

@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from functools import partial
 from types import AsyncGeneratorType, CoroutineType, GeneratorType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from .mistakes import Path, WrongType
 
-__all__ = ["checked_callback", "finished", "log_failure"]
+if TYPE_CHECKING:
+    from .logs import HarmlessLogger
+
+__all__ = ["checked_callback", "finished", "log_failure", "log_warning"]
 
 Given = TypeVar("Given")
 Result = TypeVar("Result")
@@ -75,6 +78,22 @@ def log_failure(logger: str, text: str, *args: object) -> None:
         logger: the name of the logger.
         text, args: as for `logging.Logger.exception`.
     """
-    from .logs import HarmlessLogger  # no sooner than needed: most programs log no failure
+    found = _logger(logger)
+    if found is not None:
+        found.exception(text, *args, stacklevel=2)
 
-    HarmlessLogger(logger).exception(text, *args, stacklevel=2)
+
+def log_warning(logger: str, text: str, *args: object) -> None:
+    """Log a warning; for the arguments see `log_failure`."""
+    found = _logger(logger)
+    if found is not None:
+        found.warning(text, *args, stacklevel=2)
+
+
+def _logger(name: str) -> HarmlessLogger | None:
+    """Return a logger; None if logging cannot be imported, because no descriptor is left."""
+    try:
+        from .logs import HarmlessLogger  # no sooner than needed: most programs log nothing
+    except OSError:
+        return None
+    return HarmlessLogger(name)

@@ -7,12 +7,13 @@ compared with those that were sent, in their order, and equal ones are taken out
 Equal bytes alone do not prove an echo: the response to a write is equal to its request, and a
 master may send the same write again and again. Unless a user has set whether there is an echo, it
 is found out from *telling* frames only. Such a frame can be nothing else when it comes back: the
-request of a read at a client, because its response differs; a response that is no possible request
-at a server. If a telling frame comes back whole, there is an echo; if other bytes come in its
-place, there is none. Until then other frames that come back are left in, and decide nothing: on a
-line with an echo that is not set, a server carries out its own responses to writes again and again
-until it answers a read. An echo that was found out is disbelieved at the first frame that does not
-come back. Time is no evidence: converters keep bytes for longer than some masters wait.
+request of a read, or of a write of several cells, at a client, because its response differs; a
+response that is no possible request at a server. If a telling frame comes back whole, there is an
+echo; if other bytes come in its place, there is none. Until then other frames that come back are
+left in, and decide nothing: on a line with an echo that is not set, a server carries out its own
+responses to writes again and again until it answers a read. An echo that was found out is
+disbelieved at the first frame that does not come back. Time is no evidence: converters keep bytes
+for longer than some masters wait.
 """
 
 from __future__ import annotations
@@ -37,10 +38,13 @@ class Echo:
 
     Attributes:
         is_there: True or False once it is known or set, else None.
+        has_returned: False if the last frame sent has not come back, perhaps behind much noise.
     """
 
     def __init__(self, setting: bool | None) -> None:
         self._setting = setting
+        self._held = b""
+        self.has_returned: bool = True
         self.reset()
 
     def reset(self) -> None:
@@ -48,11 +52,12 @@ class Echo:
         self.is_there: bool | None = self._setting
         self.forget()
 
-    def forget(self) -> None:
-        """Expect nothing back of what was sent, because received bytes were discarded."""
+    def forget(self) -> bytes:
+        """Expect nothing back of what was sent; return what is held back, which is discarded."""
         self._awaited: deque[bytes] = deque(maxlen=MAX_SENT)
         self._undecided: deque[bytes] = deque(maxlen=MAX_SENT)  # sent before a telling frame
-        self._held = b""
+        held, self._held = self._held, b""
+        return held
 
     @property
     def is_holding(self) -> bool:
@@ -63,6 +68,7 @@ class Echo:
         """Expect bytes back that are sent now; `is_telling` if they can be nothing else then."""
         if self.is_there is False or not adu:
             return
+        self.has_returned = False
         if self.is_there or is_telling or self._awaited:
             self._awaited.append(adu)
         elif adu not in self._undecided:
@@ -85,7 +91,7 @@ class Echo:
                 break
             if adu == self._awaited[0]:
                 self._awaited.popleft()
-                self.is_there = True
+                self.is_there = self.has_returned = True
             passed += data[:start] if self.is_there else data[:end]
             data = data[end:]
         return passed if self._held else passed + data

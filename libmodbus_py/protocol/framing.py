@@ -301,6 +301,17 @@ class TcpFramer(Framer):
         unit, pdu, transaction = _check(frame)
         return _PREFIX.pack(transaction, 0, 1 + len(pdu), unit) + pdu
 
+    def scan(self, data: bytes) -> list[Frame | FrameError]:
+        if (
+            not self.rest
+            and 8 <= (size := len(data)) <= _PREFIX.size + MAX_PDU
+            and size == _HEADER.size + (data[4] << 8 | data[5])
+            and not (data[2] or data[3])
+            and self.in_step
+        ):  # one whole frame: a third of the time
+            return [tuple.__new__(Frame, (data[6], data[7:], data[0] << 8 | data[1]))]
+        return super().scan(data)
+
     def _scan(self) -> None:
         if not self.in_step:
             self._reject("stream out of step", len(self.rest))

@@ -342,13 +342,15 @@ def test_serial_resynchronises_after_trouble(
 @pytest.mark.parametrize("scheme", ["rtu", "ascii"])
 def test_serial_late_answers_never_answer_another_request(world: World, scheme: str) -> None:
     """Each comes 50 ms after the time-out; then the unit is quiet for a time-out."""
-    delay = TIMEOUT + 0.05
+    delay = 0.0
 
     def slow(request: bytes, write: Write) -> None:
         write(answer(request, scheme), after=delay)
 
     unit = world.peer(scheme, slow)
     with world.connect(unit.url, timeout=TIMEOUT) as context:
+        assert context.read_holding_registers(76, 1) == [76]
+        delay = TIMEOUT + 0.05
         for address in range(20):
             with pytest.raises(ModbusTimeoutError):
                 context.read_holding_registers(address, 1)
@@ -362,11 +364,16 @@ def test_serial_late_answers_never_answer_another_request(world: World, scheme: 
 def test_a_late_answer_on_a_line_through_c(world: World) -> None:
     """It counts as an answer only where this process was too busy to find it late."""
 
+    delay = 0.0
+
     def slow(request: bytes, write: Write) -> None:
-        write(answer(request, "rtu"), after=0.3)
+        write(answer(request, "rtu"), after=delay)
 
     unit = world.peer("rtu", slow)
-    with world.connect(unit.url, timeout=0.2) as context:
+    with world.connect(unit.url, timeout=30) as context:
+        assert context.read_holding_registers(76, 1) == [76]
+        context.timeout = 0.2
+        delay = 0.3
         for address in range(2):
             with contextlib.suppress(ModbusTimeoutError):
                 assert context.read_holding_registers(address, 1) == [address]

@@ -8,9 +8,8 @@ import errno
 
 import pytest
 
-from libmodbus_py import FrameError, ModbusConnectionError, ModbusTimeoutError, pdu
-from libmodbus_py.client.batch import NOT_ASKED, Batch
-from libmodbus_py.client.timeouts import Timeouts
+from libmodbus_py import FrameError, ModbusConnectionError
+from libmodbus_py.client.call import NOT_ASKED, Batch
 from tests.support.cases import each_case
 from tests.support.talk import LINE, TCP, Talk, kinds, rtu, tcp
 
@@ -21,7 +20,7 @@ def test_they_are_told_nothing_any_more(url: str) -> None:
     batch = talk.batch(1)
     told: list[Batch] = []
     batch.on_done = told.append
-    talk.conversation.add(batch, talk.now)
+    talk.connection.submit_batch(batch, talk.now)
     talk.start()
     talk.cancel(batch)
     talk.wait(3)
@@ -36,7 +35,7 @@ def test_requests_that_were_not_sent_are_no_sign_of_a_dead_device() -> None:
         talk.cancel(each)
     talk.wait(1)
     batch = talk.ask(5)
-    assert talk.conversation.broken is None
+    assert talk.connection.broken is None
     talk.come(tcp(talk.sent[-1]))
     assert batch.outcomes == [[5]]
 
@@ -47,43 +46,40 @@ def test_nobody_has_a_connection_made_for_their_repetitions(url: str) -> None:
     batch = talk.ask(1)
     body = "83 06"
     talk.come(tcp(talk.sent[-1], body) if url == TCP else rtu("01 " + body))
-    assert talk.conversation.is_wanted
+    assert talk.connection.is_wanted
     talk.cancel(batch)
     assert talk.is_at_rest
 
 
 def test_who_only_waits_for_a_connection_is_told_why_there_is_none() -> None:
-    late = ModbusTimeoutError("late")
-    joining = Batch(1, [], Timeouts(1, 0, 0))
-    joining.fail(late)
-    assert joining.refusal is late
-    asking = Batch(1, [pdu.ReadCoils(0, 1)], Timeouts(1, 0, 0))
-    asking.fail(late)
-    assert (asking.refusal, asking.outcomes) == (None, [late])
-    joining = Batch(1, [], Timeouts(1, 0, 0))
-    joining.fail(KeyboardInterrupt())
-    assert joining.is_done
-    assert joining.refusal is None
+    talk = Talk(is_open=False)
+    joining, left = talk.join(), talk.join()
+    talk.connection.withdraw(left, talk.now)
+    talk.fail()
+    assert isinstance(joining.outcome, ModbusConnectionError)
+    assert joining.outcome.errno == 111
+    assert left.outcome is NOT_ASKED
+    assert talk.is_at_rest
 
 
 def test_who_is_refused_does_not_wait() -> None:
     talk = Talk()
-    talk.conversation.closed(ModbusConnectionError("closed", errno=errno.EBADF), talk.now)
+    talk.connection.closed(ModbusConnectionError("closed", errno=errno.EBADF), talk.now)
     assert talk.ask(1).is_done
     assert talk.is_at_rest
-    assert talk.conversation.alarm == float("inf")
+    assert talk.connection.alarm == float("inf")
 
 
 def test_bytes_tell_whether_others_wait_to_be_sent() -> None:
     """Then their requests go out before the answers are decoded."""
     talk = Talk(max_in_flight=2)
     batches = [talk.ask(1), talk.ask(2), talk.ask(3)]
-    assert talk.conversation.take([tcp(talk.sent[0])], talk.now)
+    assert talk.connection.take([tcp(talk.sent[0])], talk.now)
     talk.start()
     assert not batches[0].is_done
     assert len(talk.sent) == 3
-    assert not talk.conversation.take([tcp(talk.sent[1]), tcp(talk.sent[2])], talk.now)
-    assert not talk.conversation.settle(talk.now)
+    assert not talk.connection.take([tcp(talk.sent[1]), tcp(talk.sent[2])], talk.now)
+    assert not talk.connection.settle(talk.now)
     assert [each.outcomes for each in batches] == [[[1]], [[2]], [[3]]]
 
 

@@ -1,5 +1,5 @@
 """
-What is checked of a request on the short way and in the conversation: the same.
+What is checked of a request that C carries, and of others: the same.
 """
 
 from __future__ import annotations

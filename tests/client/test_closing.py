@@ -50,8 +50,8 @@ def somebody_waits(request: pytest.FixtureRequest, connect: Connect) -> Iterator
             port = stack.enter_context(refusing())
             plc = connect(url_of(port), timeout=6000, max_pause=1000)
             while plc.statistics.failed_connects < 14:  # the next pause is 800 s
-                plc._connection.connecting()
-                plc._connection.failed(ModbusConnectionError("refused"), time.monotonic())
+                plc._driver._life.connecting()
+                plc._driver._connection.failed(ModbusConnectionError("refused"), time.monotonic())
         yield plc
         plc.close()
 
@@ -60,7 +60,7 @@ def test_close_ends_what_others_wait_for(somebody_waits: Any) -> None:
     plc = somebody_waits
     with ThreadPoolExecutor(2) as pool:
         waiting = [pool.submit(plc.execute, REQUEST), pool.submit(plc.execute_many, [REQUEST] * 50)]
-        until(lambda: plc._driver._conversation.is_wanted or plc.statistics.requests)
+        until(lambda: plc._driver._connection.is_wanted or plc.statistics.requests)
         plc.close()
         for each in waiting:
             with pytest.raises(ModbusConnectionError):

@@ -46,13 +46,15 @@ def test_those_before_an_answer_are_no_answer(kind: str, scheme: str) -> None:
 @ALL
 def test_those_that_come_to_an_idle_client_change_nothing(kind: str, scheme: str) -> None:
     """Neither its connection nor the rest that a unit without an answer gets."""
-    is_silent = True
+    is_silent = False
 
     def on_request(request: bytes, write: Write) -> None:
         if not is_silent:
             write(answer(request, scheme))
 
     with UdpPeer(on_request, scheme) as peer, asking(kind, peer.url, timeout=0.1) as client:
+        assert read(client, 0) == 0
+        is_silent = True
         with pytest.raises(ModbusTimeoutError):
             read(client, 1)
         before = counted(client)

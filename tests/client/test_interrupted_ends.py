@@ -36,8 +36,8 @@ def test_the_connection_is_left_by_the_next_request(
     ):
         assert context.read_holding_registers(6, 1) == [6]
         driver = context._driver
-        Interrupted(monkeypatch, driver._shortcut, "ask")
-        Interrupted(monkeypatch, driver._conversation, "interrupted")
+        Interrupted(monkeypatch, driver, "_step")
+        Interrupted(monkeypatch, driver._connection, "interrupted")
         with pytest.raises(KeyboardInterrupt):
             context.read_holding_registers(7, 1)
         assert context.read_holding_registers(8, 1) == [8]

@@ -1,5 +1,5 @@
 """
-Lines that return each request (local echo), at a client: an echo is recognised, and never a value.
+Lines that return each request (local echo), at a client: an echo is no answer, and never a value.
 """
 
 from __future__ import annotations
@@ -9,20 +9,20 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import FrameError, IllegalDataAddress, InvalidResponse, ModbusError, pdu
-from libmodbus_py.client.local_echo import LocalEcho
-from libmodbus_py.client.statistics import Statistics
+from libmodbus_py import IllegalDataAddress, InvalidResponse, ModbusError, ModbusTimeoutError, pdu
 from tests.support.cases import each_case
 from tests.support.clients import EVERYWHERE, World, read
 from tests.support.peers import OnRequest, Write, answer
 from tests.support.talk import ASCII, LINE, Talk, ascii_frame, kinds, rtu, value
 
-# Reads whose request is a possible answer, by length: 3 bytes of coils, and 3 registers.
+# A request that is a possible answer: 3 bytes of coils.
 COILS = pdu.ReadCoils(0x0311, 24)
-BOTH = pdu.ReadWriteRegisters(0x0A00, 5, 1, (7,))
 WRITE = pdu.WriteRegister(1, 2)
+# The same length as an answer: 10 bytes of registers.
+BOTH = pdu.ReadWriteRegisters(0x0A00, 5, 1, (7,))
 
 SCHEMES = ["rtu+tcp", "rtu+udp", "ascii+tcp", "rtu", "ascii"]
+STRAYS = [b"", b"\x00", b"\xff\x00"]
 
 
 def returning(scheme: str, *, stray: bytes = b"", answers: bool = True) -> OnRequest:
@@ -36,12 +36,19 @@ def returning(scheme: str, *, stray: bytes = b"", answers: bool = True) -> OnReq
     return on_request
 
 
-def rtu_of(request: pdu.Request[Any], unit: int = 1) -> bytes:
-    return rtu((bytes([unit]) + request.encode()).hex())
+def rtu_of(request: pdu.Request[Any]) -> bytes:
+    return rtu((b"\x01" + request.encode()).hex())
+
+
+def with_setting(url: str, setting: str) -> str:
+    return f"{url}{'&' if '?' in url else '?'}{setting}" if setting else url
+
+
+# --- found out ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
-@pytest.mark.parametrize("stray", [b"", b"\x00"])
+@pytest.mark.parametrize("stray", STRAYS[:2])
 def test_an_echo_is_told_once_and_harms_no_read(
     world: World, scheme: str, stray: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -53,122 +60,92 @@ def test_an_echo_is_told_once_and_harms_no_read(
     told = [each.getMessage() for each in caplog.records if each.levelno == logging.WARNING]
     assert len(told) == 1
     assert "local echo" in told[0]
+    assert "echo=1" in told[0]
 
 
 @EVERYWHERE
-def test_no_echo_is_the_value_of_a_read(world: World) -> None:
-    """Nothing but the echo comes, of a request that is a possible answer by its length."""
+@pytest.mark.parametrize("setting", ["", "echo=1"])
+def test_no_echo_is_the_value_of_a_read(world: World, setting: str) -> None:
+    """Nothing but the echo comes, of a request that is a possible answer."""
     peer = world.peer("rtu", returning("rtu", answers=False))
-    with world.connect(peer.url, timeout=0.1) as client:
+    with world.connect(with_setting(peer.url, setting), timeout=0.1) as client:
         for request in (COILS, COILS, BOTH, COILS):
             with pytest.raises(ModbusError):
                 client.execute(request)
-        assert client.statistics.echoes == 1
 
 
-@pytest.mark.parametrize("request_", [COILS, BOTH])
-def test_the_answer_behind_such_an_echo_is_taken(request_: Any) -> None:
+def test_the_first_answer_that_is_equal_to_its_request_is_none() -> None:
+    for request in (COILS, BOTH):
+        talk = Talk(LINE, timeout=1)
+        batch = talk.ask(request)
+        talk.come(rtu_of(request))
+        assert not batch.is_done
+        talk.wait(1)
+        assert kinds(batch) == [InvalidResponse]
+        assert "echo=True or False" in str(batch.outcomes[0])
+
+
+def test_a_value_that_is_equal_to_its_request_is_taken_where_no_echo_is() -> None:
     talk = Talk(LINE, timeout=1)
-    expected: list[Any]
-    if request_ is COILS:
-        good, expected = rtu("01 01 03 010000"), [True] + [False] * 23
-    else:
-        good, expected = rtu("01 17 0A 0001 0002 0003 0004 0005"), [1, 2, 3, 4, 5]
-    for _ in range(3):
-        batch = talk.ask(request_)
-        talk.wait(0.01)
-        talk.come(talk.sent[-1], good)
-        talk.wait(0.1)
-        assert batch.outcomes == [expected]
-    assert talk.statistics.echoes == 1
+    for request, come in ((1, value(1)), (COILS, rtu_of(COILS))):
+        batch = talk.ask(request)
+        talk.come(come)
+    assert len(batch.outcomes[0]) == 24
 
 
-@pytest.mark.parametrize("stray", [b"", b"\x00", b"\xff\x00"])
-def test_the_echo_of_a_write_does_not_confirm_it(stray: bytes) -> None:
-    """Once a read has shown the echo: the unit may be dead, or refuse the write."""
-    talk = Talk(LINE, timeout=1)
-    talk.ask(5)
-    talk.come(stray + talk.sent[-1] + value(5))
-    talk.wait(0.1)
-    batch = talk.ask(WRITE)
-    talk.wait(0.01)
-    talk.come(stray + talk.sent[-1])
-    talk.wait(0.01)
-    talk.come(rtu("01 86 02"))
-    talk.wait(0.1)
-    assert str(kinds(batch)[0]).count("IllegalDataAddress")
-    batch = talk.ask(WRITE)
-    talk.come(stray + talk.sent[-1])
-    talk.wait(1)
-    assert isinstance(batch.outcomes[0], ModbusError)
+TELLING = [
+    (pdu.ReadInputRegisters(7, 1), "01 04 02 0009", [9]),
+    (pdu.WriteCoils(7, (True,)), "01 0F 0007 0001", None),
+    (pdu.WriteRegisters(7, (9,)), "01 10 0007 0001", None),
+    (pdu.ReadWriteRegisters(7, 1, 7, (9,)), "01 17 02 0009", [9]),
+]
 
 
-def test_an_echo_in_pieces() -> None:
-    talk = Talk(LINE, timeout=1)
-    for number in range(5):
-        batch = talk.ask(number)
-        data = talk.sent[-1] + value(number)
-        for at in range(len(data)):
-            talk.come(data[at : at + 1])
-            talk.wait(0.001)
-        talk.wait(0.1)
-        assert batch.outcomes == [[number]]
-
-
-def test_an_echo_that_ends_is_noticed() -> None:
-    talk = Talk(LINE, timeout=1)
-    for number in range(5):
-        batch = talk.ask(number)
-        talk.come(talk.sent[-1] * (number < 2) + value(number))
-        talk.wait(0.1)
-        assert batch.outcomes == [[number]]
-    batch = talk.ask(WRITE)
+@each_case(("request_", "body", "result"), TELLING)
+@each_case("url", [LINE, ASCII])
+def test_frames_that_can_be_no_answer_tell_of_an_echo(
+    request_: Any, body: str, result: object, url: str
+) -> None:
+    talk = Talk(url, timeout=1)
+    batch = talk.ask(request_)
     talk.come(talk.sent[-1])
     talk.wait(0.1)
-    assert batch.outcomes == [None]
+    assert not batch.is_done
+    assert talk.statistics.echoes == 1
+    talk.come(rtu(body) if url == LINE else ascii_frame(body))
+    assert batch.outcomes == [result]
 
 
-ON_PORT = "rtu:///dev/nowhere?silence=0&echo=1"
+@each_case("request_", [WRITE, pdu.WriteCoil(1, True), pdu.Diagnostics(0, b"\1\2")])
+def test_a_frame_that_may_be_its_own_answer_tells_nothing(request_: Any) -> None:
+    talk = Talk(LINE, timeout=1)
+    for _ in range(2):
+        batch = talk.ask(request_)
+        talk.come(talk.sent[-1])
+        talk.wait(0.1)
+        assert batch.is_done
+        assert not isinstance(batch.outcomes[0], Exception)
+    assert talk.statistics.echoes == 0
 
 
 def echoing(url: str = LINE) -> Talk:
-    """Return a talk that knows of an echo."""
+    """Return a talk that knows of an echo, from a read."""
     talk = Talk(url, timeout=1)
     talk.ask(5)
     talk.come(talk.sent[-1] + value(5))
-    talk.wait(0.1)
     assert talk.statistics.echoes == 1
     return talk
 
 
-@each_case("stray", [b"", b"\x00", b"\xff\x00"])
-@each_case("pause", [None, 0.01])
-def test_a_write_is_confirmed_by_what_follows_its_echo(stray: bytes, pause: float | None) -> None:
+def test_an_echo_that_ends_is_noticed() -> None:
     talk = echoing()
-    for _ in range(2):
-        batch = talk.ask(WRITE)
-        echo = stray + talk.sent[-1]
-        if pause is None:
-            talk.come(echo + talk.sent[-1])
-        else:
-            talk.come(echo)
-            talk.wait(pause)
-            assert not batch.is_done
-            talk.come(talk.sent[-1])
-        assert batch.outcomes == [None]
-        talk.wait(0.1)
-    assert talk.is_at_rest
-
-
-@each_case("url", [LINE, ON_PORT])
-def test_a_write_that_is_confirmed_tells_nothing_of_an_echo(url: str) -> None:
-    talk = Talk(url, timeout=1)
-    for _ in range(2):
-        batch = talk.ask(WRITE)
-        talk.come(talk.sent[-1])
-        assert batch.outcomes == [None]
-        talk.wait(0.1)
-    assert talk.statistics.echoes == 0
+    for number in range(5):
+        batch = talk.ask(number)
+        talk.come(value(number))
+        assert batch.outcomes == [[number]]
+    batch = talk.ask(WRITE)
+    talk.come(talk.sent[-1])
+    assert batch.outcomes == [None]
 
 
 def test_a_new_connection_may_be_without_an_echo() -> None:
@@ -191,99 +168,121 @@ def test_half_an_echo_is_not_taken_over_to_a_new_connection() -> None:
     talk.come(value(7)[:4])
     talk.wait(0.5)
     talk.come(value(7)[4:])
+    talk.wait(0.1)
     assert batch.outcomes == [[7]]
 
 
-def test_the_beginning_of_an_echo_that_silence_follows_is_that_of_an_answer() -> None:
-    """A frame of ASCII is over after a second without a character (serial line, 2.5.2.1)."""
-    talk = Talk(ASCII, timeout=9)
-    talk.ask(5)
-    talk.come(talk.sent[-1] + ascii_frame("01 03 02 0005"))
-    batch = talk.ask(6)
-    talk.come(talk.sent[-1][:5])
-    talk.wait(0.9)
-    assert not batch.is_done
-    talk.wait(0.2)
-    assert kinds(batch) == [FrameError]
+# --- found out, or set: the same ----------------------------------------------------------
 
 
-def test_an_echo_behind_much_noise_does_not_confirm_a_write() -> None:
-    talk = echoing()
+def known(is_set: bool) -> Talk:
+    return Talk(f"{LINE}&echo=1", timeout=1) if is_set else echoing()
+
+
+@each_case("stray", STRAYS)
+@each_case("is_set", [False, True])
+def test_the_echo_of_a_write_does_not_confirm_it(stray: bytes, is_set: bool) -> None:
+    """With `echo=1` this holds from the first frame: the unit may be dead, or refuse the write."""
+    talk = known(is_set)
     batch = talk.ask(WRITE)
-    talk.come(b"\xff" * 9 + talk.sent[-1])
+    talk.come(stray + talk.sent[-1])
     talk.wait(0.01)
     assert not batch.is_done
     talk.come(rtu("01 86 02"))
+    talk.wait(0.1)
     assert kinds(batch) == [IllegalDataAddress]
+    batch = talk.ask(WRITE)
+    talk.come(stray + talk.sent[-1])
+    talk.wait(1)
+    assert isinstance(batch.outcomes[0], ModbusTimeoutError)
 
 
-def test_where_the_port_drops_the_echo_what_comes_is_an_answer() -> None:
-    talk = Talk(ON_PORT, timeout=1)
+@each_case("stray", STRAYS)
+@each_case("pause", [None, 0.01])
+@each_case("is_set", [False, True])
+def test_a_write_is_confirmed_by_what_follows_its_echo(
+    stray: bytes, pause: float | None, is_set: bool
+) -> None:
+    talk = known(is_set)
+    for _ in range(2):
+        batch = talk.ask(WRITE)
+        echo = stray + talk.sent[-1]
+        if pause is None:
+            talk.come(echo + talk.sent[-1])
+        else:
+            talk.come(echo)
+            talk.wait(pause)
+            assert not batch.is_done
+            talk.come(talk.sent[-1])
+        talk.wait(0.1)
+        assert batch.outcomes == [None]
+    assert talk.statistics.late_answers == 0
+    assert talk.is_at_rest
+
+
+@each_case("is_set", [False, True])
+def test_an_echo_in_pieces(is_set: bool) -> None:
+    talk = known(is_set)
+    for number in range(5):
+        batch = talk.ask(number)
+        data = talk.sent[-1] + value(number)
+        for at in range(len(data)):
+            talk.come(data[at : at + 1])
+            talk.wait(0.001)
+        assert batch.outcomes == [[number]]
+
+
+@each_case("is_set", [False, True])
+def test_an_answer_behind_the_echo_of_a_request_that_is_a_possible_answer(is_set: bool) -> None:
+    talk = known(is_set)
+    expected = [True] + [False] * 23
+    for _ in range(2):
+        batch = talk.ask(COILS)
+        talk.come(talk.sent[-1], rtu("01 01 03 010000"))
+        assert batch.outcomes == [expected]
+
+
+# --- set ----------------------------------------------------------------------------------
+
+
+def test_an_echo_behind_much_noise_does_not_confirm_a_write() -> None:
+    talk = Talk(f"{LINE}&echo=1", timeout=1)
+    for noise in (b"\xff" * 9, b"\xff" * 300):
+        batch = talk.ask(WRITE)
+        talk.come(noise + talk.sent[-1])
+        talk.wait(0.1)
+        assert not batch.is_done
+        talk.come(rtu("01 86 02"))
+        talk.wait(0.1)
+        assert kinds(batch) == [IllegalDataAddress]
+
+
+@pytest.mark.parametrize("scheme", ["rtu", "ascii", "rtu+tcp"])
+def test_with_a_setting_nothing_is_found_out(world: World, scheme: str) -> None:
+    def writes_too(request: bytes, write: Write) -> None:
+        is_write = (request[3:5] == b"06") if scheme == "ascii" else request[1] == 6
+        write(request)
+        write(request if is_write else answer(request, scheme), after=0.01)
+
+    peer = world.peer(scheme, writes_too)
+    with world.connect(with_setting(peer.url, "echo=1"), timeout=1) as client:
+        client.write_register(1, 2)  # right from the first frame
+        assert [read(client, address) for address in range(9)] == list(range(9))
+        assert client.statistics.late_answers == 0
+        assert client.statistics.timeouts == 0
+
+
+def test_without_an_echo_that_is_set_a_write_that_comes_back_is_confirmed() -> None:
+    talk = Talk(f"{LINE}&echo=0", timeout=1)
+    for number in (1, 2):
+        batch = talk.ask(number)
+        talk.come(talk.sent[-1], value(number))
+        talk.wait(0.1)
+        assert batch.outcomes == [[number]]  # what comes back is noise
+    batch = talk.ask(WRITE)
+    talk.come(talk.sent[-1])
+    assert batch.outcomes == [None]
     batch = talk.ask(COILS)
     talk.come(rtu_of(COILS))
-    talk.wait(0.1)
     assert len(batch.outcomes[0]) == 24
     assert talk.statistics.echoes == 0
-
-
-def test_of_some_functions_an_answer_shows_whether_an_echo_came() -> None:
-    """By the application protocol, chapter 6: an answer that differs from its request."""
-    differ = {1, 2, 3, 4, 7, 11, 12, 15, 16, 17, 20, 23, 24, 43}
-    for function in range(1, 0x80):
-        echo = LocalEcho("here", Statistics(), False)
-        request = bytes([function, 0, 1, 0, 2])
-        # What is equal to the request is mostly no answer to a read; to a write it is one.
-        assert echo.may_be(request) is (function in differ - {15, 16}), function
-        assert echo.accepts(request, bytes([function, 2, 0, 1]))
-        assert echo.is_there is (False if function in differ else None), function
-
-
-def test_an_echo_is_told_once_although_the_connection_is_a_new_one(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    talk = Talk("rtu+tcp://192.0.2.1", timeout=1)
-    for number in range(3):
-        batch = talk.ask(number)
-        talk.come(talk.sent[-1] + value(number))
-        talk.wait(0.1)
-        assert batch.outcomes == [[number]]
-        talk.lose()
-        talk.open()
-    assert talk.statistics.echoes == 1
-    assert [each.levelno for each in caplog.records].count(logging.WARNING) == 1
-
-
-def test_an_answer_that_came_alone_is_accepted_unless_it_may_be_an_echo() -> None:
-    read, write = bytes.fromhex("03 006B 0001"), bytes.fromhex("06 0001 0003")
-    echo = LocalEcho("here", Statistics(), False)
-    assert not echo.accepts(COILS.encode(), COILS.encode())
-    assert echo.accepts(write, write)
-    assert echo.is_there is None  # a write that comes back may be both
-    assert echo.accepts(read, bytes.fromhex("03 02 0007"))
-    assert echo.is_there is False
-    assert echo.accepts(COILS.encode(), COILS.encode())
-
-
-def test_a_value_that_is_equal_to_its_request_is_taken_where_no_echo_is() -> None:
-    talk = Talk(LINE, timeout=1)
-    for request, come in ((1, None), (COILS, rtu_of(COILS))):
-        batch = talk.ask(request)
-        talk.come(come or value(1))
-        talk.wait(0.1)
-    assert len(batch.outcomes[0]) == 24
-
-
-def test_a_first_answer_that_is_equal_to_its_request_is_none() -> None:
-    talk = Talk(LINE, timeout=1)
-    batch = talk.ask(COILS)
-    talk.come(rtu_of(COILS))
-    talk.wait(1)
-    assert kinds(batch) == [InvalidResponse]
-    assert "echo=True" in str(batch.outcomes[0])
-
-
-def test_a_port_that_drops_the_echo_itself_tells_nothing(world: World) -> None:
-    peer = world.peer("rtu", returning("rtu", stray=b""))
-    with world.connect(f"{peer.url}&echo=1", timeout=1) as client:
-        assert [read(client, address) for address in range(30)] == list(range(30))
-        assert client.statistics.echoes == 0

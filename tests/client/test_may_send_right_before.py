@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import AsyncClient, ModbusConnectionError
-from libmodbus_py.client.conversation import Conversation
+from libmodbus_py.client.connection import Transactions
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.peers import FakeServer, UdpPeer, answering, echo
@@ -37,16 +37,16 @@ def good(request: bytes) -> list[bytes]:
 
 
 def stopped_behind(monkeypatch: pytest.MonkeyPatch, name: str, gate: StoppedAt) -> None:
-    """Stop the process as soon as a method of the conversation has returned frames."""
-    method: Callable[..., Any] = getattr(Conversation, name)
+    """Stop the process as soon as a method of the connection has returned frames."""
+    method: Callable[..., Any] = getattr(Transactions, name)
 
-    def stopping(self: Conversation, *arguments: Any) -> Any:
+    def stopping(self: Transactions, *arguments: Any) -> Any:
         found = method(self, *arguments)
         if found:
             gate.stop()
         return found
 
-    monkeypatch.setattr(Conversation, name, stopping)
+    monkeypatch.setattr(Transactions, name, stopping)
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "udp"])

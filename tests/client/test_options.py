@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, pdu
+from libmodbus_py import AsyncClient, Context, pdu
 from tests.support.clients import World
 from tests.support.peers import Write, echo
 
@@ -99,6 +99,15 @@ def test_nothing_is_sent_for_bad_arguments(world: World, ask: Any, named: str) -
             ask(plc)
         assert plc.read_holding_registers(5, 1) == [5]
         assert len(peer.requests) == 1
+
+
+def test_native_in_a_url_is_for_contexts_only() -> None:
+    url = "tcp://127.0.0.1?native=0"
+    Context.from_url(url).close()
+    with pytest.raises(TypeError, match="'native' must be one of unit, timeout"):
+        AsyncClient(url)
+    with pytest.raises(TypeError, match="'native' must be one of unit, timeout"):
+        AsyncClient("tcp://127.0.0.1", native=False)  # type: ignore[call-arg]
 
 
 @pytest.mark.parametrize("native", [None, 1, "yes"])

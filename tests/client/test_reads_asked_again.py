@@ -1,5 +1,5 @@
 """
-A request that is lost beside others is asked again; of writes only the newest.
+Which requests are asked again if they are lost beside others: those that change nothing.
 """
 
 from __future__ import annotations
@@ -7,8 +7,9 @@ from __future__ import annotations
 from typing import Any
 
 from libmodbus_py import ModbusTimeoutError, pdu
+from tests.client.test_window import grown
 from tests.support.cases import each_case
-from tests.support.talk import Talk, tcp
+from tests.support.talk import tcp
 
 READS = [
     pdu.ReadCoils(0, 1),
@@ -35,36 +36,28 @@ WRITES = [
 ]
 
 
-def lost_beside(older: Any, newer: Any, answer: str) -> tuple[Any, int]:
-    """Lose the older of two requests; return its batch, and how often it was asked again."""
-    talk = Talk(max_in_flight=None, timeout=1)
-    talk.ask(*range(7), limit=16)
-    while not talk.is_at_rest:
-        pending = talk.conversation.in_flight
-        talk.come(*[tcp(each) for each in talk.sent[len(talk.sent) - pending :]])
-    assert talk.conversation.limit >= 4
-    batch = talk.ask(older)
-    talk.ask(newer)
-    talk.come(tcp(talk.sent[-1], answer))
-    sent = len(talk.sent)
-    talk.wait(2)
-    return batch, len(talk.sent) - sent
-
-
 @each_case("request", READS, ids=repr)
-def test_a_read_is_asked_again_over_a_newer_write(request: Any) -> None:
-    _, count = lost_beside(request, pdu.WriteRegister(1, 2), "06 00 01 00 02")
-    assert count == 1
+def test_a_read_is_asked_again_alone(request: Any) -> None:
+    talk = grown()
+    sent = len(talk.sent)
+    talk.ask(request), talk.ask(1)
+    assert len(talk.sent) == sent + 2
+    talk.come(tcp(talk.sent[-1]))
+    talk.wait(0.25)
+    assert [adu[2:] for adu in talk.sent[sent + 2 :]] == [talk.sent[sent][2:]]
 
 
 @each_case("request", WRITES, ids=repr)
-def test_a_write_is_not_sent_again_over_a_newer_one(request: Any) -> None:
-    batch, count = lost_beside(request, pdu.WriteRegister(1, 2), "06 00 01 00 02")
-    assert count == 0
+def test_a_write_is_sent_beside_no_other_and_once(request: Any) -> None:
+    talk = grown()
+    sent = len(talk.sent)
+    batch = talk.ask(request)
+    other = talk.ask(1)
+    talk.wait(0.99)
+    assert len(talk.sent) == sent + 1
+    talk.wait(0.01)
     assert isinstance(batch.outcomes[0], ModbusTimeoutError)
-
-
-@each_case("request", WRITES, ids=repr)
-def test_a_write_is_sent_again_over_a_newer_read(request: Any) -> None:
-    _, count = lost_beside(request, pdu.ReadHoldingRegisters(0, 1), "03 02 00 01")
-    assert count == 1
+    assert len(talk.sent) == sent + 2
+    talk.come(tcp(talk.sent[-1]))
+    assert other.outcomes == [[1]]
+    assert talk.is_at_rest

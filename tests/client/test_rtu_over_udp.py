@@ -87,20 +87,21 @@ def test_a_late_answer_is_not_that_to_the_next_request(world: World) -> None:
     late = bytes.fromhex("01 03 02 0001 7984")
 
     def on_request(request: bytes, write: Write) -> None:
-        if len(peer.requests) == 1:
+        if len(peer.requests) == 2:
             write(late, after=0.4)
         else:
             write(ANSWER)
 
     peer = world.peer("rtu+udp", on_request)
     with world.connect(peer.url, unit=1, timeout=0.3) as client:
+        assert read(client, 0) == 555
         with world.lasting(0.3), pytest.raises(ModbusTimeoutError):
             read(client, 0)
         # A time-out of silence behind the late one.
         with world.lasting(0.1 + 0.3, more=0.005):
             assert read(client, 0) == 555
         assert client.late_answers == 1
-    assert peer.requests == [READ, READ]
+    assert peer.requests == [READ] * 3
 
 
 @EVERYWHERE

@@ -87,7 +87,7 @@ def test_a_mistake_in_a_class_is_met_by_its_caller(
                 assert isinstance(found, Mistake)
                 assert peer.requests == []
             assert client.read_holding_registers(7, 1) == [7]
-            assert client._driver._conversation.in_flight == 0
+            assert client._driver._connection.in_flight == 0
 
 
 @pytest.mark.parametrize("name", METHODS)

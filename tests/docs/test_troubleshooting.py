@@ -35,9 +35,8 @@ RTU: dict[str, Came] = {
     "bytes without a fitting CRC; only noise; baud rate, parity, A and B swapped?": (
         lambda request: bytes.fromhex("00 FE 00 FE FC")
     ),
-    "bytes without a fitting CRC; the request itself came back; echo=True?": lambda request: (
-        request
-    ),
+    "no complete answer within 0.3 s, but 11 03 00 6b 00 03 76 87; "
+    "the request itself came back; echo=True?": lambda request: request,
     "this looks like ascii://": lambda request: ascii_frame(ANSWER),
     "unit 18 answered": lambda request: rtu("12 03 06 022B 0000 0064"),
     "function 4 was answered, not 3": lambda request: rtu("11 04 06 022B 0000 0064"),

@@ -175,7 +175,7 @@ def test_what_a_mistake_kept_from_being_sent_is_not_sent_later(
         client.read_holding_registers(5, 1)
         with monkeypatch.context() as patch:
             patch.setattr(TcpPort, "has_input", lambda port: 1 / 0)
-            patch.setattr(client._driver, "_shortcut", None)
+            patch.setattr(client._driver, "_carrier", None)
             with pytest.raises(ZeroDivisionError):
                 client.read_holding_registers(6, 1)
         assert client.read_holding_registers(7, 1) == [7]

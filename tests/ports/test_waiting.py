@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import ModbusConnectionError
-from libmodbus_py.client import shortcut
+from libmodbus_py.client import blocking_driver
 from libmodbus_py.ports.names import Resolve
 from libmodbus_py.ports.sockets import TcpPort, UdpPort
 from libmodbus_py.ports.waiting import (
@@ -432,7 +432,7 @@ def test_c_waits_a_second_at_most(
             given.append(args)
             return 0
 
-    monkeypatch.setattr(shortcut, "lib", Library)
-    carrier = shortcut.NativeCarrier(TcpPort("127.0.0.1", 502, None))
-    assert carrier.carry(1, 1, b"\3\0\0\0\1", timeout, -1) == b""
+    monkeypatch.setattr(blocking_driver, "lib", Library)
+    carrier = blocking_driver.Carrier(TcpPort("127.0.0.1", 502, None))
+    assert carrier.carry(b"\3\0\0\0\1", timeout, -1) is None
     assert given[0][-1] == waited

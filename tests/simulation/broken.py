@@ -12,11 +12,12 @@ from typing import Any
 from unittest.mock import patch
 
 from libmodbus_py.client.asyncio_driver import AsyncioDriver
-from libmodbus_py.client.in_flight import InFlight
-from libmodbus_py.client.in_turn import InTurn
-from libmodbus_py.client.waiting_room import FairByHost
+from libmodbus_py.client.ids import Ids
+from libmodbus_py.client.line import Line, Pair
+from libmodbus_py.protocol.errors import InvalidResponse
 from libmodbus_py.protocol.framing import Frame
 from libmodbus_py.services.gateway.silent_units import SilentUnits, UnitState
+from libmodbus_py.services.waiting_room import FairByHost
 from libmodbus_py.services.workers.worker import Worker
 
 from .world import Options
@@ -51,33 +52,30 @@ class Break:
 @contextlib.contextmanager
 def _answers_in_any_order() -> Iterator[None]:
     """Take each answer for that to the oldest request, whatever its id says."""
-    before = InFlight.take
+    before = Ids.take
 
     def take(self: Any, data: bytes, now: float) -> Any:
         renumbered = b""
         for frame in self._framer.scan(data):
             if isinstance(frame, Frame):
-                number = next(iter(self._pending), frame.transaction)
+                number = next(iter(self.pending), frame.transaction)
                 renumbered += number.to_bytes(2, "big") + self._framer.encode(frame)[2:]
         return before(self, renumbered, now)
 
-    with patch.object(InFlight, "take", take):
+    with patch.object(Ids, "take", take):
         yield
 
 
 @contextlib.contextmanager
 def _any_unit_answers() -> Iterator[None]:
-    before = InTurn._judge
+    before = Line._judge
 
-    def judge(self: Any, found: list[Any], now: float) -> None:
-        asked = self._pending
-        changed = [
-            each._replace(unit=asked.batch.unit) if isinstance(each, Frame) and asked else each
-            for each in found
-        ]
-        before(self, changed, now)
+    def judge(self: Any, found: Any, now: float) -> None:
+        asked = self._call
+        is_answer = isinstance(found, Frame) and asked is not None
+        before(self, found._replace(unit=asked.unit) if is_answer else found, now)
 
-    with patch.object(InTurn, "_judge", judge):
+    with patch.object(Line, "_judge", judge):
         yield
 
 
@@ -94,9 +92,11 @@ def _only_one_queue() -> Iterator[None]:
         yield
 
 
-def _end_at_once(matching: Any, pending: Any, frame: Frame) -> None:
-    """Take a frame of another function for the answer, which it is not."""
-    matching._end(pending, frame.pdu, pending.sent)
+def _end_at_once(line: Any, unit: int, function: int, call: Any, now: float) -> None:
+    """Take a frame of another function for the end of the wait, and doubt nothing."""
+    if call is not None:
+        call.reply = InvalidResponse(f"function {function} was answered")
+        line._end(call)
 
 
 def _nothing(*_: Any, **__: Any) -> None:
@@ -108,7 +108,7 @@ BREAKS: tuple[Break, ...] = (
     Break(
         "a line is silent before a unit is asked again",
         ("line", "rtu+tcp", "blocking"),
-        lambda: patch.object(InTurn, "_doubt", _nothing),
+        lambda: patch.object(Pair, "doubt", _nothing),
     ),
     Break(
         "an answer is of the unit that was asked",
@@ -119,7 +119,7 @@ BREAKS: tuple[Break, ...] = (
     Break(
         "a frame of another function is not an answer",
         ("line",),
-        lambda: patch.object(InTurn, "_note_other_function", _end_at_once),
+        lambda: patch.object(Line, "_note_other", _end_at_once),
         ("late", "other_function"),
     ),
     Break(

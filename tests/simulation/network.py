@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 from unittest.mock import patch
 
 from libmodbus_py.client import options as client_options
-from libmodbus_py.client.shortcut import Shortcut
+from libmodbus_py.client.blocking_driver import BlockingDriver
 from libmodbus_py.ports import tls
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.ports.port import Port
@@ -212,7 +212,7 @@ class Network:
             patch.object(serial_server, "SerialPort", self._serial),
             patch.object(gateway, "check_line", _any_line),
             # C knows no sockets in memory.
-            patch.object(Shortcut, "__init__", _in_python(Shortcut.__init__)),
+            patch.object(BlockingDriver, "__init__", _in_python(BlockingDriver.__init__)),
             # The phases of polls come of the time of day.
             patch.object(fleet, "time", SimpleNamespace(time=self.time_of_day)),
             patch.object(tls, "time", SimpleNamespace(monotonic=lambda: self.events.now)),
@@ -336,9 +336,9 @@ def _any_line(*_: object) -> None:
 
 
 def _in_python(make: Callable[..., None]) -> Callable[..., None]:
-    """Return the constructor of `Shortcut` for clients that are all of Python."""
+    """Return the constructor of `BlockingDriver` for clients that are all of Python."""
 
-    def made(self: Shortcut, parts: Any, native: bool, waker: Any) -> None:
-        make(self, parts, False, waker)
+    def made(self: BlockingDriver, parts: Any, native: bool) -> None:
+        make(self, parts, False)
 
     return made

@@ -1,5 +1,5 @@
 """
-A conversation driven by a list of times and bytes: no socket, no port, no sleep.
+A connection driven by a list of times and bytes: no socket, no port, no sleep.
 
 The check bytes of answers are computed here, from the specification, and not by the package.
 """
@@ -13,9 +13,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from libmodbus_py import ModbusConnectionError, pdu
-from libmodbus_py.client.batch import Batch
+from libmodbus_py.client.call import Batch, Call, Timeouts
 from libmodbus_py.client.options import CheckedOptions, assembled
-from libmodbus_py.client.timeouts import Timeouts
 from libmodbus_py.ports.endpoint import parse
 
 TCP = "tcp://192.0.2.1"
@@ -30,8 +29,7 @@ class Talk:
     What a driver does, with a clock that the test moves.
 
     Args:
-        url: whose conversation; nothing is opened.
-        is_timed: whether bytes take the time on a line that its settings say.
+        url: whose connection; nothing is opened.
         options: of the client; 16 may be in flight where frames carry ids.
 
     Attributes:
@@ -39,18 +37,15 @@ class Talk:
         sent: all ADUs that went out, oldest first, and `times` when.
     """
 
-    def __init__(
-        self, url: str = TCP, *, is_open: bool = True, is_timed: bool = False, **options: Any
-    ) -> None:
+    def __init__(self, url: str = TCP, *, is_open: bool = True, **options: Any) -> None:
         endpoint = parse(url)
         most = 16 if endpoint.framing in ("tcp", "udp") else None
         given = {"max_in_flight": most, **options}
         self.settings = CheckedOptions.of(endpoint, given, may_send=None)
         parts = assembled(endpoint, self.settings, 16)
-        parts.port.silence.is_timed = is_timed
-        self.conversation = parts.conversation
-        self.matching: Any = parts.matching
         self.connection = parts.connection
+        self.matching: Any = parts.connection.matching
+        self.life = parts.life
         self.statistics = parts.statistics
         self.notices = parts.notices
         self.timeouts = self.settings.timeouts
@@ -61,29 +56,36 @@ class Talk:
             self.open()
 
     def open(self) -> None:
-        self.connection.connecting()
-        self.conversation.opened(self.now)
+        self.life.connecting()
+        self.connection.opened(self.now)
         self.start()
 
     def fail(self) -> None:
         """An attempt to connect."""
-        self.connection.connecting()
-        self.conversation.failed(ModbusConnectionError("refused", errno=111), self.now)
+        self.life.connecting()
+        self.connection.failed(ModbusConnectionError("refused", errno=111), self.now)
 
     def lose(self, error: ModbusConnectionError = LOST, *, by_itself: bool = True) -> None:
-        self.conversation.lost(error, self.now, by_itself=by_itself)
+        self.connection.lost(error, self.now, by_itself=by_itself)
 
     def leave_broken(self) -> None:
-        """As the drivers do when the conversation wants another connection."""
-        assert self.conversation.broken is not None
-        self.lose(self.conversation.broken, by_itself=False)
+        """As the drivers do when the connection wants another connection."""
+        assert self.connection.broken is not None
+        self.lose(self.connection.broken, by_itself=False)
 
     def ask(self, *requests: Any, unit: int = 1, limit: int = 1, **options: Any) -> Batch:
         """Send requests; a number stands for a read of the register at this address."""
         batch = self.batch(*requests, unit=unit, limit=limit, **options)
-        self.conversation.add(batch, self.now)
+        self.connection.submit_batch(batch, self.now)
         self.start()
         return batch
+
+    def join(self, **timeouts: Any) -> Call:
+        """Wait for the connection only."""
+        call = Call(1, None, b"", self.timeouts.but(timeouts.get("timeout"), None))
+        self.connection.submit(call, self.now)
+        self.start()
+        return call
 
     def batch(
         self,
@@ -110,31 +112,31 @@ class Talk:
         )
 
     def cancel(self, batch: Batch) -> None:
-        self.conversation.abandon(batch, self.now)
+        self.connection.withdraw(batch, self.now)
         self.start()
 
     def start(self) -> None:
-        while adus := self.conversation.start(self.now):
+        while adus := self.connection.start(self.now):
             self.sent += adus
             self.times += [self.now] * len(adus)
         self.notices.give()
 
     def come(self, *pieces: bytes) -> None:
         for piece in pieces:
-            self.conversation.take([piece], self.now)
+            self.connection.take([piece], self.now)
             self.start()
-            self.conversation.settle(self.now)
+            self.connection.settle(self.now)
             self.start()
 
     def wait(self, seconds: float) -> None:
         """Let time pass, and ring at every alarm on the way; one that never stops is a fault."""
         end, rung = round(self.now + seconds, 9), 0
-        while (at := self.conversation.alarm) <= end + 1e-9:
+        while (at := self.connection.alarm) <= end + 1e-9:
             rung = rung + 1 if at <= self.now else 0
             assert rung < 10, "the alarm rings for ever"
             self.now = max(self.now, at)
-            self.conversation.tick(self.now)
-            self.conversation.settle(self.now)
+            self.connection.tick(self.now)
+            self.connection.settle(self.now)
             self.start()
         self.now = max(self.now, end)
 
@@ -155,8 +157,8 @@ class Talk:
     @property
     def is_at_rest(self) -> bool:
         """True if nothing is left of all that was asked."""
-        conversation = self.conversation
-        return not conversation.in_flight and not conversation.is_wanted
+        connection = self.connection
+        return not connection.in_flight and not connection.is_wanted
 
 
 def read(address: int) -> pdu.ReadHoldingRegisters:
@@ -212,4 +214,4 @@ def kinds(batch: Batch) -> list[Any]:
 
 def is_quiet(talk: Talk) -> bool:
     """Return True if the clock need not ring any more."""
-    return talk.conversation.alarm == math.inf
+    return talk.connection.alarm == math.inf

@@ -10,12 +10,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from ...client.alarm import Alarm
 from ...client.asynchronous import AsyncClient
 from ...client.reconnecting import State
-from ...client.waiting_room import FirstCome, WaitingRoom
 from ...ports.endpoint import Endpoint
+from ...ports.waiting_async import Alarm
 from ...protocol.errors import ModbusConnectionError, ModbusError, ModbusTimeoutError
+from ..waiting_room import FirstCome, WaitingRoom
 from .poller import DeviceState, Poller
 from .statistics import FleetStatistics
 
@@ -63,7 +63,7 @@ class FleetLine:
             lambda: client.room,
             self._queue,
             timeout=lambda poller: self.client_of(poller).timeout,
-            ready_at=None if self.client.has_ids else self.client.ready_at,
+            ready_at=None if client.has_ids else self._ready_at,
             most_trials=1,
         )
         self._statistics = statistics
@@ -165,8 +165,12 @@ class FleetLine:
             poller.config.unit, poller.next_request, partial(self._note_done, poller)
         )
 
+    def _ready_at(self, poller: Poller) -> float:
+        return self.client.ready_at(poller.unit, poller.next_request.function)
+
     def _make_way(self, poller: Poller) -> None:
-        if poller in self._done:
+        assert poller.submitted is not None
+        if poller.submitted.is_answered or poller in self._done:
             return
         self._withdraw(poller)
         self._conclude(poller, ModbusTimeoutError("no answer while others waited"))

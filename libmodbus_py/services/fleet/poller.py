@@ -9,13 +9,13 @@ from enum import Enum
 from typing import Any
 
 from ...client.asynchronous import Submitted
-from ...client.waiting_room import rest_after
 from ...maps.holes import Holes, PartialAnswer, Steps, Unreadable, is_refusal, reading
 from ...maps.pace import PointIntervals
 from ...maps.plan import unreadable_of
 from ...maps.register_map import PointPlan
 from ...maps.totals import Totals
 from ...protocol.errors import ModbusError
+from ..waiting_room import rest_after
 from .config import DeviceConfig
 from .readings import Changes, Reading, is_down, judged
 

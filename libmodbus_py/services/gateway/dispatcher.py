@@ -275,16 +275,25 @@ class Broadcast:
         self._session = session
         self._request = request
         self._whole = Forwarded(session, frame.transaction, 0, 0, request, since)
+        self._parts: dict[Forwarded, GatewayLine] = {}
         self._left = 0
         self._has_failed = False
 
     def ask(self, lines: list[GatewayLine]) -> None:
         self._left = len(lines)
-        self._session.asked[self._whole] = None
+        self._session.asked[self._whole] = self
         for line in lines:
             part = Forwarded(self, 0, 0, 0, self._request, self._whole.waits_since)
+            self._parts[part] = line
             if line.put(part):
                 self.told(part, b"\x80")
+
+    def drop(self, forwarded: Forwarded) -> None:
+        """Take no response; and send no more, if the client waited for it to be sent."""
+        forwarded.asker = None
+        if self._session.has_ids:
+            for part, line in self._parts.items():
+                line.drop(part)
 
     def told(self, forwarded: Forwarded, response: bytes | None) -> None:
         self._left -= 1
@@ -310,7 +319,7 @@ class ForwardingSession(Framed):
     earlier response is dropped, because the client would take it for the response to the new one.
 
     Attributes:
-        asked: the unanswered requests, and the lines that they were sent to; None for all lines.
+        asked: the unanswered requests, and what drops them: their lines, or their broadcasts.
     """
 
     def __init__(
@@ -341,7 +350,7 @@ class ForwardingSession(Framed):
         self.has_ids: bool = endpoint.has_transactions
         self.is_line: bool = endpoint.is_serial
         self._dispatcher = dispatcher
-        self.asked: dict[Forwarded, GatewayLine | None] = {}
+        self.asked: dict[Forwarded, GatewayLine | Broadcast] = {}
         self._owed = self.asked
 
     def caller(self, unit: int) -> Caller:
@@ -381,7 +390,7 @@ class ForwardingSession(Framed):
     def end(self) -> None:
         """Withdraw requests that wait, because the client is gone."""
         super().end()
-        for forwarded in [each for each in self.asked if each.submitted is None]:
+        for forwarded in [each for each in self.asked if not each.is_sent]:
             self._withdraw(forwarded)
 
     def close(self) -> None:
@@ -399,10 +408,7 @@ class ForwardingSession(Framed):
             self._withdraw(forwarded)
 
     def _withdraw(self, forwarded: Forwarded) -> None:
-        line = self.asked.pop(forwarded)
+        place = self.asked.pop(forwarded)
         if forwarded.request.changes:
             self.record(forwarded.from_unit, forwarded.request, b"")
-        if line is None:
-            forwarded.asker = None
-        else:
-            line.drop(forwarded)
+        place.drop(forwarded)

@@ -10,12 +10,11 @@ from collections.abc import Hashable
 from functools import partial
 from typing import Any, Protocol
 
-from ...client.alarm import Alarm
 from ...client.asynchronous import AsyncClient, Submitted
 from ...client.reconnecting import State
-from ...client.waiting_room import FairByHost, Precedence, WaitingRoom
 from ...ports.endpoint import Endpoint
 from ...ports.outage import Outage
+from ...ports.waiting_async import Alarm
 from ...protocol.errors import (
     ExceptionResponse,
     FrameError,
@@ -28,6 +27,7 @@ from ...protocol.errors import (
     ServerDeviceFailure,
 )
 from ...protocol.logs import HarmlessLogger
+from ..waiting_room import FairByHost, Precedence, WaitingRoom
 from .cache import Cache
 from .options import GatewayOptions
 from .raw_request import RequestBytes
@@ -122,6 +122,12 @@ class Forwarded:
         """True if a client waits for the response."""
         return any(each.asker is not None for each in (self, *self.others))
 
+    @property
+    def is_sent(self) -> bool:
+        """False while it, or the equal request in its place, waits to be sent."""
+        submitted = (self.first or self).submitted
+        return submitted is not None and submitted.is_sent
+
     def tell(self, response: bytes | None) -> int:
         """Pass the response to all that wait for it; return how many do not wait any more."""
         told = 0
@@ -163,7 +169,7 @@ class GatewayLine:
             lambda: client.room,
             Precedence(queues, _reads_last) if options.writes_first else queues[0],
             timeout=lambda each: self._client.timeout,
-            ready_at=self._client.ready_at if self.has_broadcast else None,
+            ready_at=self._ready_at if self.has_broadcast else None,
         )
         self._silent = SilentUnits(FIRST_REST * self._client.timeout)
         self._cache = Cache()
@@ -217,17 +223,22 @@ class GatewayLine:
         return 0
 
     def drop(self, each: Forwarded) -> None:
-        """Drop the request of a client that is gone, unless it was sent or others wait for it."""
+        """Do not send the request of a client that is gone, unless others wait for it."""
         each.asker = None
         each = each.first or each
-        if each.submitted is not None or each.is_wanted:
+        if each.is_wanted:
             return
-        if not self._room.remove(each):
+        if each.submitted is not None:
+            if not each.submitted.send_no_more():
+                return
+            self._end(each)
+            self._go_on_soon()
+        elif not self._room.remove(each):
             return
+        elif not each.is_trial:
+            self._leave(each)
         if each.is_trial:
             self._silent.cancel_trial(each.unit, each.request.function, self._loop.time())
-        else:
-            self._leave(each)
 
     async def close(self) -> None:
         """Close the connection for good, and refuse all requests that wait."""
@@ -292,15 +303,18 @@ class GatewayLine:
         )
 
     def _note_done(self, each: Forwarded) -> None:
+        self._go_on_soon()
+        self._done.append(each)
+
+    def _go_on_soon(self) -> None:
         if not self._done:
             self._loop.call_soon(self._finish)
-        self._done.append(each)
 
     def _make_way(self, each: Forwarded, now: float) -> None:
         """End a trial of a silent unit, because other requests waited for long enough."""
-        if each in self._done:
-            return
         assert each.submitted is not None
+        if each.submitted.is_answered or each in self._done:
+            return
         each.submitted.withdraw()
         self._end(each)
         self._note_silence(each, now)
@@ -372,6 +386,9 @@ class GatewayLine:
             logger.error("%s: %s failed", self.url, each.request, exc_info=error)
         if each.is_trial:
             self._note_silence(each, now)
+
+    def _ready_at(self, each: Forwarded) -> float:
+        return self._client.ready_at(each.unit, each.request.function)
 
     def _had_time(self, each: Forwarded, now: float) -> bool:
         """Return False if a request waited for the connection for most of its timeout."""

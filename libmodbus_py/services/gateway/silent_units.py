@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from enum import Enum
 
-from ...client.waiting_room import rest_after
+from ..waiting_room import rest_after
 
 __all__ = ["SilentUnits", "UnitState"]
 

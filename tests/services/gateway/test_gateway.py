@@ -150,6 +150,7 @@ def test_who_says_that_he_will_ask_no_more_gets_his_answer(stage: Stage) -> None
         stage.talk(through.url) as client,
     ):
         client.sendall(adu(READ_ONE))
+        stage.pass_time(0.05)  # it was sent
         client.shutdown(socket.SHUT_WR)
         assert client.receive(12) == adu(b"\3\2\0\0")
 

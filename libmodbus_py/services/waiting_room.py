@@ -12,7 +12,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from itertools import chain
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 __all__ = ["Discipline", "FairByHost", "FirstCome", "Precedence", "WaitingRoom", "rest_after"]
 
@@ -261,7 +261,7 @@ class WaitingRoom(Generic[Member]):
         limit: called while requests are in flight; returns how many may be now.
         queue: those that wait, trials excepted.
         timeout: called with a request; returns the seconds that it may take.
-        ready_at: called with a unit; returns when it may be asked. None if any may be asked at
+        ready_at: called with a request; returns when it may be asked. None if any may be asked at
             any time.
         most_trials: how many trials may be in flight; None for as many as requests.
 
@@ -277,7 +277,7 @@ class WaitingRoom(Generic[Member]):
         limit: Callable[[], int],
         queue: Discipline[Member],
         timeout: Callable[[Member], float],
-        ready_at: Callable[[Any], float] | None = None,
+        ready_at: Callable[[Member], float] | None = None,
         most_trials: int | None = None,
     ) -> None:
         self.in_flight: int = 0
@@ -311,7 +311,7 @@ class WaitingRoom(Generic[Member]):
         """Start a new request that is not a trial at once; return False if it must wait."""
         if self._queue.waiting or self._trials or self._is_full():
             return False
-        if self._ready_at is not None and self._ready_at(each.unit) > now:
+        if self._ready_at is not None and self._ready_at(each) > now:
             return False
         self.in_flight += 1
         self._was_trial = False
@@ -353,7 +353,7 @@ class WaitingRoom(Generic[Member]):
         return self.in_flight > 0 and self.in_flight >= self._limit()
 
     def _may_ask(self, each: Member) -> bool:
-        at = 0.0 if self._ready_at is None else self._ready_at(each.unit)
+        at = 0.0 if self._ready_at is None else self._ready_at(each)
         if at <= self._now:
             return True
         self.alarm = min(self.alarm, at)

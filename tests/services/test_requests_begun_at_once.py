@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from libmodbus_py.client.waiting_room import FairByHost, FirstCome, Precedence, WaitingRoom
+from libmodbus_py.services.waiting_room import FairByHost, FirstCome, Precedence, WaitingRoom
 
 
 @dataclass(eq=False)
@@ -26,7 +26,7 @@ Room = WaitingRoom[Request]
 
 
 def room(limit: int = 1, owing: dict[int, float] | None = None) -> Room:
-    ready_at = None if owing is None else lambda unit: owing.get(unit, 0.0)
+    ready_at = None if owing is None else lambda each: owing.get(each.unit, 0.0)
     return WaitingRoom(lambda: limit, FirstCome(), lambda _: 1.0, ready_at)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import asyncio
 import math
 
-from libmodbus_py.client.alarm import Alarm
+from libmodbus_py.ports.waiting_async import Alarm
 from tests.simulation.network import Network
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from libmodbus_py.client.waiting_room import FairByHost, FirstCome, Precedence, WaitingRoom
+from libmodbus_py.services.waiting_room import FairByHost, FirstCome, Precedence, WaitingRoom
 from tests.support.cases import each_case
 from tests.support.talk import little_kept
 

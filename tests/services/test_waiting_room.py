@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import pytest
 
-from libmodbus_py.client import waiting_room
-from libmodbus_py.client.waiting_room import FairByHost, FirstCome, WaitingRoom, rest_after
+from libmodbus_py.services import waiting_room
+from libmodbus_py.services.waiting_room import FairByHost, FirstCome, WaitingRoom, rest_after
 
 
 class Asked(NamedTuple):
@@ -108,7 +108,7 @@ Room = WaitingRoom[Request]
 
 
 def room(*waiting: Request, owing: dict[int, float] | None = None, limit: int = 1) -> Room:
-    ready_at = None if owing is None else lambda unit: owing.get(unit, 0.0)
+    ready_at = None if owing is None else lambda each: owing.get(each.unit, 0.0)
     made: Room = WaitingRoom(lambda: limit, FirstCome(), lambda _: TIMEOUT, ready_at)
     assert all(made.put(each) for each in waiting)
     return made

@@ -49,13 +49,6 @@ def test_answers_may_come_in_any_pieces(seed: int) -> None:
     assert batch.outcomes == [[address] for address in range(10)]
 
 
-def test_half_of_what_may_be_in_flight_goes_at_a_time() -> None:
-    talk = Talk(max_in_flight=8)
-    batch = talk.batch(*range(20), limit=8)
-    talk.conversation.add(batch, 0)
-    assert [len(talk.conversation.start(0)) for _ in range(3)] == [4, 4, 0]
-
-
 def test_a_batch_has_no_more_in_flight_than_its_limit() -> None:
     talk = Talk()
     batch = talk.ask(*range(10), limit=3)
@@ -74,7 +67,7 @@ def test_callers_take_turns() -> None:
     talk.ask(200)
     for at in range(4):
         talk.come(tcp(talk.sent[at]))
-    assert [int.from_bytes(each[8:10], "big") for each in talk.sent] == [0, 1, 100, 200, 2, 3]
+    assert [int.from_bytes(each[8:10], "big") for each in talk.sent] == [0, 1, 2, 100, 200, 3]
 
 
 # --- answers that nobody waits for -----------------------------------------------------
@@ -191,7 +184,7 @@ def test_half_an_answer_is_shown_and_the_next_request_goes_over_a_new_connection
     assert kinds(batch) == [ModbusTimeoutError]
     assert batch.outcomes[0].received == half
     second = talk.ask(2)
-    assert talk.conversation.broken is not None
+    assert talk.connection.broken is not None
     talk.leave_broken()
     talk.open()
     talk.come(tcp(talk.sent[1]))
@@ -215,13 +208,13 @@ def test_what_nobody_asked_for_breaks_the_connection_after_64_kib() -> None:
     frame = bytes.fromhex("7777 0000 00FE 01 03 FA") + bytes(251)
     for _ in range(0x10000 // 260):
         talk.come(frame)
-        assert not talk.conversation.is_flooded
+        assert not talk.connection.is_flooded
     talk.come(frame * 2)
-    assert talk.conversation.is_flooded
-    assert isinstance(talk.conversation.broken, ModbusConnectionError)
+    assert talk.connection.is_flooded
+    assert isinstance(talk.connection.broken, ModbusConnectionError)
     talk.leave_broken()
     talk.open()
-    assert not talk.conversation.is_flooded
+    assert not talk.connection.is_flooded
     talk.ask(1)
     assert len(talk.sent) == 1
 
@@ -254,24 +247,6 @@ def test_a_request_that_nobody_answers_takes_the_turnaround_and_holds_up_nobody(
     assert silent.outcomes == [None]
     assert talk.statistics.timeouts == 0
     assert talk.is_at_rest
-
-
-# --- the short way ---------------------------------------------------------------------
-
-
-def test_the_short_way_is_closed_while_anything_else_may_come() -> None:
-    talk = Talk(timeout=1)
-    assert talk.conversation.is_plain
-    batch = talk.ask(1)
-    assert not talk.conversation.is_plain
-    talk.wait(1)
-    assert batch.is_done
-    assert not talk.conversation.is_plain  # a late answer may come
-    talk.come(tcp(talk.sent[0]))
-    assert talk.conversation.is_plain
-    talk.come(b"\0")
-    assert not talk.conversation.is_plain
-    assert not Talk(trace=print).conversation.is_plain
 
 
 def test_what_comes_before_the_first_request_is_traced_too() -> None:

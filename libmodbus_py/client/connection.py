@@ -1,0 +1,800 @@
+"""
+The requests of one connection: when each is sent, and what its outcome is.
+
+`Transactions` uses no socket, clock or event loop. A driver waits, reads and sends for it:
+
+    submit      a caller has a request, or several
+    start       the frames to send now
+    take        bytes were received; then `start` again, so that the server has work, then `settle`
+    settle      decode the answers, and set the outcomes
+    tick        the time `alarm` has come; then `settle`, then `start`
+    withdraw    a caller is gone
+    opened, failed, lost, interrupted, closed    what became of the connection itself
+
+Its `Matching` decides which answer belongs to which request: `Ids` by transaction ids, `Line` on
+lines without them, one request at a time. The order of requests:
+
+1. Callers take turns, each with its requests in their order.
+2. A repetition is sent before what was submitted later, as far as one of both is a write; on a
+   line, as far as both are for the same unit. So no write is ever sent after one that followed it.
+3. Where several requests may be in flight (`Window`), a write is alone in flight, and those before
+   it are over. `max_in_flight`, if it is given, lifts this; then a write is not repeated once
+   another one has been sent.
+"""
+
+from __future__ import annotations
+
+import errno
+import math
+from collections import deque
+from collections.abc import Callable, Collection, Iterable
+from typing import NamedTuple, Protocol
+
+from ..ports.endpoint import Endpoint
+from ..ports.trace import Trace
+from ..protocol.callbacks import finished, log_failure
+from ..protocol.errors import (
+    Acknowledge,
+    ExceptionResponse,
+    FrameError,
+    InvalidResponse,
+    ModbusConnectionError,
+    ModbusError,
+    ModbusTimeoutError,
+    ServerDeviceBusy,
+    alike,
+)
+from . import reconnecting
+from .call import Batch, Call, Phase
+from .hints import explain, explain_end
+from .reconnecting import Reconnecting
+from .statistics import Statistics, result_of
+from .window import Window
+
+__all__ = ["Matching", "Pace", "Transactions", "forbidden"]
+
+WAITING, SENT, ANSWERED, OVER = Phase.WAITING, Phase.SENT, Phase.ANSWERED, Phase.OVER
+
+BUSY = (Acknowledge, ServerDeviceBusy)
+
+# A busy device is asked again after this pause, which is doubled each time up to the longest.
+BUSY_PAUSE_S, LONGEST_BUSY_PAUSE_S = 0.1, 1.0
+
+# A connection is flooded if more bytes than this arrive that belong to no request.
+MAX_UNASKED = 1 << 16
+
+# After so many connections in a row that end without an answer, all waiting requests fail.
+LOSSES_BEFORE_END = 3
+
+
+class Pace(NamedTuple):
+    """
+    The minimum times between requests, in seconds.
+
+    Attributes:
+        turnaround: the duration of a request that gets no response.
+        request_spacing: the minimum time between the starts of two requests.
+        connect_delay: the time between connecting and the first request.
+        timeouts_before_reconnect: timeouts in a row after which a connection counts as dead;
+            a serial port never does.
+    """
+
+    turnaround: float
+    request_spacing: float
+    connect_delay: float
+    timeouts_before_reconnect: int
+
+
+class Matching(Protocol):
+    """The interface that `Ids` and `Line` implement; see there."""
+
+    has_ids: bool
+    alarm: float
+    unanswered: int
+    unasked: int
+    is_in_step: bool
+    is_traced: bool
+    rest: bytes | bytearray
+
+    @property
+    def pending(self) -> dict[int, Call]: ...
+    def may_start(self, call: Call, now: float) -> bool: ...
+    def ready_at(self, unit: int, function: int | None = None) -> float: ...
+    def start(self, call: Call, now: float) -> None: ...
+    def take_back(self) -> Call: ...
+    def take(self, data: bytes, now: float) -> list[Call]: ...
+    def expire(self, now: float) -> list[Call]: ...
+    def withdraw(self, call: Call, now: float) -> bool: ...
+    def received_with(self, call: Call, pdu: bytes) -> bytes: ...
+    def conclude(self, call: Call, error: Exception | None, now: float) -> None: ...
+    def reset(self, now: float) -> list[Call]: ...
+
+
+class Transactions:
+    """
+    Sends requests in their order, and settles them.
+
+    Args:
+        endpoint: the endpoint of the connection.
+        is_ordered: False if `max_in_flight` was given, so that writes are not alone in flight.
+        may_send: as in `AsyncOptions`.
+
+    Attributes:
+        in_flight: how many requests are in flight now.
+        alarm: the time at which `tick` must be called; may be too early, but never too late.
+        broken: the reason to replace the connection by a new one, or None.
+        is_flooded: True if so many bytes arrived that belong to no request that it is no accident.
+        is_guarded: True if `may_send` was given, and must be called before each request.
+    """
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        pace: Pace,
+        matching: Matching,
+        window: Window,
+        life: Reconnecting,
+        statistics: Statistics,
+        trace: Trace,
+        may_send: Callable[[], bool] | None,
+        *,
+        is_ordered: bool,
+    ) -> None:
+        self.in_flight: int = 0
+        self.alarm: float = math.inf
+        self.broken: ModbusConnectionError | None = None
+        self.is_flooded: bool = False
+        self.is_guarded: bool = may_send is not None
+        self.matching: Matching = matching
+        self.window: Window = window
+        self.life: Reconnecting = life
+        self.statistics: Statistics = statistics
+        self._place = str(endpoint)
+        self._scheme = endpoint.scheme
+        self._is_socket = not endpoint.is_serial
+        self._pace = pace
+        self._trace = trace
+        self._may_send = may_send
+        self._is_ordered = is_ordered and matching.has_ids
+        self._queue: deque[Call] = deque()
+        self._again: list[Call] = []  # to be sent again, each when it is due
+        # The write in flight, or to be sent again; or the read that is asked again alone.
+        self._alone: Call | None = None
+        self._silent: list[tuple[float, Call]] = []  # calls without an answer, and when they end
+        self._answered: list[Call] = []
+        self._next_start = 0.0
+        self._sent = 0  # frames
+        self._last_write = 0  # its number among them
+
+    @property
+    def is_wanted(self) -> bool:
+        """True if a request waits to be sent, or a caller waits for the connection."""
+        return bool(self._queue or self._again or self.window.lost)
+
+    @property
+    def room(self) -> int:
+        """The most requests in flight; 0 while one is alone, or waits to be asked again alone."""
+        return 0 if self.window.lost or self._alone is not None else self.window.limit
+
+    # --- callers ------------------------------------------------------------------------------
+
+    def submit(self, call: Call, now: float) -> None:
+        """Take a request; its outcome may be set at once."""
+        call.since = now
+        if not self.life.is_open:
+            refusal = self.life.refusal(now, call.deadline)
+            if refusal is not None:
+                self._refuse(call, refusal)
+                return
+            self._wake(call.deadline)
+        elif call.request is None:
+            call.settle(None)
+            return
+        self._queue.append(call)
+
+    def submit_batch(self, batch: Batch, now: float) -> None:
+        """Take several requests of one caller."""
+        call = batch.next()
+        if call is not None:
+            self.submit(call, now)
+
+    def withdraw(self, job: Call | Batch, now: float) -> None:
+        """Forget requests; their answers count as missing until they arrive."""
+        job.forget()
+        # Of a batch also those behind one that failed, which may be in flight.
+        calls = job.calls if isinstance(job, Batch) else [job]
+        were_in_flight = [self._let_go(call, now) for call in calls]
+        self.matching.unanswered += any(were_in_flight)
+
+    def change_timeout(self, now: float) -> None:
+        """Note that some `Timeouts` were changed."""
+        self._wake(now)
+
+    def is_allowed(self) -> bool:
+        """Return what `may_send` returns; True without it, False if it fails or returns neither."""
+        if self._may_send is None:
+            return True
+        try:
+            allowed = finished("may_send", self._may_send())
+            if allowed is not True and allowed is not False:
+                raise TypeError(f"may_send must return True or False, not {allowed!r}")
+            return allowed
+        except Exception:
+            log_failure(__name__, "may_send failed; nothing is sent")
+            return False
+
+    # --- sending ------------------------------------------------------------------------------
+
+    def start(self, now: float) -> list[bytes]:
+        """Return the frames to send now."""
+        adus: list[bytes] = []
+        if not (self._queue or self._again or self.window.lost) or not self._is_usable(now):
+            return adus
+        self.matching.is_traced = self._trace.is_on()
+        while (call := self._next(now)) is not None:
+            adus.append(self._send(call, now))
+            if self._pace.request_spacing:
+                self._next_start = now + self._pace.request_spacing
+                break
+            if not (self._queue or self._again):
+                break
+        if adus:
+            self.is_flooded = False
+            self.statistics.requests += len(adus)
+        if self.matching.alarm < self.alarm:
+            self.alarm = self.matching.alarm
+        return adus
+
+    def _is_usable(self, now: float) -> bool:
+        """Return True if requests may be sent now; else the connection may be broken now."""
+        if self.broken is not None or not self.life.is_open:
+            return False
+        if self.is_guarded and not self.is_allowed():
+            self.refuse(forbidden())
+            return False
+        matching = self.matching
+        if self._answered and not matching.has_ids:
+            return False  # the outcome may lead to DOUBT
+        is_dead = (
+            self._is_socket
+            and matching.unanswered >= self._pace.timeouts_before_reconnect
+            and not self.window.lost  # these may be answered when they are sent alone
+        )
+        # The next answer would be appended to half a frame that no request expects.
+        has_leftover = matching.rest and self.in_flight == len(self._silent)
+        if is_dead or has_leftover:
+            if not self.in_flight:
+                self._break("given up for a new connection")
+            return False
+        if now < self._next_start:
+            self._wake(self._next_start)
+            return False
+        return True
+
+    def _next(self, now: float) -> Call | None:
+        """Remove and return the next call to send; None if none may be sent now."""
+        if not self.matching.has_ids:
+            return self._next_on_line(now)
+        window, in_flight = self.window, self.in_flight
+        if window.lost and not in_flight and self._alone is None:
+            self._try_alone(now)
+        if self._alone is not None:
+            return self._next_again(now, self._alone)
+        if window.lost or (in_flight and in_flight >= window.limit):
+            return None
+        if self._again and (call := self._next_again(now)) is not None:
+            return call
+        while self._queue:
+            call = self._queue[0]
+            if call.state is not OVER:
+                if call.changes and self._is_ordered and (in_flight or self._again):
+                    return None
+                return self._queue.popleft()
+            self._queue.popleft()
+        return None
+
+    def _next_again(self, now: float, alone: Call | None = None) -> Call | None:
+        for call in list(self._again):
+            if call.state is OVER:
+                self._again.remove(call)
+            elif alone is None or call is alone:
+                if call.due <= now:
+                    self._again.remove(call)
+                    self.statistics.retries += 1
+                    return call
+                self._wake(call.due)
+        return None
+
+    def _next_on_line(self, now: float) -> Call | None:
+        """As `_next`; a call that waits holds back those for the same unit, and broadcasts."""
+        if self.in_flight:
+            return None
+        held: set[int] = set()
+        for waiting in (self._again, self._queue):
+            for call in list(waiting):
+                if call.state is OVER:
+                    waiting.remove(call)
+                elif 0 in held or call.unit in held or (call.unit == 0 and held):
+                    held.add(call.unit)
+                elif waiting is self._again and call.due > now:
+                    self._wake(call.due)
+                    held.add(call.unit)
+                elif self._may_start(call, now):
+                    waiting.remove(call)
+                    self.statistics.retries += waiting is self._again
+                    return call
+                elif call.state is not OVER:
+                    held.add(call.unit)
+        return None
+
+    def _may_start(self, call: Call, now: float) -> bool:
+        try:
+            return self.matching.may_start(call, now)
+        except FrameError as error:
+            (self._queue if call in self._queue else self._again).remove(call)
+            self._fail_unsent(call, error)
+            if call.batch is not None:
+                self._free(call.batch)
+            return False
+
+    def _send(self, call: Call, now: float) -> bytes:
+        call.since = now - call.used
+        call.used = 0.0
+        call.sent_at = now
+        call.state = SENT
+        self._sent = call.order = self._sent + 1
+        self.matching.start(call, now)
+        deadline = call.since + call.timeouts.timeout
+        if deadline < self.alarm:
+            self.alarm = deadline
+        if call.changes:
+            self._last_write = self._sent
+            if self._is_ordered:
+                self._alone = call
+        if self.in_flight and self.window.is_open:
+            self._note_company(call)
+        self.in_flight += 1
+        if call.is_silent:
+            self._silent.append((now + self._pace.turnaround, call))
+            self._wake(now + self._pace.turnaround)
+        if call.batch is not None and (follower := call.batch.next()) is not None:
+            self._queue.append(follower)
+        if self.matching.is_traced:
+            self._trace.tell("sent", call.adu, call.unit, call.pdu[0])
+        return call.adu
+
+    def take_back(self) -> None:
+        """Note that the only request in flight was not sent after all: it waits again."""
+        call = self.matching.take_back()
+        call.state = WAITING
+        call.used = call.sent_at - call.since
+        self._alone = None
+        self.in_flight = 0
+        self.statistics.requests -= 1
+        self._queue.appendleft(call)
+
+    # --- requests that are lost beside others (`Window`) --------------------------------------
+
+    def _note_company(self, call: Call) -> None:
+        call.company = True
+        if self.in_flight == 1:
+            for each in self.matching.pending.values():
+                each.company = True
+        self.window.sent(self.in_flight)
+        self._wake(self.window.lost_at(call))
+
+    def _try_alone(self, now: float) -> None:
+        """Choose the lost read that is asked again alone."""
+        lost, silent = self.window.lost, self.window.silent
+        while lost:
+            call = lost.pop(0)
+            if call.state is OVER:
+                continue
+            if call.is_wanted and (call.unit, call.pdu[0]) not in silent:
+                call.due = now
+                call.company = False
+                self._again.append(call)
+                self._alone = call
+                return
+            if call.state is SENT:  # its time is not over yet
+                self.in_flight += 1
+            elif isinstance(call.reply, ModbusError):
+                self._go_on_without(call.reply, call, now)
+
+    def _mark_lost(self, now: float) -> None:
+        """Find the reads that are lost beside others."""
+        for call in self.matching.pending.values():
+            if self.window.may_be_lost(call):
+                at = self.window.lost_at(call)
+                if at > now:
+                    self._wake(at)
+                else:
+                    self.window.lost.append(call)
+                    self.in_flight -= 1
+
+    def _end_trial(self, call: Call, now: float) -> None:
+        """Note how a read ended that was asked again alone."""
+        if isinstance(call.reply, ModbusTimeoutError):
+            self.window.missed(call)
+        elif call.earlier >= 0:  # the first one was answered late
+            self.window.slow(now - call.due)
+        elif isinstance(call.reply, bytes) and not _is_busy(call.reply):
+            self.window.take_one()
+
+    def _wake(self, at: float) -> None:
+        if at < self.alarm:
+            self.alarm = at
+
+    # --- the connection -----------------------------------------------------------------------
+
+    def opened(self, now: float) -> None:
+        """The connection was established: send what waits for it."""
+        self._reset(now)
+        if self._pace.connect_delay:
+            self._next_start = now + self._pace.connect_delay
+        waiting, self._queue = self._queue, deque()
+        for call in waiting:
+            call.used = now - call.since
+            if call.request is None:
+                call.settle(None)
+            else:
+                self._queue.append(call)
+        self.life.opened()
+
+    def connect_until(self) -> float:
+        """Return until when a request waits for a connection."""
+        return max((call.deadline for call in self._waiting()), default=0.0)
+
+    def failed(self, error: ModbusConnectionError, now: float, until: float = math.inf) -> None:
+        """
+        Note that no connection was established: the requests that wait for it fail.
+
+        Args:
+            until: the end of the time for the attempt. If it failed for lack of time, requests that
+                have more time wait for the next attempt.
+        """
+        later: set[Call] = set()
+        try:
+            self.life.failed(error, now)
+            if error.errno == errno.ETIMEDOUT:
+                later = {each for each in self._waiting() if self._has_time(each, until, now)}
+        finally:  # even if `on_state` raises
+            self.refuse(error, later)
+
+    def _waiting(self) -> list[Call]:
+        return [*self._queue, *self._again]
+
+    def _has_time(self, call: Call, until: float, now: float) -> bool:
+        """Return True if a request has more time than an attempt had."""
+        return call.deadline > until and self.life.refusal(now, call.deadline) is None
+
+    def lost(self, error: ModbusConnectionError, now: float, *, by_itself: bool = True) -> None:
+        """Note the end of the connection: requests in flight fail, others wait for a new one."""
+        if by_itself and self.life.fruitless and self.in_flight:
+            hint = explain_end(self._scheme, error.errno)
+            error.args = (f"{error.args[0]}; {hint}",) if hint else error.args
+        try:
+            self.life.lost(error, now, by_itself=by_itself)
+        finally:
+            self._fail_all(error, now)
+        # A connection that was given up as dead has taken its time, and the next one may be alive.
+        if by_itself and self.life.fruitless >= LOSSES_BEFORE_END:
+            self.refuse(error)
+        waiting, self._queue = self._queue, deque()
+        for call in waiting:
+            if call.state is not OVER:
+                self.submit(call, now)
+
+    def closed(self, error: ModbusConnectionError, now: float) -> None:
+        """Note that the client was closed: all requests fail, now and later."""
+        try:
+            self.life.close()
+        finally:
+            self._fail_all(error, now)
+            self.refuse(error)
+
+    def interrupted(self, error: ModbusConnectionError, now: float) -> None:
+        """Forget all requests, whose callers were interrupted, and give up the connection."""
+        for call in [*self._reset(now), *self._answered]:
+            self.statistics.note(call.function, "cancelled")
+        self._queue, self._again, self._answered, self._alone = deque(), [], [], None
+        if self.life.is_open:
+            self.life.lost(error, now, by_itself=False)
+        elif self.life.state is reconnecting.State.CONNECTING:
+            self.life.given_up()
+
+    def _reset(self, now: float) -> list[Call]:
+        """Return the requests in flight, and reset the state of the previous connection."""
+        calls = [*self.matching.reset(now), *(call for _, call in self._silent)]
+        calls += [call for call in self.window.lost if call not in calls]
+        self.window.reset()
+        self.broken = None
+        self.is_flooded = False
+        self._silent = []
+        self.in_flight = 0
+        return calls
+
+    def _break(self, reason: str) -> None:
+        """Ask the driver to close the connection for a new one."""
+        if self.broken is None:
+            self.broken = ModbusConnectionError(reason)
+
+    # --- failures -----------------------------------------------------------------------------
+
+    def _fail_all(self, error: ModbusConnectionError, now: float) -> None:
+        for call in self._reset(now):
+            call.state = ANSWERED
+            call.reply = alike(error)
+            call.company = False
+            self._answered.append(call)
+        self.settle(now)
+
+    def refuse(self, error: ModbusError, later: Collection[Call] = ()) -> None:
+        """Fail all requests that wait, except some."""
+        waiting = [*self._again, *self.window.lost, *self._queue]
+        if self._alone in self._again and self._alone not in later:
+            self._alone = None
+        self._again = [call for call in self._again if call in later]
+        self._queue = deque(call for call in self._queue if call in later)
+        self.window.lost.clear()
+        for call in waiting:
+            if call.state is SENT:  # it is not asked again alone, but may still be answered
+                self.in_flight += 1
+            elif call not in later and call.state is not OVER:
+                self._refuse(call, error)
+
+    def _fail_unsent(self, call: Call, error: ModbusError) -> None:
+        if call is self._alone:
+            self._alone = None
+        if call.request is not None:
+            self.statistics.note(call.function, "unsent")
+        call.settle(self._outcome(alike(error), call))
+
+    def _refuse(self, call: Call, error: ModbusError) -> None:
+        """Fail a request that is not sent, or not again; and those of its caller behind it."""
+        self._fail_unsent(call, error)
+        batch = call.batch
+        if batch is not None:
+            batch.under_way -= 1
+            if (follower := batch.next()) is not None:
+                self._refuse(follower, error)
+
+    def _outcome(self, error: ModbusError, call: Call) -> BaseException:
+        """Return an error with its request, or the exception that the request's class raised."""
+        error.unit, error.endpoint, error.sent = call.unit, self._place, call.adu
+        try:
+            if call.request is not None:
+                error.function, error.asked = call.request.function, str(call.request)
+            if error.received and call.adu and not isinstance(error, InvalidResponse):
+                self._add(error, explain(self._scheme, call.adu, error.received))
+            if isinstance(error, ModbusTimeoutError) and self.window.is_at_one:
+                self._add(error, "this device takes one request at a time (max_in_flight=1)")
+        except BaseException as mistake:
+            return mistake
+        return error
+
+    def _add(self, error: ModbusError, hint: str) -> None:
+        error.args = (f"{error.args[0]}; {hint}",) if hint else error.args
+
+    # --- answers ------------------------------------------------------------------------------
+
+    def take(self, chunks: Iterable[bytes], now: float) -> bool:
+        """
+        Take received bytes; `settle` decodes the answers.
+
+        Return True if requests wait to be sent. Call `start` before `settle` then, because some of
+        them may be sent now, so that the server has work meanwhile.
+        """
+        matching = self.matching
+        for data in chunks:
+            for call in matching.take(data, now):
+                self._note_end(call, now)
+        if matching.alarm < self.alarm:
+            self.alarm = matching.alarm
+        if matching.unasked > MAX_UNASKED or not matching.is_in_step:
+            self._note_flood()
+        return bool(self._queue or self._again or self.window.lost)
+
+    def _note_flood(self) -> None:
+        self.is_flooded = self.matching.unasked > MAX_UNASKED
+        if not self.matching.is_in_step:
+            self._break("closed, because the received bytes cannot be understood")
+        elif self._is_socket:
+            self._break("flooded with frames that answer no request")
+
+    def _note_end(self, call: Call, now: float) -> None:
+        """Free the place of a request in flight; a good answer also that in its batch."""
+        lost = self.window.lost
+        if lost and call in lost:
+            if isinstance(call.reply, ModbusTimeoutError):
+                call.state = WAITING  # it still waits to be asked again alone
+                return
+            lost.remove(call)
+            self.window.slow(now - call.sent_at)
+        else:
+            self.in_flight -= 1
+        if call.state is not OVER:
+            call.state = ANSWERED
+        self._answered.append(call)
+        if call.batch is not None and call.batch.limit > 1 and _is_good(call):
+            self._free(call.batch)
+
+    def _free(self, batch: Batch) -> None:
+        batch.under_way -= 1
+        if (follower := batch.next()) is not None:
+            self._queue.append(follower)
+
+    def settle(self, now: float) -> bool:
+        """Decode the answers and set the outcomes; return True if requests wait to be sent."""
+        answered, self._answered = self._answered, []
+        for call in answered:
+            if call is self._alone:
+                self._alone = None
+                if not call.changes:
+                    self._end_trial(call, now)
+            if call.state is OVER:
+                self.statistics.note(call.function, "cancelled")
+            elif isinstance(call.reply, bytes):
+                self._decode(call, call.reply, now)
+            elif isinstance(call.reply, ModbusError):
+                self._fail(call.reply, call, now)
+            if call.batch is not None:
+                self._note_batch(call, call.batch, now)
+        return bool(self._queue or self._again or self.window.lost)
+
+    def _decode(self, call: Call, reply: bytes, now: float) -> None:
+        """Settle a request with the result that its answer contains."""
+        assert call.request is not None
+        try:
+            outcome = call.request.decode_response(reply)
+        except ModbusError as error:
+            self.statistics.invalid += isinstance(error, InvalidResponse)
+            error.received = self.matching.received_with(call, reply)
+            self._fail(error, call, now)
+        except BaseException as mistake:  # of the class of the request
+            self.statistics.note(call.function, "invalid")
+            call.settle(mistake)
+        else:
+            self.statistics.note_answer(call.pdu[0], "ok", now - call.sent_at, now)
+            if self.life.fruitless:
+                self.life.prove()
+            if self.window.is_open:
+                self.window.answered(call, now, self.matching.pending)
+            call.settle(outcome)
+            if not self.matching.has_ids:
+                self.matching.conclude(call, None, now)
+
+    def _note_batch(self, call: Call, batch: Batch, now: float) -> None:
+        """Let a batch go on after one of its requests, or forget those behind one that failed."""
+        if call.state is OVER and (batch.limit == 1 or not _is_good(call)):
+            self._free(batch)
+        if isinstance(call.outcome, BaseException):
+            self._queue = deque(each for each in self._queue if each.state is not OVER)
+            if batch.is_done and batch.under_way:
+                for each in batch.calls:
+                    self._let_go(each, now)
+
+    def _fail(self, error: ModbusError, call: Call, now: float) -> None:
+        if isinstance(error, ExceptionResponse):
+            self.statistics.exceptions += 1
+            self.statistics.note_answer(call.pdu[0], "exception", now - call.sent_at, now)
+            self.life.prove()
+            if self.window.is_open:
+                self.window.answered(call, now, self.matching.pending)
+        else:
+            self.statistics.note(call.function, result_of(error))
+        self.matching.conclude(call, error, now)
+        self._go_on_without(error, call, now)
+
+    def _go_on_without(self, error: ModbusError, call: Call, now: float) -> None:
+        """Send a request again that failed, or settle it."""
+        try:
+            if self.window.refuses(error, call):
+                call.state, call.reply = WAITING, error
+                self.window.lost.append(call)
+            elif not self._is_repeated(error, call, now):
+                call.settle(self._outcome(error, call))
+        except BaseException as mistake:  # of the class of the request
+            call.settle(mistake)
+
+    def _is_repeated(self, error: ModbusError, call: Call, now: float) -> bool:
+        """Send a request again later, if that is allowed; return False if not."""
+        is_busy = isinstance(error, BUSY)
+        assert call.request is not None
+        if not call.is_wanted:
+            return False
+        if not is_busy and (isinstance(error, ExceptionResponse) or not call.request.repeatable):
+            return False
+        if call.changes and self._last_write > call.order:
+            return False
+        done = call.busy_tries if is_busy else call.tries
+        if done >= (call.timeouts.busy_retries if is_busy else call.timeouts.retries):
+            return False
+        if is_busy:
+            call.busy_tries += 1
+            call.due = now + min(LONGEST_BUSY_PAUSE_S, BUSY_PAUSE_S * 2**done)
+        else:
+            call.tries += 1
+            call.due = now
+        call.state = WAITING
+        call.since = now
+        self._again.append(call)
+        if call.changes and self._is_ordered:
+            self._alone = call
+        self._wake(call.due)
+        return True
+
+    def _let_go(self, call: Call, now: float) -> bool:
+        """Stop waiting for a request whose caller is gone; return True if it was in flight."""
+        if call is self._alone:
+            self._alone = None
+        if call in self._again:
+            self._again.remove(call)
+        elif call in self._queue:
+            self._queue.remove(call)
+        is_lost = call in self.window.lost
+        if is_lost:
+            self.window.lost.remove(call)
+        was_in_flight = self.matching.withdraw(call, now)
+        if was_in_flight:
+            self.statistics.note(call.function, "cancelled")
+            self.in_flight -= not is_lost
+        for due, each in self._silent:
+            if each is call:
+                self._wake(due)  # its place becomes free only then, because the line is in use
+        return was_in_flight
+
+    # --- time ---------------------------------------------------------------------------------
+
+    def tick(self, now: float) -> None:
+        """End requests whose time is over; `settle` tells their callers."""
+        matching = self.matching
+        self.alarm = matching.alarm = math.inf
+        self._end_silent(now)
+        if self.life.is_open:
+            for call in matching.expire(now):
+                self._note_end(call, now)
+            if self.window.is_open and self.in_flight:
+                self._mark_lost(now)
+            self._wake(matching.alarm)
+        else:
+            self._end_waits(now)
+
+    def _end_silent(self, now: float) -> None:
+        over = [call for due, call in self._silent if due <= now]
+        self._silent = [each for each in self._silent if each[0] > now]
+        for call in over:
+            self.in_flight -= 1
+            if call is self._alone:
+                self._alone = None
+            self.statistics.note(call.function, "silent")
+            call.settle(None)
+            if call.batch is not None:
+                self._free(call.batch)
+        for due, _ in self._silent:
+            self._wake(due)
+
+    def _end_waits(self, now: float) -> None:
+        """Fail the requests that have waited too long for a connection."""
+        for call in self._waiting():
+            if call.state is OVER:
+                continue
+            if call.deadline > now:
+                self._wake(call.deadline)
+                continue
+            (self._again if call in self._again else self._queue).remove(call)
+            self._refuse(call, self.life.not_in_time(call.timeouts.timeout))
+
+
+def _is_busy(reply: bytes) -> bool:
+    return reply[0] >= 0x80 and reply[1:] == bytes([ServerDeviceBusy.code])
+
+
+def _is_good(call: Call) -> bool:
+    reply = call.reply
+    return isinstance(reply, bytes) and reply[0] < 0x80
+
+
+def forbidden() -> ModbusConnectionError:
+    """Return the error for requests that `may_send` does not allow."""
+    return ModbusConnectionError("may_send allows no request now", errno=errno.EPERM)

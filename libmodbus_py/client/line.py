@@ -1,0 +1,533 @@
+"""
+Which answer belongs to which request on a line, where frames have no transaction ids.
+
+One request is in flight at a time. A frame shows its unit and its function, but not which request
+it answers: a unit that answers late, or twice, could shift all values by one request. So a line
+follows this table. "It" is the unit together with the function of a request; DOUBT is a state of
+this pair, and the other states are those of the line.
+
+    state   event                                  what follows
+    -----   -----                                  ------------
+    IDLE    a request                              ASKED, once it has been silent for one timeout
+                                                   if it is in DOUBT
+    ASKED   its answer                             IDLE, and the answer is the result
+    ASKED   its answer, while it is in DOUBT;      HOLD
+            or an answer equal to one of the last
+            `RECENT` to other requests of the
+            unit, and not to the last of its own
+    ASKED   a damaged answer, one that does not    IDLE and DOUBT; the request fails
+            fit, the end of its time
+    ASKED   its caller is gone                     IDLE and DOUBT
+    any     a frame that is no answer to it        it is dropped and counted; the wait goes on
+    HOLD    the same answer again                  HOLD, from the beginning
+    HOLD    another frame of it, or a damaged one  IDLE and DOUBT; the request fails
+    HOLD    nothing for twice the time of its      IDLE, no DOUBT; the answer is the result
+            slowest good answer of this length
+    HOLD    the end of its time comes first        IDLE, and the answer is the result: without
+                                                   DOUBT, or if the request itself led to it and
+                                                   is repeated; else the request fails. DOUBT ends
+                                                   if one timeout of silence follows
+    DOUBT   a frame of it; any bytes while IDLE    the silence counts anew
+    DOUBT   two timeouts of silence, and it has    no DOUBT
+            never been answered
+
+Why: a late answer comes before the answer that follows it, so a second frame within HOLD tells that
+the first one was late or doubled. Silence lets late answers pass before the next request. An answer
+that comes twice is found by its equality with an earlier one. Other functions of the unit need not
+wait, because no late answer fits them. `./run explore` walks through every sequence of events that
+this table can meet; what it cannot tell apart is named in `EXCEPTIONS` there.
+
+A line keeps the order of requests to a unit: those behind one that waits wait, too
+(`Transactions`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from ..ports.endpoint import Endpoint
+from ..ports.port import Silence
+from ..ports.trace import Trace
+from ..protocol.callbacks import log_warning
+from ..protocol.echo import Echo
+from ..protocol.errors import (
+    ExceptionResponse,
+    FrameError,
+    InvalidResponse,
+    ModbusError,
+)
+from ..protocol.framing import LINE_FEED, AsciiFramer, Frame, Framer, delimiter_after, make_framer
+from .call import Call, Phase
+from .hints import MAX_KEPT, no_answer
+from .statistics import Statistics
+
+__all__ = ["Line"]
+
+# Answers that may come again.
+RECENT = 8
+
+# HOLD lasts this multiple of the time of the slowest good answer.
+TIMES_SLOWEST = 2
+
+# Of the time of the slowest answer, this share is kept with each further answer.
+FADING = 0.95
+
+# A request waits for silence for so many timeouts, and then fails.
+TIMEOUTS_OF_SILENCE = 2
+
+# An answer is put on HOLD at least once in so many timeouts.
+TIMEOUTS_BETWEEN_CHECKS = 10
+
+# The most requests, and kinds of answers, that are remembered.
+REMEMBERED = 1024
+
+
+class Pair:
+    """
+    The states of a unit and a function.
+
+    Attributes:
+        is_doubted: True in DOUBT.
+        quiet_at: in DOUBT, when it has been silent for long enough.
+        timeout: the duration of this silence.
+        owed: the call whose answer may still come; None if there may be others.
+        is_known: True if it has been answered.
+        is_answered: True if the last request was answered, but the time for HOLD was too short.
+        is_shifted: True if the last answers may be those to the requests before.
+        checked_at: when it was last known that this is not so.
+    """
+
+    # fmt: off
+    __slots__ = (
+        "checked_at", "is_answered", "is_doubted", "is_known", "is_shifted", "owed", "quiet_at",
+        "timeout",
+    )
+    # fmt: on
+
+    def __init__(self, now: float) -> None:
+        self.is_doubted: bool = False
+        self.quiet_at: float = 0.0
+        self.timeout: float = 0.0
+        self.is_answered: bool = False
+        self.owed: Call | None = None
+        self.is_known: bool = False
+        self.check(now)
+
+    def doubt(self, now: float, timeout: float, owed: Call | None = None) -> None:
+        """Begin to doubt, or doubt more."""
+        self.owed = owed if not self.is_doubted or owed is self.owed else None
+        self.is_doubted = True
+        self.timeout = timeout
+        self.heard(now)
+
+    def heard(self, now: float) -> None:
+        """Count the silence anew."""
+        self.is_answered = False
+        self.quiet_at = now + self.timeout
+
+    def check(self, now: float) -> None:
+        """Note that no other answer follows the last one."""
+        self.is_doubted = self.is_answered = self.is_shifted = False
+        self.checked_at: float = now
+
+
+class Line:
+    """
+    The request in flight on one line, and the states of the table above.
+
+    Args:
+        endpoint: the endpoint of the connection.
+        statistics: counts late and invalid answers, timeouts and echoes.
+        trace: the trace of the connection.
+        silence: the silence of the port.
+        delimiter: the byte after CR in ASCII frames.
+
+    Attributes:
+        alarm, unanswered, unasked, rest, is_in_step, is_traced: as for `Ids`.
+    """
+
+    has_ids = False
+    is_in_step = True
+    rest: bytes | bytearray = b""
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        statistics: Statistics,
+        trace: Trace,
+        *,
+        silence: Silence,
+        delimiter: int = LINE_FEED,
+    ) -> None:
+        self.alarm: float = math.inf
+        self.unanswered: int = 0
+        self.unasked: int = 0
+        self.is_traced: bool = trace.is_on()
+        self._endpoint = endpoint
+        self._statistics = statistics
+        self._trace = trace
+        self._silence = silence
+        self._delimiter = delimiter
+        self._echo = Echo(endpoint.options.get("echo"))
+        self._framer = self._make_framer()
+        self._call: Call | None = None
+        self._ended: list[Call] = []
+        self._wrong: ModbusError | None = None  # the error of bytes received before the answer
+        self._received = bytearray()
+        self._quiet_at: float | None = None  # when silence ends a frame
+        # In HOLD: the answer, when it came, and until when it is held.
+        self._held: bytes | None = None
+        self._held_at = self._held_until = 0.0
+        self._pairs: dict[tuple[int, int], Pair] = {}
+        self._heard_at = 0.0  # when bytes were last received
+        self._longest = 0.0  # of all good answers
+        # The last answer to each request of a unit; and the last answers, with their requests.
+        self._last: dict[tuple[int, bytes], bytes] = {}
+        self._recent: deque[tuple[int, bytes, bytes]] = deque(maxlen=RECENT)
+        # Unit, function and length of good answers -> the longest time that one took.
+        self._slowest: dict[tuple[int, int, int], float] = {}
+
+    def _make_framer(self) -> Framer:
+        framer = make_framer(self._endpoint.framing, "client", self._endpoint.pause)
+        if isinstance(framer, AsciiFramer):
+            framer.delimiter = self._delimiter
+        return framer
+
+    @property
+    def pending(self) -> dict[int, Call]:
+        """Return nothing: no request is sent beside another one."""
+        return {}
+
+    # --- asking --------------------------------------------------------------------------
+
+    def ready_at(self, unit: int, function: int | None = None) -> float:
+        """Return when a unit may get a request of this, or any, function; 0.0 if it may at once."""
+        return max(
+            (
+                pair.quiet_at
+                for (other, code), pair in self._pairs.items()
+                if pair.is_doubted and other == unit and function in (None, code)
+            ),
+            default=0.0,
+        )
+
+    def may_start(self, call: Call, now: float) -> bool:
+        """
+        Return True if a request may be sent now; else set `alarm`.
+
+        Raises:
+            FrameError: it has not become silent in time.
+        """
+        ready_at = self._silence.over_at
+        pair = self._pairs.get((call.unit, call.pdu[0]))
+        if pair is not None and pair.is_doubted and pair.quiet_at > ready_at:
+            ready_at = pair.quiet_at
+        if ready_at <= now:
+            call.waits_since = -1.0
+            return True
+        if call.waits_since < 0:
+            call.waits_since = now
+        until = call.waits_since + TIMEOUTS_OF_SILENCE * call.timeouts.timeout
+        if until <= now:
+            raise FrameError("the line does not fall silent", received=bytes(self._received))
+        self._wake(min(ready_at, until))
+        return False
+
+    def start(self, call: Call, now: float) -> None:
+        """Encode the frame of a request, and expect the answer from now on."""
+        if self._framer.pending or self._echo.is_holding:
+            rest = self._framer.end() + self._echo.forget()
+            if self._trace.is_on():
+                self._trace.tell("received", rest)
+            self._framer = self._make_framer()
+        call.adu = adu = self._framer.encode(Frame(call.unit, call.pdu))
+        self._received.clear()
+        self._quiet_at = self._wrong = self._held = None
+        self.unasked = 0
+        self._silence.sent(len(adu), now)
+        if self._echo.is_there is not False:
+            self._echo.sent(adu, is_telling=_is_telling(call.pdu))
+        pair = self._pair(call, now)
+        was_quiet = now >= self._heard_at + TIMES_SLOWEST * self._longest
+        was_silent = pair.is_doubted and not pair.is_known and now >= pair.quiet_at + pair.timeout
+        if pair.is_answered or was_silent or (was_quiet and not pair.is_doubted):
+            pair.check(now)
+        if not call.is_silent:
+            self._call = call
+
+    def _pair(self, call: Call, now: float) -> Pair:
+        key = call.unit, call.pdu[0]
+        pair = self._pairs.get(key)
+        if pair is None:
+            pair = self._pairs[key] = Pair(now)
+        return pair
+
+    def take_back(self) -> Call:
+        """Return the request in flight, which was not sent after all."""
+        call, self._call = self._call, None
+        assert call is not None
+        self._echo.forget()
+        return call
+
+    # --- bytes ----------------------------------------------------------------------------
+
+    def take(self, data: bytes, now: float) -> list[Call]:
+        """Return the request that received bytes answer, with its reply, if they do."""
+        self._silence.heard(now)
+        self._heard_at = now
+        self._received += data[: MAX_KEPT - len(self._received)]
+        if self._call is None:
+            self.unasked += len(data)
+            for pair in self._pairs.values():
+                if pair.is_doubted:
+                    pair.heard(now)
+        if self._echo.is_there is not False:
+            data = self._without_echo(data)
+        for found in self._framer.scan(data):
+            self._judge(found, now)
+        call = self._call
+        if call is not None and (self._framer.pending or self._wrong or self._echo.is_holding):
+            self._quiet_at = now + (self._framer.quiet or 0.0)
+            self._wake(self._quiet_at)
+            if not self._framer.pending:
+                self._end_if_damaged(call, now)
+        ended, self._ended = self._ended, []
+        return ended
+
+    def _without_echo(self, data: bytes) -> bytes:
+        was_there = self._echo.is_there
+        data = self._echo.without(data)
+        if self._echo.is_there and not was_there:
+            self._statistics.echoes += 1
+            text = "%s: what is sent comes back (local echo), and is dropped; set echo=1"
+            log_warning(__name__, text, self._endpoint)
+        return data
+
+    def _judge(self, found: Frame | FrameError, now: float) -> None:
+        """Follow the table for one frame, or for bytes that are none."""
+        call = self._call
+        if self.is_traced:
+            self._tell(found)
+        if isinstance(found, FrameError):
+            self._statistics.invalid += 1
+            self._wrong = found
+            if self._held is not None and call is not None:
+                self._fail(call, found, now)
+            return
+        unit, pdu, _ = found
+        function = pdu[0] & 0x7F
+        if call is None or unit != call.unit or function != call.pdu[0]:
+            self._note_other(unit, function, call, now)
+        elif pdu == call.pdu and self._echo.is_there and not self._echo.has_returned:
+            self._echo.has_returned = True
+        elif pdu == call.pdu and self._echo.is_there is None and function in _READS_LIKE_ANSWERS:
+            text = "an answer that is equal to its request may be an echo; echo=True or False?"
+            self._wrong = InvalidResponse(text)
+        elif self._held is None:
+            self._take_answer(call, pdu, now)
+        elif pdu == self._held:
+            self._statistics.late_answers += 1
+            self._hold(call, pdu, now)
+        else:
+            self._statistics.late_answers += 1
+            self._fail(call, InvalidResponse("two answers came, one to an earlier request"), now)
+
+    def _take_answer(self, call: Call, pdu: bytes, now: float) -> None:
+        pair, unit, asked = self._pair(call, now), call.unit, _asked(call.pdu)
+        last = self._recent[-1] if self._recent else None
+        is_same = last is not None and last[:2] == (unit, asked)
+        if (
+            pair.is_doubted
+            or (pair.is_shifted and not is_same)
+            or now > pair.checked_at + TIMEOUTS_BETWEEN_CHECKS * call.timeouts.timeout
+            or (
+                self._last.get((unit, asked)) != pdu
+                and any(
+                    pdu == each and unit == other and asked != what
+                    for other, what, each in self._recent
+                )
+            )
+        ):
+            self._hold(call, pdu, now)
+        else:
+            pair.is_shifted = pair.is_shifted or (is_same and last == (unit, asked, pdu))
+            self._believe(call, pdu, now, now)
+
+    def _hold(self, call: Call, pdu: bytes, now: float) -> None:
+        slowest = self._slowest.get((call.unit, pdu[0], len(pdu)))
+        longest = call.timeouts.timeout if slowest is None else TIMES_SLOWEST * slowest
+        self._held, self._held_at, self._held_until = pdu, now, now + longest
+        call.state = Phase.ANSWERED
+        self._wake(min(self._held_until, call.deadline))
+
+    def _believe(self, call: Call, pdu: bytes, came_at: float, now: float) -> None:
+        """Take an answer, and remember it."""
+        unit, asked = call.unit, _asked(call.pdu)
+        if len(self._last) >= REMEMBERED:
+            self._last.clear()
+        self._last[unit, asked] = pdu
+        self._recent.append((unit, asked, pdu))
+        self._note_time(call, pdu, came_at, now)
+        self.unanswered = 0
+        call.reply = pdu
+        self._end(call)
+
+    def _note_time(self, call: Call, pdu: bytes, came_at: float, now: float) -> None:
+        """Note how long an answer took."""
+        if len(self._slowest) >= REMEMBERED:
+            self._slowest.clear()
+        kind, took = (call.unit, pdu[0], len(pdu)), came_at - call.sent_at
+        self._slowest[kind] = max(took, FADING * self._slowest.get(kind, 0.0))
+        self._longest = max(took, FADING * self._longest)
+        self._pair(call, now).is_known = True
+
+    def _fail(self, call: Call, error: ModbusError, now: float) -> None:
+        error.received = bytes(self._received)
+        call.reply = error
+        self._pair(call, now).doubt(now, call.timeouts.timeout, call)
+        self._end(call)
+
+    def _end(self, call: Call) -> None:
+        self._call = self._held = None
+        self._ended.append(call)
+
+    def _note_other(self, unit: int, function: int, call: Call | None, now: float) -> None:
+        """Note a frame that answers no request in flight (serial line, 2.4.1)."""
+        self._statistics.late_answers += 1
+        pair = self._pairs.get((unit, function))
+        if pair is not None and pair.is_doubted:
+            pair.heard(now)
+        if call is not None:
+            what = f"function {function} was answered, not {call.pdu[0]}"
+            self._wrong = InvalidResponse(what if unit == call.unit else f"unit {unit} answered")
+            self._wrong.answers_another = True
+
+    def _tell(self, found: Frame | FrameError) -> None:
+        if isinstance(found, FrameError):
+            self._trace.tell("received", found.received)
+        else:
+            self._trace.tell("received", self._framer.encode(found), found.unit, found.pdu[0])
+
+    def _end_if_damaged(self, call: Call, now: float) -> None:
+        """End the wait for a damaged answer; after mere noise, an answer may still follow."""
+        if isinstance(self._wrong, FrameError) and self._held is None:
+            starts = [bytes([call.unit, call.pdu[0] | bit]) for bit in (0, 0x80)]
+            rest = bytes(self._received)
+            if self._endpoint.framing == "ascii":
+                starts, rest = [b":%02X%02X" % (each[0], each[1]) for each in starts], rest.upper()
+            if any(each in rest.replace(call.adu, b"", 1) for each in starts):
+                self._fail(call, self._wrong, now)
+
+    def received_with(self, call: Call, pdu: bytes) -> bytes:
+        """Return the received bytes that contained the PDU of an answer."""
+        return bytes(self._received)
+
+    # --- no answer ------------------------------------------------------------------------
+
+    def expire(self, now: float) -> list[Call]:
+        """Return the request whose time is over, or whose answer was held for long enough."""
+        self._end_frame(now)
+        call, held = self._call, self._held
+        if call is None:
+            pass
+        elif held is not None and self._held_until <= now:
+            self._pair(call, now).check(now)
+            self._believe(call, held, self._held_at, now)
+        elif call.deadline > now:
+            self._wake(call.deadline if held is None else min(self._held_until, call.deadline))
+        else:
+            pair = self._pair(call, now)
+            if held is not None and (not pair.is_doubted or pair.owed is call):
+                self._believe(call, held, self._held_at, now)
+            else:
+                error = self._wrong or no_answer(call.timeouts.timeout, bytes(self._received))
+                self._statistics.timeouts += 1
+                self.unanswered += held is None
+                self._fail(call, error, now)
+                if held is not None:
+                    self._note_time(call, held, self._held_at, now)
+            if pair.is_doubted:
+                pair.heard(now)
+                pair.is_answered = held is not None
+        ended, self._ended = self._ended, []
+        return ended
+
+    def _end_frame(self, now: float) -> None:
+        """Judge the bytes before a silence."""
+        if self._quiet_at is None or self._call is None:
+            return
+        if self._quiet_at > now:
+            self._wake(self._quiet_at)
+            return
+        self._quiet_at = None
+        for found in [*self._framer.scan(self._echo.release()), *self._framer.scan_silence()]:
+            self._judge(found, now)
+        if self._call is not None:
+            self._end_if_damaged(self._call, now)
+
+    def conclude(self, call: Call, error: Exception | None, now: float) -> None:
+        """Note how a request ended."""
+        if error is None:
+            if self._endpoint.framing == "ascii":
+                self._follow(call.pdu)
+        elif isinstance(call.reply, bytes) and not isinstance(error, ExceptionResponse):
+            self._pair(call, now).doubt(now, call.timeouts.timeout, call)
+
+    def _follow(self, pdu: bytes) -> None:
+        """Use the delimiter that a device uses after this request."""
+        delimiter = delimiter_after(pdu, self._delimiter)
+        if delimiter != self._delimiter:
+            self._delimiter = delimiter
+            self._framer = self._make_framer()
+
+    def withdraw(self, call: Call, now: float) -> bool:
+        """Note that a caller is gone; return True if the request was in flight."""
+        if self._call is not call:
+            return False
+        self._call = self._held = None
+        self._pair(call, now).doubt(now, call.timeouts.timeout, call)
+        return True
+
+    def reset(self, now: float) -> list[Call]:
+        """
+        Return the request in flight, and begin with the next connection.
+
+        Doubts remain: the units are not on this side of the connection.
+        """
+        call, self._call = self._call, None
+        self._ended.clear()  # left by a Ctrl-C
+        self.unanswered = self.unasked = 0
+        self._framer = self._make_framer()
+        self._echo.reset()
+        self._held = None
+        if call is None:
+            return []
+        self._pair(call, now).doubt(now, call.timeouts.timeout, call)
+        return [call]
+
+    def _wake(self, at: float) -> None:
+        if at < self.alarm:
+            self.alarm = at
+
+
+# Reads with a possible answer that is equal to the request: it has the same length.
+_READS_LIKE_ANSWERS = (1, 2, 23)
+
+# Functions whose answer is the same for all requests that begin with the same five bytes.
+_SAME_ANSWER = (15, 16, 23)
+
+
+def _asked(pdu: bytes) -> bytes:
+    """Return what the answer to a request depends on."""
+    return pdu[:5] if pdu[0] in _SAME_ANSWER else pdu
+
+
+def _is_telling(pdu: bytes) -> bool:
+    """
+    Return True if the frame of a request cannot be an answer: such a one is an echo.
+
+    The answer to a read has the number of its bytes where the request has its address; the answer
+    to a write of several cells has no values.
+    """
+    return (pdu[0] in (1, 2, 3, 4, 23) and pdu[1] != len(pdu) - 2) or pdu[0] in (15, 16)

@@ -1,0 +1,440 @@
+"""
+How many requests may be in flight: it is found out, and reads lost beside others are asked alone.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from typing import Any
+
+import pytest
+
+from libmodbus_py import ModbusConnectionError, ModbusTimeoutError, ServerDeviceBusy, pdu
+from libmodbus_py.ports.schemes import SCHEMES
+from tests.support.cases import each_case
+from tests.support.clients import World
+from tests.support.peers import Write, echo, has_header, ignore, mbap
+from tests.support.talk import Talk, kinds, tcp
+
+# Requests may be in flight beside others where frames have transaction ids.
+each_scheme = pytest.mark.parametrize("scheme", [*filter(has_header, SCHEMES)])
+
+BUSY = b"\x83\x06"
+
+
+class Device:
+    """
+    Answers one request after the other, 5 ms each.
+
+    Args:
+        places: for requests, the one that is being answered included.
+        refusal: the PDU that answers those without a place; None to lose them.
+    """
+
+    def __init__(self, world: Any, places: int, refusal: bytes | None = None) -> None:
+        self._events = world.network.events
+        self._places = places
+        self._refusal = refusal
+        self._waiting: deque[tuple[bytes, Write]] = deque()
+        self.most = 0
+
+    def __call__(self, request: bytes, write: Write) -> None:
+        if len(self._waiting) >= self._places:
+            if self._refusal is not None:
+                write(mbap(request, self._refusal))
+            return
+        self._waiting.append((request, write))
+        self.most = max(self.most, len(self._waiting))
+        if len(self._waiting) == 1:
+            self._events.after(0.005, self._answer)
+
+    def _answer(self) -> None:
+        request, write = self._waiting.popleft()
+        write(echo(request))
+        if self._waiting:
+            self._events.after(0.005, self._answer)
+
+
+def reads(count: int) -> list[pdu.Request[Any]]:
+    return [pdu.ReadHoldingRegisters(address, 1) for address in range(count)]
+
+
+def echoes(count: int) -> list[list[int]]:
+    return [[address] for address in range(count)]
+
+
+class Clumsy:
+    """Loses both of two requests of which one comes while the other waits for its answer."""
+
+    def __init__(self, world: Any) -> None:
+        self._events = world.network.events
+        self._waiting: list[tuple[bytes, Write]] = []
+
+    def __call__(self, request: bytes, write: Write) -> None:
+        self._waiting.append((request, write))
+        if len(self._waiting) == 1:
+            self._events.after(0.005, self._answer)
+
+    def _answer(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        if len(waiting) == 1:
+            ((request, write),) = waiting
+            write(echo(request))
+
+
+@each_scheme
+def test_a_device_that_takes_many_gets_many(world: World, scheme: str) -> None:
+    device = Device(world, 16)
+    peer = world.peer(scheme, device)
+    with world.connect(peer.url) as context:
+        assert context.max_in_flight == 1
+        assert context.execute_many(reads(100)) == echoes(100)
+        assert device.most == 16
+        assert context.max_in_flight >= 16
+        assert context.statistics.falls == context.statistics.retries == 0
+
+
+@each_scheme
+@pytest.mark.parametrize("places", [1, 2, 4, 8])
+def test_a_device_that_loses_requests_loses_no_value(
+    world: World, scheme: str, places: int
+) -> None:
+    """It costs a quarter of the timeout once; from then on one is in flight, and none is lost."""
+    peer = world.peer(scheme, Device(world, places))
+    with world.connect(peer.url, timeout=4) as context:
+        with world.lasting(200 * 0.005, more=1.2):
+            assert context.execute_many(reads(200)) == echoes(200)
+        assert context.max_in_flight == 1
+        assert context.statistics.falls == 1
+        assert context.statistics.timeouts == 0
+        again = context.statistics.retries
+        assert 1 <= again < 16
+        with world.lasting(200 * 0.005, more=0.2):
+            assert context.execute_many(reads(200)) == echoes(200)
+        assert context.statistics.retries == again
+
+
+def test_a_device_that_loses_both_of_two_loses_no_value(world: World) -> None:
+    peer = world.peer("tcp", Clumsy(world))
+    with world.connect(peer.url) as context:
+        assert context.execute_many(reads(20), max_in_flight=2) == echoes(20)
+        assert context.statistics.falls == 1
+        assert context.statistics.timeouts == 0
+
+
+@each_scheme
+def test_a_busy_device_gets_one_at_a_time(world: World, scheme: str) -> None:
+    peer = world.peer(scheme, Device(world, 2, BUSY))
+    with world.connect(peer.url, timeout=60) as context:
+        with world.lasting(50 * 0.005, more=0.2):  # a refusal is known at once
+            assert context.execute_many(reads(50)) == echoes(50)
+        assert context.max_in_flight == context.statistics.falls == 1
+
+
+@each_scheme
+def test_one_that_was_set_is_obeyed_at_once(world: World, scheme: str) -> None:
+    device = Device(world, 4)
+    peer = world.peer(scheme, device)
+    with world.connect(peer.url, max_in_flight=8, timeout=0.3) as context:
+        found = context.execute_many(reads(8), return_exceptions=True)
+        assert found[:4] == echoes(4)
+        assert [type(each) for each in found[4:]] == [ModbusTimeoutError] * 4
+        assert context.statistics.retries == 0
+        assert context.max_in_flight == 8
+        assert device.most == 4
+
+
+@each_scheme
+def test_all_clients_of_the_process_know_and_it_is_told_once(
+    world: World, scheme: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    device = Device(world, 1)
+    peer = world.peer(scheme, device)
+    with caplog.at_level(logging.WARNING), world.connect(peer.url) as before:
+        before.execute(pdu.ReadHoldingRegisters(0, 1))
+        with world.connect(peer.url) as context:
+            assert context.execute_many(reads(20)) == echoes(20)
+            assert context.statistics.falls == 1
+        for other in (before, world.connect(peer.url)):
+            with other:
+                assert other.execute_many(reads(20)) == echoes(20)
+                assert other.max_in_flight == 1
+                assert other.statistics.falls == other.statistics.retries == 0
+        with world.connect(peer.url, max_in_flight=4) as other:
+            assert other.max_in_flight == 4
+    (record,) = caplog.records
+    assert "one is sent at a time (max_in_flight=1" in record.getMessage()
+
+
+@each_scheme
+def test_what_is_known_holds_for_the_next_connection(world: World, scheme: str) -> None:
+    device = Device(world, 1)
+    peer = world.peer(scheme, device)
+    with world.connect(peer.url) as context:
+        assert context.execute_many(reads(20)) == echoes(20)
+        again = context.statistics.retries
+        peer.drop_all()  # type: ignore[attr-defined]
+        device._places = 16
+        assert context.execute_many(reads(100)) == echoes(100)
+        assert device.most == 1
+        assert context.statistics.retries == again
+
+
+@each_scheme
+def test_another_connection_begins_with_one(world: World, scheme: str) -> None:
+    peer = world.peer(scheme, Device(world, 16))
+    with world.connect(peer.url) as context:
+        assert context.execute_many(reads(100)) == echoes(100)
+        assert context.max_in_flight >= 16
+        peer.drop_all()  # type: ignore[attr-defined]
+        context.close()
+    with world.connect(peer.url) as context:
+        assert context.max_in_flight == 1
+
+
+@each_scheme
+def test_a_device_that_stood_still_keeps_what_it_had(world: World, scheme: str) -> None:
+    """The first of both requests is answered: it was not lost, only late."""
+    device = Device(world, 16)
+    peer = world.peer(scheme, device)
+    with world.connect(peer.url, timeout=2) as context:
+        context.execute_many(reads(100))
+        held: list[tuple[bytes, Write]] = []
+        peer.on_request = lambda request, write: held.append((request, write))
+
+        def go_on() -> None:
+            peer.on_request = device
+            for request, write in held:
+                write(echo(request))
+
+        world.network.events.after(0.8, go_on)  # type: ignore[attr-defined]
+        assert context.execute_many(reads(16)) == echoes(16)
+        assert context.max_in_flight >= 16
+        assert context.statistics.falls == context.statistics.timeouts == 0
+
+
+@each_scheme
+def test_one_dead_request_holds_others_up_once(world: World, scheme: str) -> None:
+    """It is asked again alone; the others go on when its second time is over."""
+
+    def but_five(request: bytes, write: Write) -> None:
+        if request[9] != 5:
+            write(echo(request))
+
+    peer = world.peer(scheme, but_five)
+    with world.connect(peer.url, timeout=1) as context, world.lasting(1.25, more=0.1):
+        found = context.execute_many(reads(100), return_exceptions=True)
+        assert isinstance(found[5], ModbusTimeoutError)
+        assert found[:5] + found[6:] == echoes(5) + echoes(100)[6:]
+        assert context.statistics.falls == 0
+
+
+@each_scheme
+def test_nothing_is_concluded_of_a_device_that_never_answers(world: World, scheme: str) -> None:
+    peer = world.peer(scheme, ignore)
+    with world.connect(peer.url, timeout=1) as context:
+        found = context.execute_many(reads(16), return_exceptions=True)
+        assert {type(each) for each in found} == {ModbusTimeoutError}
+        assert context.statistics.falls == context.statistics.retries == 0
+
+
+# --- in bytes and times ----------------------------------------------------------------------
+
+
+def grown(timeout: float = 1, **options: Any) -> Talk:
+    """Return a talk that may have several requests in flight; all answers took no time."""
+    talk = Talk(max_in_flight=None, timeout=timeout, **options)
+    talk.ask(*range(7), limit=16)
+    while len(talk.sent) < 7 or not talk.is_at_rest:
+        pending = talk.connection.in_flight
+        talk.come(*[tcp(each) for each in talk.sent[len(talk.sent) - pending :]])
+    assert talk.connection.room >= 4
+    return talk
+
+
+def test_the_number_doubles_when_all_of_as_many_were_answered() -> None:
+    talk = Talk(max_in_flight=None)
+    talk.ask(*range(100), limit=99)
+    rounds = []
+    while not talk.is_at_rest:
+        pending = talk.connection.in_flight
+        rounds.append(pending)
+        last = talk.sent[len(talk.sent) - pending :]
+        talk.connection.take([tcp(each) for each in last], talk.now)
+        talk.connection.settle(talk.now)
+        talk.start()
+    assert rounds[:6] == [1, 2, 4, 8, 16, 16]
+
+
+def test_the_number_does_not_grow_where_nobody_asks_more() -> None:
+    talk = Talk(max_in_flight=None)
+    for address in range(50):
+        talk.ask(address)
+        talk.come(tcp(talk.sent[-1]))
+    assert talk.connection.room == 2
+
+
+def test_a_read_is_lost_after_a_quarter_of_its_timeout() -> None:
+    talk = grown(timeout=4)
+    sent = len(talk.sent)
+    one, other = talk.ask(1), talk.ask(2)
+    talk.come(tcp(talk.sent[-1]))
+    talk.wait(0.99)
+    assert len(talk.sent) == sent + 2
+    talk.wait(0.01)
+    assert len(talk.sent) == sent + 3
+    assert talk.sent[-1][2:] == talk.sent[sent][2:]
+    talk.come(tcp(talk.sent[-1]))
+    assert (one.outcomes, other.outcomes) == ([[1]], [[2]])
+    assert talk.connection.room == talk.statistics.falls == 1
+
+
+def test_a_read_is_not_lost_before_twice_the_time_of_the_slowest_answer() -> None:
+    talk = grown(timeout=4)
+    slow = talk.ask(1)
+    talk.wait(1.5)
+    talk.come(tcp(talk.sent[-1]))
+    assert slow.outcomes == [[1]]
+    sent = len(talk.sent)
+    talk.ask(1), talk.ask(2)
+    talk.come(tcp(talk.sent[-1]))
+    talk.wait(2.99)
+    assert len(talk.sent) == sent + 2
+    talk.wait(0.01)
+    assert len(talk.sent) == sent + 3
+
+
+def test_nothing_is_sent_beside_the_repetition_nor_before_it() -> None:
+    talk = grown(timeout=4)
+    one, other = talk.ask(1), talk.ask(2)
+    talk.wait(0.5)
+    third = talk.ask(3)
+    sent = len(talk.sent)
+    talk.wait(0.5)  # the first two are lost; the third is in flight
+    fourth = talk.ask(4)
+    assert len(talk.sent) == sent
+    assert talk.connection.room == 0
+    talk.come(tcp(talk.sent[-1]))
+    assert third.outcomes == [[3]]
+    assert [adu[9] for adu in talk.sent[sent:]] == [1]
+    talk.come(tcp(talk.sent[-1]))
+    assert [adu[9] for adu in talk.sent[sent:]] == [1, 2]
+    talk.come(tcp(talk.sent[-1]))
+    assert [adu[9] for adu in talk.sent[sent:]] == [1, 2, 4]
+    talk.come(tcp(talk.sent[-1]))
+    assert [each.outcomes for each in (one, other, fourth)] == [[[1]], [[2]], [[4]]]
+    assert talk.is_at_rest
+
+
+@each_case("second", [False, True])
+def test_the_answer_to_either_is_taken_and_the_other_is_dropped(second: bool) -> None:
+    """Only if the first one stays without an answer, the device takes one at a time."""
+    talk = grown(timeout=4)
+    first = len(talk.sent)
+    one, other = talk.ask(1), talk.ask(2)
+    talk.come(tcp(talk.sent[-1]))
+    talk.wait(1)
+    both = talk.sent[first], talk.sent[-1]
+    talk.come(tcp(both[second]))
+    assert (one.outcomes, other.outcomes) == ([[1]], [[2]])
+    assert talk.statistics.falls == second
+    talk.come(tcp(both[not second]))
+    assert talk.statistics.late_answers == 1
+    batch = talk.ask(9)
+    talk.come(tcp(talk.sent[-1]))
+    assert batch.outcomes == [[9]]
+    assert talk.is_at_rest
+
+
+def test_a_repetition_has_its_own_time() -> None:
+    talk = grown(timeout=4)
+    one, other = talk.ask(1), talk.ask(2)
+    talk.come(tcp(talk.sent[-1]))
+    talk.wait(4.9)
+    assert (one.is_done, other.is_done) == (False, True)
+    talk.wait(0.1)
+    assert kinds(one) == [ModbusTimeoutError]
+    assert talk.statistics.falls == 0
+    assert talk.connection.room >= 4
+
+
+def test_one_that_was_alone_is_not_sent_again() -> None:
+    talk = grown()
+    batch, sent = talk.ask(1), len(talk.sent)
+    talk.wait(2)
+    assert kinds(batch) == [ModbusTimeoutError]
+    assert len(talk.sent) == sent
+
+
+def test_a_write_is_alone_and_not_sent_again() -> None:
+    talk = grown()
+    sent = len(talk.sent)
+    reading = talk.ask(1)
+    writes = [talk.ask(pdu.WriteRegister(1, 1)), talk.ask(pdu.Diagnostics(10, b"\0\0"))]
+    last = talk.ask(2)
+    assert len(talk.sent) == sent + 1
+    talk.come(tcp(talk.sent[-1]))
+    assert len(talk.sent) == sent + 2
+    talk.wait(1)
+    assert len(talk.sent) == sent + 3
+    talk.wait(1)
+    assert len(talk.sent) == sent + 4
+    talk.come(tcp(talk.sent[-1]))
+    assert (reading.outcomes, last.outcomes) == ([[1]], [[2]])
+    assert [kinds(each) for each in writes] == [[ModbusTimeoutError]] * 2
+    assert talk.statistics.retries == 0
+
+
+def test_busy_alone_is_the_answer() -> None:
+    talk = grown()
+    one, other = talk.ask(1), talk.ask(2)
+    talk.come(tcp(talk.sent[-2], "83 06"), tcp(talk.sent[-1]))
+    talk.come(tcp(talk.sent[-1], "83 06"))
+    assert (kinds(one), other.outcomes) == ([ServerDeviceBusy], [[2]])
+
+
+@pytest.mark.parametrize("when", ["before the repetition", "in the repetition"])
+def test_a_caller_who_leaves_holds_nobody_up(when: str) -> None:
+    talk = grown()
+    one, other = talk.ask(1), talk.ask(2)
+    if when == "before the repetition":
+        talk.wait(0.1)
+        third = talk.ask(3)  # in flight while the two are lost
+        talk.wait(0.2)
+        talk.cancel(one)
+        talk.come(tcp(talk.sent[-1]))
+        assert third.outcomes == [[3]]
+    else:
+        talk.wait(0.25)
+        talk.cancel(one)
+    talk.come(tcp(talk.sent[-1]))
+    assert other.outcomes == [[2]]
+    assert talk.is_at_rest
+
+
+@pytest.mark.parametrize("end", ["lost", "closed", "refused"])
+def test_what_was_lost_ends_with_the_connection(end: str) -> None:
+    allowed = [True]
+    talk = grown(may_send=lambda: allowed[-1])
+    batches = [talk.ask(1), talk.ask(2), talk.ask(3)]
+    talk.wait(0.25)  # one of them is asked alone
+    assert talk.connection.room == 0
+    error = ModbusConnectionError("the end")
+    if end == "lost":
+        talk.lose(error)
+    elif end == "closed":
+        talk.connection.closed(error, talk.now)
+    else:
+        allowed.append(False)
+        talk.start()
+        talk.wait(1)
+        allowed.append(True)
+    assert all(batch.is_done for batch in batches)
+    assert talk.is_at_rest
+    if end != "closed":
+        talk.lose()
+        talk.open()
+        batch = talk.ask(9)
+        talk.come(tcp(talk.sent[-1]))
+        assert batch.outcomes == [[9]]

@@ -1,0 +1,72 @@
+"""
+Clients of a process that has no descriptor left: a connection error, and no import on the way.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from tests.support.peers import answer, peer_at
+
+# Every import opens a file, so a module that is first needed now cannot be had.
+PROGRAM = """
+import asyncio, errno, resource, sys
+from libmodbus_py import AsyncClient, Context, ModbusConnectionError, ModbusError
+
+url, kind, hook = sys.argv[1:]
+soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+
+def fail(*_):
+    raise ZeroDivisionError
+
+options = {hook: fail} if hook else {}
+
+def outcome(plc):
+    try:
+        return plc.read_holding_registers(5, 1)
+    except ModbusError as error:
+        return error
+
+def told(found):
+    for error in found:
+        assert isinstance(error, ModbusConnectionError), repr(error)
+        assert error.errno == errno.EMFILE, repr(error)
+        str(error)
+
+def blocking():
+    plc = Context.from_url(url, native=kind == "native", max_pause=0.001, **options)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (3, hard))
+    told([outcome(plc) for _ in range(3)])
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert outcome(plc) == [5]
+    plc.close()
+
+async def asynchronous():
+    plc = AsyncClient(url, max_pause=0.001, **options)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (3, hard))
+    reads = [plc.read_holding_registers(5, 1) for _ in range(3)]
+    told(await asyncio.gather(*reads, return_exceptions=True))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert await plc.read_holding_registers(5, 1) == [5]
+    await plc.close()
+
+asyncio.run(asynchronous()) if kind == "asyncio" else blocking()
+print("ok")
+"""
+
+
+@pytest.mark.parametrize("hook", ["", "on_state", "trace"])
+@pytest.mark.parametrize("kind", ["native", "python", "asyncio"])
+@pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu"])
+def test_it_is_a_connection_error_that_passes(scheme: str, kind: str, hook: str) -> None:
+    with peer_at(scheme, lambda request, write: write(answer(request, scheme))) as peer:
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM, peer.url, kind, hook],
+            capture_output=True,
+            text=True,
+            timeout=30,
+        )
+    assert done.stdout == "ok\n", done.stderr

@@ -1,0 +1,250 @@
+"""
+Many requests given at once, with all defaults, to servers that keep one of the requests that arrive
+together: that of pymodbus the last, a small device the first.
+
+No request is lost, writes are carried out in the order in which they were given, and what the first
+client found out about a server costs a second client no request.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import struct
+from collections.abc import Awaitable, Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import pytest
+from pymodbus.framer import FramerType
+from pymodbus.pdu import ModbusPDU
+from pymodbus.server import ModbusTcpServer
+
+from libmodbus_py import AsyncClient, Context, Gateway, Route, pdu
+from tests.interop.test_interop_pymodbus import in_background, simulated_device
+from tests.support.clients import NATIVE
+from tests.support.interop import HOLDING_REGISTERS, UNIT, holding_register
+from tests.support.peers import FakeServer, mbap
+
+REGISTER = HOLDING_REGISTERS.start
+"""The register that is written; the reads are of those behind it."""
+
+COUNT = 50
+VALUES = list(range(1, COUNT + 1))
+WRITES = [pdu.WriteRegister(REGISTER, value) for value in VALUES]
+ADDRESSES = range(REGISTER + 4, REGISTER + 4 + COUNT)
+READS = [pdu.ReadHoldingRegisters(address, 1) for address in ADDRESSES]
+READ = [[holding_register(address)] for address in ADDRESSES]
+
+READ_BACK = pdu.ReadHoldingRegisters(REGISTER, 1)
+MIXED = [
+    request
+    for write, read in zip(WRITES, READS, strict=True)
+    for request in (write, READ_BACK, read, read)
+]
+MIXED_RESULTS = [
+    result
+    for value, read in zip(VALUES, READ, strict=True)
+    for result in (None, [value], read, read)
+]
+
+
+class Served(NamedTuple):
+    """
+    A server that runs.
+
+    Attributes:
+        url: where it listens.
+        written: address and value of each write that was carried out, the first one first.
+    """
+
+    url: str
+    written: list[tuple[int, int]]
+
+    @property
+    def values(self) -> list[int]:
+        """The values that `REGISTER` got, one after the other."""
+        return [value for address, value in self.written if address == REGISTER]
+
+
+@contextlib.contextmanager
+def pymodbus() -> Iterator[Served]:
+    """The server of pymodbus, which responds to the last request of what it receives together."""
+    written: list[tuple[int, int]] = []
+
+    def note(sending: bool, message: ModbusPDU) -> ModbusPDU:
+        if sending and message.function_code == 6:
+            written.append((message.address, message.registers[0]))
+        return message
+
+    def make() -> ModbusTcpServer:
+        address = ("127.0.0.1", 0)
+        return ModbusTcpServer(
+            simulated_device(), framer=FramerType.SOCKET, address=address, trace_pdu=note
+        )
+
+    with in_background(make) as server:
+        port = server.transport.sockets[0].getsockname()[1]
+        yield Served(f"tcp://127.0.0.1:{port}", written)
+
+
+@contextlib.contextmanager
+def first_frame() -> Iterator[Served]:
+    """A device that responds to the first frame of what it receives together."""
+    written: list[tuple[int, int]] = []
+
+    def answer(data: bytes) -> list[bytes]:
+        function, address, word = struct.unpack_from(">BHH", data, 7)
+        if function == 6:
+            written.append((address, word))
+            return [mbap(data, data[7:12])]
+        held = {at: holding_register(at) for at in HOLDING_REGISTERS} | dict(written)
+        return [mbap(data, struct.pack(">BBH", function, 2, held[address]))]
+
+    with FakeServer(answer) as server:
+        yield Served(server.url, written)
+
+
+SERVERS = {"pymodbus": pymodbus, "first frame": first_frame}
+
+
+@pytest.fixture(params=SERVERS)
+def served(request: pytest.FixtureRequest) -> Iterator[Served]:
+    """Each kind of server, new for each test: clients remember what they find out about one."""
+    with SERVERS[request.param]() as running:
+        yield running
+
+
+Calls = Callable[[AsyncClient], list[Awaitable[Any]]]
+
+
+def gather(url: str, calls: Calls) -> tuple[list[Any], Any]:
+    """Return the results of calls that are made at once by a new client, and its statistics."""
+
+    async def ask() -> tuple[list[Any], Any]:
+        async with AsyncClient(url, unit=UNIT) as plc:
+            return await asyncio.gather(*calls(plc), return_exceptions=True), plc.statistics
+
+    return asyncio.run(ask())
+
+
+def writes(plc: AsyncClient) -> list[Awaitable[Any]]:
+    return [plc.write_register(REGISTER, value) for value in VALUES]
+
+
+def reads(plc: AsyncClient) -> list[Awaitable[Any]]:
+    return [plc.read_holding_registers(address, 1) for address in ADDRESSES]
+
+
+def mixed(plc: AsyncClient) -> list[Awaitable[Any]]:
+    return [plc.execute(request) for request in MIXED]
+
+
+def execute_many(url: str, requests: list[Any], native: bool) -> tuple[list[Any], Any]:
+    """Return the results of a blocking client, and its statistics."""
+    with Context.from_url(url, unit=UNIT, native=native) as plc:
+        return plc.execute_many(requests, return_exceptions=True), plc.statistics
+
+
+# --- writes, and reads between them ---------------------------------------------------------------
+
+
+def test_gathered_writes_are_carried_out_once_and_in_order(served: Served) -> None:
+    results, statistics = gather(served.url, writes)
+    assert results == [None] * COUNT
+    assert served.values == VALUES
+    assert statistics.requests == COUNT
+
+
+def test_gathered_reads_see_the_writes_before_them(served: Served) -> None:
+    results, _ = gather(served.url, mixed)
+    assert results == MIXED_RESULTS
+    assert served.values == VALUES
+
+
+@NATIVE
+def test_writes_of_a_batch_are_carried_out_once_and_in_order(served: Served, native: bool) -> None:
+    results, statistics = execute_many(served.url, WRITES, native)
+    assert results == [None] * COUNT
+    assert served.values == VALUES
+    assert statistics.requests == COUNT
+
+
+@NATIVE
+def test_reads_of_a_batch_see_the_writes_before_them(served: Served, native: bool) -> None:
+    results, _ = execute_many(served.url, MIXED, native)
+    assert results == MIXED_RESULTS
+    assert served.values == VALUES
+
+
+def test_writes_of_four_clients_of_a_gateway_are_carried_out(served: Served) -> None:
+    """Each client writes a register of its own."""
+
+    def ask(client: int) -> list[Any]:
+        with Context.from_url(front, unit=UNIT, timeout=30) as plc:
+            requests = [pdu.WriteRegister(REGISTER + client, value) for value in VALUES]
+            return plc.execute_many(requests, return_exceptions=True)
+
+    with Gateway([Route(served.url)]).background("tcp://127.0.0.1:0") as running:
+        front = running.urls[0]
+        with ThreadPoolExecutor(4) as pool:
+            assert list(pool.map(ask, range(4))) == [[None] * COUNT] * 4
+    for client in range(4):
+        assert [
+            value for address, value in served.written if address == REGISTER + client
+        ] == VALUES
+
+
+# --- what the first client found out --------------------------------------------------------------
+
+
+def test_reads_are_lost_in_the_first_gather_only(served: Served) -> None:
+    async def ask() -> list[int]:
+        async with AsyncClient(served.url, unit=UNIT) as plc:
+            repeated = []
+            for _ in range(3):
+                assert await asyncio.gather(*reads(plc)) == READ
+                repeated.append(plc.statistics.retries)
+            return repeated
+
+    first, *later = asyncio.run(ask())
+    assert first > 0
+    assert later == [first, first]
+
+
+Ask = Callable[[str], tuple[list[Any], Any]]
+
+CLIENTS: dict[str, Ask] = {
+    "asyncio": lambda url: gather(url, reads),
+    "native": lambda url: execute_many(url, READS, True),
+    "python": lambda url: execute_many(url, READS, False),
+}
+
+
+@pytest.mark.parametrize("second", CLIENTS)
+@pytest.mark.parametrize("first", CLIENTS)
+def test_a_second_client_sends_no_read_twice(served: Served, first: str, second: str) -> None:
+    results, statistics = CLIENTS[first](served.url)
+    assert results == READ
+    assert statistics.retries > 0
+    results, statistics = CLIENTS[second](served.url)
+    assert results == READ
+    assert statistics.retries == 0
+    assert statistics.requests == COUNT
+    assert statistics.timeouts == 0
+
+
+def test_a_client_beside_the_first_one_sends_no_read_twice(served: Served) -> None:
+    """The first one is still connected, and goes on."""
+
+    async def ask() -> None:
+        async with AsyncClient(served.url, unit=UNIT) as plc:
+            assert await asyncio.gather(*reads(plc)) == READ
+            repeated = plc.statistics.retries
+            async with AsyncClient(served.url, unit=UNIT) as other:
+                results = await asyncio.gather(*reads(plc), *reads(other))
+                assert results == READ + READ
+                assert plc.statistics.retries == repeated > 0
+                assert other.statistics.retries == 0
+
+    asyncio.run(ask())

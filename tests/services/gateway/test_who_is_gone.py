@@ -1,0 +1,218 @@
+"""
+What nobody waits for any more is not sent, on any kind of line; and what a silent function costs.
+"""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from libmodbus_py import Route
+from libmodbus_py.services.gateway.line import NO_ANSWER, Forwarded
+from tests.services.gateway.gates import adu, gateway
+from tests.services.gateway.test_functions_without_an_answer import UNKNOWN, Choosy
+from tests.services.gateway.test_line import TIMEOUT, WRITE, Asker, Plant, answer_of
+from tests.simulation.scripted import Scripted
+from tests.simulation.stage import Stage
+from tests.support.talk import rtu
+
+STREAMS = ["tcp://10.0.0.1", "tls://10.0.0.1", "rtu+tcp://10.0.0.1"]
+
+LINES = ["rtu:///dev/line", "ascii:///dev/line", "udp://10.0.0.1", "rtu+udp://10.0.0.1", *STREAMS]
+
+CONNECT_DELAY = 1.0
+
+
+def plant_of(url: str, options: str) -> Plant:
+    """Return a plant with options of its line; no unit answers."""
+    plant = Plant(url)
+    plant.peer.on_request = lambda request, write: None
+    plant.url = plant.peer.url + ("&" if "?" in plant.peer.url else "?") + options
+    return plant
+
+
+@pytest.mark.parametrize("url", LINES)
+def test_a_request_that_waits_for_the_connection_is_not_sent(url: str) -> None:
+    plant = plant_of(url, f"timeout=5&connect_delay={CONNECT_DELAY}")
+
+    async def main() -> None:
+        alone, first, joined = Asker(), Asker(), Asker()
+        asked = [
+            plant.ask(1, alone, WRITE),
+            plant.ask(2, first, merge=True),
+            plant.ask(2, joined, merge=True),
+        ]
+        await asyncio.sleep(CONNECT_DELAY / 2)
+        for each in asked:
+            plant.line.drop(each)
+        assert plant.line.statistics.in_flight == 0
+        await asyncio.sleep(2 * CONNECT_DELAY)
+        assert plant.peer.requests == []
+        plant.ask(3, Asker())
+        await asyncio.sleep(2 * CONNECT_DELAY)
+        assert len(plant.peer.requests) == 1
+
+    plant.run(main)
+
+
+@pytest.mark.parametrize("url", LINES)
+def test_a_request_without_an_answer_is_not_sent_again(url: str) -> None:
+    plant = plant_of(url, "timeout=0.5&retries=3")
+
+    async def main() -> None:
+        gone = plant.ask(1, Asker())
+        await asyncio.sleep(0.1)
+        plant.line.drop(gone)
+        await asyncio.sleep(5)
+        assert len(plant.peer.requests) == 1
+
+    plant.run(main)
+
+
+@pytest.mark.parametrize("url", STREAMS)
+def test_a_trial_that_waits_for_the_connection_is_not_sent(url: str) -> None:
+    plant = plant_of(url, f"timeout=0.5&connect_delay={CONNECT_DELAY}")
+
+    async def main() -> None:
+        plant.ask(9, Asker())
+        await asyncio.sleep(CONNECT_DELAY + 3 * TIMEOUT + 0.2)
+        assert len(plant.peer.requests) == 1
+        plant.peer.drop_all()
+        await asyncio.sleep(0.1)
+        trial = plant.ask(9, Asker())
+        await asyncio.sleep(CONNECT_DELAY / 2)
+        plant.line.drop(trial)
+        await asyncio.sleep(2 * CONNECT_DELAY)
+        assert len(plant.peer.requests) == 1
+        again = Asker()  # the unit is still due
+        plant.ask(9, again)
+        await asyncio.sleep(2 * CONNECT_DELAY)
+        assert len(plant.peer.requests) == 2
+        assert again.answers == [f"83{NO_ANSWER:02x}"]
+
+    plant.run(main)
+
+
+def test_requests_behind_a_write_are_not_sent() -> None:
+    """On a connection with transaction ids a write is alone in flight."""
+    plant = Plant("tcp://10.0.0.1")
+    plant.url = plant.peer.url + "?timeout=0.5"
+
+    async def main() -> None:
+        plant.silent.add(9)
+        for _ in range(3):
+            plant.ask(1, Asker())
+            await asyncio.sleep(0.1)
+        plant.ask(9, Asker(), WRITE)
+        gone = [plant.ask(unit, Asker()) for unit in (1, 2, 3)]
+        await asyncio.sleep(0.1)
+        for each in gone:
+            plant.line.drop(each)
+        await asyncio.sleep(2)
+        assert plant.asked == [1, 1, 1, 9]
+
+    plant.run(main)
+
+
+def test_a_read_that_was_lost_beside_others_is_not_sent_again() -> None:
+    plant = Plant("tcp://10.0.0.1")
+    plant.url = plant.peer.url + "?timeout=0.5"
+
+    async def main() -> None:
+        plant.silent.add(9)
+        plant.ask(1, Asker())
+        await asyncio.sleep(0.1)
+        gone, other, next_one = plant.ask(9, Asker()), Asker(), Asker()
+        plant.ask(1, other)
+        await asyncio.sleep(0.1)
+        assert plant.asked == [1, 9, 1]
+        plant.line.drop(gone)
+        plant.ask(1, next_one)
+        await asyncio.sleep(2)
+        assert plant.asked == [1, 9, 1, 1]
+        assert (other.answers, next_one.answers) == ([answer_of(1, 3)], [answer_of(1, 4)])
+
+    plant.run(main)
+
+
+BROADCAST = bytes.fromhex("06 0000 0007")
+
+
+@pytest.mark.parametrize(("scheme", "is_sent"), [("tcp", False), ("rtu+tcp", True)])
+def test_a_broadcast_is_not_sent_if_its_client_waited_for_that(
+    stage: Stage, scheme: str, is_sent: bool
+) -> None:
+    """On a serial line nobody waits for a broadcast."""
+    line = "rtu:///dev/line"
+    peer = Scripted(stage, line, lambda request, write: None)
+    route = Route(f"{line}?connect_delay={CONNECT_DELAY}")
+    frame = adu(BROADCAST, unit=0) if scheme == "tcp" else rtu((b"\0" + BROADCAST).hex())
+    with gateway([route], f"{scheme}://10.0.0.1:0") as (_, url):
+        client = stage.talk(url, "10.0.0.2").end
+        client.send(frame)
+        stage.pass_time(CONNECT_DELAY / 2)
+        client.close()
+        stage.pass_time(2 * CONNECT_DELAY)
+        assert len(peer.requests) == is_sent
+
+
+@pytest.mark.parametrize("url", ["rtu:///dev/line?timeout=0.5", "tcp://10.0.0.1"])
+def test_a_silent_function_costs_the_reads_of_others_one_timeout_at_most(url: str) -> None:
+    """Four clients read in a row; a fifth asks what the unit does not know, again and again."""
+    plant = Choosy(url, {8})
+    took: list[float] = []
+
+    class Reader(Asker):
+        def read(self) -> None:
+            self.since = plant.network.events.now
+            plant.ask(9, self)
+
+        def told(self, forwarded: Forwarded, response: bytes | None) -> None:
+            super().told(forwarded, response)
+            took.append(plant.network.events.now - self.since)
+            if len(took) < 1000:
+                self.read()
+
+    async def main() -> None:
+        readers = [Reader(f"192.0.2.{number}") for number in range(4)]
+        readers[0].read()
+        await asyncio.sleep(0.2)
+        for each in readers[1:]:
+            each.read()
+        asker = Asker("192.0.2.9")
+        while len(took) < 1000:
+            plant.ask(9, asker, UNKNOWN)
+            await asyncio.sleep(0.1)
+        answers = [answer for each in readers for answer in each.answers]
+        assert {str(answer)[:4] for answer in answers} == {"0302"}
+        assert plant.asked.count(-8) > 1
+        longest = max(took)
+        assert longest < TIMEOUT + 6 * plant.delay
+        # The first one costs a timeout; each trial after it no more than an answer of the others.
+        slow = [each for each in took if each > TIMEOUT]
+        assert len(slow) <= len(readers)
+
+    plant.run(main)
+
+
+def test_a_write_that_tries_a_unit_makes_way_for_others() -> None:
+    """Nothing is sent beside it, but others wait no longer than for one of their own answers."""
+    plant = Plant("tcp://10.0.0.1")
+    plant.url = plant.peer.url + "?timeout=0.5"
+
+    async def main() -> None:
+        plant.silent.add(9)
+        plant.ask(9, Asker(), WRITE)
+        await asyncio.sleep(2)
+        for _ in range(3):
+            plant.ask(1, Asker())
+            await asyncio.sleep(0.1)
+        tried, other = Asker(), Asker()
+        plant.ask(9, tried, WRITE)
+        plant.ask(1, other)
+        await asyncio.sleep(3 * plant.delay)
+        assert tried.answers == [f"86{NO_ANSWER:02x}"]
+        assert other.answers == [answer_of(1, 6)]
+
+    plant.run(main)
