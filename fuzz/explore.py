@@ -1,0 +1,548 @@
+"""
+Every sequence of events that a connection can meet: python -m fuzz.explore [--depth N] ...
+
+A world is a sequence of `--depth` requests to the real state machines of the client
+(`Transactions` with `Line` or with `Ids`), without sockets and clocks. Up to `--faults` of the
+requests are unusual: the device answers them late, twice, damaged, never ..., or the caller asks
+something else, pauses, cancels or loses the connection. All choices of places and of what is
+unusual there are tried, with values that stay and values that change, with and without retries.
+After the sequence come usual requests.
+
+Looked at after each event:
+
+    wrong       a value of another request
+    stale       a value of the same request from before it was asked
+    told        a write that was told as refused was carried out, or one that succeeded was not
+    order       an older write was sent after a newer one
+    doubt       a request was sent in DOUBT
+    endless     a wait longer than the timeouts and silences add up to
+    spoiled     usual requests still fail after the first few behind the last fault
+    repeated    a request fails though its repetition is answered
+    lasting     wrong or stale values longer after the last fault than `BOUND`
+
+What the rules cannot tell apart is in `EXCEPTIONS`; anything else is an error, and exits with 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import heapq
+import logging
+import math
+import os
+import sys
+import time
+from bisect import bisect_right
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from itertools import accumulate, combinations, product
+from typing import Any, NamedTuple
+
+from libmodbus_py.client.call import NOT_ASKED, Call, Timeouts
+from libmodbus_py.client.connection import Pace, Transactions
+from libmodbus_py.client.ids import Ids
+from libmodbus_py.client.line import Line
+from libmodbus_py.client.reconnecting import Reconnecting
+from libmodbus_py.client.statistics import Statistics
+from libmodbus_py.client.window import ONE_AT_A_TIME, Window
+from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.ports.port import Silence
+from libmodbus_py.ports.trace import Trace
+from libmodbus_py.protocol import pdu
+from libmodbus_py.protocol.errors import ExceptionResponse, ModbusConnectionError
+from libmodbus_py.protocol.framing import Frame, crc16, make_framer, mbap, rtu
+
+# Times are in ticks. An answer takes 2.
+TIMEOUT = 6.0
+
+
+class Act(NamedTuple):
+    """
+    What a device does with one request.
+
+    Attributes:
+        frames: when each frame comes after the device begins with the request, and which it is.
+        busy: how long the device takes; it handles requests in their order.
+        does: True if a write is carried out.
+    """
+
+    frames: tuple[tuple[float, str], ...]
+    busy: float = 2
+    does: bool = True
+
+
+ACTS: dict[str, Act] = {
+    "good": Act(((2, "answer"),)),
+    "slow": Act(((4, "answer"),), 4),
+    "never": Act((), 0, does=False),
+    "lost": Act((), 2),
+    "damaged": Act(((2, "damaged"),)),
+    "late 8": Act(((8, "answer"),), 8),
+    "late 11": Act(((11, "answer"),), 11),
+    "late 14": Act(((14, "answer"),), 14),
+    "late 17": Act(((17, "answer"),), 17),
+    "late 20": Act(((20, "answer"),), 20),
+    "late 29": Act(((29, "answer"),), 29),
+    "twice at once": Act(((2, "answer"), (2, "answer"))),
+    "twice +1": Act(((2, "answer"), (3, "answer"))),
+    "twice +2": Act(((2, "answer"), (4, "answer"))),
+    "twice +5": Act(((2, "answer"), (7, "answer"))),
+    "twice +6": Act(((2, "answer"), (8, "answer"))),
+    "twice +7": Act(((2, "answer"), (9, "answer"))),
+    "twice +9": Act(((2, "answer"), (11, "answer"))),
+    "three times": Act(((2, "answer"), (3, "answer"), (4, "answer"))),
+    "refused": Act(((2, "refusal"),), does=False),
+    "refused twice": Act(((2, "refusal"), (3, "refusal")), does=False),
+    "another unit": Act(((1, "unit"), (2, "answer"))),
+    "another function": Act(((1, "function"), (2, "answer"))),
+    "noise": Act(((1, "noise"), (2, "answer"))),
+    "noise behind": Act(((2, "answer"), (2, "noise"))),
+    "echo": Act(((0, "echo"), (2, "answer"))),
+    "damaged, then good": Act(((1, "damaged"), (2, "answer"))),
+}
+ONLY_WITH_IDS = {"swallowed": Act((), 0, does=False)}
+
+# What a caller does: the requests that it makes at once, and what comes before or behind.
+MOVES = ("A", "B", "C", "F", "W", "pause A", "cancelled", "AB", "WW", "AW", "lost", "given up")
+
+
+class Asked(NamedTuple):
+    """A request in a world, and the value of its register when it was asked."""
+
+    letter: str
+    call: Call
+    asked_at: float
+    version: int
+
+    @property
+    def has_failed(self) -> bool:
+        return isinstance(self.call.outcome, BaseException)
+
+
+@dataclass
+class World:
+    """One sequence of events; `wrong` and the others are its errors."""
+
+    has_ids: bool
+    changes: bool
+    retries: int = 0
+    errors: set[str] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        ONE_AT_A_TIME.clear()
+        self.now = 0.0
+        self.endpoint = parse("tcp://10.0.0.1:502" if self.has_ids else "rtu+tcp://10.0.0.1:502")
+        statistics, trace = Statistics(), Trace("", None)
+        matching: Any
+        if self.has_ids:
+            matching = Ids(self.endpoint, statistics, trace)
+        else:
+            matching = Line(self.endpoint, statistics, trace, silence=Silence())
+        window = Window(self.endpoint, 16, not self.has_ids, statistics)
+        life = Reconnecting("", 0.0, statistics, None)
+        self.connection = Transactions(
+            self.endpoint,
+            Pace(1.0, 0.0, 0.0, 1000),
+            matching,
+            window,
+            life,
+            statistics,
+            trace,
+            None,
+            is_ordered=True,
+        )
+        life.connecting()
+        self.connection.opened(0.0)
+        self.timeouts = Timeouts(TIMEOUT, self.retries, 0)
+        self.framer = make_framer(self.endpoint.framing, "server")
+        self.arrivals: list[tuple[float, int, bytes]] = []
+        self.count = 0
+        self.busy_until = 0.0
+        self.acts: list[str] = []
+        self.version = 1
+        self.writes = 0
+        self.sent_writes: list[int] = []
+        self.done_writes: set[int] = set()
+        self.asked: list[Asked] = []
+        # Unit and function -> when it was last heard of, after it was not answered well.
+        self.doubted: dict[tuple[int, int], float] = {}
+        self.events = 0
+
+    # --- the device ----------------------------------------------------------------------------
+
+    def receive(self, adu: bytes) -> None:
+        for frame in self.framer.feed(adu):
+            self.note_sent(frame)
+            name = self.acts.pop(0) if self.acts else "good"
+            act = ACTS.get(name) or ONLY_WITH_IDS[name]
+            begins = max(self.now, self.busy_until)
+            if name in ("never", "swallowed"):
+                begins = self.now
+            else:
+                self.busy_until = begins + act.busy
+            self.handle(frame, act, begins)
+
+    def handle(self, frame: Frame, act: Act, begins: float) -> None:
+        request = pdu.decode_request(frame.pdu)
+        if isinstance(request, pdu.WriteRegister):
+            if act.does:
+                self.done_writes.add(request.value)
+            answer = request.encode_response(None)
+        else:
+            assert isinstance(request, pdu.ReadHoldingRegisters | pdu.ReadInputRegisters)
+            if self.changes:
+                self.version += 1
+            code = {(1, 3): request.address, (1, 4): 2, (2, 3): 3}[frame.unit, request.function]
+            answer = request.encode_response([0x100 * (code + 10) + self.version % 0x100])
+        for after, kind in act.frames:
+            self.put(begins + after, self.made(kind, frame, answer))
+
+    def made(self, kind: str, frame: Frame, answer: bytes) -> bytes:
+        unit, request, number = frame
+        make = mbap if self.has_ids else rtu
+        if kind == "echo":
+            return make(number, unit, request)
+        if kind == "noise":
+            return b"" if self.has_ids else b"\x00"
+        if kind == "refusal":
+            answer = bytes([request[0] | 0x80, 4])
+        elif kind == "unit":
+            unit = 9
+        elif kind == "function":
+            answer = b"\x02\x01\x00"
+        adu = make(number, unit, answer)
+        if kind == "damaged":
+            adu = adu[:2] + b"\0\1" + adu[4:] if self.has_ids else adu[:-1] + bytes([adu[-1] ^ 1])
+        return adu
+
+    def put(self, at: float, data: bytes) -> None:
+        if data:
+            self.count += 1
+            heapq.heappush(self.arrivals, (at, self.count, data))
+
+    # --- the client ----------------------------------------------------------------------------
+
+    def note_sent(self, frame: Frame) -> None:
+        if frame.pdu[0] == 6:
+            number = int.from_bytes(frame.pdu[3:5], "big")
+            if self.sent_writes and number < self.sent_writes[-1]:
+                self.errors.add("order")
+            self.sent_writes.append(number)
+        heard = self.doubted.pop((frame.unit, frame.pdu[0]), -math.inf)
+        if not self.has_ids and self.now < heard + TIMEOUT:
+            self.errors.add("doubt")
+
+    def ask(self, letter: str) -> Call:
+        unit = 1
+        made: pdu.Request[Any]
+        if letter == "W":
+            self.writes += 1
+            made = pdu.WriteRegister(9, self.writes)
+        elif letter == "F":
+            made = pdu.ReadInputRegisters(0, 1)
+        else:
+            unit = 2 if letter == "C" else 1
+            made = pdu.ReadHoldingRegisters("ABC".index(letter) % 2, 1)
+        call = Call(unit, made, made.encode(), self.timeouts)
+        self.connection.submit(call, self.now)
+        version = self.writes if letter == "W" else self.version
+        self.asked.append(Asked(letter, call, self.now, version))
+        return call
+
+    def step(self, until: float) -> bool:
+        """Go on to the next event; return False if there is none before a time."""
+        connection = self.connection
+        self.events += 1
+        for adu in connection.start(self.now):
+            self.receive(adu)
+        arrival = self.arrivals[0][0] if self.arrivals else math.inf
+        at = min(arrival, connection.alarm)
+        if at > until or at == math.inf:
+            self.now = max(self.now, until) if until < math.inf else self.now
+            return False
+        self.now = max(self.now, at)
+        if arrival <= at:
+            data = heapq.heappop(self.arrivals)[2]
+            self.note_heard(data)
+            connection.take([data], self.now)
+        else:
+            connection.tick(self.now)
+        connection.settle(self.now)
+        self.note_failures()
+        return True
+
+    def note_failures(self) -> None:
+        for each in self.asked[-2:]:
+            outcome = each.call.outcome
+            if each.call.order and isinstance(outcome, BaseException):
+                is_unsent = "does not fall silent" in str(outcome)
+                if not is_unsent and not isinstance(
+                    outcome, ExceptionResponse | ModbusConnectionError
+                ):
+                    pair = each.call.unit, each.call.function
+                    self.doubted.setdefault(pair, self.now)
+                each.call.order = 0
+
+    def note_heard(self, data: bytes) -> None:
+        if not self.has_ids and len(data) > 1 and not crc16(data):
+            pair = data[0], data[1] & 0x7F
+            if pair in self.doubted:
+                self.doubted[pair] = self.now
+
+    def wait(self, calls: list[Call], until: float = math.inf) -> None:
+        begun, most = self.now, (4 + 3 * len(calls)) * (1 + self.retries) * TIMEOUT
+        while any(call.outcome is NOT_ASKED and call.state.name != "OVER" for call in calls):
+            if not self.step(until) and self.has_open(calls):
+                self.errors.add("endless")
+                return
+            if self.now - begun > most:
+                self.errors.add("endless")
+                return
+        for call in calls:
+            self.judge(next(each for each in self.asked if each.call is call))
+
+    def has_open(self, calls: list[Call]) -> bool:
+        return any(call.outcome is NOT_ASKED and call.state.name != "OVER" for call in calls)
+
+    def judge(self, asked: Asked) -> None:
+        outcome = asked.call.outcome
+        failed = isinstance(outcome, BaseException)
+        if asked.letter == "W":
+            if not failed and asked.version not in self.done_writes:
+                self.errors.add("told")
+            if isinstance(outcome, ExceptionResponse) and asked.version in self.done_writes:
+                self.errors.add("told")
+        elif not failed:
+            code, version = divmod(outcome[0], 0x100)
+            if code != 10 + {"A": 0, "B": 1, "F": 2, "C": 3}[asked.letter]:
+                self.errors.add("wrong")
+            elif self.changes and version <= asked.version % 0x100:
+                self.errors.add("stale")
+
+    def move(self, move: str, act: str) -> None:
+        """Do what a caller does, with a device that does this with the first of its requests."""
+        connection = self.connection
+        if move.startswith("pause"):
+            self.idle(TIMEOUT)
+            move = move[6:]
+        if move == "cancelled":
+            self.acts = [act]
+            call = self.ask("A")
+            self.idle(1.0)
+            if call.state.name == "SENT":
+                self.doubted[1, 3] = self.now
+            connection.withdraw(call, self.now)
+            return
+        if move in ("lost", "given up"):
+            self.acts = [act]
+            call = self.ask("A")
+            self.idle(1.0)
+            was_sent = call.state.name == "SENT"
+            error = ModbusConnectionError("gone")
+            connection.lost(error, self.now, by_itself=move == "lost")
+            self.arrivals = [] if self.has_ids else self.arrivals
+            if was_sent:
+                self.doubted[1, 3] = self.now
+            connection.life.connecting()
+            connection.opened(self.now)
+            self.wait([call])
+            return
+        self.acts = [act]
+        self.wait([self.ask(letter) for letter in move])
+
+    def idle(self, ticks: float) -> None:
+        until = self.now + ticks
+        while self.step(until):
+            pass
+        self.now = until
+
+
+Steps = list[tuple[str, str]]
+
+# Acts and moves that leave an answer behind which nobody awaits; and those without one in time.
+_SURPLUS = ("late", "twice", "three", "refused twice", "cancelled", "lost", "given up")
+_MISSING = ("late", "never", "lost", "swallowed", "damaged", "cancelled", "given up")
+
+# Wrong values end after so many ticks of polling without a pause: an answer is checked at least
+# once in ten timeouts, and then there is silence.
+BOUND = 13 * TIMEOUT
+
+EXCEPTIONS: dict[str, str] = {
+    "copy of its own": "An answer that comes twice, and the second time while the same request is "
+    "asked again, cannot be told from the answer to that. If the value has not changed since, "
+    "it is taken for it, and what follows may be shifted by one request until the line is quiet "
+    "for twice the time of an answer, or an answer is checked (within ten timeouts).",
+    "before the first answer": "A unit that has never answered, and then answers after two "
+    "timeouts of silence: this is taken for the answer to the request in flight, for one value.",
+    "alone in HOLD": "A late or doubled answer, and then a request that gets no answer in time "
+    "itself: the first one is alone while it is held, and is believed. It concerns one value, or "
+    "the outcome of one write, for each such pair.",
+}
+
+
+def exception_for(world: World, steps: Steps, unusual: Steps) -> str | None:
+    """Return the name of the exception that explains the errors of a world; None for none."""
+    errors = world.errors
+    names = [name for move, act in unusual for name in (move, act)]
+    surplus = [each for each in names if each.startswith(_SURPLUS)]
+    missing = [each for each in names if each.startswith(_MISSING)]
+    if world.has_ids or not surplus or not errors <= {"wrong", "stale", "told"}:
+        return None
+    if len({*surplus, *missing}) > 1 or len(surplus) > 1:
+        return "alone in HOLD"
+    is_usual = [step == ("AB"[at % 2], "good") for at, step in enumerate(steps)]
+    if surplus[0].startswith("late") and not is_usual[0]:
+        return "before the first answer"
+    is_copy = surplus[0].startswith(("twice", "three", "refused twice"))
+    return "copy of its own" if is_copy and world.changes and "told" not in errors else None
+
+
+def run(has_ids: bool, changes: bool, retries: int, steps: Steps) -> World:
+    """Return the world of a sequence of moves and acts, and usual ones behind it."""
+    world = World(has_ids, changes, retries)
+    for move, act in steps:
+        world.move(move, act)
+    unusual = [act for move, act in steps if act != "good" or move not in "AB"]
+    is_lost_once = len(unusual) == 1 and unusual[0] in ("never", "lost", "damaged")
+    if retries and is_lost_once and any(each.has_failed for each in world.asked):
+        world.errors.add("repeated")
+    for number in range(12):
+        world.move("AB"[number % 2], "good")
+    found, behind = set(world.errors), world.now + BOUND
+    world.errors.clear()
+    while found & {"wrong", "stale"} and world.now < behind:
+        world.move("AB"[len(world.asked) % 2], "good")
+    world.errors.clear()
+    first = len(world.asked)
+    for number in range(4):
+        world.move("AB"[number % 2], "good")
+    if any(each.has_failed for each in world.asked[first:]):
+        found.add("spoiled")
+    if world.errors:
+        found.add("lasting")
+    world.errors = found
+    return world
+
+
+# A prime, so that a sample of all worlds comes first.
+STRIDE = 1_000_003
+
+
+class Found(NamedTuple):
+    """Worlds that were walked, their events, and their errors with an example each."""
+
+    worlds: int
+    events: int
+    exceptions: Counter[str]
+    errors: dict[str, tuple[int, str]]
+
+
+class Worlds:
+    """
+    All worlds of a depth with up to so many unusual requests, by their number.
+
+    Args:
+        acts, moves: what is unusual.
+    """
+
+    def __init__(self, depth: int, faults: int, acts: list[str], moves: tuple[str, ...]) -> None:
+        self._usual: Steps = [("AB"[at % 2], "good") for at in range(depth)]
+        self._unusual: Steps = [
+            (move, act) for move in ("", *moves) for act in acts if move or act != "good"
+        ]
+        self._places = [
+            places for count in range(faults + 1) for places in combinations(range(depth), count)
+        ]
+        self._ends = list(accumulate(len(self._unusual) ** len(each) for each in self._places))
+        self.count: int = self._ends[-1]
+
+    def __getitem__(self, number: int) -> tuple[Steps, Steps]:
+        """Return the steps of a world, and those of them that are unusual."""
+        at = bisect_right(self._ends, number)
+        steps, chosen = list(self._usual), []
+        left = number - (self._ends[at - 1] if at else 0)
+        for place in self._places[at]:
+            left, which = divmod(left, len(self._unusual))
+            move, act = self._unusual[which]
+            steps[place] = move or steps[place][0], act
+            chosen.append((move, act))
+        return steps, chosen
+
+
+def explore(
+    has_ids: bool,
+    depth: int,
+    faults: int,
+    part: tuple[int, int] = (0, 1),
+    stop: float = math.inf,
+    moves: tuple[str, ...] = MOVES,
+) -> Found:
+    """
+    Walk through all worlds, or every n-th of them, in an order in which any first part is a sample.
+
+    Args:
+        part: the number of this part, and how many there are.
+        stop: when to stop (time.monotonic).
+    """
+    logging.disable(logging.WARNING)
+    every = Worlds(depth, faults, [*ACTS, *(ONLY_WITH_IDS if has_ids else ())], moves)
+    count = events = 0
+    exceptions: Counter[str] = Counter()
+    errors: dict[str, tuple[int, str]] = {}
+    for number in range(part[0], every.count, part[1]):
+        if time.monotonic() > stop:
+            break
+        steps, unusual = every[number * STRIDE % every.count]
+        for changes, retries in product((False, True), (0, 1)):
+            world = run(has_ids, changes, retries, steps)
+            count += 1
+            events += world.events
+            if not world.errors:
+                continue
+            name = exception_for(world, steps, unusual)
+            if name is not None:
+                exceptions[name] += 1
+                continue
+            shown = " ".join(f"{move}:{act}" for move, act in steps)
+            for error in world.errors:
+                before, _ = errors.get(error, (0, ""))
+                errors[error] = before + 1, f"{shown} (changes={changes}, retries={retries})"
+    return Found(count, events, exceptions, errors)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Explore, and print what was found; return 1 if there are errors."""
+    parser = argparse.ArgumentParser(prog="explore", description=__doc__.split("\n")[1])
+    parser.add_argument("--depth", type=int, default=8, help="requests of a world")
+    parser.add_argument("--faults", type=int, default=2, help="the most unusual ones among them")
+    parser.add_argument("--seconds", type=float, default=math.inf, help="when to stop")
+    options = parser.parse_args(arguments)
+    parts = os.cpu_count() or 1
+    status = 0
+    for has_ids in (False, True):
+        begun = time.monotonic()
+        stop = begun + options.seconds / 2
+        with ProcessPoolExecutor(parts) as pool:
+            futures = [
+                pool.submit(explore, has_ids, options.depth, options.faults, (at, parts), stop)
+                for at in range(parts)
+            ]
+            results = [each.result() for each in futures]
+        count, events = sum(each.worlds for each in results), sum(each.events for each in results)
+        taken = sum((each.exceptions for each in results), Counter[str]())
+        print(
+            f"{'with' if has_ids else 'without'} ids: {count} worlds of {options.depth} requests, "
+            f"{events} events, {time.monotonic() - begun:.0f} s"
+        )
+        for name, number in taken.items():
+            print(f"  {number} of the exception {name!r}")
+        for each in results:
+            for error, (number, example) in each.errors.items():
+                print(f"  ERROR {error}: {number}, such as {example}")
+                status = 1
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

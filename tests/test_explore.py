@@ -1,0 +1,82 @@
+"""
+The explorer of connections finds nothing, and finds each rule that is broken on purpose.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import Any
+from unittest.mock import patch
+
+import pytest
+
+from fuzz.explore import explore
+from libmodbus_py.client import line
+from libmodbus_py.client.connection import Transactions
+from libmodbus_py.client.line import Line, Pair
+
+PARTS = 6
+"""The worlds of four requests with one that is unusual are walked in so many parts."""
+
+
+def always(value: Any) -> property:
+    """Return an attribute that is never set."""
+    return property(lambda self: value, lambda self, other: None)
+
+
+def forget_pairs(self: Any, now: float) -> list[Any]:
+    self._pairs.clear()
+    call, self._call = self._call, None
+    return [] if call is None else [call]
+
+
+def forget_call(self: Any, call: Any, now: float) -> bool:
+    was_in_flight = self._call is call
+    self._call = None if was_in_flight else self._call
+    return was_in_flight
+
+
+Breaking = Callable[[], AbstractContextManager[Any]]
+
+ON_LINES: dict[str, Breaking] = {
+    "DOUBT waits for silence": lambda: patch.object(Pair, "quiet_at", always(0.0)),
+    "a failure leads to DOUBT": lambda: patch.object(Pair, "doubt", lambda *_: None),
+    "a caller who is gone leads to DOUBT": lambda: patch.object(Line, "withdraw", forget_call),
+    "DOUBT outlives a connection": lambda: patch.object(Line, "reset", forget_pairs),
+    "doubtful answers are held": lambda: patch.object(
+        Line, "_hold", lambda self, call, pdu, now: self._believe(call, pdu, now, now)
+    ),
+    "HOLD lasts": lambda: patch.object(line, "TIMES_SLOWEST", 0),
+    "equal answers are held": lambda: patch.object(line, "RECENT", 0),
+    "answers that may be shifted are held": lambda: patch.object(Pair, "is_shifted", always(False)),
+    "an answer is held now and then": lambda: patch.object(
+        line, "TIMEOUTS_BETWEEN_CHECKS", math.inf
+    ),
+    "silence after a single answer ends DOUBT": lambda: patch.object(
+        Pair, "is_answered", always(False)
+    ),
+    "a repetition takes a late answer": lambda: patch.object(Pair, "owed", always(None)),
+}
+
+WITH_IDS: dict[str, Breaking] = {
+    "a write is alone": lambda: patch.object(
+        Transactions, "_is_ordered", always(False), create=True
+    ),
+    "nothing goes beside what is alone": lambda: patch.object(
+        Transactions, "_alone", always(None), create=True
+    ),
+}
+
+
+@pytest.mark.parametrize("has_ids", [False, True])
+def test_no_sequence_of_events_gives_what_has_no_name(has_ids: bool) -> None:
+    assert explore(has_ids, 4, 1, (1, PARTS)).errors == {}
+
+
+@pytest.mark.parametrize("rule", [*ON_LINES, *WITH_IDS])
+def test_each_broken_rule_is_found(rule: str) -> None:
+    broken = ON_LINES.get(rule) or WITH_IDS[rule]
+    with broken():
+        assert any(explore(rule in WITH_IDS, 4, 1, (part, PARTS)).errors for part in range(PARTS))
