@@ -49,7 +49,7 @@ ON_LINES: dict[str, Breaking] = {
         Line, "_hold", lambda self, call, pdu, now: self._believe(call, pdu, now, now)
     ),
     "HOLD lasts": lambda: patch.object(line, "TIMES_SLOWEST", 0),
-    "equal answers are held": lambda: patch.object(line, "RECENT", 0),
+    "equal answers are held": lambda: patch.object(Line, "_is_of_another", lambda *_: False),
     "answers that may be shifted are held": lambda: patch.object(Pair, "is_shifted", always(False)),
     "an answer is held now and then": lambda: patch.object(
         line, "TIMEOUTS_BETWEEN_CHECKS", math.inf

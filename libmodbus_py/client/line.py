@@ -12,9 +12,10 @@ this pair, and the other states are those of the line.
                                                    if it is in DOUBT
     ASKED   its answer                             IDLE, and the answer is the result
     ASKED   its answer, while it is in DOUBT;      HOLD
-            or an answer equal to one of the last
-            `RECENT` to other requests of the
-            unit, and not to the last of its own
+            or an answer equal to the last one, or
+            one of the `RECENT` latest, to another
+            request of the unit, and not to the
+            last of its own
     ASKED   a damaged answer, one that does not    IDLE and DOUBT; the request fails
             fit, the end of its time
     ASKED   its caller is gone                     IDLE and DOUBT
@@ -44,7 +45,7 @@ A line keeps the order of requests to a unit: those behind one that waits wait, 
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
 
 from ..ports.endpoint import Endpoint
 from ..ports.port import Silence
@@ -64,9 +65,6 @@ from .statistics import Statistics
 
 __all__ = ["Line"]
 
-# Answers that may come again.
-RECENT = 8
-
 # HOLD lasts this multiple of the time of the slowest good answer.
 TIMES_SLOWEST = 2
 
@@ -78,6 +76,9 @@ TIMEOUTS_OF_SILENCE = 2
 
 # An answer is put on HOLD at least once in so many timeouts.
 TIMEOUTS_BETWEEN_CHECKS = 10
+
+# Answers that may come again, although there are newer ones to the same requests.
+RECENT = 8
 
 # The most requests, and kinds of answers, that are remembered.
 REMEMBERED = 1024
@@ -182,8 +183,9 @@ class Line:
         self._pairs: dict[tuple[int, int], Pair] = {}
         self._heard_at = 0.0  # when bytes were last received
         self._longest = 0.0  # of all good answers
-        # The last answer to each request of a unit; and the last answers, with their requests.
+        # The last answer to each request of a unit; and how many requests have which one.
         self._last: dict[tuple[int, bytes], bytes] = {}
+        self._having: Counter[tuple[int, bytes]] = Counter()
         self._recent: deque[tuple[int, bytes, bytes]] = deque(maxlen=RECENT)
         # Unit, function and length of good answers -> the longest time that one took.
         self._slowest: dict[tuple[int, int, int], float] = {}
@@ -335,23 +337,17 @@ class Line:
 
     def _take_answer(self, call: Call, pdu: bytes, now: float) -> None:
         pair, unit, asked = self._pair(call, now), call.unit, _asked(call.pdu)
-        last = self._recent[-1] if self._recent else None
-        is_same = last is not None and last[:2] == (unit, asked)
+        latest = self._recent[-1] if self._recent else (-1, b"", b"")
+        is_same = latest[:2] == (unit, asked)
         if (
             pair.is_doubted
             or (pair.is_shifted and not is_same)
             or now > pair.checked_at + TIMEOUTS_BETWEEN_CHECKS * call.timeouts.timeout
-            or (
-                self._last.get((unit, asked)) != pdu
-                and any(
-                    pdu == each and unit == other and asked != what
-                    for other, what, each in self._recent
-                )
-            )
+            or (self._last.get((unit, asked)) != pdu and self._is_of_another(unit, asked, pdu))
         ):
             self._hold(call, pdu, now)
         else:
-            pair.is_shifted = pair.is_shifted or (is_same and last == (unit, asked, pdu))
+            pair.is_shifted = pair.is_shifted or latest == (unit, asked, pdu)
             self._believe(call, pdu, now, now)
 
     def _hold(self, call: Call, pdu: bytes, now: float) -> None:
@@ -364,14 +360,30 @@ class Line:
     def _believe(self, call: Call, pdu: bytes, came_at: float, now: float) -> None:
         """Take an answer, and remember it."""
         unit, asked = call.unit, _asked(call.pdu)
-        if len(self._last) >= REMEMBERED:
-            self._last.clear()
-        self._last[unit, asked] = pdu
         self._recent.append((unit, asked, pdu))
+        self._remember(unit, asked, pdu)
         self._note_time(call, pdu, came_at, now)
         self.unanswered = 0
         call.reply = pdu
         self._end(call)
+
+    def _is_of_another(self, unit: int, asked: bytes, pdu: bytes) -> bool:
+        """Return True if an answer was one to another request of the unit lately."""
+        return self._having.get((unit, pdu), 0) > 0 or any(
+            each == pdu and other == unit and what != asked for other, what, each in self._recent
+        )
+
+    def _remember(self, unit: int, asked: bytes, pdu: bytes) -> None:
+        """Remember the last answer to a request."""
+        if len(self._last) >= REMEMBERED:
+            self._last.clear()
+            self._having.clear()
+        before = self._last.get((unit, asked))
+        if before != pdu:
+            if before is not None:
+                self._having[unit, before] -= 1
+            self._last[unit, asked] = pdu
+            self._having[unit, pdu] += 1
 
     def _note_time(self, call: Call, pdu: bytes, came_at: float, now: float) -> None:
         """Note how long an answer took."""
