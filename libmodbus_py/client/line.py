@@ -29,8 +29,8 @@ this pair, and the other states are those of the line.
                                                    is repeated; else the request fails. DOUBT ends
                                                    if one timeout of silence follows
     DOUBT   a frame of it; any bytes while IDLE    the silence counts anew
-    DOUBT   two timeouts of silence, and it has    no DOUBT
-            never been answered
+    DOUBT   ten timeouts of silence; two if it     no DOUBT
+            has never answered
 
 Why: a late answer comes before the answer that follows it, so a second frame within HOLD tells that
 the first one was late or doubled. Silence lets late answers pass before the next request. An answer
@@ -71,10 +71,11 @@ TIMES_SLOWEST = 2
 # Of the time of the slowest answer, this share is kept with each further answer.
 FADING = 0.95
 
-# A request waits for silence for so many timeouts, and then fails.
+# A request waits for silence for so many timeouts, and then fails. So much silence ends the DOUBT
+# of what has never answered.
 TIMEOUTS_OF_SILENCE = 2
 
-# An answer is put on HOLD at least once in so many timeouts.
+# An answer is put on HOLD at least once in so many timeouts, and their silence ends DOUBT.
 TIMEOUTS_BETWEEN_CHECKS = 10
 
 # Answers that may come again, although there are newer ones to the same requests.
@@ -252,7 +253,8 @@ class Line:
             self._echo.sent(adu, is_telling=_is_telling(call.pdu))
         pair = self._pair(call, now)
         was_quiet = now >= self._heard_at + TIMES_SLOWEST * self._longest
-        was_silent = pair.is_doubted and not pair.is_known and now >= pair.quiet_at + pair.timeout
+        timeouts = TIMEOUTS_BETWEEN_CHECKS if pair.is_known else TIMEOUTS_OF_SILENCE
+        was_silent = pair.is_doubted and now >= pair.quiet_at + (timeouts - 1) * pair.timeout
         if pair.is_answered or was_silent or (was_quiet and not pair.is_doubted):
             pair.check(now)
         if not call.is_silent:
