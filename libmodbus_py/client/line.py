@@ -91,6 +91,7 @@ class Pair:
 
     Attributes:
         is_doubted: True in DOUBT.
+        heard_at: when a frame of it came last.
         quiet_at: in DOUBT, when it has been silent for long enough.
         timeout: the duration of this silence.
         owed: the call whose answer may still come; None if there may be others.
@@ -102,13 +103,14 @@ class Pair:
 
     # fmt: off
     __slots__ = (
-        "checked_at", "is_answered", "is_doubted", "is_known", "is_shifted", "owed", "quiet_at",
-        "timeout",
+        "checked_at", "heard_at", "is_answered", "is_doubted", "is_known", "is_shifted", "owed",
+        "quiet_at", "timeout",
     )
     # fmt: on
 
     def __init__(self, now: float) -> None:
         self.is_doubted: bool = False
+        self.heard_at: float = now
         self.quiet_at: float = 0.0
         self.timeout: float = 0.0
         self.is_answered: bool = False
@@ -182,7 +184,6 @@ class Line:
         self._held: bytes | None = None
         self._held_at = self._held_until = 0.0
         self._pairs: dict[tuple[int, int], Pair] = {}
-        self._heard_at = 0.0  # when bytes were last received
         self._longest = 0.0  # of all good answers
         # The last answer to each request of a unit; and how many requests have which one.
         self._last: dict[tuple[int, bytes], bytes] = {}
@@ -252,7 +253,7 @@ class Line:
         if self._echo.is_there is not False:
             self._echo.sent(adu, is_telling=_is_telling(call.pdu))
         pair = self._pair(call, now)
-        was_quiet = now >= self._heard_at + TIMES_SLOWEST * self._longest
+        was_quiet = now >= pair.heard_at + TIMES_SLOWEST * self._longest
         timeouts = TIMEOUTS_BETWEEN_CHECKS if pair.is_known else TIMEOUTS_OF_SILENCE
         was_silent = pair.is_doubted and now >= pair.quiet_at + (timeouts - 1) * pair.timeout
         if pair.is_answered or was_silent or (was_quiet and not pair.is_doubted):
@@ -279,7 +280,6 @@ class Line:
     def take(self, data: bytes, now: float) -> list[Call]:
         """Return the request that received bytes answer, with its reply, if they do."""
         self._silence.heard(now)
-        self._heard_at = now
         self._received += data[: MAX_KEPT - len(self._received)]
         if self._call is None:
             self.unasked += len(data)
@@ -394,7 +394,8 @@ class Line:
         kind, took = (call.unit, pdu[0], len(pdu)), came_at - call.sent_at
         self._slowest[kind] = max(took, FADING * self._slowest.get(kind, 0.0))
         self._longest = max(took, FADING * self._longest)
-        self._pair(call, now).is_known = True
+        pair = self._pair(call, now)
+        pair.is_known, pair.heard_at = True, now
 
     def _fail(self, call: Call, error: ModbusError, now: float) -> None:
         error.received = bytes(self._received)
@@ -410,8 +411,10 @@ class Line:
         """Note a frame that answers no request in flight (serial line, 2.4.1)."""
         self._statistics.late_answers += 1
         pair = self._pairs.get((unit, function))
-        if pair is not None and pair.is_doubted:
-            pair.heard(now)
+        if pair is not None:
+            pair.heard_at = now
+            if pair.is_doubted:
+                pair.heard(now)
         if call is not None:
             what = f"function {function} was answered, not {call.pdu[0]}"
             self._wrong = InvalidResponse(what if unit == call.unit else f"unit {unit} answered")
