@@ -14,8 +14,8 @@ import pytest
 
 from fuzz.explore import explore
 from libmodbus_py.client import line
-from libmodbus_py.client.connection import Transactions
 from libmodbus_py.client.line import Line, Pair
+from libmodbus_py.client.queue import Queue
 
 PARTS = 6
 """The worlds of four requests with one that is unusual are walked in so many parts."""
@@ -61,11 +61,9 @@ ON_LINES: dict[str, Breaking] = {
 }
 
 WITH_IDS: dict[str, Breaking] = {
-    "a write is alone": lambda: patch.object(
-        Transactions, "_is_ordered", always(False), create=True
-    ),
+    "a write is alone": lambda: patch.object(Queue, "_is_ordered", always(False), create=True),
     "nothing goes beside what is alone": lambda: patch.object(
-        Transactions, "_alone", always(None), create=True
+        Queue, "alone", always(None), create=True
     ),
 }
 

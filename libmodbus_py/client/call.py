@@ -13,14 +13,25 @@ counts: it says which of its calls may be submitted next, and when all that matt
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Callable, Iterable
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from ..protocol.checks import integer, seconds
 from ..protocol.errors import ModbusError
 from ..protocol.pdu import MAX_PDU, Request
 
-__all__ = ["MAX_IN_FLIGHT", "NOT_ASKED", "Batch", "Call", "Phase", "Timeouts", "encoded", "raised"]
+__all__ = [
+    "MAX_IN_FLIGHT",
+    "NOT_ASKED",
+    "Batch",
+    "Call",
+    "Matching",
+    "Phase",
+    "Timeouts",
+    "encoded",
+    "raised",
+]
 
 NOT_ASKED: Final = object()
 """The outcome of a request that has none yet, or was never sent."""
@@ -86,7 +97,7 @@ class Call:
             repetition (`Transactions`).
         is_silent: True if it gets no answer.
         is_done: True if it has its outcome, or no caller waits for it any more.
-        waits_since: since when it waits for silence on a line; or -1.
+        waits_until: when it fails for lack of silence on the line; infinite while it need not wait.
         outcome: the result, or the exception; `NOT_ASKED` while there is none.
         on_done: called with the call when it has its outcome; not for calls of a batch.
         reply: the PDU of the answer, or the exception in its place; `answerer`: its unit.
@@ -117,12 +128,12 @@ class Call:
     company: bool = False
     is_wanted: bool = True
     used: float = 0.0
-    waits_since: float = -1.0
+    waits_until: float = math.inf
     tries: int = 0
     busy_tries: int = 0
-    sent_at: float
-    since: float
-    due: float
+    due: float = 0.0
+    sent_at: float = 0.0
+    since: float = 0.0
 
     def __init__(
         self,
@@ -271,6 +282,31 @@ class Batch:
         for call in self.calls:
             if call.state is not OVER:
                 call.settle(error)
+
+
+class Matching(Protocol):
+    """The interface that `Ids` and `Line` implement; see there."""
+
+    has_ids: bool
+    alarm: float
+    unanswered: int
+    unasked: int
+    is_in_step: bool
+    is_traced: bool
+    rest: bytes | bytearray
+
+    @property
+    def pending(self) -> dict[int, Call]: ...
+    def may_start(self, call: Call, now: float) -> bool: ...
+    def ready_at(self, unit: int, function: int | None = None) -> float: ...
+    def start(self, call: Call, now: float) -> None: ...
+    def take_back(self) -> Call: ...
+    def take(self, data: bytes, now: float) -> list[Call]: ...
+    def expire(self, now: float) -> list[Call]: ...
+    def withdraw(self, call: Call, now: float) -> bool: ...
+    def received_with(self, call: Call, pdu: bytes) -> bytes: ...
+    def conclude(self, call: Call, error: Exception | None, now: float) -> None: ...
+    def reset(self, now: float) -> list[Call]: ...
 
 
 def encoded(request: object, name: str, index: int, is_broadcast: bool) -> bytes:

@@ -11,24 +11,17 @@ The requests of one connection: when each is sent, and what its outcome is.
     withdraw    a caller is gone
     opened, failed, lost, interrupted, closed    what became of the connection itself
 
-Its `Matching` decides which answer belongs to which request: `Ids` by transaction ids, `Line` on
-lines without them, one request at a time. The order of requests:
-
-1. Callers take turns, each with its requests in their order.
-2. A repetition is sent before what was submitted later, as far as one of both is a write; on a
-   line, as far as both are for the same unit. So no write is ever sent after one that followed it.
-3. Where several requests may be in flight (`Window`), a write is alone in flight, and those before
-   it are over. `max_in_flight`, if it is given, lifts this; then a write is not repeated once
-   another one has been sent.
+Three parts decide for it: `Queue`, which request is next; `Window`, how many may be in flight; and
+its `Matching`, which answer belongs to which request: `Ids` by transaction ids, `Line` on lines
+without them, one request at a time.
 """
 
 from __future__ import annotations
 
 import errno
 import math
-from collections import deque
 from collections.abc import Callable, Collection, Iterable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from ..ports.endpoint import Endpoint
 from ..ports.trace import Trace
@@ -45,13 +38,14 @@ from ..protocol.errors import (
     alike,
 )
 from . import reconnecting
-from .call import Batch, Call, Phase
-from .hints import explain, explain_end
+from .call import Batch, Call, Matching, Phase
+from .hints import add_hint, explain, explain_end
+from .queue import Queue
 from .reconnecting import Reconnecting
 from .statistics import Statistics, result_of
 from .window import Window
 
-__all__ = ["Matching", "Pace", "Transactions", "forbidden"]
+__all__ = ["Pace", "Transactions", "forbidden"]
 
 WAITING, SENT, ANSWERED, OVER = Phase.WAITING, Phase.SENT, Phase.ANSWERED, Phase.OVER
 
@@ -61,7 +55,7 @@ BUSY = (Acknowledge, ServerDeviceBusy)
 BUSY_PAUSE_S, LONGEST_BUSY_PAUSE_S = 0.1, 1.0
 
 # A connection is flooded if more bytes than this arrive that belong to no request.
-MAX_UNASKED = 1 << 16
+MAX_UNASKED_BYTES = 1 << 16
 
 # After so many connections in a row that end without an answer, all waiting requests fail.
 LOSSES_BEFORE_END = 3
@@ -85,31 +79,6 @@ class Pace(NamedTuple):
     timeouts_before_reconnect: int
 
 
-class Matching(Protocol):
-    """The interface that `Ids` and `Line` implement; see there."""
-
-    has_ids: bool
-    alarm: float
-    unanswered: int
-    unasked: int
-    is_in_step: bool
-    is_traced: bool
-    rest: bytes | bytearray
-
-    @property
-    def pending(self) -> dict[int, Call]: ...
-    def may_start(self, call: Call, now: float) -> bool: ...
-    def ready_at(self, unit: int, function: int | None = None) -> float: ...
-    def start(self, call: Call, now: float) -> None: ...
-    def take_back(self) -> Call: ...
-    def take(self, data: bytes, now: float) -> list[Call]: ...
-    def expire(self, now: float) -> list[Call]: ...
-    def withdraw(self, call: Call, now: float) -> bool: ...
-    def received_with(self, call: Call, pdu: bytes) -> bytes: ...
-    def conclude(self, call: Call, error: Exception | None, now: float) -> None: ...
-    def reset(self, now: float) -> list[Call]: ...
-
-
 class Transactions:
     """
     Sends requests in their order, and settles them.
@@ -120,7 +89,7 @@ class Transactions:
         may_send: as in `AsyncOptions`.
 
     Attributes:
-        in_flight: how many requests are in flight now.
+        in_flight: how many requests are in flight now, without reads to be asked again alone.
         alarm: the time at which `tick` must be called; may be too early, but never too late.
         broken: the reason to replace the connection by a new one, or None.
         is_flooded: True if so many bytes arrived that belong to no request that it is no accident.
@@ -155,11 +124,7 @@ class Transactions:
         self._pace = pace
         self._trace = trace
         self._may_send = may_send
-        self._is_ordered = is_ordered and matching.has_ids
-        self._queue: deque[Call] = deque()
-        self._again: list[Call] = []  # to be sent again, each when it is due
-        # The write in flight, or to be sent again; or the read that is asked again alone.
-        self._alone: Call | None = None
+        self._queue = Queue(matching, window, is_ordered=is_ordered and matching.has_ids)
         self._silent: list[tuple[float, Call]] = []  # calls without an answer, and when they end
         self._answered: list[Call] = []
         self._next_start = 0.0
@@ -169,19 +134,21 @@ class Transactions:
     @property
     def is_wanted(self) -> bool:
         """True if a request waits to be sent, or a caller waits for the connection."""
-        return bool(self._queue or self._again or self.window.lost)
+        queue = self._queue
+        return bool(queue.waiting or queue.again or queue.lost)
 
     @property
     def room(self) -> int:
         """The most requests in flight; 0 while one is alone, or waits to be asked again alone."""
-        return 0 if self.window.lost or self._alone is not None else self.window.limit
+        queue = self._queue
+        return 0 if queue.lost or queue.alone is not None else self.window.limit
 
     # --- callers ------------------------------------------------------------------------------
 
     def submit(self, call: Call, now: float) -> None:
         """Take a request; its outcome may be set at once."""
-        call.since = now
         if not self.life.is_open:
+            call.since = now
             refusal = self.life.refusal(now, call.deadline)
             if refusal is not None:
                 self._refuse(call, refusal)
@@ -190,7 +157,7 @@ class Transactions:
         elif call.request is None:
             call.settle(None)
             return
-        self._queue.append(call)
+        self._queue.waiting.append(call)
 
     def submit_batch(self, batch: Batch, now: float) -> None:
         """Take several requests of one caller."""
@@ -205,6 +172,19 @@ class Transactions:
         calls = job.calls if isinstance(job, Batch) else [job]
         were_in_flight = [self._let_go(call, now) for call in calls]
         self.matching.unanswered += any(were_in_flight)
+
+    def _let_go(self, call: Call, now: float) -> bool:
+        """Stop waiting for a request whose caller is gone; return True if it was in flight."""
+        is_lost = call in self._queue.lost
+        self._queue.remove(call)
+        was_in_flight = self.matching.withdraw(call, now)
+        if was_in_flight:
+            self.statistics.note(call.function, "cancelled")
+            self.in_flight -= not is_lost
+        for due, each in self._silent:
+            if each is call:
+                self._wake(due)  # it stays in flight until then, because the line is in use
+        return was_in_flight
 
     def change_timeout(self, now: float) -> None:
         """Note that some `Timeouts` were changed."""
@@ -228,21 +208,26 @@ class Transactions:
     def start(self, now: float) -> list[bytes]:
         """Return the frames to send now."""
         adus: list[bytes] = []
-        if not (self._queue or self._again or self.window.lost) or not self._is_usable(now):
+        queue, matching = self._queue, self.matching
+        if not (queue.waiting or queue.again or queue.lost) or not self._is_usable(now):
             return adus
-        self.matching.is_traced = self._trace.is_on()
-        while (call := self._next(now)) is not None:
+        if queue.lost and not self.in_flight and queue.alone is None:
+            self._try_alone(now)
+        matching.is_traced = self._trace.is_on()
+        while (call := queue.next(now, self.in_flight)) is not None:
             adus.append(self._send(call, now))
             if self._pace.request_spacing:
                 self._next_start = now + self._pace.request_spacing
                 break
-            if not (self._queue or self._again):
+            if not (queue.waiting or queue.again):
                 break
         if adus:
             self.is_flooded = False
             self.statistics.requests += len(adus)
-        if self.matching.alarm < self.alarm:
-            self.alarm = self.matching.alarm
+        if matching.alarm < self.alarm:
+            self.alarm = matching.alarm
+        if queue.alarm < self.alarm:
+            self.alarm = queue.alarm
         return adus
 
     def _is_usable(self, now: float) -> bool:
@@ -255,14 +240,7 @@ class Transactions:
         matching = self.matching
         if self._answered and not matching.has_ids:
             return False  # the outcome may lead to DOUBT
-        is_dead = (
-            self._is_socket
-            and matching.unanswered >= self._pace.timeouts_before_reconnect
-            and not self.window.lost  # these may be answered when they are sent alone
-        )
-        # The next answer would be appended to half a frame that no request expects.
-        has_leftover = matching.rest and self.in_flight == len(self._silent)
-        if is_dead or has_leftover:
+        if (matching.unanswered or matching.rest) and self._is_worn_out():
             if not self.in_flight:
                 self._break("given up for a new connection")
             return False
@@ -271,73 +249,20 @@ class Transactions:
             return False
         return True
 
-    def _next(self, now: float) -> Call | None:
-        """Remove and return the next call to send; None if none may be sent now."""
-        if not self.matching.has_ids:
-            return self._next_on_line(now)
-        window, in_flight = self.window, self.in_flight
-        if window.lost and not in_flight and self._alone is None:
-            self._try_alone(now)
-        if self._alone is not None:
-            return self._next_again(now, self._alone)
-        if window.lost or (in_flight and in_flight >= window.limit):
-            return None
-        if self._again and (call := self._next_again(now)) is not None:
-            return call
-        while self._queue:
-            call = self._queue[0]
-            if call.state is not OVER:
-                if call.changes and self._is_ordered and (in_flight or self._again):
-                    return None
-                return self._queue.popleft()
-            self._queue.popleft()
-        return None
-
-    def _next_again(self, now: float, alone: Call | None = None) -> Call | None:
-        for call in list(self._again):
-            if call.state is OVER:
-                self._again.remove(call)
-            elif alone is None or call is alone:
-                if call.due <= now:
-                    self._again.remove(call)
-                    self.statistics.retries += 1
-                    return call
-                self._wake(call.due)
-        return None
-
-    def _next_on_line(self, now: float) -> Call | None:
-        """As `_next`; a call that waits holds back those for the same unit, and broadcasts."""
-        if self.in_flight:
-            return None
-        held: set[int] = set()
-        for waiting in (self._again, self._queue):
-            for call in list(waiting):
-                if call.state is OVER:
-                    waiting.remove(call)
-                elif 0 in held or call.unit in held or (call.unit == 0 and held):
-                    held.add(call.unit)
-                elif waiting is self._again and call.due > now:
-                    self._wake(call.due)
-                    held.add(call.unit)
-                elif self._may_start(call, now):
-                    waiting.remove(call)
-                    self.statistics.retries += waiting is self._again
-                    return call
-                elif call.state is not OVER:
-                    held.add(call.unit)
-        return None
-
-    def _may_start(self, call: Call, now: float) -> bool:
-        try:
-            return self.matching.may_start(call, now)
-        except FrameError as error:
-            (self._queue if call in self._queue else self._again).remove(call)
-            self._fail_unsent(call, error)
-            if call.batch is not None:
-                self._free(call.batch)
-            return False
+    def _is_worn_out(self) -> bool:
+        """Return True if the connection is dead, or contains half a frame that none expects."""
+        matching = self.matching
+        is_dead = (
+            self._is_socket
+            and matching.unanswered >= self._pace.timeouts_before_reconnect
+            and not self._queue.lost  # these may be answered when they are sent alone
+        )
+        # The next answer would be appended to the half frame.
+        return is_dead or (bool(matching.rest) and self.in_flight == len(self._silent))
 
     def _send(self, call: Call, now: float) -> bytes:
+        if call.adu:
+            self.statistics.retries += 1
         call.since = now - call.used
         call.used = 0.0
         call.sent_at = now
@@ -349,8 +274,7 @@ class Transactions:
             self.alarm = deadline
         if call.changes:
             self._last_write = self._sent
-            if self._is_ordered:
-                self._alone = call
+            self._queue.sent(call)
         if self.in_flight and self.window.is_open:
             self._note_company(call)
         self.in_flight += 1
@@ -358,7 +282,7 @@ class Transactions:
             self._silent.append((now + self._pace.turnaround, call))
             self._wake(now + self._pace.turnaround)
         if call.batch is not None and (follower := call.batch.next()) is not None:
-            self._queue.append(follower)
+            self._queue.waiting.append(follower)
         if self.matching.is_traced:
             self._trace.tell("sent", call.adu, call.unit, call.pdu[0])
         return call.adu
@@ -366,12 +290,12 @@ class Transactions:
     def take_back(self) -> None:
         """Note that the only request in flight was not sent after all: it waits again."""
         call = self.matching.take_back()
-        call.state = WAITING
+        call.state, call.adu = WAITING, b""
         call.used = call.sent_at - call.since
-        self._alone = None
+        self._queue.alone = None
         self.in_flight = 0
         self.statistics.requests -= 1
-        self._queue.appendleft(call)
+        self._queue.waiting.appendleft(call)
 
     # --- requests that are lost beside others (`Window`) --------------------------------------
 
@@ -385,16 +309,16 @@ class Transactions:
 
     def _try_alone(self, now: float) -> None:
         """Choose the lost read that is asked again alone."""
-        lost, silent = self.window.lost, self.window.silent
+        lost = self._queue.lost
         while lost:
             call = lost.pop(0)
             if call.state is OVER:
                 continue
-            if call.is_wanted and (call.unit, call.pdu[0]) not in silent:
+            if call.is_wanted and (call.unit, call.pdu[0]) not in self.window.silent:
                 call.due = now
                 call.company = False
-                self._again.append(call)
-                self._alone = call
+                self._queue.again.append(call)
+                self._queue.alone = call
                 return
             if call.state is SENT:  # its time is not over yet
                 self.in_flight += 1
@@ -403,13 +327,14 @@ class Transactions:
 
     def _mark_lost(self, now: float) -> None:
         """Find the reads that are lost beside others."""
+        lost = self._queue.lost
         for call in self.matching.pending.values():
-            if self.window.may_be_lost(call):
+            if self.window.may_be_lost(call) and call not in lost:
                 at = self.window.lost_at(call)
                 if at > now:
                     self._wake(at)
                 else:
-                    self.window.lost.append(call)
+                    lost.append(call)
                     self.in_flight -= 1
 
     def _end_trial(self, call: Call, now: float) -> None:
@@ -432,18 +357,16 @@ class Transactions:
         self._reset(now)
         if self._pace.connect_delay:
             self._next_start = now + self._pace.connect_delay
-        waiting, self._queue = self._queue, deque()
-        for call in waiting:
+        for call in list(self._queue.waiting):
             call.used = now - call.since
             if call.request is None:
+                self._queue.remove(call)
                 call.settle(None)
-            else:
-                self._queue.append(call)
         self.life.opened()
 
     def connect_until(self) -> float:
         """Return until when a request waits for a connection."""
-        return max((call.deadline for call in self._waiting()), default=0.0)
+        return max((call.deadline for call in self._queue.calls), default=0.0)
 
     def failed(self, error: ModbusConnectionError, now: float, until: float = math.inf) -> None:
         """
@@ -457,12 +380,9 @@ class Transactions:
         try:
             self.life.failed(error, now)
             if error.errno == errno.ETIMEDOUT:
-                later = {each for each in self._waiting() if self._has_time(each, until, now)}
+                later = {each for each in self._queue.calls if self._has_time(each, until, now)}
         finally:  # even if `on_state` raises
             self.refuse(error, later)
-
-    def _waiting(self) -> list[Call]:
-        return [*self._queue, *self._again]
 
     def _has_time(self, call: Call, until: float, now: float) -> bool:
         """Return True if a request has more time than an attempt had."""
@@ -471,8 +391,7 @@ class Transactions:
     def lost(self, error: ModbusConnectionError, now: float, *, by_itself: bool = True) -> None:
         """Note the end of the connection: requests in flight fail, others wait for a new one."""
         if by_itself and self.life.fruitless and self.in_flight:
-            hint = explain_end(self._scheme, error.errno)
-            error.args = (f"{error.args[0]}; {hint}",) if hint else error.args
+            add_hint(error, explain_end(self._scheme, error.errno))
         try:
             self.life.lost(error, now, by_itself=by_itself)
         finally:
@@ -480,8 +399,8 @@ class Transactions:
         # A connection that was given up as dead has taken its time, and the next one may be alive.
         if by_itself and self.life.fruitless >= LOSSES_BEFORE_END:
             self.refuse(error)
-        waiting, self._queue = self._queue, deque()
-        for call in waiting:
+        for call in list(self._queue.waiting):  # their time to wait for the next one begins
+            self._queue.remove(call)
             if call.state is not OVER:
                 self.submit(call, now)
 
@@ -497,7 +416,9 @@ class Transactions:
         """Forget all requests, whose callers were interrupted, and give up the connection."""
         for call in [*self._reset(now), *self._answered]:
             self.statistics.note(call.function, "cancelled")
-        self._queue, self._again, self._answered, self._alone = deque(), [], [], None
+        self._queue.drain()
+        self._queue.alone = None
+        self._answered = []
         if self.life.is_open:
             self.life.lost(error, now, by_itself=False)
         elif self.life.state is reconnecting.State.CONNECTING:
@@ -505,8 +426,10 @@ class Transactions:
 
     def _reset(self, now: float) -> list[Call]:
         """Return the requests in flight, and reset the state of the previous connection."""
+        queue = self._queue
         calls = [*self.matching.reset(now), *(call for _, call in self._silent)]
-        calls += [call for call in self.window.lost if call not in calls]
+        calls += [call for call in queue.lost if call not in calls]
+        queue.lost.clear()
         self.window.reset()
         self.broken = None
         self.is_flooded = False
@@ -531,21 +454,15 @@ class Transactions:
 
     def refuse(self, error: ModbusError, later: Collection[Call] = ()) -> None:
         """Fail all requests that wait, except some."""
-        waiting = [*self._again, *self.window.lost, *self._queue]
-        if self._alone in self._again and self._alone not in later:
-            self._alone = None
-        self._again = [call for call in self._again if call in later]
-        self._queue = deque(call for call in self._queue if call in later)
-        self.window.lost.clear()
-        for call in waiting:
+        for call in self._queue.drain(later):
             if call.state is SENT:  # it is not asked again alone, but may still be answered
                 self.in_flight += 1
-            elif call not in later and call.state is not OVER:
+            elif call.state is not OVER:
                 self._refuse(call, error)
 
     def _fail_unsent(self, call: Call, error: ModbusError) -> None:
-        if call is self._alone:
-            self._alone = None
+        if call is self._queue.alone:
+            self._queue.alone = None
         if call.request is not None:
             self.statistics.note(call.function, "unsent")
         call.settle(self._outcome(alike(error), call))
@@ -566,15 +483,12 @@ class Transactions:
             if call.request is not None:
                 error.function, error.asked = call.request.function, str(call.request)
             if error.received and call.adu and not isinstance(error, InvalidResponse):
-                self._add(error, explain(self._scheme, call.adu, error.received))
+                add_hint(error, explain(self._scheme, call.adu, error.received))
             if isinstance(error, ModbusTimeoutError) and self.window.is_at_one:
-                self._add(error, "this device takes one request at a time (max_in_flight=1)")
+                add_hint(error, "this device takes one request at a time (max_in_flight=1)")
         except BaseException as mistake:
             return mistake
         return error
-
-    def _add(self, error: ModbusError, hint: str) -> None:
-        error.args = (f"{error.args[0]}; {hint}",) if hint else error.args
 
     # --- answers ------------------------------------------------------------------------------
 
@@ -585,26 +499,26 @@ class Transactions:
         Return True if requests wait to be sent. Call `start` before `settle` then, because some of
         them may be sent now, so that the server has work meanwhile.
         """
-        matching = self.matching
+        matching, queue = self.matching, self._queue
         for data in chunks:
             for call in matching.take(data, now):
                 self._note_end(call, now)
         if matching.alarm < self.alarm:
             self.alarm = matching.alarm
-        if matching.unasked > MAX_UNASKED or not matching.is_in_step:
+        if matching.unasked > MAX_UNASKED_BYTES or not matching.is_in_step:
             self._note_flood()
-        return bool(self._queue or self._again or self.window.lost)
+        return bool(queue.waiting or queue.again or queue.lost)
 
     def _note_flood(self) -> None:
-        self.is_flooded = self.matching.unasked > MAX_UNASKED
+        self.is_flooded = self.matching.unasked > MAX_UNASKED_BYTES
         if not self.matching.is_in_step:
             self._break("closed, because the received bytes cannot be understood")
         elif self._is_socket:
             self._break("flooded with frames that answer no request")
 
     def _note_end(self, call: Call, now: float) -> None:
-        """Free the place of a request in flight; a good answer also that in its batch."""
-        lost = self.window.lost
+        """End the time in flight of a request; after a good answer, its batch may go on."""
+        lost = self._queue.lost
         if lost and call in lost:
             if isinstance(call.reply, ModbusTimeoutError):
                 call.state = WAITING  # it still waits to be asked again alone
@@ -622,14 +536,15 @@ class Transactions:
     def _free(self, batch: Batch) -> None:
         batch.under_way -= 1
         if (follower := batch.next()) is not None:
-            self._queue.append(follower)
+            self._queue.waiting.append(follower)
 
     def settle(self, now: float) -> bool:
         """Decode the answers and set the outcomes; return True if requests wait to be sent."""
+        queue = self._queue
         answered, self._answered = self._answered, []
         for call in answered:
-            if call is self._alone:
-                self._alone = None
+            if call is queue.alone:
+                queue.alone = None
                 if not call.changes:
                     self._end_trial(call, now)
             if call.state is OVER:
@@ -640,13 +555,12 @@ class Transactions:
                 self._fail(call.reply, call, now)
             if call.batch is not None:
                 self._note_batch(call, call.batch, now)
-        return bool(self._queue or self._again or self.window.lost)
+        return bool(queue.waiting or queue.again or queue.lost)
 
     def _decode(self, call: Call, reply: bytes, now: float) -> None:
         """Settle a request with the result that its answer contains."""
-        assert call.request is not None
         try:
-            outcome = call.request.decode_response(reply)
+            outcome = call.request.decode_response(reply)  # type: ignore[union-attr]
         except ModbusError as error:
             self.statistics.invalid += isinstance(error, InvalidResponse)
             error.received = self.matching.received_with(call, reply)
@@ -655,21 +569,26 @@ class Transactions:
             self.statistics.note(call.function, "invalid")
             call.settle(mistake)
         else:
-            self.statistics.note_answer(call.pdu[0], "ok", now - call.sent_at, now)
-            if self.life.fruitless:
-                self.life.prove()
-            if self.window.is_open:
-                self.window.answered(call, now, self.matching.pending)
+            self._note_answer(call, "ok", now)
             call.settle(outcome)
             if not self.matching.has_ids:
                 self.matching.conclude(call, None, now)
+
+    def _note_answer(self, call: Call, result: str, now: float) -> None:
+        """Count a valid answer; it proves that the device is alive."""
+        took = now - call.sent_at
+        self.statistics.note_answer(call.pdu[0], result, took, now)
+        if self.life.fruitless:
+            self.life.prove()
+        if self.window.is_open:
+            self.window.answered(call, took, self.matching.pending)
 
     def _note_batch(self, call: Call, batch: Batch, now: float) -> None:
         """Let a batch go on after one of its requests, or forget those behind one that failed."""
         if call.state is OVER and (batch.limit == 1 or not _is_good(call)):
             self._free(batch)
         if isinstance(call.outcome, BaseException):
-            self._queue = deque(each for each in self._queue if each.state is not OVER)
+            self._queue.remove_over()
             if batch.is_done and batch.under_way:
                 for each in batch.calls:
                     self._let_go(each, now)
@@ -677,10 +596,7 @@ class Transactions:
     def _fail(self, error: ModbusError, call: Call, now: float) -> None:
         if isinstance(error, ExceptionResponse):
             self.statistics.exceptions += 1
-            self.statistics.note_answer(call.pdu[0], "exception", now - call.sent_at, now)
-            self.life.prove()
-            if self.window.is_open:
-                self.window.answered(call, now, self.matching.pending)
+            self._note_answer(call, "exception", now)
         else:
             self.statistics.note(call.function, result_of(error))
         self.matching.conclude(call, error, now)
@@ -691,7 +607,7 @@ class Transactions:
         try:
             if self.window.refuses(error, call):
                 call.state, call.reply = WAITING, error
-                self.window.lost.append(call)
+                self._queue.lost.append(call)
             elif not self._is_repeated(error, call, now):
                 call.settle(self._outcome(error, call))
         except BaseException as mistake:  # of the class of the request
@@ -701,61 +617,37 @@ class Transactions:
         """Send a request again later, if that is allowed; return False if not."""
         is_busy = isinstance(error, BUSY)
         assert call.request is not None
-        if not call.is_wanted:
+        if not call.is_wanted or (call.changes and self._last_write > call.order):
             return False
         if not is_busy and (isinstance(error, ExceptionResponse) or not call.request.repeatable):
-            return False
-        if call.changes and self._last_write > call.order:
             return False
         done = call.busy_tries if is_busy else call.tries
         if done >= (call.timeouts.busy_retries if is_busy else call.timeouts.retries):
             return False
         if is_busy:
             call.busy_tries += 1
-            call.due = now + min(LONGEST_BUSY_PAUSE_S, BUSY_PAUSE_S * 2**done)
         else:
             call.tries += 1
-            call.due = now
-        call.state = WAITING
+        pause = min(LONGEST_BUSY_PAUSE_S, BUSY_PAUSE_S * 2**done) if is_busy else 0.0
         call.since = now
-        self._again.append(call)
-        if call.changes and self._is_ordered:
-            self._alone = call
+        self._queue.put_again(call, now + pause)
         self._wake(call.due)
         return True
-
-    def _let_go(self, call: Call, now: float) -> bool:
-        """Stop waiting for a request whose caller is gone; return True if it was in flight."""
-        if call is self._alone:
-            self._alone = None
-        if call in self._again:
-            self._again.remove(call)
-        elif call in self._queue:
-            self._queue.remove(call)
-        is_lost = call in self.window.lost
-        if is_lost:
-            self.window.lost.remove(call)
-        was_in_flight = self.matching.withdraw(call, now)
-        if was_in_flight:
-            self.statistics.note(call.function, "cancelled")
-            self.in_flight -= not is_lost
-        for due, each in self._silent:
-            if each is call:
-                self._wake(due)  # its place becomes free only then, because the line is in use
-        return was_in_flight
 
     # --- time ---------------------------------------------------------------------------------
 
     def tick(self, now: float) -> None:
         """End requests whose time is over; `settle` tells their callers."""
         matching = self.matching
-        self.alarm = matching.alarm = math.inf
+        self.alarm = matching.alarm = self._queue.alarm = math.inf
         self._end_silent(now)
         if self.life.is_open:
             for call in matching.expire(now):
                 self._note_end(call, now)
             if self.window.is_open and self.in_flight:
                 self._mark_lost(now)
+            if not matching.has_ids:
+                self._end_waits_for_silence(now)
             self._wake(matching.alarm)
         else:
             self._end_waits(now)
@@ -765,8 +657,8 @@ class Transactions:
         self._silent = [each for each in self._silent if each[0] > now]
         for call in over:
             self.in_flight -= 1
-            if call is self._alone:
-                self._alone = None
+            if call is self._queue.alone:
+                self._queue.alone = None
             self.statistics.note(call.function, "silent")
             call.settle(None)
             if call.batch is not None:
@@ -776,14 +668,26 @@ class Transactions:
 
     def _end_waits(self, now: float) -> None:
         """Fail the requests that have waited too long for a connection."""
-        for call in self._waiting():
+        for call in self._queue.calls:
             if call.state is OVER:
                 continue
             if call.deadline > now:
                 self._wake(call.deadline)
                 continue
-            (self._again if call in self._again else self._queue).remove(call)
+            self._queue.remove(call)
             self._refuse(call, self.life.not_in_time(call.timeouts.timeout))
+
+    def _end_waits_for_silence(self, now: float) -> None:
+        """Fail the requests that have waited too long for silence on the line."""
+        for call in self._queue.calls:
+            if call.waits_until <= now and not self.matching.may_start(call, now):
+                self._queue.remove(call)
+                received = self.matching.received_with(call, b"")
+                self._fail_unsent(
+                    call, FrameError("the line does not fall silent", received=received)
+                )
+                if call.batch is not None:
+                    self._free(call.batch)
 
 
 def _is_busy(reply: bytes) -> bool:

@@ -8,10 +8,10 @@ import errno
 import re
 
 from ..ports.schemes import SCHEMES
-from ..protocol.errors import MAX_RECEIVED, ModbusTimeoutError, in_hex
+from ..protocol.errors import MAX_RECEIVED, ModbusError, ModbusTimeoutError, in_hex
 from ..protocol.framing import crc16
 
-__all__ = ["MAX_KEPT", "explain", "explain_end", "no_answer"]
+__all__ = ["MAX_KEPT", "add_hint", "explain", "explain_end", "no_answer"]
 
 MAX_KEPT = MAX_RECEIVED
 """The most received bytes that errors contain; more bytes would not help."""
@@ -29,6 +29,11 @@ def no_answer(timeout: float, received: bytes) -> ModbusTimeoutError:
             f"no complete answer within {timeout:g} s, but {in_hex(received)}", received=received
         )
     return ModbusTimeoutError(f"no answer within {timeout:g} s")
+
+
+def add_hint(error: ModbusError, hint: str) -> None:
+    """Append a hint, unless it is empty, to the message of an error."""
+    error.args = (f"{error.args[0]}; {hint}",) if hint else error.args
 
 
 def explain(scheme: str, sent: bytes, received: bytes) -> str:

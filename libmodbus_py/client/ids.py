@@ -83,14 +83,14 @@ class Ids:
         while number in pending or number in self._abandoned:
             number = number + 1 & 0xFFFF
         self._last = number
-        self.unasked = 0
         if not pending:
             self._strays = b""
-        call.earlier = -1
-        if call.adu and pending.get(call.number) is call:
-            call.earlier = call.number  # asked again alone; the first answer may still come
+            self.unasked = 0
+        if call.adu:
+            # Asked again alone, and the first answer may still come; or a repetition.
+            call.earlier = call.number if pending.get(call.number) is call else -1
+            call.reply = None
         call.number = number
-        call.reply = None
         call.adu = mbap(number, call.unit, call.pdu)
         if not call.is_silent:
             pending[number] = call

@@ -217,25 +217,17 @@ class Line:
         )
 
     def may_start(self, call: Call, now: float) -> bool:
-        """
-        Return True if a request may be sent now; else set `alarm`.
-
-        Raises:
-            FrameError: it has not become silent in time.
-        """
+        """Return True if a request may be sent now; else set `alarm` and the end of its wait."""
         ready_at = self._silence.over_at
         pair = self._pairs.get((call.unit, call.pdu[0]))
         if pair is not None and pair.is_doubted and pair.quiet_at > ready_at:
             ready_at = pair.quiet_at
         if ready_at <= now:
-            call.waits_since = -1.0
+            call.waits_until = math.inf
             return True
-        if call.waits_since < 0:
-            call.waits_since = now
-        until = call.waits_since + TIMEOUTS_OF_SILENCE * call.timeouts.timeout
-        if until <= now:
-            raise FrameError("the line does not fall silent", received=bytes(self._received))
-        self._wake(min(ready_at, until))
+        if call.waits_until == math.inf:
+            call.waits_until = now + TIMEOUTS_OF_SILENCE * call.timeouts.timeout
+        self._wake(min(ready_at, call.waits_until))
         return False
 
     def start(self, call: Call, now: float) -> None:

@@ -17,8 +17,8 @@ from ..protocol.callbacks import checked_callback
 from ..protocol.checks import integer, seconds
 from ..protocol.close_names import unknown_option
 from ..protocol.framing import is_delimiter
-from .call import MAX_IN_FLIGHT, Timeouts
-from .connection import Matching, Pace, Transactions
+from .call import MAX_IN_FLIGHT, Matching, Timeouts
+from .connection import Pace, Transactions
 from .ids import Ids
 from .notices import Notices
 from .reconnecting import OnState, Reconnecting

@@ -47,7 +47,6 @@ class Window:
 
     Attributes:
         is_open: True while the number may change.
-        lost: the reads that are to be asked again alone; nothing else is sent meanwhile.
         silent: pairs of a unit and a function that was not answered even alone.
     """
 
@@ -55,14 +54,13 @@ class Window:
         self, endpoint: Endpoint, most: int, is_given: bool, statistics: Statistics
     ) -> None:
         self.is_open: bool = not is_given and most > 1
-        self.lost: list[Call] = []
         self.silent: set[tuple[int, int]] = set()
         self._place: Hashable = endpoint.place
         self._name = str(endpoint)
         self._most = most
         self._now = 1 if self.is_open else most
         self._count = 0  # answers since the number was changed
-        self._was_full = False  # since then
+        self._was_full = self.is_open  # since then; one request is all that may be in flight
         self._slowest = 0.0
         self._statistics = statistics
 
@@ -78,10 +76,9 @@ class Window:
 
     def reset(self) -> None:
         """Begin again for another connection."""
-        self.lost.clear()
         self.silent.clear()
         if self.is_open:
-            self._now, self._count, self._was_full, self._slowest = 1, 0, False, 0.0
+            self._now, self._count, self._was_full, self._slowest = 1, 0, True, 0.0
 
     def sent(self, others: int) -> None:
         """Note that a request is sent while so many others are in flight."""
@@ -100,27 +97,24 @@ class Window:
             and call.earlier < 0
             and not call.changes
             and (call.unit, call.pdu[0]) not in self.silent
-            and call not in self.lost
         )
 
-    def answered(self, call: Call, now: float, pending: Mapping[int, Call]) -> None:
+    def answered(self, call: Call, took: float, pending: Mapping[int, Call]) -> None:
         """
         Note a valid answer; the number doubles once so many, and all before them, were answered.
 
         Args:
+            took: seconds from the request to the answer.
             pending: the requests in flight, in the order in which they were sent.
         """
-        took = now - call.sent_at
         if took > self._slowest:
             self._slowest = took
         if self.silent:
             self.silent.discard((call.unit, call.pdu[0]))
-        if self._now < self._most:
+        if self._was_full and self._now < self._most:
             self._count += 1
-            if self._count >= self._now and (self._was_full or self._now == 1):
-                oldest = next(iter(pending.values()), call)
-                if oldest.order < call.order:
-                    return  # it may be lost
+            oldest = next(iter(pending.values()), call)
+            if self._count >= self._now and oldest.order >= call.order:  # else it may be lost
                 self._now = min(2 * self._now, self._most)
                 self._count, self._was_full = 0, False
 
