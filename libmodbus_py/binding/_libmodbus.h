@@ -229,9 +229,10 @@ int answer_chunk(replier_t *replier, mapping_t *mapping, const watched_t *watche
 typedef struct {
     modbus_t *context;
     uint8_t answer[...];
-    int got;
     int error;
 } exchange_t;
+
+enum { NOTHING, NOT_SENT, FAILED, ... };
 
 int exchange(exchange_t *exchange, int descriptor, int waker, const uint8_t *adu, int size,
              double timeout);

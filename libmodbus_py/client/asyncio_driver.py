@@ -378,28 +378,29 @@ class AsyncioDriver:
     # --- reading and writing ------------------------------------------------------------------
 
     def _readable(self) -> None:
-        is_wanted = self._read()
-        if is_wanted or self._connection.broken is not None:
+        self._read()
+        if self._connection.is_wanted or self._connection.broken is not None:
             self._turn()
         else:
             self._set_timer()
 
-    def _read(self) -> bool:
-        """Take the received bytes; return True if requests wait to be sent."""
+    def _read(self) -> None:
+        """Take the received bytes, and send what may be sent now."""
         connection, now = self._connection, self._now()
         try:
             chunks = self._port.receive()
         except ModbusConnectionError as error:
             self._lose(error)
-            return False
-        adus = connection.start(now) if connection.take(chunks, now) else []
+            return
+        connection.take(chunks, now)
+        adus = connection.start(now)
         if adus:  # sending also acknowledges received bytes
             self._send(adus, now)
         elif connection.in_flight:
             self._port.acknowledge()
         elif connection.is_flooded:
             self._pause_reading()
-        return connection.settle(now)
+        connection.settle(now)
 
     def _pause_reading(self) -> None:
         """Stop reading until the next request: a flood must not keep an idle client busy."""

@@ -61,14 +61,16 @@ class Carrier:
         Raises:
             ModbusConnectionError: the connection is lost.
         """
-        exchange = self._exchange
         wait = timeout if timeout < LONGEST else LONGEST
-        if not lib.exchange(exchange, self._port.descriptor, waker, adu, len(adu), wait):
+        descriptor = self._port.descriptor
+        got: int = lib.exchange(self._exchange, descriptor, waker, adu, len(adu), wait)
+        if got >= 0:
+            answer: bytes = self._answer[:got]
+            return answer
+        if got == lib.NOT_SENT:
             return None
-        if exchange.error:
-            raise lost(OSError(exchange.error, os.strerror(exchange.error)))
-        got: bytes = self._answer[: exchange.got]
-        return got
+        error = self._exchange.error
+        raise lost(OSError(error, os.strerror(error)))
 
 
 class BlockingDriver:
@@ -274,13 +276,13 @@ class BlockingDriver:
             if adus and carrier is not None:
                 wait = connection.alarm - now
                 got = carrier.carry(adus[0], wait, self.waker.descriptor)
-                if got is None:
-                    connection.take_back()
-                    self._look(now)
-                elif got:
+                if got:
                     now = self._now()
                     connection.take((got,), now)
                     connection.settle(now)
+                elif got is None:
+                    connection.take_back()
+                    self._look(now)
             else:
                 if adus:
                     port.send(adus, now)
@@ -331,7 +333,8 @@ class BlockingDriver:
         connection, port = self._connection, self._port
         now = self._now()
         # Sent before the answers are decoded, so that the server has work meanwhile.
-        adus = connection.start(now) if connection.take(port.receive(), now) else []
+        connection.take(port.receive(), now)
+        adus = connection.start(now)
         if adus:  # sending also acknowledges received bytes
             port.send(adus, now)
         elif connection.in_flight:

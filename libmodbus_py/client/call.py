@@ -109,6 +109,7 @@ class Call:
         order: its number among the frames of the connection.
         company: True if others were in flight while it was.
         is_wanted: False if it is not to be sent again.
+        is_under_way: False if its batch has gone on without its outcome.
         tries, busy_tries: how often it was sent again.
     """
 
@@ -127,6 +128,7 @@ class Call:
     order: int = 0
     company: bool = False
     is_wanted: bool = True
+    is_under_way: bool = True
     used: float = 0.0
     waits_until: float = math.inf
     tries: int = 0

@@ -226,8 +226,6 @@ class Transactions:
             self.statistics.requests += len(adus)
         if matching.alarm < self.alarm:
             self.alarm = matching.alarm
-        if queue.alarm < self.alarm:
-            self.alarm = queue.alarm
         return adus
 
     def _is_usable(self, now: float) -> bool:
@@ -275,7 +273,7 @@ class Transactions:
         if call.changes:
             self._last_write = self._sent
             self._queue.sent(call)
-        if self.in_flight and self.window.is_open:
+        elif self.in_flight and self.window.is_open:
             self._note_company(call)
         self.in_flight += 1
         if call.is_silent:
@@ -492,22 +490,15 @@ class Transactions:
 
     # --- answers ------------------------------------------------------------------------------
 
-    def take(self, chunks: Iterable[bytes], now: float) -> bool:
-        """
-        Take received bytes; `settle` decodes the answers.
-
-        Return True if requests wait to be sent. Call `start` before `settle` then, because some of
-        them may be sent now, so that the server has work meanwhile.
-        """
-        matching, queue = self.matching, self._queue
+    def take(self, chunks: Iterable[bytes], now: float) -> None:
+        """Take received bytes; `settle` decodes the answers."""
+        matching = self.matching
         for data in chunks:
-            for call in matching.take(data, now):
-                self._note_end(call, now)
+            self._note_ends(matching.take(data, now), now)
         if matching.alarm < self.alarm:
             self.alarm = matching.alarm
         if matching.unasked > MAX_UNASKED_BYTES or not matching.is_in_step:
             self._note_flood()
-        return bool(queue.waiting or queue.again or queue.lost)
 
     def _note_flood(self) -> None:
         self.is_flooded = self.matching.unasked > MAX_UNASKED_BYTES
@@ -516,35 +507,37 @@ class Transactions:
         elif self._is_socket:
             self._break("flooded with frames that answer no request")
 
-    def _note_end(self, call: Call, now: float) -> None:
-        """End the time in flight of a request; after a good answer, its batch may go on."""
+    def _note_ends(self, calls: list[Call], now: float) -> None:
+        """End the time in flight of requests; after a good answer, its batch may go on."""
         lost = self._queue.lost
-        if lost and call in lost:
-            if isinstance(call.reply, ModbusTimeoutError):
-                call.state = WAITING  # it still waits to be asked again alone
-                return
-            lost.remove(call)
-            self.window.slow(now - call.sent_at)
-        else:
-            self.in_flight -= 1
-        if call.state is not OVER:
-            call.state = ANSWERED
-        self._answered.append(call)
-        if call.batch is not None and call.batch.limit > 1 and _is_good(call):
-            self._free(call.batch)
+        for call in calls:
+            if lost and call in lost:
+                if isinstance(call.reply, ModbusTimeoutError):
+                    call.state = WAITING  # it still waits to be asked again alone
+                    continue
+                lost.remove(call)
+                self.window.slow(now - call.sent_at)
+            else:
+                self.in_flight -= 1
+            if call.state is not OVER:
+                call.state = ANSWERED
+            self._answered.append(call)
+            batch = call.batch
+            if batch is not None and batch.limit > 1 and call.is_under_way and _is_good(call.reply):
+                call.is_under_way = False
+                self._free(batch)
 
     def _free(self, batch: Batch) -> None:
         batch.under_way -= 1
         if (follower := batch.next()) is not None:
             self._queue.waiting.append(follower)
 
-    def settle(self, now: float) -> bool:
-        """Decode the answers and set the outcomes; return True if requests wait to be sent."""
-        queue = self._queue
+    def settle(self, now: float) -> None:
+        """Decode the answers and set the outcomes."""
         answered, self._answered = self._answered, []
         for call in answered:
-            if call is queue.alone:
-                queue.alone = None
+            if call is self._queue.alone:
+                self._queue.alone = None
                 if not call.changes:
                     self._end_trial(call, now)
             if call.state is OVER:
@@ -555,7 +548,6 @@ class Transactions:
                 self._fail(call.reply, call, now)
             if call.batch is not None:
                 self._note_batch(call, call.batch, now)
-        return bool(queue.waiting or queue.again or queue.lost)
 
     def _decode(self, call: Call, reply: bytes, now: float) -> None:
         """Settle a request with the result that its answer contains."""
@@ -585,7 +577,7 @@ class Transactions:
 
     def _note_batch(self, call: Call, batch: Batch, now: float) -> None:
         """Let a batch go on after one of its requests, or forget those behind one that failed."""
-        if call.state is OVER and (batch.limit == 1 or not _is_good(call)):
+        if call.state is OVER and call.is_under_way:
             self._free(batch)
         if isinstance(call.outcome, BaseException):
             self._queue.remove_over()
@@ -639,11 +631,10 @@ class Transactions:
     def tick(self, now: float) -> None:
         """End requests whose time is over; `settle` tells their callers."""
         matching = self.matching
-        self.alarm = matching.alarm = self._queue.alarm = math.inf
+        self.alarm = matching.alarm = math.inf
         self._end_silent(now)
         if self.life.is_open:
-            for call in matching.expire(now):
-                self._note_end(call, now)
+            self._note_ends(matching.expire(now), now)
             if self.window.is_open and self.in_flight:
                 self._mark_lost(now)
             if not matching.has_ids:
@@ -694,9 +685,8 @@ def _is_busy(reply: bytes) -> bool:
     return reply[0] >= 0x80 and reply[1:] == bytes([ServerDeviceBusy.code])
 
 
-def _is_good(call: Call) -> bool:
-    reply = call.reply
-    return isinstance(reply, bytes) and reply[0] < 0x80
+def _is_good(reply: object) -> bool:
+    return type(reply) is bytes and reply[0] < 0x80
 
 
 def forbidden() -> ModbusConnectionError:

@@ -11,7 +11,6 @@ The requests of one connection that are to be sent, and their order:
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Collection
 
@@ -35,7 +34,6 @@ class Queue:
         again: those to be sent again, each when it is due.
         lost: reads that are to be asked again alone (`Window`); nothing else is sent meanwhile.
         alone: the write in flight, or to be sent again; or the read that is asked again alone.
-        alarm: the time at which `next` must be called; may be too early, but never too late.
     """
 
     def __init__(self, matching: Matching, window: Window, *, is_ordered: bool) -> None:
@@ -43,7 +41,6 @@ class Queue:
         self.again: list[Call] = []
         self.lost: list[Call] = []
         self.alone: Call | None = None
-        self.alarm: float = math.inf
         self._matching = matching
         self._window = window
         self._is_ordered = is_ordered
@@ -55,7 +52,7 @@ class Queue:
 
     def next(self, now: float, in_flight: int) -> Call | None:
         """
-        Remove and return the next request to send; None if none may be sent now.
+        Remove and return the next request to send; None, and the alarm is set, if none may be now.
 
         Args:
             in_flight: how many requests are in flight, those in `lost` not counted.
@@ -145,5 +142,5 @@ class Queue:
         return [call for call in calls if call not in later]
 
     def _wake(self, at: float) -> None:
-        if at < self.alarm:
-            self.alarm = at
+        if at < self._matching.alarm:
+            self._matching.alarm = at

@@ -143,6 +143,8 @@ def _switch(callback: OnTraced | None) -> Callable[[], bool]:
 
 def _is_logged() -> bool:
     """Return True if the logger is at DEBUG."""
+    if "logging" not in sys.modules:
+        return False
     logger = _logger()
     return logger is not None and logger.isEnabledFor(DEBUG)
 

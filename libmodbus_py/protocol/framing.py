@@ -296,20 +296,18 @@ class TcpFramer(Framer):
     """
 
     has_broadcast = False
+    max_size = MAX_PDU + 7
 
     def encode(self, frame: Frame) -> bytes:
         unit, pdu, transaction = _check(frame)
         return _PREFIX.pack(transaction, 0, 1 + len(pdu), unit) + pdu
 
     def scan(self, data: bytes) -> list[Frame | FrameError]:
-        if (
-            not self.rest
-            and 8 <= (size := len(data)) <= _PREFIX.size + MAX_PDU
-            and size == _HEADER.size + (data[4] << 8 | data[5])
-            and not (data[2] or data[3])
-            and self.in_step
-        ):  # one whole frame: a third of the time
-            return [tuple.__new__(Frame, (data[6], data[7:], data[0] << 8 | data[1]))]
+        if not self.rest and 8 <= len(data) <= self.max_size:
+            transaction, protocol, length, unit = _PREFIX.unpack_from(data)
+            if length == len(data) - 6 and not protocol and self.in_step:
+                # One whole frame: a third of the time.
+                return [tuple.__new__(Frame, (unit, data[7:], transaction))]
         return super().scan(data)
 
     def _scan(self) -> None:
@@ -334,8 +332,6 @@ class UdpFramer(TcpFramer):
     Every call of ``feed`` or ``scan`` takes one datagram. A datagram that is not exactly one frame
     is an error, and does not affect later ones.
     """
-
-    max_size = MAX_PDU + 7
 
     def _scan(self) -> None:
         datagram = bytes(self.rest)
