@@ -366,7 +366,7 @@ class TestLateImports:
                 # The compiled modules are wanted, so that it fails at once where they lack.
                 {"client.requests", "binding._libmodbus", "protocol._scan"},
                 {
-                    *("client.options", "client.conversation", "client.asyncio_driver"),
+                    *("client.options", "client.asyncio_driver"),
                     *("maps", "ports.endpoint", "ports.serial", "ports.tls", "security"),
                     *("protocol.pdu.reads", "protocol.pdu.writes", "protocol.pdu.interface"),
                     *("protocol.values", "protocol.tables"),

@@ -3,10 +3,10 @@ The clients. One connection makes the decisions, and two drivers wait, read and 
 
 From the caller to the wire:
 
-    requests           every method, once for both clients
+    procedures         methods of several requests, once for both clients: many, plans, maps
+      requests         methods of one request
+      steps            how these methods are made; what they yield
       typed_values     the types of values, for type checkers
-      procedures       what methods of several requests yield
-      plan_reading     carries out a plan
       polling          reads at a steady pace, for watch()
     handle             a unit, its timeouts, and the connection that it shares
     blocking           Context, TcpContext, UdpContext, RtuContext, AsciiContext
@@ -15,7 +15,8 @@ From the caller to the wire:
     call               one request, its timeouts and its outcome; several requests of a caller
     blocking_driver    waits with poll or in C, for any thread; forks, Ctrl-C
     asyncio_driver     waits in an event loop, with one reader and one timer
-    connection         which request may be sent when, and its outcome; without sockets or clocks
+    connection         when each request is sent, and its outcome; without sockets or clocks
+      queue            which request is next
       window           how many requests may be in flight
       ids              which answer belongs to which request, by transaction ids
       line             the same on lines, where frames have no ids: a table of states

@@ -29,8 +29,8 @@ from .call import MAX_IN_FLIGHT, Call, Phase, encoded, raised
 from .handle import Handle
 from .options import AsyncOptions, CheckedOptions, assembled
 from .polling import AwaitedPolls, interval_of, watched
-from .procedures import ChangeRegister, Several
-from .requests import Awaiting
+from .procedures import Procedures
+from .steps import Awaiting, ChangeRegister, Several
 
 __all__ = ["IN_FLIGHT", "MAX_PAUSE", "AsyncClient", "Submitted"]
 
@@ -40,7 +40,7 @@ MAX_PAUSE = 30.0
 IN_FLIGHT = 16
 
 
-class AsyncClient(Handle[AsyncioDriver], Awaiting):
+class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
     """
     A client of one unit for asyncio, whose methods are coroutines.
 

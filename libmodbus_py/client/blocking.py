@@ -16,8 +16,8 @@ from .blocking_driver import BlockingDriver
 from .call import MAX_IN_FLIGHT, raised
 from .handle import Handle
 from .polling import Polls, interval_of, watched
-from .procedures import ChangeRegister, Several
-from .requests import Blocking
+from .procedures import Procedures
+from .steps import Blocking, ChangeRegister, Several
 
 if TYPE_CHECKING:
     from ..maps.plan import (
@@ -57,7 +57,7 @@ __all__ = [
 Result = TypeVar("Result")
 
 
-class Context(Handle[BlockingDriver], Blocking):
+class Context(Handle[BlockingDriver], Procedures, Blocking):
     """
     The base of the blocking clients, each of which talks to one unit.
 

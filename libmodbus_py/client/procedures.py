@@ -1,54 +1,396 @@
 """
-The steps of procedures of the clients: one request or several.
+The methods of both clients that may take several requests: many at once, plans, typed values, maps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Iterable, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any, Unpack
 
 from ..protocol import pdu
-from ..protocol.errors import ModbusError
+from ..protocol.checks import integer
+from ..protocol.errors import IllegalFunction, ModbusError
+from .requests import Requests
+from .steps import ChangeRegister, Several, Steps, follows
 
-__all__ = ["ChangeRegister", "Several", "Steps"]
+__all__ = ["Procedures"]
 
-Result = TypeVar("Result")
+# What only some methods need is imported by them.
+if TYPE_CHECKING:
+    from ..maps.plan import Items, Plan, PlanOptions
+    from ..maps.register_map import RegisterMap
+    from ..maps.watched import WatchedPoints
+    from ..protocol.tables import RegisterTable, WritableTable
+    from ..protocol.type_names import Layout, Order, TextOptions, TypeName
+    from .typed_values import one_by_type, several_by_type
+else:
+
+    def one_by_type(method):
+        return method
+
+    several_by_type = one_by_type
 
 
-class Several(NamedTuple):
+class Procedures(Requests):
+    """The methods that may take several requests; addresses are 0-based, 0..65535."""
+
+    # --- many at once ----------------------------------------------------------------
+
+    @follows
+    def execute_many(
+        self,
+        requests: Iterable[pdu.Request[Any]],
+        *,
+        max_in_flight: int = 16,
+        return_exceptions: bool = False,
+    ) -> Steps[list[Any]]:
+        """
+        Send many request objects, several at a time if frames carry transaction ids.
+
+        With the framings "tcp" and "udp", up to `max_in_flight` of these requests are pending at
+        the same time, within the client's own `max_in_flight`, which applies to all its requests
+        together. The `timeout` of each request begins when it is sent. On a blocking client,
+        other threads wait until all requests are done; on an `AsyncClient`, requests of other
+        tasks are sent in between. A server may execute the requests in any order, so writes that
+        depend on each other need ``max_in_flight=1``. Requests are sent one after the other with
+        ``max_in_flight=1``, with all other framings, and if one of them gets no response.
+
+        With `return_exceptions`, a failure does not stop the remaining requests. If the
+        connection is lost, the pending requests fail, and the remaining ones are sent over a new
+        connection; if that cannot be established, they fail, too.
+
+        A request that is repeated (`retries`, `busy_retries`) counts as pending all the
+        time, so that no other request overtakes it with ``max_in_flight=1``.
+
+        Args:
+            requests: request objects of `libmodbus_py.pdu`; all are checked before the
+                first is sent.
+            max_in_flight: 1..256; servers need not accept more than 16 (TCP guide,
+                section 4.3).
+            return_exceptions: True to return a ModbusError in place of the result of a request
+                that failed. False to raise the first of them, in the order of the requests: then
+                nothing more is sent, and the responses that are still pending are dropped.
+
+        Returns:
+            The results in the order of the requests.
+
+        Raises:
+            TypeError, ValueError: `max_in_flight` or a request is wrong; a request is named
+                by its index (``requests[3]``).
+        """
+        answers: list[Any] = yield Several(requests, max_in_flight, return_exceptions)
+        return answers
+
+    @follows
+    def _read_many(
+        self,
+        items: Plan | Items,
+        max_in_flight: int,
+        return_exceptions: bool,
+        options: PlanOptions,
+    ) -> Steps[Any]:
+        """As of `read_many` of the clients, whose types depend on what is given."""
+        from ..maps.plan import planned
+
+        plan = planned(items, options)
+        if plan is not items:  # what would be learnt of the device would be lost
+            answers = yield Several(plan.requests, max_in_flight, return_exceptions)
+            return plan.results(answers)
+        answers = yield from _plan_answers(
+            self,
+            plan,
+            max_in_flight,
+            return_exceptions,
+        )
+        return plan.results(answers)
+
+    @follows
+    def _poll(self, what: Plan | WatchedPoints, max_in_flight: int, at: float) -> Steps[Any]:
+        """Read what is due at a time; what fails gets the reason in place of its values."""
+        from ..maps.plan import Plan
+
+        if isinstance(what, Plan):
+            return (yield from self._poll_plan(what, max_in_flight))
+        polls = what.poll(at)
+        plan = next(polls)
+        while True:
+            found = yield from self._poll_plan(plan, max_in_flight)
+            try:
+                plan = polls.send(found)
+            except StopIteration as done:
+                return done.value
+
+    def _poll_plan(self, plan: Plan, max_in_flight: int) -> Steps[Any]:
+        from ..maps.register_map import PointPlan
+
+        answers = yield from _plan_answers(
+            self,
+            plan,
+            max_in_flight,
+            True,
+        )
+        if isinstance(plan, PointPlan):
+            return plan.results(answers, return_exceptions=True)
+        return plan.results(answers)
+
+    # --- values ----------------------------------------------------------------------
+
+    @one_by_type
+    @follows
+    def read_value(
+        self, /, table: RegisterTable, address: int, type: TypeName, **layout: Unpack[Layout]
+    ) -> Steps[Any]:
+        """
+        Read one number, string, time or list of bits from registers.
+
+        Args:
+            table: "holding_registers" or "input_registers".
+            address: the address of the first register.
+            type: the type of the value, such as "float32"; see `libmodbus_py.values`.
+            layout: `order` (ABCD, CDAB, BADC or DCBA); `encoding` and `padding` of strings.
+
+        Raises:
+            TypeError, ValueError: an argument is wrong, or the registers hold no such value.
+        """
+        from ..protocol.tables import TABLES
+        from ..protocol.values import value_type
+
+        kind = value_type(type, **layout)
+        cells = yield TABLES[_registers(table)].read(address, kind.registers)
+        return kind.decode(cells)
+
+    @several_by_type
+    @follows
+    def read_values(
+        self,
+        /,
+        table: RegisterTable,
+        address: int,
+        type: TypeName,
+        count: int = 1,
+        *,
+        order: Order = "ABCD",
+        **text: Unpack[TextOptions],
+    ) -> Steps[list[Any]]:
+        """
+        Read values of one type from consecutive registers, with one request.
+
+        Args:
+            table: "holding_registers" or "input_registers".
+            address: the address of the first register.
+            type: the type of the values, such as "float32"; see `libmodbus_py.values`.
+            count: the number of values, 1 or more; they take up to 125 registers.
+            order: ABCD, CDAB, BADC or DCBA.
+            text: `encoding` and `padding` of strings.
+
+        Raises:
+            TypeError, ValueError: an argument is wrong, or the registers hold no such values.
+        """
+        from ..protocol.tables import TABLES
+        from ..protocol.values import value_type
+
+        table = _registers(table)
+        kind = value_type(type, order=order, **text)
+        registers = kind.registers * integer("count", count, 1, 125 // kind.registers)
+        cells = yield TABLES[table].read(address, registers)
+        return kind.decode_many(cells)
+
+    @follows
+    def write_values(
+        self,
+        /,
+        table: WritableTable,
+        address: int,
+        values: Iterable[Any],
+        type: TypeName,
+        *,
+        order: Order = "ABCD",
+        **text: Unpack[TextOptions],
+    ) -> Steps[None]:
+        """
+        Write values of one type to consecutive holding registers, with one request.
+
+        Args:
+            table: "holding_registers", the only table of registers that can be written.
+            address: the address of the first register.
+            values: one or more values, which take up to 123 registers.
+            type, order, text: as for `read_values`.
+
+        Raises:
+            TypeError, ValueError: an argument is wrong; nothing was sent.
+        """
+        from ..protocol.words import table_named
+
+        if table != "holding_registers" and table_named(table) != "holding_registers":
+            raise ValueError(f"table must be holding_registers, not {table!r}")
+        from ..protocol.values import value_type
+
+        cells = value_type(type, order=order, **text).encode_many(values)
+        yield pdu.WriteRegisters(address, cells)  # type: ignore[arg-type]
+
+    # --- register maps ------------------------------------------------------------------
+
+    @follows
+    def read_map(
+        self,
+        map: RegisterMap,
+        names: Iterable[str] | None = None,
+        *,
+        max_in_flight: int = 16,
+        return_exceptions: bool = False,
+        **options: Unpack[PlanOptions],
+    ) -> Steps[dict[str, Any]]:
+        """
+        Read points of a register map with few requests.
+
+        Points that touch or overlap share a request; cells between points are only read if `gap`
+        allows it. A device refuses a whole request because of a single cell that it lacks. The
+        points that it refuses are found once, by halving the request. With `return_exceptions`
+        they are then left out (`unreadable` lists them), and tried again, one at each call, after
+        ten minutes and after a new connection. Without it, the refusal of the first of these
+        points is raised, with the name of the point in `names`.
+
+        Args:
+            map: the register map, such as `load_map` returns.
+            names: the names of the points to read; None for all readable points. A program that
+                often reads the same few points should make a `RegisterMap` of them.
+            max_in_flight: as for `execute_many`.
+            return_exceptions: True to return, in place of a value, a ModbusError if the point
+                could not be read, a ValueError if its registers hold no value of its type, and a
+                `NoValue` with the reason where there is no value. False to raise the first
+                ModbusError or ValueError, and to return None where there is no value.
+            options: the options of `Plan`: `gap`, `forbidden`, `max_registers`, `max_bits`.
+
+        Returns:
+            The scaled values by name, as `Point.decode` returns them; None if the device reports
+            that there is no value, or if the value is not plausible.
+
+        Raises:
+            TypeError, ValueError: there is no such point, or it cannot be read; an option is wrong;
+                registers hold no value of the point's type.
+        """
+        plan = _checked_map(map).plan(names, **options)
+        answers = yield from _plan_answers(
+            self,
+            plan,
+            max_in_flight,
+            return_exceptions,
+        )
+        return plan.results(answers, return_exceptions=return_exceptions)
+
+    @follows
+    def write_map(
+        self, map: RegisterMap, values: Mapping[str, Any], *, multiple: bool = False
+    ) -> Steps[None]:
+        """
+        Write values to points of a register map.
+
+        Names, access, types and ranges are all checked before the first byte is sent. Requests
+        are sent in the order of the map, and adjacent points share one. If a request fails, its
+        error is raised, and the requests after it are not sent.
+
+        Points with `scale_from` are written with the factor that the device has at that time: the
+        points that hold the factors are read first. Parts of registers are written with function 22
+        (mask write register). If the device lacks that function, the register is read, changed and
+        written, and no other such change on this connection comes in between.
+
+        Args:
+            map: the register map, such as `load_map` returns.
+            values: the values by name, such as ``{"setpoint": 21.5}``; each is rounded to the
+                nearest value that its scale can represent (`Point.encode`).
+            multiple: True to write even single coils and registers with functions 15 and
+                16, for devices that lack functions 5 and 6.
+
+        Raises:
+            TypeError, ValueError: there is no such point, or it cannot be written; a value does
+                not fit its point; points share cells.
+            NoValue: a point named by `scale_from` has no value that can be a scale.
+        """
+        points = _checked_map(map)
+        sources = points.scale_sources(values)
+        read: dict[str, Any] = {}
+        if sources:
+            plan = points.plan(sources)
+            answers = yield Several(plan.requests, 1, False)
+            read = plan.results(answers)
+        lacks_masks = False
+        for request in points.writes(values, multiple=multiple, sources=read):
+            if not isinstance(request, pdu.MaskWriteRegister):
+                yield request
+                continue
+            if not lacks_masks:
+                (outcome,) = yield Several([request], 1, True)
+                lacks_masks = isinstance(outcome, IllegalFunction)
+                if isinstance(outcome, ModbusError) and not lacks_masks:
+                    raise outcome
+            if lacks_masks:
+                yield ChangeRegister(request)
+
+
+def _registers(table: object) -> Any:
+    """Return the name of a table of registers, which may be written as vendors do."""
+    from ..protocol.tables import REGISTER_TABLES
+    from ..protocol.words import TABLE_WORDS, close_word, table_named
+
+    if table in REGISTER_TABLES:
+        return table
+    name = table_named(table)
+    if name not in REGISTER_TABLES:
+        words = [word for word, meaning in TABLE_WORDS.items() if meaning in REGISTER_TABLES]
+        close = close_word(table, REGISTER_TABLES, words)
+        wanted = ", ".join(REGISTER_TABLES)
+        raise ValueError(f"table must be one of {wanted}, not {table!r}{close}")
+    return name
+
+
+def _checked_map(given: object) -> RegisterMap:
+    # Who has one has paid for the import; others should not.
+    from ..maps.register_map import RegisterMap
+
+    if not isinstance(given, RegisterMap):
+        raise TypeError(f"map must be a RegisterMap, not {type(given).__name__}")
+    return given
+
+
+def _plan_answers(
+    client: Any, plan: Plan, max_in_flight: int, return_exceptions: bool
+) -> Steps[list[Any]]:
     """
-    Requests that a procedure makes together, as `execute_many` takes them.
+    Return the answers to the requests of a plan, for `Plan.results`.
 
-    Attributes:
-        stops: True to send nothing more after a ModbusError, and to return the results and that
-            error; only without `return_exceptions`.
+    Raises:
+        ModbusError: the first failure; only without `return_exceptions`.
     """
+    from ..maps.holes import is_refusal, reading
+    from ..protocol.logs import HarmlessLogger
 
-    requests: Iterable[pdu.Request[Any]]
-    max_in_flight: int
-    return_exceptions: bool
-    stops: bool = False
-
-    @property
-    def returned(self) -> tuple[type[BaseException], ...]:
-        """The exceptions that are returned among the results."""
-        return (ModbusError,) if self.return_exceptions or self.stops else ()
-
-
-class ChangeRegister(NamedTuple):
-    """
-    A holding register that is read, changed and written, because the device lacks function 22.
-
-    No other such step on the connection takes place at the same time.
-    """
-
-    request: pdu.MaskWriteRegister
-
-    def write(self, register: int) -> pdu.WriteRegister:
-        """Return the request that writes the register, as in section 6.16 of the specification."""
-        request = self.request
-        value = register & request.and_mask | request.or_mask & ~request.and_mask
-        return pdu.WriteRegister(request.address, value & 0xFFFF)
-
-
-Steps = Generator[pdu.Request[Any] | Several | ChangeRegister, Any, Result]
+    holes = client.holes
+    answers: list[Any] = []
+    if not holes:
+        answers = yield Several(plan.requests, max_in_flight, return_exceptions, True)
+    if holes or any(map(is_refusal, answers)):
+        now, connects = client.now(), client.statistics.connects
+        steps = reading(
+            plan.blocks,
+            holes,
+            now,
+            connects,
+            is_strict=not return_exceptions,
+            tell=partial(HarmlessLogger(__name__).info, "%s: cannot be read: %s", client.device),
+        )
+        try:
+            requests = next(steps)
+            # Another thread, or task, may have learnt something meanwhile.
+            outcomes = answers if requests == list(plan.requests) else None
+            while True:
+                if not outcomes:
+                    outcomes = yield Several(requests, max_in_flight, return_exceptions, True)
+                requests, outcomes = steps.send(outcomes), None
+        except StopIteration as done:
+            answers = done.value
+    if not return_exceptions:
+        for each in answers:
+            if isinstance(each, ModbusError):
+                raise each
+    return answers

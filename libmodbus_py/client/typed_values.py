@@ -1,19 +1,21 @@
 """
-The types of values by the names of their types, for type checkers: nothing here runs.
+The types of values by the names of their types, for type checkers.
 
 ``read_value("holding_registers", 100, "float32")`` is a float on a blocking client, and one to
-await on the other.
+await on the other. Nothing here runs.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol, TypeVar, Unpack, overload
+from collections.abc import Coroutine
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, Unpack, overload
 
 if TYPE_CHECKING:
     from ..protocol.tables import RegisterTable
     from ..protocol.type_names import BitsType, FloatType, IntegerType, Layout, TextType, TypeName
+    from .steps import Awaiting, Blocking
 
-__all__ = ["ReadOne", "ReadSeveral"]
+__all__ = ["one_by_type", "several_by_type"]
 
 Integer = TypeVar("Integer", covariant=True)
 Real = TypeVar("Real", covariant=True)
@@ -100,3 +102,53 @@ class ReadSeveral(Protocol[Integer, Real, Bits, Text, Unknown]):
         count: int = 1,
         **layout: Unpack[Layout],
     ) -> Unknown: ...
+
+
+Result = TypeVar("Result")
+Later = Coroutine[Any, Any, Result]
+
+
+class OneByType:
+    """The method `read_value` of both clients."""
+
+    @overload
+    def __get__(
+        self, client: Blocking, owner: object
+    ) -> ReadOne[int, float, list[bool], str, Any]: ...
+    @overload
+    def __get__(
+        self, client: Awaiting, owner: object
+    ) -> ReadOne[Later[int], Later[float], Later[list[bool]], Later[str], Later[Any]]: ...
+    @overload
+    def __get__(self, client: None, owner: object) -> Any: ...
+    def __get__(self, client: Any, owner: object) -> Any: ...
+
+
+class SeveralByType:
+    """The method `read_values` of both clients."""
+
+    @overload
+    def __get__(
+        self, client: Blocking, owner: object
+    ) -> ReadSeveral[list[int], list[float], list[list[bool]], list[str], list[Any]]: ...
+    @overload
+    def __get__(
+        self, client: Awaiting, owner: object
+    ) -> ReadSeveral[
+        Later[list[int]],
+        Later[list[float]],
+        Later[list[list[bool]]],
+        Later[list[str]],
+        Later[list[Any]],
+    ]: ...
+    @overload
+    def __get__(self, client: None, owner: object) -> Any: ...
+    def __get__(self, client: Any, owner: object) -> Any: ...
+
+
+def one_by_type(method: object) -> OneByType:
+    raise NotImplementedError
+
+
+def several_by_type(method: object) -> SeveralByType:
+    raise NotImplementedError

@@ -219,7 +219,7 @@ def test_silence_is_no_hole(world: World) -> None:
 
 
 def test_what_is_found_is_logged_once(world: World, caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.INFO, "libmodbus_py.client.plan_reading")
+    caplog.set_level(logging.INFO, "libmodbus_py.client.procedures")
     points = meter()
     with world.connect(world.peer("tcp", Meter(7)).url) as plc:
         for _ in range(3):
