@@ -22,8 +22,19 @@ PLAIN = tuple(scheme for scheme, (_, transport) in SCHEMES.items() if transport 
 ASCII_FRAME = rb":[0-9A-Fa-f]{6}"
 
 
-def no_answer(timeout: float, received: bytes) -> ModbusTimeoutError:
-    """Return the error for a request that got no answer, with the bytes received instead."""
+def no_answer(timeout: float, received: bytes, *, is_held: bool = False) -> ModbusTimeoutError:
+    """
+    Return the error for a request that got no answer, with the bytes received instead.
+
+    Args:
+        is_held: True if an answer came, but too late to see whether another one follows (`Line`).
+    """
+    if is_held:
+        return ModbusTimeoutError(
+            f"within {timeout:g} s it is unknown whether {in_hex(received)} answers this request "
+            "or an earlier one",
+            received=received,
+        )
     if received:
         return ModbusTimeoutError(
             f"no complete answer within {timeout:g} s, but {in_hex(received)}", received=received

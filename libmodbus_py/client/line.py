@@ -450,7 +450,9 @@ class Line:
             if held is not None and (not pair.is_doubted or pair.owed is call):
                 self._believe(call, held, self._held_at, now)
             else:
-                error = self._wrong or no_answer(call.timeouts.timeout, bytes(self._received))
+                error = self._wrong or no_answer(
+                    call.timeouts.timeout, bytes(self._received), is_held=held is not None
+                )
                 self._statistics.timeouts += 1
                 self.unanswered += held is None
                 self._fail(call, error, now)
@@ -521,10 +523,10 @@ class Line:
 
 
 # Reads with a possible answer that is equal to the request: it has the same length.
-_READS_LIKE_ANSWERS = (1, 2, 23)
+_READS_LIKE_ANSWERS = frozenset([0x01, 0x02, 0x17])
 
 # Functions whose answer is the same for all requests that begin with the same five bytes.
-_SAME_ANSWER = (15, 16, 23)
+_SAME_ANSWER = frozenset([0x0F, 0x10, 0x17])
 
 
 def _asked(pdu: bytes) -> bytes:

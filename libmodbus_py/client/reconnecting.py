@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FORKED", "OnState", "Reconnecting", "State"]
 
-FIRST_PAUSE = 0.1
+FIRST_PAUSE_S = 0.1
 
 FORKED = "this process was forked off"
 
@@ -136,7 +136,7 @@ class Reconnecting:
             self._change(State.CLOSED)
 
     def _back_off(self, error: ModbusConnectionError, now: float) -> None:
-        pause = min(self._max_pause, FIRST_PAUSE * 2 ** min(self.fruitless - 1, 20))
+        pause = min(self._max_pause, FIRST_PAUSE_S * 2 ** min(self.fruitless - 1, 20))
         if self._uniform is not None:
             pause *= self._uniform(0.8, 1.0)
         self.next_attempt = now + pause

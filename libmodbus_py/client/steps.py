@@ -1,5 +1,5 @@
 """
-How the methods of both clients are made, each once.
+The methods of both clients: each is made once.
 
 A method makes a request (`asks`), or is a procedure that yields requests, one or `Several`, and is
 sent results (`follows`). A blocking client carries it out at once; an awaiting one returns a

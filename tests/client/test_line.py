@@ -447,6 +447,7 @@ def test_hold_and_the_end_of_its_time(is_own: bool) -> None:
         assert batch.outcomes == [[6]]  # the answer to either of its frames
     else:
         assert kinds(batch) == [ModbusTimeoutError]
+        assert "or an earlier one" in str(batch.outcomes[0])
         failed_at = talk.now
         talk.ask(7)
         talk.wait_for(3)
