@@ -17,6 +17,7 @@ From the caller to the wire:
     asyncio_driver     waits in an event loop, with one reader and one timer
     connection         when each request is sent, and its outcome; without sockets or clocks
       queue            which request is next
+      outcomes         what becomes of a request: a result, an error, a repetition
       window           how many requests may be in flight
       ids              which answer belongs to which request, by transaction ids
       line             the same on lines, where frames have no ids: a table of states

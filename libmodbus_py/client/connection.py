@@ -11,9 +11,9 @@ The requests of one connection: when each is sent, and what its outcome is.
     withdraw    a caller is gone
     opened, failed, lost, interrupted, closed    what became of the connection itself
 
-Three parts decide for it: `Queue`, which request is next; `Window`, how many may be in flight; and
-its `Matching`, which answer belongs to which request: `Ids` by transaction ids, `Line` on lines
-without them, one request at a time.
+Four parts decide for it: `Queue`, which request is next; `Window`, how many may be in flight; its
+`Matching`, which answer belongs to which request (`Ids` by transaction ids, `Line` on lines without
+them, one request at a time); and `Outcomes`, what becomes of a request.
 """
 
 from __future__ import annotations
@@ -27,32 +27,24 @@ from ..ports.endpoint import Endpoint
 from ..ports.trace import Trace
 from ..protocol.callbacks import finished, log_failure
 from ..protocol.errors import (
-    Acknowledge,
-    ExceptionResponse,
     FrameError,
-    InvalidResponse,
     ModbusConnectionError,
     ModbusError,
     ModbusTimeoutError,
-    ServerDeviceBusy,
     alike,
 )
 from . import reconnecting
 from .call import Batch, Call, Matching, Phase
-from .hints import add_hint, explain, explain_end
+from .hints import add_hint, explain_end
+from .outcomes import Outcomes
 from .queue import Queue
 from .reconnecting import Reconnecting
-from .statistics import Statistics, result_of
+from .statistics import Statistics
 from .window import Window
 
 __all__ = ["Pace", "Transactions", "forbidden"]
 
 WAITING, SENT, ANSWERED, OVER = Phase.WAITING, Phase.SENT, Phase.ANSWERED, Phase.OVER
-
-BUSY = (Acknowledge, ServerDeviceBusy)
-
-# A busy device is asked again after this pause, which is doubled each time up to the longest.
-BUSY_PAUSE_S, LONGEST_BUSY_PAUSE_S = 0.1, 1.0
 
 # A connection is flooded if more bytes than this arrive that belong to no request.
 MAX_UNASKED_BYTES = 1 << 16
@@ -118,18 +110,17 @@ class Transactions:
         self.window: Window = window
         self.life: Reconnecting = life
         self.statistics: Statistics = statistics
-        self._place = str(endpoint)
         self._scheme = endpoint.scheme
         self._is_socket = not endpoint.is_serial
         self._pace = pace
         self._trace = trace
         self._may_send = may_send
         self._queue = Queue(matching, window, is_ordered=is_ordered and matching.has_ids)
+        self._outcomes = Outcomes(endpoint, self._queue, matching, window, life, statistics)
         self._silent: list[tuple[float, Call]] = []  # calls without an answer, and when they end
         self._answered: list[Call] = []
         self._next_start = 0.0
         self._sent = 0  # frames
-        self._last_write = 0  # its number among them
 
     @property
     def is_wanted(self) -> bool:
@@ -151,7 +142,7 @@ class Transactions:
             call.since = now
             refusal = self.life.refusal(now, call.deadline)
             if refusal is not None:
-                self._refuse(call, refusal)
+                self._outcomes.refuse(call, refusal)
                 return
             self._wake(call.deadline)
         elif call.request is None:
@@ -271,8 +262,7 @@ class Transactions:
         if deadline < self.alarm:
             self.alarm = deadline
         if call.changes:
-            self._last_write = self._sent
-            self._queue.sent(call)
+            self._queue.note_write(call)
         elif self.in_flight and self.window.is_open:
             self._note_company(call)
         self.in_flight += 1
@@ -321,7 +311,7 @@ class Transactions:
             if call.state is SENT:  # its time is not over yet
                 self.in_flight += 1
             elif isinstance(call.reply, ModbusError):
-                self._go_on_without(call.reply, call, now)
+                self._outcomes.go_on_without(call.reply, call, now)
 
     def _mark_lost(self, now: float) -> None:
         """Find the reads that are lost beside others."""
@@ -334,15 +324,6 @@ class Transactions:
                 else:
                     lost.append(call)
                     self.in_flight -= 1
-
-    def _end_trial(self, call: Call, now: float) -> None:
-        """Note how a read ended that was asked again alone."""
-        if isinstance(call.reply, ModbusTimeoutError):
-            self.window.missed(call)
-        elif call.earlier >= 0:  # the first one was answered late
-            self.window.slow(now - call.due)
-        elif isinstance(call.reply, bytes) and not _is_busy(call.reply):
-            self.window.take_one()
 
     def _wake(self, at: float) -> None:
         if at < self.alarm:
@@ -456,37 +437,7 @@ class Transactions:
             if call.state is SENT:  # it is not asked again alone, but may still be answered
                 self.in_flight += 1
             elif call.state is not OVER:
-                self._refuse(call, error)
-
-    def _fail_unsent(self, call: Call, error: ModbusError) -> None:
-        if call is self._queue.alone:
-            self._queue.alone = None
-        if call.request is not None:
-            self.statistics.note(call.function, "unsent")
-        call.settle(self._outcome(alike(error), call))
-
-    def _refuse(self, call: Call, error: ModbusError) -> None:
-        """Fail a request that is not sent, or not again; and those of its caller behind it."""
-        self._fail_unsent(call, error)
-        batch = call.batch
-        if batch is not None:
-            batch.under_way -= 1
-            if (follower := batch.next()) is not None:
-                self._refuse(follower, error)
-
-    def _outcome(self, error: ModbusError, call: Call) -> BaseException:
-        """Return an error with its request, or the exception that the request's class raised."""
-        error.unit, error.endpoint, error.sent = call.unit, self._place, call.adu
-        try:
-            if call.request is not None:
-                error.function, error.asked = call.request.function, str(call.request)
-            if error.received and call.adu and not isinstance(error, InvalidResponse):
-                add_hint(error, explain(self._scheme, call.adu, error.received))
-            if isinstance(error, ModbusTimeoutError) and self.window.is_at_one:
-                add_hint(error, "this device takes one request at a time (max_in_flight=1)")
-        except BaseException as mistake:
-            return mistake
-        return error
+                self._outcomes.refuse(call, error)
 
     # --- answers ------------------------------------------------------------------------------
 
@@ -536,44 +487,11 @@ class Transactions:
         """Decode the answers and set the outcomes."""
         answered, self._answered = self._answered, []
         for call in answered:
-            if call is self._queue.alone:
-                self._queue.alone = None
-                if not call.changes:
-                    self._end_trial(call, now)
-            if call.state is OVER:
-                self.statistics.note(call.function, "cancelled")
-            elif isinstance(call.reply, bytes):
-                self._decode(call, call.reply, now)
-            elif isinstance(call.reply, ModbusError):
-                self._fail(call.reply, call, now)
+            self._outcomes.settle(call, now)
             if call.batch is not None:
                 self._note_batch(call, call.batch, now)
-
-    def _decode(self, call: Call, reply: bytes, now: float) -> None:
-        """Settle a request with the result that its answer contains."""
-        try:
-            outcome = call.request.decode_response(reply)  # type: ignore[union-attr]
-        except ModbusError as error:
-            self.statistics.invalid += isinstance(error, InvalidResponse)
-            error.received = self.matching.received_with(call, reply)
-            self._fail(error, call, now)
-        except BaseException as mistake:  # of the class of the request
-            self.statistics.note(call.function, "invalid")
-            call.settle(mistake)
-        else:
-            self._note_answer(call, "ok", now)
-            call.settle(outcome)
-            if not self.matching.has_ids:
-                self.matching.conclude(call, None, now)
-
-    def _note_answer(self, call: Call, result: str, now: float) -> None:
-        """Count a valid answer; it proves that the device is alive."""
-        took = now - call.sent_at
-        self.statistics.note_answer(call.pdu[0], result, took, now)
-        if self.life.fruitless:
-            self.life.prove()
-        if self.window.is_open:
-            self.window.answered(call, took, self.matching.pending)
+        if self.matching.alarm < self.alarm:  # a request may be due again
+            self.alarm = self.matching.alarm
 
     def _note_batch(self, call: Call, batch: Batch, now: float) -> None:
         """Let a batch go on after one of its requests, or forget those behind one that failed."""
@@ -584,47 +502,6 @@ class Transactions:
             if batch.is_done and batch.under_way:
                 for each in batch.calls:
                     self._let_go(each, now)
-
-    def _fail(self, error: ModbusError, call: Call, now: float) -> None:
-        if isinstance(error, ExceptionResponse):
-            self.statistics.exceptions += 1
-            self._note_answer(call, "exception", now)
-        else:
-            self.statistics.note(call.function, result_of(error))
-        self.matching.conclude(call, error, now)
-        self._go_on_without(error, call, now)
-
-    def _go_on_without(self, error: ModbusError, call: Call, now: float) -> None:
-        """Send a request again that failed, or settle it."""
-        try:
-            if self.window.refuses(error, call):
-                call.state, call.reply = WAITING, error
-                self._queue.lost.append(call)
-            elif not self._is_repeated(error, call, now):
-                call.settle(self._outcome(error, call))
-        except BaseException as mistake:  # of the class of the request
-            call.settle(mistake)
-
-    def _is_repeated(self, error: ModbusError, call: Call, now: float) -> bool:
-        """Send a request again later, if that is allowed; return False if not."""
-        is_busy = isinstance(error, BUSY)
-        assert call.request is not None
-        if not call.is_wanted or (call.changes and self._last_write > call.order):
-            return False
-        if not is_busy and (isinstance(error, ExceptionResponse) or not call.request.repeatable):
-            return False
-        done = call.busy_tries if is_busy else call.tries
-        if done >= (call.timeouts.busy_retries if is_busy else call.timeouts.retries):
-            return False
-        if is_busy:
-            call.busy_tries += 1
-        else:
-            call.tries += 1
-        pause = min(LONGEST_BUSY_PAUSE_S, BUSY_PAUSE_S * 2**done) if is_busy else 0.0
-        call.since = now
-        self._queue.put_again(call, now + pause)
-        self._wake(call.due)
-        return True
 
     # --- time ---------------------------------------------------------------------------------
 
@@ -666,7 +543,7 @@ class Transactions:
                 self._wake(call.deadline)
                 continue
             self._queue.remove(call)
-            self._refuse(call, self.life.not_in_time(call.timeouts.timeout))
+            self._outcomes.refuse(call, self.life.not_in_time(call.timeouts.timeout))
 
     def _end_waits_for_silence(self, now: float) -> None:
         """Fail the requests that have waited too long for silence on the line."""
@@ -674,15 +551,11 @@ class Transactions:
             if call.waits_until <= now and not self.matching.may_start(call, now):
                 self._queue.remove(call)
                 received = self.matching.received_with(call, b"")
-                self._fail_unsent(
+                self._outcomes.fail_unsent(
                     call, FrameError("the line does not fall silent", received=received)
                 )
                 if call.batch is not None:
                     self._free(call.batch)
-
-
-def _is_busy(reply: bytes) -> bool:
-    return reply[0] >= 0x80 and reply[1:] == bytes([ServerDeviceBusy.code])
 
 
 def _is_good(reply: object) -> bool:

@@ -33,6 +33,7 @@ class Queue:
         waiting: the requests that were not sent yet.
         again: those to be sent again, each when it is due.
         lost: reads that are to be asked again alone (`Window`); nothing else is sent meanwhile.
+        last_write: the number, among all frames, of the last write that was sent.
         alone: the write in flight, or to be sent again; or the read that is asked again alone.
     """
 
@@ -41,6 +42,7 @@ class Queue:
         self.again: list[Call] = []
         self.lost: list[Call] = []
         self.alone: Call | None = None
+        self.last_write: int = 0
         self._matching = matching
         self._window = window
         self._is_ordered = is_ordered
@@ -114,9 +116,10 @@ class Queue:
         if call.changes and self._is_ordered:
             self.alone = call
 
-    def sent(self, call: Call) -> None:
-        """Note that a request is in flight."""
-        if call.changes and self._is_ordered:
+    def note_write(self, call: Call) -> None:
+        """Note that a write is in flight."""
+        self.last_write = call.order
+        if self._is_ordered:
             self.alone = call
 
     def remove(self, call: Call) -> None:

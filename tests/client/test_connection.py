@@ -773,7 +773,7 @@ def happen(talk: Talk, event: str, choice: int) -> None:
         "half": lambda: answer(talk, at)[: choice % 7 + 1],
     }[event]()
     cut = choice % len(data)
-    pieces = [data] if "udp" in str(talk.connection._place) else [data[:cut], data[cut:]]
+    pieces = [data] if talk.is_udp else [data[:cut], data[cut:]]
     pieces = [each for each in pieces if each]  # no port reads nothing
     if (
         is_line

@@ -43,6 +43,7 @@ class Talk:
         given = {"max_in_flight": most, **options}
         self.settings = CheckedOptions.of(endpoint, given, may_send=None)
         parts = assembled(endpoint, self.settings, 16)
+        self.is_udp = endpoint.scheme == "udp"
         self.connection = parts.connection
         self.matching: Any = parts.connection.matching
         self.life = parts.life
