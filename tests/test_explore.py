@@ -14,6 +14,7 @@ import pytest
 
 from fuzz.explore import explore
 from libmodbus_py.client import line
+from libmodbus_py.client.answers import Answers
 from libmodbus_py.client.line import Line, Pair
 from libmodbus_py.client.queue import Queue
 
@@ -49,7 +50,7 @@ ON_LINES: dict[str, Breaking] = {
         Line, "_hold", lambda self, call, pdu, now: self._believe(call, pdu, now, now)
     ),
     "HOLD lasts": lambda: patch.object(line, "TIMES_SLOWEST", 0),
-    "equal answers are held": lambda: patch.object(Line, "_is_of_another", lambda *_: False),
+    "equal answers are held": lambda: patch.object(Answers, "is_of_another", lambda *_: False),
     "answers that may be shifted are held": lambda: patch.object(Pair, "is_shifted", always(False)),
     "an answer is held now and then": lambda: patch.object(
         line, "TIMEOUTS_BETWEEN_CHECKS", math.inf

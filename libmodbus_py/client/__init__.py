@@ -21,6 +21,7 @@ From the caller to the wire:
       window           how many requests may be in flight
       ids              which answer belongs to which request, by transaction ids
       line             the same on lines, where frames have no ids: a table of states
+      answers          earlier answers on a line, with which others are compared
       hints            what errors say, and likely causes of bytes that are not an answer
     notices            calls of user functions that wait until a change is complete
     reconnecting       times of attempts to connect again; State

@@ -13,9 +13,8 @@ this pair, and the other states are those of the line.
     ASKED   its answer                             IDLE, and the answer is the result
     ASKED   its answer, while it is in DOUBT;      HOLD
             or an answer equal to the last one, or
-            one of the `RECENT` latest, to another
-            request of the unit, and not to the
-            last of its own
+            one of the 8 latest, to another request
+            of the unit, not to its own last one
     ASKED   a damaged answer, one that does not    IDLE and DOUBT; the request fails
             fit, the end of its time
     ASKED   its caller is gone                     IDLE and DOUBT
@@ -45,7 +44,6 @@ A line keeps the order of requests to a unit: those behind one that waits wait, 
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
 
 from ..ports.endpoint import Endpoint
 from ..ports.port import Silence
@@ -59,6 +57,7 @@ from ..protocol.errors import (
     ModbusError,
 )
 from ..protocol.framing import LINE_FEED, AsciiFramer, Frame, Framer, delimiter_after, make_framer
+from .answers import Answers
 from .call import Call, Phase
 from .hints import MAX_KEPT, no_answer
 from .statistics import Statistics
@@ -68,21 +67,12 @@ __all__ = ["Line"]
 # HOLD lasts this multiple of the time of the slowest good answer.
 TIMES_SLOWEST = 2
 
-# Of the time of the slowest answer, this share is kept with each further answer.
-FADING = 0.95
-
 # A request waits for silence for so many timeouts, and then fails. So much silence ends the DOUBT
 # of what has never answered.
 TIMEOUTS_OF_SILENCE = 2
 
 # An answer is put on HOLD at least once in so many timeouts, and their silence ends DOUBT.
 TIMEOUTS_BETWEEN_CHECKS = 10
-
-# Answers that may come again, although there are newer ones to the same requests.
-RECENT = 8
-
-# The most requests, and kinds of answers, that are remembered.
-REMEMBERED = 1024
 
 
 class Pair:
@@ -184,13 +174,7 @@ class Line:
         self._held: bytes | None = None
         self._held_at = self._held_until = 0.0
         self._pairs: dict[tuple[int, int], Pair] = {}
-        self._longest = 0.0  # of all good answers
-        # The last answer to each request of a unit; and how many requests have which one.
-        self._last: dict[tuple[int, bytes], bytes] = {}
-        self._having: Counter[tuple[int, bytes]] = Counter()
-        self._recent: deque[tuple[int, bytes, bytes]] = deque(maxlen=RECENT)
-        # Unit, function and length of good answers -> the longest time that one took.
-        self._slowest: dict[tuple[int, int, int], float] = {}
+        self._answers = Answers()
 
     def _make_framer(self) -> Framer:
         framer = make_framer(self._endpoint.framing, "client", self._endpoint.pause)
@@ -245,7 +229,7 @@ class Line:
         if self._echo.is_there is not False:
             self._echo.sent(adu, is_telling=_is_telling(call.pdu))
         pair = self._pair(call, now)
-        was_quiet = now >= pair.heard_at + TIMES_SLOWEST * self._longest
+        was_quiet = now >= pair.heard_at + TIMES_SLOWEST * self._answers.slowest
         timeouts = TIMEOUTS_BETWEEN_CHECKS if pair.is_known else TIMEOUTS_OF_SILENCE
         was_silent = pair.is_doubted and now >= pair.quiet_at + (timeouts - 1) * pair.timeout
         if pair.is_answered or was_silent or (was_quiet and not pair.is_doubted):
@@ -330,22 +314,20 @@ class Line:
             self._fail(call, InvalidResponse("two answers came, one to an earlier request"), now)
 
     def _take_answer(self, call: Call, pdu: bytes, now: float) -> None:
-        pair, unit, asked = self._pair(call, now), call.unit, _asked(call.pdu)
-        latest = self._recent[-1] if self._recent else (-1, b"", b"")
-        is_same = latest[:2] == (unit, asked)
+        pair, answers = self._pair(call, now), self._answers
         if (
             pair.is_doubted
-            or (pair.is_shifted and not is_same)
+            or (pair.is_shifted and not answers.is_to_latest(call.unit, call.pdu))
             or now > pair.checked_at + TIMEOUTS_BETWEEN_CHECKS * call.timeouts.timeout
-            or (self._last.get((unit, asked)) != pdu and self._is_of_another(unit, asked, pdu))
+            or answers.is_of_another(call.unit, call.pdu, pdu)
         ):
             self._hold(call, pdu, now)
         else:
-            pair.is_shifted = pair.is_shifted or latest == (unit, asked, pdu)
+            pair.is_shifted |= answers.is_latest(call.unit, call.pdu, pdu)
             self._believe(call, pdu, now, now)
 
     def _hold(self, call: Call, pdu: bytes, now: float) -> None:
-        slowest = self._slowest.get((call.unit, pdu[0], len(pdu)))
+        slowest = self._answers.slowest_like(call.unit, pdu)
         longest = call.timeouts.timeout if slowest is None else TIMES_SLOWEST * slowest
         self._held, self._held_at, self._held_until = pdu, now, now + longest
         call.state = Phase.ANSWERED
@@ -353,39 +335,14 @@ class Line:
 
     def _believe(self, call: Call, pdu: bytes, came_at: float, now: float) -> None:
         """Take an answer, and remember it."""
-        unit, asked = call.unit, _asked(call.pdu)
-        self._recent.append((unit, asked, pdu))
-        self._remember(unit, asked, pdu)
+        self._answers.add(call.unit, call.pdu, pdu)
         self._note_time(call, pdu, came_at, now)
         self.unanswered = 0
         call.reply = pdu
         self._end(call)
 
-    def _is_of_another(self, unit: int, asked: bytes, pdu: bytes) -> bool:
-        """Return True if an answer was one to another request of the unit lately."""
-        return self._having.get((unit, pdu), 0) > 0 or any(
-            each == pdu and other == unit and what != asked for other, what, each in self._recent
-        )
-
-    def _remember(self, unit: int, asked: bytes, pdu: bytes) -> None:
-        """Remember the last answer to a request."""
-        if len(self._last) >= REMEMBERED:
-            self._last.clear()
-            self._having.clear()
-        before = self._last.get((unit, asked))
-        if before != pdu:
-            if before is not None:
-                self._having[unit, before] -= 1
-            self._last[unit, asked] = pdu
-            self._having[unit, pdu] += 1
-
     def _note_time(self, call: Call, pdu: bytes, came_at: float, now: float) -> None:
-        """Note how long an answer took."""
-        if len(self._slowest) >= REMEMBERED:
-            self._slowest.clear()
-        kind, took = (call.unit, pdu[0], len(pdu)), came_at - call.sent_at
-        self._slowest[kind] = max(took, FADING * self._slowest.get(kind, 0.0))
-        self._longest = max(took, FADING * self._longest)
+        self._answers.note_time(call.unit, pdu, came_at - call.sent_at)
         pair = self._pair(call, now)
         pair.is_known, pair.heard_at = True, now
 
@@ -524,14 +481,6 @@ class Line:
 
 # Reads with a possible answer that is equal to the request: it has the same length.
 _READS_LIKE_ANSWERS = frozenset([0x01, 0x02, 0x17])
-
-# Functions whose answer is the same for all requests that begin with the same five bytes.
-_SAME_ANSWER = frozenset([0x0F, 0x10, 0x17])
-
-
-def _asked(pdu: bytes) -> bytes:
-    """Return what the answer to a request depends on."""
-    return pdu[:5] if pdu[0] in _SAME_ANSWER else pdu
 
 
 def _is_telling(pdu: bytes) -> bool:
