@@ -43,9 +43,9 @@ from libmodbus_py.client.call import NOT_ASKED, Call, Timeouts
 from libmodbus_py.client.connection import Pace, Transactions
 from libmodbus_py.client.ids import Ids
 from libmodbus_py.client.line import Line
+from libmodbus_py.client.queue import ONE_AT_A_TIME, Window
 from libmodbus_py.client.reconnecting import Reconnecting
 from libmodbus_py.client.statistics import Statistics
-from libmodbus_py.client.window import ONE_AT_A_TIME, Window
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.port import Silence
 from libmodbus_py.ports.trace import Trace

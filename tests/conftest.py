@@ -15,7 +15,7 @@ import pytest
 from hypothesis import settings
 
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.client.window import ONE_AT_A_TIME
+from libmodbus_py.client.queue import ONE_AT_A_TIME
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.c_programs import SOURCES, compile_c
 from tests.support.certificates import Papers, secured

@@ -4,8 +4,7 @@ The clients. One connection makes the decisions, and two drivers wait, read and 
 From the caller to the wire:
 
     procedures         methods of several requests, once for both clients: many, plans, maps
-      requests         methods of one request
-      steps            how these methods are made; what they yield
+      requests         methods of one request; how methods of both clients are made
       typed_values     the types of values, for type checkers
       polling          reads at a steady pace, for watch()
     handle             a unit, its timeouts, and the connection that it shares
@@ -16,9 +15,8 @@ From the caller to the wire:
     blocking_driver    waits with poll or in C, for any thread; forks, Ctrl-C
     asyncio_driver     waits in an event loop, with one reader and one timer
     connection         when each request is sent, and its outcome; without sockets or clocks
-      queue            which request is next
+      queue            which request is next, and how many may be in flight
       outcomes         what becomes of a request: a result, an error, a repetition
-      window           how many requests may be in flight
       ids              which answer belongs to which request, by transaction ids
       line             the same on lines, where frames have no ids: a table of states
       answers          earlier answers on a line, with which others are compared

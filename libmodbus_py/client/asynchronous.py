@@ -30,7 +30,7 @@ from .handle import Handle
 from .options import AsyncOptions, CheckedOptions, assembled
 from .polling import AwaitedPolls, interval_of, watched
 from .procedures import Procedures
-from .steps import Awaiting, ChangeRegister, Several
+from .requests import Awaiting, ChangeRegister, Several
 
 __all__ = ["IN_FLIGHT", "MAX_PAUSE", "AsyncClient", "Submitted"]
 

@@ -17,7 +17,7 @@ from .call import MAX_IN_FLIGHT, raised
 from .handle import Handle
 from .polling import Polls, interval_of, watched
 from .procedures import Procedures
-from .steps import Blocking, ChangeRegister, Several
+from .requests import Blocking, ChangeRegister, Several
 
 if TYPE_CHECKING:
     from ..maps.plan import (

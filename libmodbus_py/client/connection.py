@@ -37,10 +37,9 @@ from . import reconnecting
 from .call import Batch, Call, Matching, Phase
 from .hints import add_hint, explain_end
 from .outcomes import Outcomes
-from .queue import Queue
+from .queue import Queue, Window
 from .reconnecting import Reconnecting
 from .statistics import Statistics
-from .window import Window
 
 __all__ = ["Pace", "Transactions", "forbidden"]
 

@@ -21,9 +21,9 @@ from .call import MAX_IN_FLIGHT, Matching, Timeouts
 from .connection import Pace, Transactions
 from .ids import Ids
 from .notices import Notices
+from .queue import Window
 from .reconnecting import OnState, Reconnecting
 from .statistics import Statistics
-from .window import Window
 
 if TYPE_CHECKING:  # ssl, which it needs, takes longer to import than the rest of a client
     from ..security.given import GivenContext

@@ -16,10 +16,9 @@ from ..protocol.errors import (
 )
 from .call import Call, Matching, Phase
 from .hints import add_hint, explain
-from .queue import Queue
+from .queue import Queue, Window
 from .reconnecting import Reconnecting
 from .statistics import Statistics, result_of
-from .window import Window
 
 __all__ = ["Outcomes"]
 

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.errors import IllegalFunction, ModbusError
-from .requests import Requests
-from .steps import ChangeRegister, Several, Steps, follows
+from .requests import ChangeRegister, Requests, Several, Steps, follows
 
 __all__ = ["Procedures"]
 

@@ -1,25 +1,167 @@
 """
-The requests of one connection that are to be sent, and their order:
+The order of the requests of one connection, and how many may be in flight.
+
+The order (`Queue`):
 
 1. Callers take turns, each with its requests in their order.
 2. A repetition is sent before what was submitted later, as far as one of both is a write; on a
    line, as far as both are for the same unit. So no write is ever sent after one that followed it.
-3. Where several requests may be in flight (`Window`), a write is alone in flight, and those before
-   it are over. `max_in_flight`, if it is given, lifts this; then a write is not repeated once
-   another one has been sent.
+
+The number where frames have transaction ids (`Window`). Many devices lose all but one of the
+requests that arrive together, so it is found out:
+
+1. A write is alone: nothing else is in flight while it is, and those before it are over.
+2. Reads: one, then two, four and so on, as long as all of them are answered.
+3. A read that was sent beside others is lost if it gets no answer within a quarter of its timeout,
+   or within twice the time of the slowest answer if that is longer. It is asked again alone, and
+   the answer to either of both is taken.
+4. If the repetition is answered and the first one is not, the device takes one request at a time.
+   Then all clients of this process send one at a time to this endpoint, for the life of the
+   process.
+5. A unit that does not answer even alone is not asked again alone until it answers.
+
+`max_in_flight`, if it is given, sets the number, and none of these five rules applies; then a write
+is not repeated once another one has been sent.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Hashable, Mapping
 
+from ..ports.endpoint import Endpoint
+from ..protocol.callbacks import log_warning
+from ..protocol.errors import ModbusError, ServerDeviceBusy
 from .call import Call, Matching, Phase
-from .window import Window
+from .statistics import Statistics
 
-__all__ = ["Queue"]
+__all__ = ["ONE_AT_A_TIME", "Queue", "Window"]
 
 OVER = Phase.OVER
+
+ONE_AT_A_TIME: set[Hashable] = set()
+"""The places of the endpoints that take one request at a time; see rule 4."""
+
+# Rule 3: this share of the timeout of a read, and this multiple of the slowest answer.
+SHARE, TIMES_SLOWEST = 0.25, 2.0
+
+
+class Window:
+    """
+    The number of requests that may be in flight.
+
+    Args:
+        endpoint: the endpoint of the connection.
+        most: the most requests that may ever be in flight.
+        is_given: True if the number is `most` from the beginning, and nothing is found out.
+        statistics: counts the endpoint if it takes one request at a time (`falls`).
+
+    Attributes:
+        is_open: True while the number may change.
+        silent: pairs of a unit and a function that was not answered even alone.
+    """
+
+    def __init__(
+        self, endpoint: Endpoint, most: int, is_given: bool, statistics: Statistics
+    ) -> None:
+        self.is_open: bool = not is_given and most > 1
+        self.silent: set[tuple[int, int]] = set()
+        self._place: Hashable = endpoint.place
+        self._name = str(endpoint)
+        self._most = most
+        self._now = 1 if self.is_open else most
+        self._count = 0  # answers since the number was changed
+        self._was_full = self.is_open  # since then; one request is all that may be in flight
+        self._slowest = 0.0
+        self._statistics = statistics
+
+    @property
+    def limit(self) -> int:
+        """The number of requests that may be in flight now."""
+        return 1 if self.is_open and self._place in ONE_AT_A_TIME else self._now
+
+    @property
+    def is_at_one(self) -> bool:
+        """True if the endpoint was found to take one request at a time."""
+        return self.is_open and self._place in ONE_AT_A_TIME
+
+    def reset(self) -> None:
+        """Begin again for another connection."""
+        self.silent.clear()
+        if self.is_open:
+            self._now, self._count, self._was_full, self._slowest = 1, 0, True, 0.0
+
+    def sent(self, others: int) -> None:
+        """Note that a request is sent while so many others are in flight."""
+        if others + 1 >= self._now:
+            self._was_full = True
+
+    def lost_at(self, call: Call) -> float:
+        """Return when a read that was sent beside others is lost; see rule 3."""
+        return call.sent_at + max(SHARE * call.timeouts.timeout, TIMES_SLOWEST * self._slowest)
+
+    def may_be_lost(self, call: Call) -> bool:
+        """Return True for a read in flight that was sent beside others, and is not asked again."""
+        return (
+            call.company
+            and call.is_wanted
+            and call.earlier < 0
+            and not call.changes
+            and (call.unit, call.pdu[0]) not in self.silent
+        )
+
+    def answered(self, call: Call, took: float, pending: Mapping[int, Call]) -> None:
+        """
+        Note a valid answer; the number doubles once so many, and all before them, were answered.
+
+        Args:
+            took: seconds from the request to the answer.
+            pending: the requests in flight, in the order in which they were sent.
+        """
+        if took > self._slowest:
+            self._slowest = took
+        if self.silent:
+            self.silent.discard((call.unit, call.pdu[0]))
+        if self._was_full and self._now < self._most:
+            self._count += 1
+            oldest = next(iter(pending.values()), call)
+            if self._count >= self._now and oldest.order >= call.order:  # else it may be lost
+                self._now = min(2 * self._now, self._most)
+                self._count, self._was_full = 0, False
+
+    def slow(self, took: float) -> None:
+        """Note how long an answer took."""
+        if took > self._slowest:
+            self._slowest = took
+
+    def refuses(self, error: ModbusError, call: Call) -> bool:
+        """Return True if a read that failed was lost, or refused, only because of others."""
+        return (
+            self.is_open
+            and call.company
+            and call.is_wanted
+            and call.earlier < 0
+            and not call.changes
+            and isinstance(error, TimeoutError | ServerDeviceBusy)
+            and (call.unit, call.pdu[0]) not in self.silent
+        )
+
+    def missed(self, call: Call) -> None:
+        """Note that a read was not answered even alone."""
+        self.silent.add((call.unit, call.pdu[0]))
+
+    def take_one(self) -> None:
+        """Note that a read was lost beside others, and answered alone."""
+        if self._place in ONE_AT_A_TIME:
+            return
+        ONE_AT_A_TIME.add(self._place)
+        self._statistics.falls += 1
+        log_warning(
+            __name__,
+            "%s: requests that are sent together are lost, but answered when sent alone; from now "
+            "on one is sent at a time (max_in_flight=1; another max_in_flight sets the number)",
+            self._name,
+        )
 
 
 class Queue:

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from libmodbus_py.client.window import ONE_AT_A_TIME
+from libmodbus_py.client.queue import ONE_AT_A_TIME
 
 from .casts import CASTS
 from .exchange import Exchange

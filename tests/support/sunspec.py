@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.client.steps import Several
+from libmodbus_py.client.requests import Several
 from libmodbus_py.protocol.errors import IllegalDataAddress
 
 __all__ = ["END", "MARKER", "Walked", "chain", "file_device", "serving", "walked"]

@@ -8,7 +8,7 @@ from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from ...client.steps import Several, Steps
+from ...client.requests import Several, Steps
 from ...protocol import pdu
 from ...protocol.checks import integer
 from ...protocol.errors import ExceptionResponse, ModbusError

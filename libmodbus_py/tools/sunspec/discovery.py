@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Coroutine, Iterable, Iterator, Mapping
 from typing import Any, overload
 
-from ...client.steps import Awaiting, Blocking, Steps
+from ...client.requests import Awaiting, Blocking, Steps
 from ...maps.point import Point
 from ...maps.register_map import RegisterMap
 from ...protocol.errors import ExceptionResponse
