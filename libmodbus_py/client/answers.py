@@ -1,5 +1,5 @@
 """
-What answers on a line without ids are compared with (`Line`): earlier answers, and their times.
+The earlier answers on a line without ids, and their times, with which others are compared (`Line`).
 """
 
 from __future__ import annotations

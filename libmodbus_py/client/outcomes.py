@@ -1,5 +1,5 @@
 """
-What becomes of a request: its result, its error, or a repetition.
+The outcome of each request: its result, its error, or a repetition.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Outcomes:
         self._statistics = statistics
 
     def settle(self, call: Call, now: float) -> None:
-        """Give a request whose reply is here its outcome, or send it again."""
+        """Set the outcome of a request whose reply is here, or send it again."""
         if call is self._queue.alone:
             self._queue.alone = None
             if not call.changes:

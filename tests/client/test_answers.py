@@ -1,5 +1,5 @@
 """
-What answers on a line are compared with.
+The earlier answers with which those on a line are compared.
 """
 
 from __future__ import annotations
