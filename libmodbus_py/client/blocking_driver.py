@@ -61,7 +61,7 @@ class Carrier:
         Raises:
             ModbusConnectionError: the connection is lost.
         """
-        wait = timeout if timeout < LONGEST else LONGEST
+        wait = min(max(timeout, 0.0), LONGEST)  # poll() takes less than 0 for no end
         descriptor = self._port.descriptor
         got: int = lib.exchange(self._exchange, descriptor, waker, adu, len(adu), wait)
         if got >= 0:

@@ -420,17 +420,19 @@ def test_the_system_waits_a_second_at_a_time(
     waker.close()
 
 
-@pytest.mark.parametrize(("timeout", "waited"), [(0.5, 0.5), (600.0, 1.0)])
-def test_c_waits_a_second_at_most(
+@pytest.mark.parametrize(("timeout", "waited"), [(0.5, 0.5), (600.0, 1.0), (-0.1, 0.0)])
+def test_c_waits_a_second_at_most_and_not_for_ever_if_the_time_is_over(
     timeout: float, waited: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given: list[Any] = []
 
     class Library:
+        NOT_SENT = -1
+
         @staticmethod
         def exchange(*args: Any) -> int:
             given.append(args)
-            return 0
+            return Library.NOT_SENT
 
     monkeypatch.setattr(blocking_driver, "lib", Library)
     carrier = blocking_driver.Carrier(TcpPort("127.0.0.1", 502, None))
