@@ -22,6 +22,7 @@ __all__ = [
     "ServerStatistics",
     "counted_host",
     "host_of",
+    "peer_name",
     "plain_host",
 ]
 
@@ -155,8 +156,15 @@ def counted_host(host: str) -> str:
 
 
 def host_of(address: str) -> str:
-    """Return what a client counts for; `address`: "HOST:PORT", or the path of a serial port."""
-    return address if address.startswith("/") else counted_host(address.rpartition(":")[0])
+    """Return what a client counts for; `address`: its `peer_name`, or the path of a serial port."""
+    if address.startswith("/"):
+        return address
+    return counted_host(address.rpartition(":")[0].strip("[]"))
+
+
+def peer_name(host: str, port: int) -> str:
+    """Return what a client is called: "192.0.2.7:51234" or "[2001:db8::7]:51234"."""
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def _networks(allow: Iterable[str]) -> tuple[IPv4Network | IPv6Network, ...]:

@@ -28,7 +28,7 @@ from ..system import DescriptorPoller, make_poller, reserve_descriptors
 from .addresses import Address, Addresses
 from .audit import Audit
 from .idle import Idle, due
-from .limits import SPARE_DESCRIPTORS, Limits, ServerStatistics
+from .limits import SPARE_DESCRIPTORS, Limits, ServerStatistics, peer_name
 from .service import ENDS, Session, SessionState
 
 __all__ = ["MakePeerSession", "Peer", "Peers"]
@@ -144,7 +144,7 @@ class Peers:
             self.statistics.refused_full += 1
             client.close()
         else:
-            self._add(client, f"{host}:{port}", shared, make)
+            self._add(client, peer_name(host, port), shared, make)
 
     def close(self) -> None:
         """Close all connections; may be called any number of times."""

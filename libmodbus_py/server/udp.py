@@ -15,7 +15,7 @@ from ..ports.trace import Trace
 from ..protocol.framing import Framing, pdu_of
 from ..security.describing import CertificateHolder
 from .datagrams import bound_datagrams
-from .limits import ServerStatistics
+from .limits import ServerStatistics, peer_name
 from .listening import bound
 from .service import ENDS, Service, Session, SessionState
 from .sources import Sources
@@ -123,7 +123,7 @@ class _Datagram:
         local: socket.socket,
         source: tuple[str, int],
     ) -> None:
-        self.address = f"{source[0]}:{source[1]}"
+        self.address = peer_name(*source[:2])
         self.session: Session | None = None
         self._sources = sources
         self._framing: Framing = framing

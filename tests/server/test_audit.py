@@ -7,6 +7,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,6 +25,7 @@ from libmodbus_py import (
     Limits,
     Mapping,
     ModbusConnectionError,
+    ModbusError,
     Route,
     Rules,
     Server,
@@ -64,6 +66,27 @@ def said(event: AuditEvent) -> dict[str, Any]:
     assert found.pop("time").endswith("Z")
     assert found.pop("peer").startswith("127.0.0.1:")
     return dict(found)
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_an_ipv6_client_has_one_name(transport: str, events: list[AuditEvent]) -> None:
+    """In all events, as in URLs: with brackets around the address."""
+    told: list[str | None] = []
+    served = Server(device(), audit=events.append, trace=lambda each: told.append(each.peer))
+    closed = Server(device(), None, Limits(allow=["192.0.2.0/24"]), audit=events.append)
+    url = f"{transport}://[::1]:0"
+    with served.background(url) as one, closed.background(url) as other:
+        with Context.from_url(one.urls[0], unit=5, timeout=20) as client:
+            client.write_register(0, 1)
+        with (
+            Context.from_url(other.urls[0], unit=5, timeout=0.1) as client,
+            pytest.raises(ModbusError),
+        ):
+            client.write_register(0, 1)
+    assert {each.event for each in events} == {"write", "disallowed"}
+    for peer in (*told, *(each.peer for each in events)):
+        assert peer is not None
+        assert re.fullmatch(r"\[::1\]:\d+", peer)
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
