@@ -7,18 +7,15 @@ In the order in which a request goes through::
     serving      Serving: opens endpoints, and serves in a loop, in a thread, or for ever;
                  `ENDPOINTS` has the endpoint of each transport, from the file of its name
     background   a server in a thread of its own
-    garbage      excludes what does not change from garbage collection
-    signals      signal handlers in the loop; the previous ones are restored afterwards
-    listening    sockets of endpoints; forked children close them
-    tcp          takes connections and hands them to `peers`; udp answers datagrams (datagrams:
-                 from the address that was asked), serial a port
+    forever      signals and garbage collection of programs that only serve
+    sockets      sockets of endpoints, which answer from the address that was asked
+    tcp          takes connections and hands them to `peers`; udp answers datagrams, serial a port
     peers        Peers: TCP connections within their limits (limits), all in one poller;
-                 addresses and idle choose which of them are paused or closed
+                 addresses chooses which of them are paused or closed
     tls          TlsSession: a session within TLS, and the role of the client
     audit        Audit: who wrote what, and who was refused
-    sources      decides which datagrams are answered
     tracing      callbacks for every ADU that sessions receive and send
-    service      the interface between endpoints and what answers; devices implements it
+    service      the interface between endpoints and what answers
     by_chunk     ByChunk: Modbus/TCP by the chunk, in C; requests of many peers together
     framed       the base of sessions that answer frame by frame, without their own echo; ByFrame
                  (by_frame) asks devices, also for requests that C leaves

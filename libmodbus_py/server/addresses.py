@@ -1,5 +1,7 @@
 """
-Limits of addresses: a client that opens another connection is still the same client.
+Limits of addresses, and the order in which connections are idle.
+
+A client that opens another connection is still the same client.
 """
 
 from __future__ import annotations
@@ -7,12 +9,12 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import OrderedDict
+from collections.abc import Iterator
 from typing import Generic, Protocol, TypeVar
 
-from .idle import Idle
 from .limits import Allowance, counted_host
 
-__all__ = ["Address", "Addresses", "Paused"]
+__all__ = ["Address", "Addresses", "Idle", "Paused", "due"]
 
 # The number of addresses without a connection that are remembered, so that they cannot evade
 # their limit. It is bounded because a sender of datagrams can forge any number of addresses.
@@ -20,6 +22,59 @@ REMEMBERED_MAX = 4096
 
 # Seconds that a resumed connection without a request delays the next one of its address.
 LONGEST_TURN = 0.05
+
+
+Connection = TypeVar("Connection")
+
+
+class Idle(Generic[Connection]):
+    """
+    Connections in the order in which they are closed to make room: those that never
+    sent a request, then the others; the longest idle first in each group.
+
+    Attributes:
+        strangers: connections without a request -> the time at which they came.
+        known: the others -> the time of their last request.
+    """
+
+    __slots__ = ("known", "strangers")
+
+    def __init__(self) -> None:
+        self.strangers: dict[Connection, float] = {}
+        self.known: dict[Connection, float] = {}
+
+    def __len__(self) -> int:
+        return len(self.strangers) + len(self.known)
+
+    def __iter__(self) -> Iterator[Connection]:
+        yield from self.strangers
+        yield from self.known
+
+    def add(self, each: Connection, now: float) -> None:
+        self.strangers[each] = now
+
+    def note_request(self, each: Connection, now: float) -> None:
+        """Make a connection the latest of all."""
+        self.remove(each)
+        self.known[each] = now
+
+    def remove(self, each: Connection) -> None:
+        self.strangers.pop(each, None)
+        self.known.pop(each, None)
+
+    def due(self, until: float) -> list[Connection]:
+        """Return the connections that have been idle since a time, or longer."""
+        return [*due(self.strangers, until), *due(self.known, until)]
+
+
+def due(times: dict[Connection, float], until: float) -> list[Connection]:
+    """Return the first ones up to a time; the times are in order."""
+    found = []
+    for each, time in times.items():
+        if time > until:
+            break
+        found.append(each)
+    return found
 
 
 class Paused(Protocol):

@@ -25,9 +25,8 @@ from ..protocol.errors import FrameError
 from ..protocol.logs import HarmlessLogger
 from ..security.describing import CertificateHolder
 from ..system import DescriptorPoller, make_poller, reserve_descriptors
-from .addresses import Address, Addresses
+from .addresses import Address, Addresses, Idle, due
 from .audit import Audit
-from .idle import Idle, due
 from .limits import SPARE_DESCRIPTORS, Limits, ServerStatistics, peer_name
 from .service import ENDS, Session, SessionState
 

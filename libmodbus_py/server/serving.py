@@ -27,15 +27,13 @@ from ..protocol.logs import HarmlessLogger
 from ..security.security import Security
 from .audit import Audit, OnAudited, audit_of
 from .background import Background
-from .garbage import frozen_garbage
+from .forever import Handler, frozen_garbage, signal_handlers
 from .limits import Limits, ServerStatistics
 from .peers import Peers
 from .service import Service
-from .signals import Handler, signal_handlers
-from .sources import Sources
 from .tcp import TcpServer
 from .tracing import TracedService, Traces
-from .udp import UdpServer
+from .udp import Sources, UdpServer
 
 if TYPE_CHECKING:
     from .serial import SerialServer

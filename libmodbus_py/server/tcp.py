@@ -12,9 +12,9 @@ from ..ports.forking import abandoned_in_children
 from ..ports.listening import reason, tcp_listener
 from ..protocol.logs import HarmlessLogger
 from ..security.security import Security
-from .listening import bound
 from .peers import MakePeerSession, Peers
 from .service import MakeSession, Service
+from .sockets import bound
 from .tls import Handshakes, TlsSession
 
 __all__ = ["TcpServer"]

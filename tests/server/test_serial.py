@@ -14,10 +14,10 @@ import pytest
 from libmodbus_py import AsciiContext, Device, Mapping, RtuContext, Server, framing, pdu
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.server import serial as serial_server
-from libmodbus_py.server.devices import Devices
 from libmodbus_py.server.faults.due import Faults
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.serial import SerialServer
+from libmodbus_py.server.server import Devices
 from libmodbus_py.server.units import Units
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.peers import until

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py.server.signals import signal_handlers
+from libmodbus_py.server.forever import signal_handlers
 
 NUMBERS = (signal.SIGTERM, signal.SIGHUP)
 

@@ -16,9 +16,9 @@ import pytest
 
 from libmodbus_py import Device, Fault, Mapping, Server, framing
 from libmodbus_py.server import addresses
-from libmodbus_py.server import sources as source_module
+from libmodbus_py.server import udp as source_module
 from libmodbus_py.server.limits import Allowance, Limits, ServerStatistics
-from libmodbus_py.server.sources import Sources
+from libmodbus_py.server.udp import Sources
 from tests.simulation.stage import Stage, Talker
 from tests.support import vectors
 from tests.support.attacks import PATIENCE, READ_MOST, READ_ONE, adu

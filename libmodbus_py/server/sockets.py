@@ -1,21 +1,54 @@
 """
-UDP sockets of a server: an answer comes from the address that was asked.
+The sockets of a server's endpoints.
 
-The clients of a machine with several addresses, of this package and of others, take datagrams only
-from the address to which they sent.
+A datagram is answered from the address that was asked: the clients of a machine with several
+addresses, of this package and of others, take datagrams only from the address to which they sent.
 """
 
 from __future__ import annotations
 
+import math
 import socket
 import struct
+from dataclasses import replace
 from functools import lru_cache
 from ipaddress import IPv6Address, ip_address
 from typing import Any
 
+from ..ports.endpoint import Endpoint
+from ..ports.listening import Make, bind_all, reason
+from ..ports.names import Resolve, numeric
+from ..ports.waiting_async import look_up
+from ..protocol.errors import ModbusConnectionError
 from ..system import IP_PKTINFO
 
-__all__ = ["bound_datagrams"]
+__all__ = ["bound", "bound_datagrams"]
+
+
+async def bound(
+    endpoint: Endpoint, kind: socket.SocketKind, make: Make
+) -> tuple[list[socket.socket], Endpoint]:
+    """
+    Return a socket for each address of an endpoint's host, and the endpoint with its port.
+
+    Raises:
+        ModbusConnectionError: the host is unknown, or an address cannot be bound.
+    """
+    try:
+        sockets = bind_all(await _addresses(endpoint, kind), endpoint.port, make)
+    except OSError as error:
+        raise ModbusConnectionError(
+            f"cannot listen on {endpoint}: {reason(error)}", errno=error.errno
+        ) from error
+    for each in sockets:
+        each.setblocking(False)
+    return sockets, replace(endpoint, port=sockets[0].getsockname()[1])
+
+
+async def _addresses(endpoint: Endpoint, kind: socket.SocketKind) -> list[Any]:
+    wanted = Resolve(endpoint.host, endpoint.port, kind, math.inf, socket.AI_PASSIVE)
+    return numeric(wanted) or await look_up(wanted)
+
 
 # struct in_pktinfo: interface, the own address, the target; struct in6_pktinfo: target, interface.
 IN_PKTINFO = struct.Struct("=i4s4s")

@@ -1,18 +1,22 @@
 """
-Signal handlers in an event loop, and the previous handlers afterwards.
+Programs that do nothing but serve: signals that end them, and no search for garbage meanwhile.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
 
-__all__ = ["Handler", "signal_handlers"]
+__all__ = ["Handler", "frozen_garbage", "signal_handlers"]
 
 Handler = Callable[[], object]
+
+# Python 3.12 has frozen some objects of its own; PyPy freezes none.
+OF_PYTHON: int | None = gc.get_freeze_count() if hasattr(gc, "freeze") else None
 
 
 @contextlib.contextmanager
@@ -38,3 +42,22 @@ def signal_handlers(handlers: Mapping[signal.Signals, Handler]) -> Iterator[None
         for number, handler in before.items():
             loop.remove_signal_handler(number)
             signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def frozen_garbage() -> Iterator[None]:
+    """
+    Search nothing that exists now for garbage while the block runs: a full search takes 5 ms for
+    what a server has imported, and a tenth of a second for many devices.
+
+    A program that has called `gc.freeze` itself keeps what it has frozen, and nothing is added.
+    """
+    if OF_PYTHON is None or gc.get_freeze_count() > OF_PYTHON:
+        yield
+        return
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
