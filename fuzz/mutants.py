@@ -53,7 +53,7 @@ DECIDING = [
     *("client", "services/gateway", "services/fleet", "services/workers", "protocol"),
     *(f"server/{name}.py" for name in ("addresses", "by_chunk", "by_frame", "framed")),
     *(f"server/{name}.py" for name in ("limits", "peers")),
-    *(f"server/faults/{name}.py" for name in ("delivery", "due", "faulty")),
+    *(f"tools/faults/{name}.py" for name in ("delivery", "due")),
 ]
 
 # Where the tests of a folder stand, if not in the folder of the same name; all have the world.
@@ -65,6 +65,7 @@ BESIDE = {
     # A gateway is a server, too, and many tests of either try both.
     "services/gateway": ("services/gateway", "server"),
     "server": ("server", "services/gateway"),
+    "tools/faults": ("tools/faults", "server"),
     # Workers are fleets, whose commands and records come over the engine.
     "services/fleet": ("services/fleet", "services/workers"),
 }

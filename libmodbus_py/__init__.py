@@ -45,7 +45,7 @@ _MOVED = {
     "scan.scanning": "tools.scan.scan",
     "scan.searching": "tools.scan.search",
     "security.making": "tools.certificates",
-    "server.delivery": "server.faults.delivery",
+    "server.delivery": "tools.faults.delivery",
     "simulator": "tools.simulator",
     "testing": "tools.testing",
     "toml": "tools.files",

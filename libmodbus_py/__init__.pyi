@@ -47,15 +47,15 @@ from .protocol.errors import NegativeAcknowledge as NegativeAcknowledge
 from .protocol.errors import ServerDeviceBusy as ServerDeviceBusy
 from .protocol.errors import ServerDeviceFailure as ServerDeviceFailure
 from .security.security import Security as Security
-from .server.faults.fault import Fault as Fault
 from .server.limits import Limits as Limits
 from .server.limits import ServerStatistics as ServerStatistics
-from .server.server import Server as Server
 from .services.fleet.config import DeviceConfig as DeviceConfig
 from .services.fleet.fleet import Fleet as Fleet
 from .services.gateway.gateway import Gateway as Gateway
 from .services.gateway.routes import Route as Route
 from .services.loading import load as load
+from .tools.faults.fault import Fault as Fault
+from .tools.faults.server import Server as Server
 from .tools.files.maps.drafts import MapError as MapError
 from .tools.files.maps.map_file import load_map as load_map
 from .tools.simulator import device_file as device_file

@@ -15,11 +15,11 @@ from .device.rules import Rules as Rules
 from .server.audit import Audit as Audit
 from .server.audit import AuditEvent as AuditEvent
 from .server.audit import AuditFile as AuditFile
-from .server.faults.fault import Fault as Fault
 from .server.limits import Limits as Limits
 from .server.limits import ServerStatistics as ServerStatistics
 from .server.server import Running as Running
-from .server.server import Server as Server
+from .tools.faults.fault import Fault as Fault
+from .tools.faults.server import Server as Server
 
 __all__ = [
     "Access",

@@ -21,7 +21,7 @@ from ..device.mapping import Mapping
 from ..protocol import pdu
 from ..protocol.errors import ExceptionResponse
 from ..protocol.values import parse_reference
-from ..server.server import Server
+from ..tools.faults.server import Server
 from ..tools.testing.wires import SerialWire, TcpWire
 from .output import styled
 

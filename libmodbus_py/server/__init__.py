@@ -3,7 +3,7 @@ Answers clients: bytes in, bytes out, on any number of endpoints in one asyncio 
 
 In the order in which a request goes through::
 
-    server       Server: devices at any number of endpoints
+    server       DeviceServer: devices at any number of endpoints
     serving      Serving: opens endpoints, and serves in a loop, in a thread, or for ever;
                  `ENDPOINTS` has the endpoint of each transport, from the file of its name
     background   a server in a thread of its own
@@ -15,10 +15,10 @@ In the order in which a request goes through::
     tls          TlsSession: a session within TLS, and the role of the client
     audit        Audit: who wrote what, and who was refused
     tracing      callbacks for every ADU that sessions receive and send
-    service      the interface between endpoints and what answers
+    service      the interface between endpoints and what answers; `Interceptor` is what answers
+                 some units in place of their devices
     by_chunk     ByChunk: Modbus/TCP by the chunk, in C; requests of many peers together
     framed       the base of sessions that answer frame by frame, without their own echo; ByFrame
                  (by_frame) asks devices, also for requests that C leaves
     units        finds the device of a frame, on TCP and on serial lines
-    faults       Fault: mistakes in answers, for simulations
 """

@@ -103,8 +103,8 @@ class ByChunk:
     """
     A session of Modbus/TCP. Arguments as for `ByFrame`, whose framing is "tcp" here.
 
-    Requests that C leaves are answered one by one, and where faults or a trace need to see each
-    frame, by an inner session, whose channel this is.
+    Requests that C leaves are answered one by one, and where an interceptor or a trace needs to see
+    each frame, by an inner session, whose channel this is.
 
     Args:
         singles: takes requests that come alone.
@@ -123,7 +123,7 @@ class ByChunk:
         self._units = units
         self._statistics = statistics
         self._singles = singles
-        # The session for faults, damage and traces; from when it is made, for all that C leaves.
+        # For interceptors, damage and traces; from when it is made, for all that C leaves.
         self._by_frame: ByFrame | None = None
         self._pending = b""  # the beginning of a frame, or bytes that were not searched yet
         self._is_behind = False
@@ -179,7 +179,7 @@ class ByChunk:
         if (
             isinstance(found, FrameError)
             or self._by_frame is not None
-            or self._units.faults is not None
+            or self._units.interceptor is not None
             or self.trace is not None
         ):
             by_frame = self._rest()

@@ -6,11 +6,9 @@ from __future__ import annotations
 
 from ..protocol.errors import FrameError
 from ..protocol.framing import AsciiFramer, Frame, Framing, Overheard
-from .faults.delivery import Delivery
-from .faults.faulty import FaultyAnswers
 from .framed import Echoes, Framed
 from .limits import ServerStatistics
-from .service import Channel
+from .service import Channel, Interception, Interceptor
 from .units import SerialUnits, TcpUnits
 
 __all__ = ["ByFrame"]
@@ -48,24 +46,28 @@ class ByFrame(Framed):
             echoes=echoes,
         )
         self._units = units
-        self._faulty: FaultyAnswers | None = None  # None until a fault may happen on this channel
-        self._is_ascii = isinstance(self._framer, AsciiFramer)
+        self._interception: Interception | None = None  # None until a unit has one
+        self._is_ascii = isinstance(self.framer, AsciiFramer)
         self._follow_delimiter()
 
     @property
     def is_held(self) -> bool:
-        return self._faulty is not None and self._faulty.delivery.is_waiting
+        return self._interception is not None and self._interception.is_waiting
 
     @property
     def is_over(self) -> bool:
-        """True once a fault has closed the connection: nothing is executed any more."""
-        return self._faulty is not None and self._faulty.delivery.is_over
+        """True once an interception has closed the connection: nothing is executed any more."""
+        return self._interception is not None and self._interception.is_over
+
+    @property
+    def interceptor(self) -> Interceptor | None:
+        return self._units.interceptor
 
     def close(self) -> None:
         super().close()
-        if self._faulty is not None:
-            self._faulty.delivery.close()
-            self._faulty = None  # it refers to the channel, and so to this session
+        if self._interception is not None:
+            self._interception.close()
+            self._interception = None  # it refers to this session
 
     def note_damage(self, error: FrameError) -> None:
         super().note_damage(error)
@@ -75,28 +77,29 @@ class ByFrame(Framed):
         self._units.note_overheard()
 
     def _take_one(self, request: Frame) -> None:
-        faults = self._units.faults
-        # Once a fault has delayed an answer, all later answers go behind it.
-        if self._faulty is not None or (faults is not None and faults.concern(request.unit)):
-            if not self.is_over:
-                self._faulty_answers().answer(request)
-        elif (answer := self._answer(request)) is not None:
+        interception, interceptor = self._interception, self._units.interceptor
+        if interception is None and interceptor is not None and interceptor.concerns(request.unit):
+            interception = self._interception = interceptor.intercept(self)
+        if interception is not None:  # all later answers go behind one that it has delayed
+            if not interception.is_over:
+                interception.answer(request)
+        elif (answer := self.answer(request)) is not None:
             self._reply(answer)
         if self._is_ascii:
             self._follow_delimiter()
 
-    def _answer(self, request: Frame) -> Frame | None:
-        return self._units.answer(request, self._channel)
+    def answer(self, request: Frame) -> Frame | None:
+        return self._units.answer(request, self.channel)
 
-    def _faulty_answers(self) -> FaultyAnswers:
-        if self._faulty is None:
-            delivery = Delivery(self._channel, self._trace, self._write)
-            self._faulty = FaultyAnswers(
-                self._units, self._framer, self._answer, self._statistics, delivery
-            )
-        return self._faulty
+    def is_answered(self, request: Frame) -> bool:
+        """See `Intercepted`."""
+        return self._units.is_answered(request)
+
+    def refuse(self, request: Frame, code: int) -> Frame:
+        """See `Intercepted`."""
+        return self._units.refuse(request, code)
 
     def _follow_delimiter(self) -> None:
         """Use a changed delimiter from the frame after the answer on, in both directions."""
-        if isinstance(self._framer, AsciiFramer) and self._units.delimiter is not None:
-            self._framer.delimiter = self._units.delimiter
+        if isinstance(self.framer, AsciiFramer) and self._units.delimiter is not None:
+            self.framer.delimiter = self._units.delimiter

@@ -43,7 +43,7 @@ class Echoes:
     def __init__(self, endpoint: Endpoint, statistics: ServerStatistics) -> None:
         self.is_sent_later: bool = endpoint.is_serial
         self._endpoint = endpoint
-        self._statistics = statistics
+        self.statistics = statistics
         self._was_logged = False
 
     def new(self) -> Echo | None:
@@ -56,7 +56,7 @@ class Echoes:
 
     def note_found(self) -> None:
         """Count a connection that was found to return what is sent; log the first one."""
-        self._statistics.echoes += 1
+        self.statistics.echoes += 1
         if not self._was_logged:
             self._was_logged = True
             text = "%s: what is sent comes back (local echo), and is dropped; set echo=1 in the URL"
@@ -95,13 +95,13 @@ class Framed(ABC):
         self._framing: Framing = framing
         self._echoes = echoes
         self._echo = None if echoes is None else echoes.new()
-        self._framer = make_framer(framing, "server", pause)
-        if isinstance(self._framer, RtuFramer):
-            self._framer.is_ours = is_ours
+        self.framer = make_framer(framing, "server", pause)
+        if isinstance(self.framer, RtuFramer):
+            self.framer.is_ours = is_ours
         self._is_datagram = is_datagram
-        self._channel = channel
-        self._trace = channel.trace
-        self._statistics = statistics
+        self.channel = channel
+        self.trace = channel.trace
+        self.statistics = statistics
         self._at_once = at_once
         self._timer: asyncio.TimerHandle | None = None
         self._unsearched = b""
@@ -120,13 +120,13 @@ class Framed(ABC):
             if self.is_held:
                 return SessionState.HELD
             # A line has noise, and silence ends a frame that has begun.
-            if self._framer.quiet is None and self._framer.rest:
+            if self.framer.quiet is None and self.framer.rest:
                 return SessionState.UNFINISHED
         return SessionState.OWING if self._owed else SessionState.READING
 
     @property
     def _is_behind(self) -> bool:
-        is_lost = not self._framer.in_step
+        is_lost = not self.framer.in_step
         return bool(self._found or self._unsearched or self._is_quiet or is_lost)
 
     @property
@@ -141,9 +141,9 @@ class Framed(ABC):
             self._unsearched += data if self._echo is None else self._without_echo(self._echo, data)
             self._is_heard = False
             if self._at_once is not None and len(self._unsearched) > self._at_once:
-                self._channel.follow()
+                self.channel.follow()
                 return 0
-        if not self._found and self._framer.in_step:
+        if not self._found and self.framer.in_step:
             self._search()
         most = len(self._found) if self._at_once is None else FOUND_AT_ONCE
         now, self._found = self._found[:most], self._found[most:]
@@ -151,22 +151,22 @@ class Framed(ABC):
         if self._held is not None and not (self._found or self._unsearched):
             self._send(*self._held)
             self._held = None
-        if not (self._found or self._framer.in_step):
+        if not (self._found or self.framer.in_step):
             self._unsearched = b""
             if not requests:  # else the silence counts first
                 raise FrameError("stream out of step")
         if self._is_behind:
-            self._channel.follow()
-        elif self._framer.quiet and self._is_unfinished and not self._is_heard:
+            self.channel.follow()
+        elif self.framer.quiet and self._is_unfinished and not self._is_heard:
             self._is_heard = True
             loop = asyncio.get_running_loop()
-            self._timer = loop.call_later(self._framer.quiet, self._note_silence)
+            self._timer = loop.call_later(self.framer.quiet, self._note_silence)
         return requests
 
     @property
     def _is_unfinished(self) -> bool:
         """True if silence would show the end of what was received."""
-        return bool(self._framer.pending) or (self._echo is not None and self._echo.is_holding)
+        return bool(self.framer.pending) or (self._echo is not None and self._echo.is_holding)
 
     def take(self, found: Iterable[Frame | FrameError]) -> int:
         """Answer the frames that were found, and return the number of requests."""
@@ -180,7 +180,7 @@ class Framed(ABC):
                 self.note_overheard(each)
             else:
                 requests += 1
-                self._statistics.requests += 1  # before the client can see an answer
+                self.statistics.requests += 1  # before the client can see an answer
                 self._take_one(each)
         return requests
 
@@ -199,9 +199,9 @@ class Framed(ABC):
 
     def note_damage(self, error: FrameError) -> None:
         """Count bytes that are not a frame."""
-        address = self._channel.address
+        address = self.channel.address
         logger.debug("%s: %s: %s", address, error, error.received.hex(" "))
-        self._statistics.bad_frames += 1
+        self.statistics.bad_frames += 1
 
     def note_overheard(self, answer: Overheard) -> None:  # noqa: B027  # gateways count no units
         """Note what another unit on the line answers."""
@@ -210,47 +210,47 @@ class Framed(ABC):
         if self._unsearched or not self._is_quiet:
             piece = self._unsearched[: self._at_once]
             self._unsearched = self._unsearched[len(piece) :]
-            self._found = self._framer.scan(piece)
+            self._found = self.framer.scan(piece)
             if self._is_datagram:
-                self._found += self._framer.scan_silence()
+                self._found += self.framer.scan_silence()
                 self._end_datagram()
         else:
             self._is_quiet = False
-            self._found = self._framer.scan_silence()
-        if self._trace is not None:
+            self._found = self.framer.scan_silence()
+        if self.trace is not None:
             self.tell_received(self._found)
 
     def _end_datagram(self) -> None:
         """Note what could begin a longer frame: its rest does not come in another datagram."""
-        rest = self._framer.end()
+        rest = self.framer.end()
         is_damaged = bool(self._found) and isinstance(self._found[-1], FrameError)
         if rest and not is_damaged:  # else it belongs to that damage
             self._found.append(FrameError("an unfinished frame", received=rest))
 
     def tell_received(self, found: Iterable[Frame | FrameError]) -> None:
         """Report the frames and damage that were found to the trace."""
-        if self._trace is not None:
+        if self.trace is not None:
             for each in found:
                 if isinstance(each, FrameError):
-                    self._trace.tell("received", each.received)
+                    self.trace.tell("received", each.received)
                 else:
-                    adu = self._framer.encode(each)
-                    self._trace.tell("received", adu, each.unit, each.pdu[0])
+                    adu = self.framer.encode(each)
+                    self.trace.tell("received", adu, each.unit, each.pdu[0])
 
     def tell_rest(self, unsearched: bytes) -> None:
         """Report received bytes that are not answered any more to the trace."""
-        if self._trace is not None:
-            if self._framer.in_step:
-                self.tell_received(self._framer.scan(unsearched))
-            if rest := self._framer.end():
-                self._trace.tell("received", rest)
+        if self.trace is not None:
+            if self.framer.in_step:
+                self.tell_received(self.framer.scan(unsearched))
+            if rest := self.framer.end():
+                self.trace.tell("received", rest)
 
     def _note_silence(self) -> None:
         """Make the channel call `receive` in its turn, so that the requests are counted."""
         self._timer = None
         self._release_held()
         self._is_quiet = True
-        self._channel.follow()
+        self.channel.follow()
 
     # --- local echo ---------------------------------------------------------------------------
 
@@ -275,15 +275,15 @@ class Framed(ABC):
         if self._echo is not None:
             self._unsearched += self._echo.release()
 
-    def _write(self, data: bytes) -> None:
-        self._channel.write(data)
+    def write(self, data: bytes) -> None:
+        self.channel.write(data)
         if self._echoes is not None and not self._echoes.is_sent_later:
             self.sent(data)
 
     # --- answers ------------------------------------------------------------------------------
 
     def _take_one(self, request: Frame) -> None:
-        if (answer := self._answer(request)) is not None:
+        if (answer := self.answer(request)) is not None:
             self._reply(answer)
 
     def _reply(self, answer: Frame) -> None:
@@ -292,20 +292,20 @@ class Framed(ABC):
 
         Its client would take it for the answer to that one.
         """
-        adu = self._framer.encode(answer)
-        if self._framer.has_broadcast:
+        adu = self.framer.encode(answer)
+        if self.framer.has_broadcast:
             self._held = answer, adu
         else:
             self._send(answer, adu)
 
     def _send(self, answer: Frame, adu: bytes) -> None:
-        self._statistics.refused += answer.pdu[0] >> 7
-        if self._trace is not None:
-            self._trace.tell("sent", adu, answer.unit, answer.pdu[0])
-        self._write(adu)
+        self.statistics.refused += answer.pdu[0] >> 7
+        if self.trace is not None:
+            self.trace.tell("sent", adu, answer.unit, answer.pdu[0])
+        self.write(adu)
 
     @abstractmethod
-    def _answer(self, request: Frame) -> Frame | None:
+    def answer(self, request: Frame) -> Frame | None:
         """Return the answer, or None if there is none yet."""
 
 

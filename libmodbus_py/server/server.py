@@ -1,5 +1,5 @@
 """
-The server: many clients, many units, many endpoints, in one asyncio loop.
+The server of devices: many clients, many units, many endpoints, in one asyncio loop.
 
 An endpoint (`tcp`, `udp`, `serial`) takes bytes to a session (`by_chunk`, `by_frame`),
 which takes requests to the device of their unit, and the answers go back in order of
@@ -10,72 +10,34 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Iterable, Mapping
+from collections.abc import AsyncIterator, Mapping
 
 from ..device.device import Device
 from ..device.reply import replier
 from ..ports.endpoint import Endpoint
 from ..ports.trace import OnTraced
-from ..protocol.close_names import named_arguments
 from ..security.security import Security
 from .audit import Audit, OnAudited
 from .by_chunk import ByChunk, Singles
 from .by_frame import ByFrame
-from .faults.due import Faults
-from .faults.fault import Fault
-from .faults.switch import FaultsByUnit, FaultSwitch
 from .framed import AT_ONCE, Echoes
 from .limits import Limits, ServerStatistics
 from .service import Channel, Later, MakeSession, Service, Session
 from .serving import Running, Serving
 from .units import SerialUnits, TcpUnits, Units, UnknownUnit
 
-__all__ = ["Devices", "Running", "Server"]
+__all__ = ["DeviceServer", "Devices", "Running"]
 
 
-@named_arguments
-class Server(Serving):
+class DeviceServer(Serving):
     """
-    A server that answers the requests of any number of clients from devices.
+    A server that answers requests from devices; they may be replaced while it runs.
 
-    On serial lines, and with RTU or ASCII frames over TCP, a request to a unit without a device
-    gets no response, and unit 0 is a broadcast: every device executes writes, and none responds.
-
-    Args:
-        devices: ``{unit 0..255: device}``, or one device that answers every unit.
-        faults: ``{unit 0..255: faults}``, faults in the responses of a unit;
-            None as the unit is every unit.
-        limits: limits of connections and requests; None for the defaults of `Limits`.
-        unknown_unit: what a request to a unit without a device gets on TCP and UDP: "refuse",
-            exception 11; "silent", no response.
-        own_unit: the unit whose device represents the server itself: on TCP and UDP, it also
-            answers units 0 and 255, unless they have devices of their own. A single device
-            always does. None for no such unit.
-        security: the certificates of the server and of trusted clients, for tls; URLs may contain
-            them instead.
-        trace: called in the server's loop with a `Traced` for every ADU received and sent; the
-            logger ``libmodbus_py.wire`` gets the same at DEBUG. Whether tracing is on is
-            checked when a connection is made, or a port opened. If the function fails or takes
-            long, this is logged once, and requests are not affected; SystemExit and
-            KeyboardInterrupt end the server.
-        audit: called with an `AuditEvent` for each write, and for each request and connection
-            that is refused; an `Audit` can refuse writes while the function fails. With it,
-            Modbus/TCP is not answered in C.
-
-    Attributes:
-        statistics: counters of all endpoints, kept up to date.
-        devices, faults: as passed, or as set by `replace`.
-        fault_switch: switches more faults on and off while the server runs; shared by all its
-            users.
-
-    Raises:
-        TypeError, ValueError: an argument is wrong.
+    A subclass calls `serve_units` before the server is started. Arguments as for `Server`.
     """
 
     def __init__(
         self,
-        devices: Device | Mapping[int, Device],
-        faults: Mapping[int | None, Iterable[Fault]] | None = None,
         limits: Limits | None = None,
         unknown_unit: UnknownUnit = "refuse",
         own_unit: int | None = None,
@@ -87,61 +49,24 @@ class Server(Serving):
         self._unknown_unit: UnknownUnit = unknown_unit
         self._own_unit = own_unit
         self._answering_now: list[tuple[asyncio.AbstractEventLoop, Devices]] = []
-        self._counted: Faults | None = None
-        self.fault_switch: FaultSwitch = FaultSwitch(self._change_faults)
-        self._put(devices, faults)
 
-    def replace(
-        self,
-        devices: Device | Mapping[int, Device],
-        faults: Mapping[int | None, Iterable[Fault]] | None = None,
-    ) -> None:
+    def units_of(self, devices: Device | Mapping[int, Device]) -> Units:
         """
-        Replace devices and faults. May be called from any thread, even while the server runs.
-
-        Connections stay open. If it is called in the server's loop, the change applies from the
-        next request on; if it is called from another thread, once the requests already read are
-        answered. Responses that a fault delays are still sent. `own_unit` and all other arguments
-        stay as they are. Faults that are equal to previous ones go on counting, the counters and
-        the event log of a serial line (functions 8, 11 and 12) stay with their unit, and faults
-        that `fault_switch` has switched on stay on.
-
-        Args:
-            devices, faults: as for `Server`; None for no faults.
+        Return devices as the units of this server.
 
         Raises:
-            TypeError, ValueError: as for `Server`; nothing has changed.
+            TypeError, ValueError: they cannot be, for example without the device of `own_unit`.
         """
-        self._put(devices, faults)
-
-    def _put(
-        self,
-        devices: Device | Mapping[int, Device],
-        faults: Mapping[int | None, Iterable[Fault]] | None,
-    ) -> None:
-        given = {unit: list(each) for unit, each in _listed(faults).items()}
-        with self.fault_switch.giving(given) as switched_on:
-            self._take(devices, switched_on)
-        self.faults: Mapping[int | None, list[Fault]] = given
-
-    def _change_faults(self, faults: FaultsByUnit) -> None:
-        self._take(self.devices, faults)
-
-    def _take(self, devices: Device | Mapping[int, Device], faults: FaultsByUnit) -> None:
-        counted = Faults(faults, self._counted)
-        units = Units(
-            devices,
-            counted,
-            self._unknown_unit,
-            self._own_unit,
-            self._note_unauthorized,
-            self._auditor,
+        return Units(
+            devices, self._unknown_unit, self._own_unit, self._note_unauthorized, self._auditor
         )
-        self._counted, self._units = counted, units
-        self.devices: Device | Mapping[int, Device] = devices
+
+    def serve_units(self, units: Units) -> None:
+        """Answer from these units from now on, in each loop between two requests."""
+        self._units = units
         for loop, answering in list(self._answering_now):
             if loop is _running_loop():
-                answering.change(self._units)
+                answering.change(units)
             else:
                 with contextlib.suppress(RuntimeError):  # the loop has just ended
                     loop.call_soon_threadsafe(self._renew, answering)
@@ -209,15 +134,6 @@ class Devices:
             return lambda channel: by_frame(own, channel)
         singles = Singles(own, statistics, later)
         return lambda channel: ByChunk(own, channel, statistics, singles)
-
-
-def _listed(faults: object) -> Mapping[int | None, Iterable[Fault]]:
-    if faults is None:
-        return {}
-    if not isinstance(faults, Mapping):
-        given = type(faults).__name__
-        raise TypeError(f"faults must be {{unit or None: [Fault, ...]}}, not {given}")
-    return faults
 
 
 def _running_loop() -> asyncio.AbstractEventLoop | None:

@@ -10,10 +10,22 @@ from typing import Protocol
 
 from ..ports.endpoint import Endpoint
 from ..ports.trace import Trace
+from ..protocol.framing import Frame, Framer
 from ..security.describing import CertificateHolder
 from .limits import ServerStatistics
 
-__all__ = ["ENDS", "Channel", "Later", "MakeSession", "Service", "Session", "SessionState"]
+__all__ = [
+    "ENDS",
+    "Channel",
+    "Intercepted",
+    "Interception",
+    "Interceptor",
+    "Later",
+    "MakeSession",
+    "Service",
+    "Session",
+    "SessionState",
+]
 
 # Raised by a hook to end the program; any other exception is an answer, or a defect of ours.
 ENDS = (SystemExit, KeyboardInterrupt)
@@ -115,3 +127,71 @@ class Service(Protocol):
                 later: for an endpoint whose connections are read together; else None.
         """
         ...
+
+
+class Interceptor(Protocol):
+    """Answers the requests to some units in place of their devices, such as late or wrongly."""
+
+    def concerns(self, unit: int) -> bool:
+        """Return True if it answers the requests to a unit."""
+        ...
+
+    def intercept(self, session: Intercepted) -> Interception:
+        """Return what answers all further requests of one session."""
+        ...
+
+
+class Intercepted(Protocol):
+    """
+    A session, as its interception uses it.
+
+    Attributes:
+        framer, channel, trace, statistics: those of the session.
+        interceptor: the present one; None if there is none any more.
+    """
+
+    framer: Framer
+    channel: Channel
+    trace: Trace | None
+    statistics: ServerStatistics
+
+    @property
+    def interceptor(self) -> Interceptor | None: ...
+
+    def is_answered(self, request: Frame) -> bool:
+        """Return True if a request to this unit and with this function is answered."""
+        ...
+
+    def answer(self, request: Frame) -> Frame | None:
+        """Execute a request, and return the answer, which is not counted or traced yet."""
+        ...
+
+    def refuse(self, request: Frame, code: int) -> Frame:
+        """Return the answer to a request that is not executed: the exception `code`."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send bytes of answers."""
+
+
+class Interception(Protocol):
+    """
+    Answers the requests of one session.
+
+    Attributes:
+        is_waiting: True while answers are to be sent later; nothing is received meanwhile. The
+            channel's `follow` is called whenever it has changed.
+        is_over: True once it closed the connection; nothing is executed any more.
+    """
+
+    @property
+    def is_waiting(self) -> bool: ...
+
+    @property
+    def is_over(self) -> bool: ...
+
+    def answer(self, request: Frame) -> None:
+        """Answer a request, now or later; or not."""
+
+    def close(self) -> None:
+        """Drop answers that were not sent."""

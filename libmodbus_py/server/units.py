@@ -17,8 +17,7 @@ from ..protocol.checks import integer
 from ..protocol.errors import GatewayTargetFailedToRespond
 from ..protocol.framing import LINE_FEED, Frame
 from ..protocol.pdu import Diagnostics
-from .faults.due import Faults
-from .service import Channel
+from .service import Channel, Interceptor
 
 __all__ = ["UNKNOWN_UNIT_POLICIES", "SerialUnits", "TcpUnits", "Units", "UnknownUnit"]
 
@@ -39,18 +38,22 @@ SERVER_ITSELF = (0, 0xFF)
 
 class Units:
     """
-    The devices, by unit, and their faults, None if there are none.
+    The devices, by unit.
 
     Args:
         own_unit: the unit whose device answers `SERVER_ITSELF`, unless these have their own.
         on_unauthorized: called for each request that a device does not allow.
         auditor: told of each change.
+
+    Attributes:
+        aliases: further units that a device answers on TCP and UDP, and the unit that it has.
+        interceptor: answers the requests to some units in place of their devices; None if nothing
+            does.
     """
 
     def __init__(
         self,
         devices: Device | Mapping[int, Device],
-        faults: Faults,
         unknown: UnknownUnit = "refuse",
         own_unit: int | None = None,
         on_unauthorized: Callable[[], object] = lambda: None,
@@ -58,15 +61,14 @@ class Units:
     ) -> None:
         self.on_unauthorized = on_unauthorized
         self.auditor = auditor
-        self.faults: Faults | None = faults or None
+        self.interceptor: Interceptor | None = None
         if unknown not in UNKNOWN_UNIT_POLICIES:
             allowed = ", ".join(UNKNOWN_UNIT_POLICIES)
             raise ValueError(f"unknown_unit must be one of {allowed}, not {unknown!r}")
         self.unknown = unknown
         self.any: Device | None = devices if isinstance(devices, Device) else None
         self.devices: dict[int, Device] = {}
-        # The device of the server itself, on TCP and UDP; None if there is none, or one for all.
-        self.own: Device | None = None
+        self.aliases: dict[int, int] = {}
         if self.any is not None:
             if own_unit is not None:
                 raise ValueError("own_unit cannot be given where one device answers every unit")
@@ -84,12 +86,10 @@ class Units:
             self._answer_as(integer("own_unit", own_unit, 0, 255))
 
     def _answer_as(self, unit: int) -> None:
-        self.own = self.devices.get(unit)
-        if self.own is None:
+        if unit not in self.devices:
             known = ", ".join(map(str, sorted(self.devices))) or "none"
             raise ValueError(f"own_unit must be a unit that has a device ({known}), not {unit}")
-        if self.faults is not None:
-            self.faults.share(unit, [each for each in SERVER_ITSELF if each not in self.devices])
+        self.aliases = {each: unit for each in SERVER_ITSELF if each not in self.devices}
 
 
 class TcpUnits:
@@ -107,8 +107,8 @@ class TcpUnits:
 
     def change(self, units: Units) -> None:
         """Replace the units from the next request on."""
-        self.faults: Faults | None = units.faults
-        own = {} if units.own is None else dict.fromkeys(SERVER_ITSELF, units.own)
+        self.interceptor: Interceptor | None = units.interceptor
+        own = {each: units.devices[unit] for each, unit in units.aliases.items()}
         self._units: dict[int, Device] = {**own, **units.devices}
         self._any = units.any
         self._refuses = units.unknown == "refuse"
@@ -117,8 +117,8 @@ class TcpUnits:
         self.in_c: list[Device | None] = [self._device_in_c(unit) for unit in range(0x100)]
 
     def _device_in_c(self, unit: int) -> Device | None:
-        has_faults = self.faults is not None and self.faults.concern(unit)
-        if has_faults or self._auditor is not None:  # C reports no write
+        is_intercepted = self.interceptor is not None and self.interceptor.concerns(unit)
+        if is_intercepted or self._auditor is not None:  # C reports no write
             return None
         return self.device(unit)
 
@@ -130,13 +130,13 @@ class TcpUnits:
         """Return True if requests to a unit are answered, as all are on a network."""
         return True
 
-    def answers(self, frame: Frame) -> bool:
+    def is_answered(self, frame: Frame) -> bool:
         """Return True if a request is answered."""
         is_known = self._refuses or self.device(frame.unit) is not None
         return is_known and not frame.pdu[0] & 0x80
 
     def refuse(self, frame: Frame, code: int) -> Frame:
-        """Answer a request that `answers` with an exception, without executing it."""
+        """Answer a request that `is_answered` with an exception, without executing it."""
         device = self.device(frame.unit)
         if device is None:
             return frame._replace(pdu=bytes([frame.pdu[0] | 0x80, code]))
@@ -179,7 +179,7 @@ class SerialLine:
 
     def change(self, units: Units) -> None:
         """Replace the units from the next request on; notes about the line stay with their unit."""
-        self.faults: Faults | None = units.faults
+        self.interceptor: Interceptor | None = units.interceptor
         self.answers_all: bool = units.any is not None
         self.on_unauthorized: Callable[[], object] = units.on_unauthorized
         self.auditor: Auditor | None = units.auditor
@@ -216,15 +216,15 @@ class SerialUnits:
         return made
 
     @property
-    def faults(self) -> Faults | None:
-        return self._line.faults
+    def interceptor(self) -> Interceptor | None:
+        return self._line.interceptor
 
     def has(self, unit: int) -> bool:
         """Return True if a device of this server answers requests to a unit."""
         line = self._line
         return line.answers_all or unit in line.stations
 
-    def answers(self, frame: Frame) -> bool:
+    def is_answered(self, frame: Frame) -> bool:
         """Return True if a request is answered by a device of this server."""
         station = self._station(frame.unit)
         if station is None or frame.unit == 0:
@@ -232,7 +232,7 @@ class SerialUnits:
         return not (frame.pdu[0] & 0x80 or station[1].listen_only)
 
     def refuse(self, frame: Frame, code: int) -> Frame:
-        """Answer a request that `answers` with an exception, without executing it."""
+        """Answer a request that `is_answered` with an exception, without executing it."""
         self._note_frame()
         station = self._station(frame.unit)
         assert station is not None

@@ -4,6 +4,7 @@ Tools on top of clients and servers, for people who look at what happens.
 ::
 
     files          what stands in files: TOML and CSV, and register maps in either
+    faults         servers with faults in their answers
     listener       transactions of other devices on a line
     scan           units that answer, the settings of their line, and the registers that they have
     sunspec        SunSpec models of a device, as register maps

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Device, Mapping, Point, RegisterMap, pdu
-from libmodbus_py.server.server import Server
+from libmodbus_py.tools.faults.server import Server
 from libmodbus_py.tools.page.setting import set_cells, set_point
 from libmodbus_py.tools.page.shown import ShownUnit, shown_of
 from libmodbus_py.tools.simulator.device_file import parse

@@ -8,7 +8,7 @@ import pytest
 
 from libmodbus_py import Device, Fault, Mapping, Server
 from libmodbus_py.protocol.framing import Frame
-from libmodbus_py.server.faults.due import Faults
+from libmodbus_py.tools.faults.due import Faults
 
 READ = b"\3\0\0\0\1"
 
@@ -77,8 +77,8 @@ def test_no_faults_are_none() -> None:
     assert not Faults({1: [], None: []})
     assert Faults({1: [], 2: [Fault("no_answer")]})
     faults = Faults({1: [Fault("no_answer")]})
-    assert [faults.concern(unit) for unit in (0, 1, 2)] == [False, True, False]
-    assert Faults({None: [Fault("no_answer")]}).concern(7)
+    assert [faults.concerns(unit) for unit in (0, 1, 2)] == [False, True, False]
+    assert Faults({None: [Fault("no_answer")]}).concerns(7)
 
 
 @pytest.mark.parametrize("pdu", [b"\x41\1", b"\x08\0\0\0\7", b"\x07", b"\3"])

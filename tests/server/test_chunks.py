@@ -19,7 +19,6 @@ from libmodbus_py.protocol.errors import FrameError
 from libmodbus_py.protocol.framing import Frame, cut, is_one_frame, split
 from libmodbus_py.server.by_chunk import ByChunk, Singles
 from libmodbus_py.server.by_frame import ByFrame
-from libmodbus_py.server.faults.due import Faults
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.service import SessionState
 from libmodbus_py.server.units import TcpUnits, Units
@@ -62,7 +61,7 @@ class End:
         self.sent = bytearray()
         self.is_open = True
         self.calls: list[Callable[[], None]] = []
-        units = TcpUnits(Units(devices, Faults({}), unknown))
+        units = TcpUnits(Units(devices, unknown))
         channel: Any = FakeChannel(self.write)
         if kind == "chunk":
             # Here every turn has one connection, which may be alone.

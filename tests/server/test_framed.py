@@ -62,7 +62,7 @@ class Session(Framed):
         self._pdu = answer
         super().__init__(framing, self.channel, self.statistics, lambda unit: unit == 1, **keys)
 
-    def _answer(self, request: Frame) -> Frame | None:
+    def answer(self, request: Frame) -> Frame | None:
         return None if self._pdu is None else request._replace(pdu=self._pdu)
 
 

@@ -11,7 +11,6 @@ import pytest
 
 from libmodbus_py import Device, Server, framing, pdu
 from libmodbus_py.server.by_chunk import ByChunk, Singles
-from libmodbus_py.server.faults.due import Faults
 from libmodbus_py.server.limits import Limits, ServerStatistics
 from libmodbus_py.server.peers import Peers
 from libmodbus_py.server.units import TcpUnits, Units
@@ -33,7 +32,7 @@ def test_who_only_listens_any_more_gets_all_answers(device: Device) -> None:
     async def serve(end: socket.socket) -> bytes:
         statistics = ServerStatistics()
         peers = Peers(Limits(), statistics)
-        units = TcpUnits(Units(device, Faults({})))
+        units = TcpUnits(Units(device))
         singles = Singles(units, statistics, peers.later)
         end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
         end.setblocking(False)

@@ -12,7 +12,6 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.server.by_frame import ByFrame
-from libmodbus_py.server.faults.due import Faults
 from libmodbus_py.server.limits import Limits, ServerStatistics
 from libmodbus_py.server.peers import Peers
 from libmodbus_py.server.units import TcpUnits, Units
@@ -155,7 +154,7 @@ def test_ipv4_within_ipv6_is_the_same_address() -> None:
     async def refused(*hosts: str) -> int:
         statistics = ServerStatistics()
         peers = Peers(Limits(connections_per_address=1, when_full="refuse"), statistics)
-        device = Units(Device(Mapping()), Faults({}))
+        device = Units(Device(Mapping()))
         with ExitStack() as stack:
             stack.callback(peers.close)
             for host in hosts:

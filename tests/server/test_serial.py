@@ -14,7 +14,6 @@ import pytest
 from libmodbus_py import AsciiContext, Device, Mapping, RtuContext, Server, framing, pdu
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.server import serial as serial_server
-from libmodbus_py.server.faults.due import Faults
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.serial import SerialServer
 from libmodbus_py.server.server import Devices
@@ -106,7 +105,7 @@ def test_ascii_ports_have_seven_data_bits(
     """Pseudo-terminals ignore them, so what the port is told is looked at."""
 
     async def made() -> SerialServer:
-        service = Devices(Units(device, Faults({})))
+        service = Devices(Units(device))
         return SerialServer(parse(url.format("/dev/null")), service, ServerStatistics())
 
     port = asyncio.run(made())._port

@@ -17,7 +17,8 @@ from ..output import complain
 from .addresses import Address, OneAddress, address_like
 
 if TYPE_CHECKING:
-    from ...server.server import Running, Server
+    from ...server.server import Running
+    from ...tools.faults.server import Server
     from ...tools.page.page import Page
     from ...tools.page.table_source import Shown
 

@@ -15,8 +15,9 @@ from typing import Any
 from ...device.device import Device
 from ...device.mapping import Mapping
 from ...protocol.pdu import RECORDS_PER_FILE
-from ...server.server import Running, Server
+from ...server.server import Running
 from ...server.units import UNKNOWN_UNIT_POLICIES
+from ...tools.faults.server import Server
 from ...tools.simulator import device_file, example_files
 from ...tools.simulator.reloading import Reloader
 from .. import arguments, completers, logs

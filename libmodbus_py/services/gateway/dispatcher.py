@@ -345,7 +345,6 @@ class ForwardingSession(Framed):
         self.role: str | None = channel.role
         self.holder: CertificateHolder | None = channel.holder
         self.host: Hashable = host_of(channel.address)
-        self.statistics = statistics
         self._peer_host = channel.address.rpartition(":")[0].strip("[]")
         self.has_ids: bool = endpoint.has_transactions
         self.is_line: bool = endpoint.is_serial
@@ -383,9 +382,9 @@ class ForwardingSession(Framed):
             response = forwarded.request.response_to_broadcast()
         if response is not None:
             answer = Frame(forwarded.from_unit, response, forwarded.number)
-            self._send(answer, self._framer.encode(answer))
+            self._send(answer, self.framer.encode(answer))
         if self._is_datagram and not self.asked:  # no other channel waits for that
-            self._channel.follow()
+            self.channel.follow()
 
     def end(self) -> None:
         """Withdraw requests that wait, because the client is gone."""
@@ -397,7 +396,7 @@ class ForwardingSession(Framed):
         super().close()
         self._withdraw_all()
 
-    def _answer(self, request: Frame) -> Frame | None:
+    def answer(self, request: Frame) -> Frame | None:
         if self.asked and not self.has_ids:
             self._withdraw_all()
         response = self._dispatcher.ask(self, request)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from ...maps.point import Point
 from ...protocol.checks import integer
 from ...protocol.tables import TABLE_SIZE, TABLES
-from ...server.faults.fault import Fault
+from ..faults.fault import Fault
 from .setting import readings_at, set_cells, set_point
 from .shown import CanHold, ShownUnit
 from .source import Action

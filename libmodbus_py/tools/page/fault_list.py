@@ -9,8 +9,8 @@ from dataclasses import fields
 from itertools import count
 from typing import Any
 
-from ...server.faults.fault import Fault
-from ...server.faults.switch import FaultState, FaultSwitch
+from ..faults.fault import Fault
+from ..faults.switch import FaultState, FaultSwitch
 
 __all__ = ["MOST_FAULTS", "FaultList"]
 

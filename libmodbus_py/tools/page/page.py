@@ -8,7 +8,7 @@ import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from ...server.server import Server
+from ..faults.server import Server
 from .guard import checked_token
 from .server_source import ServerSource
 from .source import PageSource

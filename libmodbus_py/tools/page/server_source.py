@@ -13,8 +13,8 @@ from ...maps.point import Point
 from ...protocol.checks import integer, number
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...protocol.values import ORDERS, TYPES
-from ...server.faults.fault import KINDS, OPTIONAL
-from ...server.server import Server
+from ..faults.fault import KINDS, OPTIONAL
+from ..faults.server import Server
 from .actions import Actions
 from .fault_list import FaultList
 from .log import Log

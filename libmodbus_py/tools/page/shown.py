@@ -13,8 +13,8 @@ from typing import Any, Protocol, runtime_checkable
 from ...device.device import Device
 from ...maps.point import Point
 from ...protocol.tables import TABLES
-from ...server.server import Server
 from ...server.units import SERVER_ITSELF
+from ..faults.server import Server
 
 __all__ = ["CanHold", "ShownServer", "ShownUnit", "shown_of"]
 

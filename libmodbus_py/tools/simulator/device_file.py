@@ -43,7 +43,7 @@ from os.path import dirname
 from typing import Any
 
 from ...protocol.mistakes import Path, WrongValue, placed
-from ...server.faults.fault import Fault
+from ..faults.fault import Fault
 from ..files.file_error import FileError
 from ..files.texts import load_file
 from ..files.toml_text import read_toml

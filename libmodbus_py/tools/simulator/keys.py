@@ -9,7 +9,7 @@ from __future__ import annotations
 from ...protocol.checks import integer
 from ...protocol.mistakes import Path, WrongValue
 from ...protocol.pdu import RECORDS_PER_FILE
-from ...server.faults.fault import LONGEST, Fault
+from ..faults.fault import LONGEST, Fault
 from ..files import roles
 from ..files.maps.drafts import POINT
 from ..files.schema import (

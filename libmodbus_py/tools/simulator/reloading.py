@@ -11,7 +11,7 @@ import os
 import threading
 from collections.abc import Callable
 
-from ...server.server import Server
+from ..faults.server import Server
 from ..files.rereading import reread
 from .device_file import load
 from .simulated import SimulatedDevice, Simulation

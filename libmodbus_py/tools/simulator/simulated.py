@@ -22,7 +22,7 @@ from ...maps.register_map import RegisterMap
 from ...maps.sources import sources_of
 from ...protocol.mistakes import WrongValue
 from ...protocol.tables import TABLES
-from ...server.faults.fault import Fault
+from ..faults.fault import Fault
 from .clockwork import Clockwork
 from .simulated_point import SimulatedPoint
 

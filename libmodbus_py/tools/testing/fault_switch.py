@@ -2,6 +2,6 @@
 The fault switch of a server, under the name that tests import.
 """
 
-from ...server.faults.switch import FaultSwitch, Switched
+from ..faults.switch import FaultSwitch, Switched
 
 __all__ = ["FaultSwitch", "Switched"]

@@ -13,11 +13,11 @@ from ...device.mapping import Mapping as Tables
 from ...ports.endpoint import Endpoint, parse
 from ...protocol.tables import TABLE_SIZE
 from ...security.security import Security
-from ...server.faults.fault import Fault
-from ...server.faults.switch import FaultSwitch
 from ...server.limits import Limits, ServerStatistics
-from ...server.server import Server
 from ...server.units import UnknownUnit
+from ..faults.fault import Fault
+from ..faults.server import Server
+from ..faults.switch import FaultSwitch
 from ..listener.transaction import Transaction
 from .exchanges import Exchanges
 

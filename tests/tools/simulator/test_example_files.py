@@ -27,7 +27,7 @@ from libmodbus_py import (
     pdu,
     values,
 )
-from libmodbus_py.server.faults.fault import KINDS, PLACES, Fault
+from libmodbus_py.tools.faults.fault import KINDS, PLACES, Fault
 from libmodbus_py.tools.simulator import example_files
 from libmodbus_py.tools.simulator.behaviour import BEHAVIOURS
 from libmodbus_py.tools.simulator.device_file import load

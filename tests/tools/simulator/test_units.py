@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Context, ExceptionResponse, Server
-from libmodbus_py.server.faults.fault import Fault
+from libmodbus_py.tools.faults.fault import Fault
 from libmodbus_py.tools.simulator.device_file import load, parse
 from tests.tools.simulator.simulated_units import HOLDING
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from ...ports.trace import Trace
 from ...protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer, UdpFramer
-from ..service import Channel
+from ...server.service import Channel
 from .fault import Fault
 
 __all__ = ["Delivery", "Fragment", "fragments"]

@@ -10,10 +10,10 @@ import pytest
 
 from libmodbus_py import Context, ModbusConnectionError, Server
 from libmodbus_py.protocol.framing import Frame, RtuFramer
-from libmodbus_py.server.faults.fault import Fault
-from tests.server.faults.serving import READ, adu, client_of, made_device, serving
+from libmodbus_py.tools.faults.fault import Fault
 from tests.simulation.stage import Stage
 from tests.support.certificates import Papers, secured
+from tests.tools.faults.serving import READ, adu, client_of, made_device, serving
 
 
 @pytest.mark.parametrize("length", [None, 5, 512])

@@ -11,7 +11,7 @@ from typing import Any
 
 from libmodbus_py import Context, Device, Mapping, Server, pdu
 from libmodbus_py.protocol.framing import Frame
-from libmodbus_py.server.faults.fault import Fault
+from libmodbus_py.tools.faults.fault import Fault
 from tests.simulation.stage import Stage
 
 FOREVER = 600.0  # longer than any test may last

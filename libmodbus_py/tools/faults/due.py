@@ -1,5 +1,5 @@
 """
-Which fault is due: the requests of one server, counted.
+The faults of one server: which is due for a request, and answers that it changes.
 """
 
 from __future__ import annotations
@@ -10,10 +10,15 @@ from dataclasses import replace
 
 from ...device.access import Touched, touched_by
 from ...protocol.checks import integer
-from ...protocol.framing import Frame
+from ...protocol.framing import Frame, TcpFramer
+from ...server.service import Intercepted
+from .delivery import Delivery, fragments
 from .fault import Fault
 
-__all__ = ["Faults"]
+__all__ = ["Faults", "FaultyAnswers"]
+
+
+NO_ALIASES: dict[int, int] = {}
 
 
 class _Counted:
@@ -41,37 +46,41 @@ class _Counted:
 
 class Faults:
     """
-    The faults of one server.
+    The faults of one server. See `Interceptor`.
 
     Args:
         faults: ``{unit 0..255: faults}``; None is every unit.
         before: the previous faults of the same server: equal ones go on counting.
+        aliases: further units, and the unit whose faults they have if they have none of their own.
 
     Raises:
         TypeError, ValueError: a unit or a fault is wrong.
     """
 
     def __init__(
-        self, faults: Mapping[int | None, Iterable[Fault]], before: Faults | None = None
+        self,
+        faults: Mapping[int | None, Iterable[Fault]],
+        before: Faults | None = None,
+        aliases: Mapping[int, int] = NO_ALIASES,
     ) -> None:
         self._by_unit: dict[int | None, list[_Counted]] = {}
         for unit, given_faults in faults.items():
             key = None if unit is None else integer("faults: unit", unit, 0, 255)
             known = [] if before is None else list(before._by_unit.get(key, ()))
             self._by_unit[key] = [_counted(_checked(fault), known) for fault in given_faults]
+        for alias, unit in aliases.items():
+            if unit in self._by_unit:
+                self._by_unit.setdefault(alias, self._by_unit[unit])
 
     def __bool__(self) -> bool:
         return any(self._by_unit.values())
 
-    def share(self, unit: int, others: Iterable[int]) -> None:
-        """Apply the faults of a unit to these units, too, unless they have their own."""
-        if unit in self._by_unit:
-            for other in others:
-                self._by_unit.setdefault(other, self._by_unit[unit])
-
-    def concern(self, unit: int) -> bool:
+    def concerns(self, unit: int) -> bool:
         """Return True if the answers of a unit have faults."""
         return bool(self._by_unit.get(unit) or self._by_unit.get(None))
+
+    def intercept(self, session: Intercepted) -> FaultyAnswers:
+        return FaultyAnswers(session)
 
     def due(self, request: Frame, *, has_transaction: bool) -> Fault | None:
         """
@@ -114,3 +123,37 @@ def _counted(fault: Fault, known: list[_Counted]) -> _Counted:
         if each.fault == fault:
             return known.pop(at)
     return _Counted(fault)
+
+
+class FaultyAnswers:
+    """The answers of one session: late, wrong, in fragments or not at all. See `Interception`."""
+
+    def __init__(self, session: Intercepted) -> None:
+        self._session = session
+        self._delivery = Delivery(session.channel, session.trace, session.write)
+        self._has_transaction = isinstance(session.framer, TcpFramer)
+
+    @property
+    def is_waiting(self) -> bool:
+        return self._delivery.is_waiting
+
+    @property
+    def is_over(self) -> bool:
+        return self._delivery.is_over
+
+    def answer(self, request: Frame) -> None:
+        """Execute a request, and deliver its answer as the fault that is due makes it."""
+        session, fault = self._session, None
+        faults = session.interceptor
+        if isinstance(faults, Faults) and session.is_answered(request):
+            fault = faults.due(request, has_transaction=self._has_transaction)
+        if fault is not None and fault.code is not None:
+            answer: Frame | None = session.refuse(request, fault.code)
+        else:
+            answer = session.answer(request)
+        if answer is not None:
+            session.statistics.refused += answer.pdu[0] >> 7
+            self._delivery.send(fragments(fault, answer, session.framer))
+
+    def close(self) -> None:
+        self._delivery.close()

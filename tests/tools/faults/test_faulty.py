@@ -19,10 +19,10 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.protocol.framing import Frame
-from libmodbus_py.server.faults.due import Faults
-from libmodbus_py.server.faults.fault import KINDS, Fault
-from tests.server.faults.serving import READ, REQUEST, adu, client_of, made_device, serving
+from libmodbus_py.tools.faults.due import Faults
+from libmodbus_py.tools.faults.fault import KINDS, Fault
 from tests.simulation.stage import Stage
+from tests.tools.faults.serving import READ, REQUEST, adu, client_of, made_device, serving
 
 
 def test_a_range_that_fails_leaves_the_rest_of_the_device_alone(stage: Stage) -> None:

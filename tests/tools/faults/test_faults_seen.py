@@ -19,10 +19,10 @@ from libmodbus_py import (
     Server,
     ServerDeviceBusy,
 )
-from libmodbus_py.server.faults.fault import Fault
+from libmodbus_py.tools.faults.fault import Fault
 from libmodbus_py.tools.testing.wires import SerialWire
-from tests.server.faults.serving import client_of, made_device, serving
 from tests.simulation.stage import Stage
+from tests.tools.faults.serving import client_of, made_device, serving
 
 SEEN: dict[str, tuple[Fault, type[Exception]]] = {
     "delay": (Fault("delay", every=2, seconds=300), ModbusTimeoutError),

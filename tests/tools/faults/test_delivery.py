@@ -10,14 +10,14 @@ import pytest
 
 from libmodbus_py.protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
 from libmodbus_py.server.by_frame import ByFrame
-from libmodbus_py.server.faults.delivery import MAX_WAITING, Delivery, Fragment, fragments
-from libmodbus_py.server.faults.due import Faults
-from libmodbus_py.server.faults.fault import Fault
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.units import TcpUnits, Units
-from tests.server.faults.serving import FOREVER, READ, REQUEST, adu, made_device, serving
+from libmodbus_py.tools.faults.delivery import MAX_WAITING, Delivery, Fragment, fragments
+from libmodbus_py.tools.faults.due import Faults
+from libmodbus_py.tools.faults.fault import Fault
 from tests.simulation.stage import Stage, Talker
 from tests.support.channels import FakeChannel
+from tests.tools.faults.serving import FOREVER, READ, REQUEST, adu, made_device, serving
 
 # Address 107 holds 555, 0, 100: section 6.3 of the application protocol; the frames around
 # it by hand.
@@ -181,7 +181,8 @@ def test_each_wait_begins_when_what_is_before_is_sent(stage: Stage) -> None:
 
 def test_a_session_that_is_closed_sends_nothing_more(stage: Stage) -> None:
     written: list[bytes] = []
-    units = Units(made_device(), Faults({None: [Fault("delay", seconds=10)]}))
+    units = Units(made_device())
+    units.interceptor = Faults({None: [Fault("delay", seconds=10)]})
 
     async def ask() -> None:
         session = ByFrame(TcpUnits(units), "tcp", FakeChannel(written.append), ServerStatistics())

@@ -7,9 +7,9 @@ from __future__ import annotations
 import pytest
 
 from libmodbus_py import ModbusTimeoutError
-from libmodbus_py.server.faults.fault import Fault
-from tests.server.faults.serving import FOREVER, READ, adu, client_of, serving
+from libmodbus_py.tools.faults.fault import Fault
 from tests.simulation.stage import Stage
+from tests.tools.faults.serving import FOREVER, READ, adu, client_of, serving
 
 
 @pytest.mark.parametrize(

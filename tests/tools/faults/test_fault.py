@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Server
-from libmodbus_py.server.faults.due import Faults
-from libmodbus_py.server.faults.fault import Fault
-from tests.server.faults.serving import made_device
+from libmodbus_py.tools.faults.due import Faults
+from libmodbus_py.tools.faults.fault import Fault
+from tests.tools.faults.serving import made_device
 
 
 @pytest.mark.parametrize(
@@ -80,4 +80,4 @@ def test_faults_that_are_none_are_refused(faults: Any, message: str) -> None:
 def test_a_server_without_faults_has_nothing_to_do_with_them() -> None:
     assert not Faults({})
     assert not Faults({1: [], None: []})
-    assert Server(made_device(), {1: []})._units.faults is None
+    assert Server(made_device(), {1: []})._units.interceptor is None

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from libmodbus_py import pdu
 from libmodbus_py.protocol.framing import Frame
-from libmodbus_py.server.faults.due import Faults
-from libmodbus_py.server.faults.fault import Fault
-from tests.server.faults.serving import READ, REQUEST
+from libmodbus_py.tools.faults.due import Faults
+from libmodbus_py.tools.faults.fault import Fault
+from tests.tools.faults.serving import READ, REQUEST
 
 
 def hits(faults: Faults, count: int, request: Frame = REQUEST) -> list[int]:
