@@ -22,7 +22,7 @@ from .by_chunk import ByChunk, Singles
 from .by_frame import ByFrame
 from .framed import AT_ONCE, Echoes
 from .limits import Limits, ServerStatistics
-from .service import Channel, Later, MakeSession, Service, Session
+from .service import Channel, Later, MakeSession, Service, Session, explained
 from .serving import Running, Serving
 from .units import SerialUnits, TcpUnits, Units, UnknownUnit
 
@@ -76,7 +76,8 @@ class DeviceServer(Serving):
 
     @contextlib.asynccontextmanager
     async def _answering(self, endpoints: list[Endpoint]) -> AsyncIterator[Service]:
-        replier()  # creates its descriptors, before clients take the last ones
+        with explained("cannot serve"):
+            replier()  # creates its descriptors, before clients take the last ones
         answering = Devices(self._units)
         now = asyncio.get_running_loop(), answering
         self._answering_now.append(now)

@@ -4,12 +4,15 @@ The interface between endpoints and devices or gateways: sessions, and services 
 
 from __future__ import annotations
 
+import contextlib
 import enum
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Protocol
 
 from ..ports.endpoint import Endpoint
+from ..ports.listening import reason
 from ..ports.trace import Trace
+from ..protocol.errors import ModbusConnectionError
 from ..protocol.framing import Frame, Framer
 from ..security.describing import CertificateHolder
 from .limits import ServerStatistics
@@ -25,6 +28,7 @@ __all__ = [
     "Service",
     "Session",
     "SessionState",
+    "explained",
 ]
 
 # Raised by a hook to end the program; any other exception is an answer, or a defect of ours.
@@ -195,3 +199,14 @@ class Interception(Protocol):
 
     def close(self) -> None:
         """Drop answers that were not sent."""
+
+
+@contextlib.contextmanager
+def explained(what: str) -> Iterator[None]:
+    """Convert any other OSError, as of epoll, to a ModbusConnectionError that names the cause."""
+    try:
+        yield
+    except ModbusConnectionError:
+        raise
+    except OSError as error:
+        raise ModbusConnectionError(f"{what}: {reason(error)}", errno=error.errno) from error

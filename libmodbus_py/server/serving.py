@@ -11,18 +11,16 @@ import contextlib
 import signal
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from ..ports.endpoint import Endpoint, parse_to_listen
-from ..ports.listening import reason
 from ..ports.schemes import Transport
 from ..ports.tls import security_of
 from ..ports.trace import OnTraced
 from ..protocol.callbacks import checked_callback
-from ..protocol.errors import ModbusConnectionError
 from ..protocol.logs import HarmlessLogger
 from ..security.security import Security
 from .audit import Audit, OnAudited, audit_of
@@ -30,7 +28,7 @@ from .background import Background
 from .forever import Handler, frozen_garbage, signal_handlers
 from .limits import Limits, ServerStatistics
 from .peers import Peers
-from .service import Service
+from .service import Service, explained
 from .tcp import TcpServer
 from .tracing import TracedService, Traces
 from .udp import Sources, UdpServer
@@ -148,7 +146,7 @@ class Serving(ABC):
             service = TracedService(answering, self._traces)
             with contextlib.ExitStack() as stack:
                 # At once, when a hook ends the program: others that are ready must not be called.
-                with _explained("cannot serve"):
+                with explained("cannot serve"):
                     peers = Peers(self._limits, self.statistics, stack.close, auditor=auditor)
                 stack.callback(peers.close)
                 opened = []
@@ -158,7 +156,7 @@ class Serving(ABC):
                     )
                     server = ENDPOINTS[endpoint.transport](endpoint, service, shared)
                     stack.callback(server.close)
-                    with _explained(f"cannot listen on {endpoint}"):
+                    with explained(f"cannot listen on {endpoint}"):
                         opened.append(await server.open())
                 self._listening = opened
                 running = Running([str(endpoint) for endpoint in opened])
@@ -292,17 +290,6 @@ ENDPOINTS: dict[
     "serial": _serial_server,
 }
 """Transport -> function that makes the endpoint of a server."""
-
-
-@contextlib.contextmanager
-def _explained(what: str) -> Iterator[None]:
-    """Convert any other OSError, as of epoll, to a ModbusConnectionError that names the cause."""
-    try:
-        yield
-    except ModbusConnectionError:
-        raise
-    except OSError as error:
-        raise ModbusConnectionError(f"{what}: {reason(error)}", errno=error.errno) from error
 
 
 def _check_security(security: object) -> None:

@@ -177,6 +177,22 @@ def test_the_collector_does_not_wait_for_a_forgotten_server() -> None:
     assert is_left(before)
 
 
+@pytest.mark.parametrize("where", ["_thread.start_new_thread", "threading.Thread.start"])
+def test_a_system_without_threads_is_told(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise RuntimeError("can't start new thread")
+
+    before = left()
+    background = Server(Device(Mapping())).background(*URLS)
+    with monkeypatch.context() as patched:
+        patched.setattr(where, refuse)
+        with pytest.raises(RuntimeError, match="can't start new thread"):
+            background.__enter__()
+    with pytest.raises(RuntimeError, match="call background"):
+        background.__enter__()
+    assert is_left(before)
+
+
 # --- hooks that end the program ----------------------------------------------------------
 
 ENDS = [SystemExit(3), KeyboardInterrupt()]
