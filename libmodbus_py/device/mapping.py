@@ -276,7 +276,8 @@ class Mapping:
     """
     The four tables of one device; all values are zero unless they are given.
 
-    ``with mapping:`` combines several accesses into one: no request is answered in between.
+    ``with mapping:`` combines several accesses into one: no request is answered in between. The
+    block must not contain an ``await``, during which a server in the same loop would answer.
 
     Attributes:
         coils, discrete_inputs: the tables of bits (`BitTable`).
