@@ -51,8 +51,8 @@ BUILD = Path("build/mutants")
 # The files that decide about requests, turns, time and bytes.
 DECIDING = [
     *("client", "services/gateway", "services/fleet", "services/workers", "protocol"),
-    *(f"server/{name}.py" for name in ("addresses", "by_chunk", "by_frame", "framed")),
-    *(f"server/{name}.py" for name in ("limits", "peers")),
+    *(f"server/{name}.py" for name in ("addresses", "framed")),
+    *(f"server/{name}.py" for name in ("limits", "peers", "sessions")),
     *(f"tools/faults/{name}.py" for name in ("delivery", "due")),
 ]
 

@@ -17,8 +17,8 @@ In the order in which a request goes through::
     tracing      callbacks for every ADU that sessions receive and send
     service      the interface between endpoints and what answers; `Interceptor` is what answers
                  some units in place of their devices
-    by_chunk     ByChunk: Modbus/TCP by the chunk, in C; requests of many peers together
-    framed       the base of sessions that answer frame by frame, without their own echo; ByFrame
-                 (by_frame) asks devices, also for requests that C leaves
+    sessions     ByFrame: asks devices frame by frame; ByChunk: Modbus/TCP by the chunk, in C,
+                 and single requests of many peers together
+    framed       the base of sessions: finds frames, without their own echo
     units        finds the device of a frame, on TCP and on serial lines
 """

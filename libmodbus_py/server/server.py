@@ -1,7 +1,7 @@
 """
 The server of devices: many clients, many units, many endpoints, in one asyncio loop.
 
-An endpoint (`tcp`, `udp`, `serial`) takes bytes to a session (`by_chunk`, `by_frame`),
+An endpoint (`tcp`, `udp`, `serial`) takes bytes to a session (`sessions`),
 which takes requests to the device of their unit, and the answers go back in order of
 arrival. No client waits for another one.
 """
@@ -18,12 +18,11 @@ from ..ports.endpoint import Endpoint
 from ..ports.trace import OnTraced
 from ..security.security import Security
 from .audit import Audit, OnAudited
-from .by_chunk import ByChunk, Singles
-from .by_frame import ByFrame
 from .framed import AT_ONCE, Echoes
 from .limits import Limits, ServerStatistics
 from .service import Channel, Later, MakeSession, Service, Session, explained
 from .serving import Running, Serving
+from .sessions import ByChunk, ByFrame, Singles
 from .units import SerialUnits, TcpUnits, Units, UnknownUnit
 
 __all__ = ["DeviceServer", "Devices", "Running"]

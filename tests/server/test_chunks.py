@@ -17,10 +17,9 @@ from hypothesis import strategies as st
 from libmodbus_py import Access, Device, Hook, IllegalDataAddress, Mapping, pdu
 from libmodbus_py.protocol.errors import FrameError
 from libmodbus_py.protocol.framing import Frame, cut, is_one_frame, split
-from libmodbus_py.server.by_chunk import ByChunk, Singles
-from libmodbus_py.server.by_frame import ByFrame
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.service import SessionState
+from libmodbus_py.server.sessions import ByChunk, ByFrame, Singles
 from libmodbus_py.server.units import TcpUnits, Units
 from tests.support.cases import each_case
 from tests.support.channels import FakeChannel

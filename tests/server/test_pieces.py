@@ -10,9 +10,9 @@ import socket
 import pytest
 
 from libmodbus_py import Device, Server, framing, pdu
-from libmodbus_py.server.by_chunk import ByChunk, Singles
 from libmodbus_py.server.limits import Limits, ServerStatistics
 from libmodbus_py.server.peers import Peers
+from libmodbus_py.server.sessions import ByChunk, Singles
 from libmodbus_py.server.units import TcpUnits, Units
 from tests.server.raw_requests import READ, READ_ANSWER, adu, connect, receive
 from tests.simulation.stage import Stage

@@ -11,9 +11,9 @@ from contextlib import ExitStack
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.server.by_frame import ByFrame
 from libmodbus_py.server.limits import Limits, ServerStatistics
 from libmodbus_py.server.peers import Peers
+from libmodbus_py.server.sessions import ByFrame
 from libmodbus_py.server.units import TcpUnits, Units
 from tests.simulation.stage import Stage
 from tests.support.attacks import connect, descriptor_limit, receive

@@ -9,8 +9,8 @@ import asyncio
 import pytest
 
 from libmodbus_py.protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
-from libmodbus_py.server.by_frame import ByFrame
 from libmodbus_py.server.limits import ServerStatistics
+from libmodbus_py.server.sessions import ByFrame
 from libmodbus_py.server.units import TcpUnits, Units
 from libmodbus_py.tools.faults.delivery import MAX_WAITING, Delivery, Fragment, fragments
 from libmodbus_py.tools.faults.due import Faults

@@ -1,0 +1,302 @@
+"""
+The sessions of devices: requests of one connection, datagram or port, frame by frame or in C.
+
+Modbus/TCP is answered by the chunk, in C where possible: the same bytes as those of `ByFrame`,
+several times faster. Requests that come alone are answered together with those of other
+connections.
+"""
+
+from __future__ import annotations
+
+from operator import itemgetter
+
+from ..ports.trace import Trace
+from ..protocol.errors import FrameError
+from ..protocol.framing import (
+    FUNCTION,
+    TRANSACTION,
+    UNIT,
+    AsciiFramer,
+    Frame,
+    Framing,
+    Overheard,
+    cut,
+    is_one_frame,
+    mbap,
+    split,
+)
+from .framed import FOUND_AT_ONCE, Echoes, Framed
+from .limits import ServerStatistics
+from .service import Channel, Interception, Interceptor, Later, SessionState
+from .units import SerialUnits, TcpUnits
+
+__all__ = ["ByChunk", "ByFrame", "Singles"]
+
+_request = itemgetter(1)
+
+
+class ByFrame(Framed):
+    """
+    A session of any framing, which answers frame by frame.
+
+    Args:
+        units: the devices.
+        framing, channel, statistics, at_once, is_datagram, pause, echoes: as for `Framed`.
+    """
+
+    def __init__(
+        self,
+        units: TcpUnits | SerialUnits,
+        framing: Framing,
+        channel: Channel,
+        statistics: ServerStatistics,
+        at_once: int | None = None,
+        *,
+        is_datagram: bool = False,
+        pause: float = 0.0,
+        echoes: Echoes | None = None,
+    ) -> None:
+        super().__init__(
+            framing,
+            channel,
+            statistics,
+            units.has,
+            at_once,
+            is_datagram=is_datagram,
+            pause=pause,
+            echoes=echoes,
+        )
+        self._units = units
+        self._interception: Interception | None = None  # None until a unit has one
+        self._is_ascii = isinstance(self.framer, AsciiFramer)
+        self._follow_delimiter()
+
+    @property
+    def is_held(self) -> bool:
+        return self._interception is not None and self._interception.is_waiting
+
+    @property
+    def is_over(self) -> bool:
+        """True once an interception has closed the connection: nothing is executed any more."""
+        return self._interception is not None and self._interception.is_over
+
+    @property
+    def interceptor(self) -> Interceptor | None:
+        return self._units.interceptor
+
+    def close(self) -> None:
+        super().close()
+        if self._interception is not None:
+            self._interception.close()
+            self._interception = None  # it refers to this session
+
+    def note_damage(self, error: FrameError) -> None:
+        super().note_damage(error)
+        self._units.note_damage(overrun=error.overrun)
+
+    def note_overheard(self, answer: Overheard) -> None:
+        self._units.note_overheard()
+
+    def _take_one(self, request: Frame) -> None:
+        interception, interceptor = self._interception, self._units.interceptor
+        if interception is None and interceptor is not None and interceptor.concerns(request.unit):
+            interception = self._interception = interceptor.intercept(self)
+        if interception is not None:  # all later answers go behind one that it has delayed
+            if not interception.is_over:
+                interception.answer(request)
+        elif (answer := self.answer(request)) is not None:
+            self._reply(answer)
+        if self._is_ascii:
+            self._follow_delimiter()
+
+    def answer(self, request: Frame) -> Frame | None:
+        return self._units.answer(request, self.channel)
+
+    def is_answered(self, request: Frame) -> bool:
+        """See `Intercepted`."""
+        return self._units.is_answered(request)
+
+    def refuse(self, request: Frame, code: int) -> Frame:
+        """See `Intercepted`."""
+        return self._units.refuse(request, code)
+
+    def _follow_delimiter(self) -> None:
+        """Use a changed delimiter from the frame after the answer on, in both directions."""
+        if isinstance(self.framer, AsciiFramer) and self._units.delimiter is not None:
+            self.framer.delimiter = self._units.delimiter
+
+
+class ByChunk(ByFrame):
+    """
+    A session of Modbus/TCP, whose requests are answered in C where possible.
+
+    Requests that C leaves are answered one by one.
+
+    Args:
+        units, channel, statistics: as for `ByFrame`.
+        singles: takes requests that come alone.
+    """
+
+    def __init__(
+        self, units: TcpUnits, channel: Channel, statistics: ServerStatistics, singles: Singles
+    ) -> None:
+        super().__init__(units, "tcp", channel, statistics)
+        self._in_c = units
+        self._singles = singles
+        self._pending = b""  # the beginning of a frame, or bytes that were not searched yet
+        self._has_more = False  # True if requests in these bytes wait for the next turn
+
+    @property
+    def state(self) -> SessionState:
+        if self._has_more:
+            return SessionState.BEHIND
+        if self._interception is not None and self._interception.is_waiting:
+            return SessionState.HELD
+        return SessionState.UNFINISHED if self._pending else SessionState.READING
+
+    def receive(self, data: bytes) -> int:
+        if not self._pending and is_one_frame(data) and self.trace is None:
+            self._singles.add(self, data)
+            return 1
+        if before := self._singles.take_back(self):  # which must not be overtaken, and is counted
+            return self.take_chunk(b"".join([*before, data])) - len(before)
+        return self.take_chunk(data)
+
+    def take_chunk(self, data: bytes) -> int:
+        """As `receive`, without the help of other sessions."""
+        data = self._pending + data
+        before = self.statistics.requests
+        start, size, taken, is_lost = 0, len(data), 0, False
+        try:
+            while (start := self._answer_in_c(data, start)) < size and taken < FOUND_AT_ONCE:
+                found: list[Frame | FrameError] = []
+                end = cut(data, start, found, 1)
+                if end == start:
+                    taken = 0
+                    break
+                self.take_one(found[0])
+                start = size if self.is_over else end
+                taken += 1
+        except FrameError as error:
+            is_lost = self.statistics.requests > before
+            if not is_lost:  # else the requests before it count first
+                self.take_one(error)
+                raise
+        self._pending = data[start:]
+        self._has_more = start < size and (taken == FOUND_AT_ONCE or is_lost)
+        if self._has_more:
+            self.channel.follow()
+        return self.statistics.requests - before
+
+    def take_one(self, found: Frame | FrameError) -> None:
+        """Answer a request without C, or note damage."""
+        if (
+            isinstance(found, FrameError)
+            or self._in_c.interceptor is not None
+            or self._interception is not None
+            or self.trace is not None
+        ):
+            self.tell_received([found])
+            self.take([found])
+            return
+        self.statistics.requests += 1
+        if (answer := self._in_c.answer(found, self.channel)) is not None:
+            self.statistics.refused += answer.pdu[0] >> 7
+            self.channel.write(mbap(answer.transaction, answer.unit, answer.pdu))
+
+    def end(self) -> None:
+        self._unsearched, self._pending, self._has_more = self._pending, b"", False
+        super().end()
+
+    def _answer_in_c(self, data: bytes, start: int) -> int:
+        """Answer the requests from `start` on, up to the first that C leaves; return its start."""
+        while len(data) - start > FUNCTION and not self.is_held:
+            unit = data[start + UNIT]
+            device = self._in_c.in_c[unit]
+            if device is None or data[start + FUNCTION] not in device.in_c:
+                break
+            end, answers, requests, refused = device.answer_chunk(data, start, unit)
+            if end == start:
+                break
+            if (trace := self.trace) is not None:
+                _tell(trace, data[start:end], answers)
+            self.channel.write(answers)
+            self.statistics.requests += requests
+            self.statistics.refused += refused
+            start = end
+        return start
+
+
+class Singles:
+    """
+    The single requests of several connections, answered together like one chunk.
+
+    Args:
+        units: the units that answer.
+        later: calls a function when all connections have been read.
+    """
+
+    def __init__(self, units: TcpUnits, statistics: ServerStatistics, later: Later) -> None:
+        self._units = units
+        self._statistics = statistics
+        self._later = later
+        self._waiting: list[tuple[ByChunk, bytes]] = []
+
+    def add(self, session: ByChunk, request: bytes) -> None:
+        """Add a whole frame, which is answered in this turn."""
+        if not self._waiting:
+            self._later(self._answer)
+        self._waiting.append((session, request))
+
+    def take_back(self, session: ByChunk) -> list[bytes]:
+        """Return what a session has just added, because it received more, in records of TLS."""
+        waiting, requests = self._waiting, []
+        while waiting and waiting[-1][0] is session:
+            requests.append(waiting.pop()[1])
+        return requests[::-1]
+
+    def _answer(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        raised: BaseException | None = None
+        chunk = b"".join(map(_request, waiting))
+        start = first = 0
+        while first < len(waiting):
+            count, start = self._answer_run(waiting, first, chunk, start)
+            if count == 0:
+                session, request = waiting[first]
+                number = int.from_bytes(request[TRANSACTION], "big")
+                try:
+                    session.take_one(Frame(request[UNIT], request[FUNCTION:], number))
+                except BaseException as error:  # of a hook; the others are still answered
+                    raised = raised or error
+                start += len(request)
+                count = 1
+            first += count
+        if raised is not None:
+            raise raised
+
+    def _answer_run(
+        self, waiting: list[tuple[ByChunk, bytes]], first: int, chunk: bytes, start: int
+    ) -> tuple[int, int]:
+        """Answer the first requests, all of one unit, in C; return their number, and the rest."""
+        unit = chunk[start + UNIT]
+        device = self._units.in_c[unit]
+        if device is None or chunk[start + FUNCTION] not in device.in_c:
+            return 0, start
+        start, answers, count, refused = device.answer_chunk(chunk, start, unit)
+        if count == 1:
+            waiting[first][0].channel.write(answers)
+        elif count:
+            asking = waiting[first : first + count]
+            for (session, _), answer in zip(asking, split(answers), strict=True):
+                session.channel.write(answer)
+        self._statistics.requests += count
+        self._statistics.refused += refused
+        return count, start
+
+
+def _tell(trace: Trace, requests: bytes, answers: bytes) -> None:
+    """Report the requests that C has answered to a trace, one by one."""
+    for request, answer in zip(split(requests), split(answers), strict=True):
+        trace.tell("received", request, request[UNIT], request[FUNCTION])
+        trace.tell("sent", answer, answer[UNIT], answer[FUNCTION])
