@@ -320,13 +320,12 @@ def _latest_turn(ready: tuple[Peer, int]) -> int:
 class Peer:
     """One client. It is read only while it takes its answers and is not throttled."""
 
-    trace: Trace | None = None
-
     # fmt: off
     __slots__ = (
         "_descriptor", "_is_behind", "_is_closing", "_is_full", "_is_reading",
         "_is_sending", "_is_throttled", "_peers", "_session", "_socket", "_unsent", "address",
         "holder", "is_greedy", "latest_turn", "role", "shared",
+        "trace",
     )
     # fmt: on
 
@@ -339,6 +338,7 @@ class Peer:
         make: MakePeerSession,
     ) -> None:
         self.address: str = address
+        self.trace: Trace | None = None
         # A session within TLS has its own.
         self.role: str | None = None
         self.holder: CertificateHolder | None = None

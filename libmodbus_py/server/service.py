@@ -49,9 +49,7 @@ class Channel(Protocol):
     address: str
     role: str | None
     holder: CertificateHolder | None
-
-    @property
-    def trace(self) -> Trace | None: ...
+    trace: Trace | None
 
     def write(self, data: bytes) -> None:
         """Send answers, in the order of the calls."""

@@ -177,8 +177,6 @@ class TlsSession:
         address, role: those of the client, for the session inside.
     """
 
-    trace: Trace | None = None
-
     # fmt: off
     __slots__ = (
         "_acceptance",
@@ -194,12 +192,14 @@ class TlsSession:
         "holder",
         "host",
         "role",
+        "trace",
     )
     # fmt: on
 
     def __init__(self, wire: Wire, handshakes: Handshakes, make: MakeSession) -> None:
         self.address: str = wire.address
         self.host: str = host_of(wire.address)  # what its handshake counts for
+        self.trace: Trace | None = None
         self.role: str | None = None
         self.holder: CertificateHolder | None = None
         self._wire = wire

@@ -15,7 +15,6 @@ from ..device.hooks import timed
 from ..ports.endpoint import Endpoint
 from ..ports.trace import OnTraced, Trace, Traced, is_traced
 from ..protocol.logs import HarmlessLogger
-from ..security.describing import CertificateHolder
 from .limits import ServerStatistics
 from .service import ENDS, Channel, Later, MakeSession, Service, Session
 
@@ -71,33 +70,11 @@ class TracedService:
         url, traces = str(endpoint), self._traces
 
         def made(channel: Channel) -> Session:
-            if not is_traced(traces or None):
-                return make(channel)
-            return make(TracedChannel(channel, Trace(url, traces, channel.address)))
+            is_on = is_traced(traces or None)
+            channel.trace = Trace(url, traces, channel.address) if is_on else None
+            return make(channel)
 
         return made
-
-
-class TracedChannel:
-    """The channel of a session that reports its ADUs to `trace`. See `Channel`."""
-
-    __slots__ = ("_channel", "address", "holder", "role", "trace")
-
-    def __init__(self, channel: Channel, trace: Trace) -> None:
-        self._channel = channel
-        self.address: str = channel.address
-        self.role: str | None = channel.role
-        self.holder: CertificateHolder | None = channel.holder
-        self.trace: Trace | None = trace
-
-    def write(self, data: bytes) -> None:
-        self._channel.write(data)
-
-    def follow(self) -> None:
-        self._channel.follow()
-
-    def hang_up(self) -> bool:
-        return self._channel.hang_up()
 
 
 class Harmless:
