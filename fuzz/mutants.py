@@ -52,7 +52,7 @@ BUILD = Path("build/mutants")
 DECIDING = [
     *("client", "services/gateway", "services/fleet", "services/workers", "protocol"),
     *(f"server/{name}.py" for name in ("addresses", "framed")),
-    *(f"server/{name}.py" for name in ("limits", "peers", "sessions")),
+    *(f"server/{name}.py" for name in ("limits", "peer", "peers", "sessions")),
     *(f"tools/faults/{name}.py" for name in ("delivery", "due")),
 ]
 

@@ -10,8 +10,9 @@ In the order in which a request goes through::
     forever      signals and garbage collection of programs that only serve
     sockets      sockets of endpoints, which answer from the address that was asked
     tcp          takes connections and hands them to `peers`; udp answers datagrams, serial a port
-    peers        Peers: TCP connections within their limits (limits), all in one poller;
-                 addresses chooses which of them are paused or closed
+    peers        Peers: TCP connections within their limits (limits); addresses chooses which of
+                 them are paused or closed
+    peer         Peer: one connection; Turns: all of them in one poller
     tls          TlsSession: a session within TLS, and the role of the client
     audit        Audit: who wrote what, and who was refused
     tracing      callbacks for every ADU that sessions receive and send

@@ -12,6 +12,7 @@ from __future__ import annotations
 import _thread
 import asyncio
 import contextlib
+import os
 import threading
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
@@ -65,6 +66,7 @@ class ServingThread(Generic[Running]):
     def __init__(self, serving: Callable[[], AbstractAsyncContextManager[Running]]) -> None:
         self._serving = serving
         self._thread = threading.Thread(target=self._run, name="modbus server", daemon=True)
+        self._process = os.getpid()  # a forked child has no such thread
         self._is_started = False
         self._is_wanted = True
         self._task: asyncio.Task[None] | None = None  # once the thread has a loop
@@ -105,7 +107,8 @@ class ServingThread(Generic[Running]):
             the exception that ended the server before.
         """
         self.stop()
-        if self._is_started and self._thread.ident != threading.get_ident():  # not in a hook
+        is_here = self._is_started and self._process == os.getpid()
+        if is_here and self._thread.ident != threading.get_ident():  # a hook cannot wait for it
             try:
                 with self._ended:
                     pass

@@ -12,7 +12,8 @@ from ..ports.forking import abandoned_in_children
 from ..ports.listening import reason, tcp_listener
 from ..protocol.logs import HarmlessLogger
 from ..security.security import Security
-from .peers import MakePeerSession, Peers
+from .peer import MakePeerSession
+from .peers import Peers
 from .service import MakeSession, Service
 from .sockets import bound
 from .tls import Handshakes, TlsSession

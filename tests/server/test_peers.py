@@ -11,9 +11,10 @@ from typing import Any
 import pytest
 
 from libmodbus_py.protocol.errors import FrameError
-from libmodbus_py.server import peers as module
+from libmodbus_py.server import peer as module
 from libmodbus_py.server.limits import Limits, ServerStatistics
-from libmodbus_py.server.peers import FAIR_SIZE, READ_SIZE, Peer, Peers
+from libmodbus_py.server.peer import FAIR_SIZE, READ_SIZE, Peer
+from libmodbus_py.server.peers import Peers
 from libmodbus_py.server.service import SessionState
 from tests.simulation.stage import Stage, Talker
 
@@ -144,11 +145,11 @@ def test_who_sends_much_is_read_in_turns_and_later_than_others(
         talker.sendall(b"short")
     stage.pass_time(0.01)
     server.order.clear()
-    begun = server.peers._turns
+    begun = server.peers._greedy_turns
     for talker, _ in greedy:
         talker.sendall(b"short")
     stage.pass_time(0.01)
-    assert server.peers._turns == begun
+    assert server.peers._greedy_turns == begun
     assert len(server.order) == 3
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.server.limits import Allowance, Limits
-from libmodbus_py.server.peers import Peer
+from libmodbus_py.server.peer import Peer
 from tests.simulation.stage import Stage
 from tests.support.attacks import connect, receive
 from tests.support.served import (
