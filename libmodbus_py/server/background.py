@@ -66,8 +66,7 @@ class ServingThread(Generic[Running]):
     def __init__(self, serving: Callable[[], AbstractAsyncContextManager[Running]]) -> None:
         self._serving = serving
         self._thread = threading.Thread(target=self._run, name="modbus server", daemon=True)
-        self._process = os.getpid()  # a forked child has no such thread
-        self._is_started = False
+        self._process: int | None = None  # in which it was started: a forked child has no thread
         self._is_wanted = True
         self._task: asyncio.Task[None] | None = None  # once the thread has a loop
         self._running: Running | None = None
@@ -84,14 +83,15 @@ class ServingThread(Generic[Running]):
             RuntimeError: it was started before, or there are too many threads.
             the exception that prevented this.
         """
-        if self._is_started or not self._is_wanted:
+        if self._process is not None or not self._is_wanted:
             raise RuntimeError("this server runs, or did so before: call background() again")
         try:
-            self._is_started = True
+            self._process = os.getpid()
             _thread.start_new_thread(self._begin, ())
             self._ready.acquire()
         except BaseException as error:
-            self._is_started = not isinstance(error, RuntimeError)
+            if isinstance(error, RuntimeError):
+                self._process = None
             self.finish()
             raise
         if self._running is None:
@@ -107,7 +107,7 @@ class ServingThread(Generic[Running]):
             the exception that ended the server before.
         """
         self.stop()
-        is_here = self._is_started and self._process == os.getpid()
+        is_here = self._process == os.getpid()
         if is_here and self._thread.ident != threading.get_ident():  # a hook cannot wait for it
             try:
                 with self._ended:
