@@ -256,17 +256,29 @@ class Singles:
         return requests[::-1]
 
     def _answer(self) -> None:
+        """Answer runs of requests to one unit in C, and those that C leaves one by one."""
         waiting, self._waiting = self._waiting, []
         raised: BaseException | None = None
         chunk = b"".join(map(_request, waiting))
         start = first = 0
         while first < len(waiting):
-            count, start = self._answer_run(waiting, first, chunk, start)
+            unit, count = chunk[start + UNIT], 0
+            device = self._units.in_c[unit]
+            if device is not None and chunk[start + FUNCTION] in device.in_c:
+                start, answers, count, refused = device.answer_chunk(chunk, start, unit)
+                self._statistics.requests += count
+                self._statistics.refused += refused
+                if count == 1:
+                    waiting[first][0].channel.write(answers)
+                elif count:
+                    asking = waiting[first : first + count]
+                    for (session, _), answer in zip(asking, split(answers), strict=True):
+                        session.channel.write(answer)
             if count == 0:
                 session, request = waiting[first]
                 number = int.from_bytes(request[TRANSACTION], "big")
                 try:
-                    session.take_one(Frame(request[UNIT], request[FUNCTION:], number))
+                    session.take_one(Frame(unit, request[FUNCTION:], number))
                 except BaseException as error:  # of a hook; the others are still answered
                     raised = raised or error
                 start += len(request)
@@ -274,25 +286,6 @@ class Singles:
             first += count
         if raised is not None:
             raise raised
-
-    def _answer_run(
-        self, waiting: list[tuple[ByChunk, bytes]], first: int, chunk: bytes, start: int
-    ) -> tuple[int, int]:
-        """Answer the first requests, all of one unit, in C; return their number, and the rest."""
-        unit = chunk[start + UNIT]
-        device = self._units.in_c[unit]
-        if device is None or chunk[start + FUNCTION] not in device.in_c:
-            return 0, start
-        start, answers, count, refused = device.answer_chunk(chunk, start, unit)
-        if count == 1:
-            waiting[first][0].channel.write(answers)
-        elif count:
-            asking = waiting[first : first + count]
-            for (session, _), answer in zip(asking, split(answers), strict=True):
-                session.channel.write(answer)
-        self._statistics.requests += count
-        self._statistics.refused += refused
-        return count, start
 
 
 def _tell(trace: Trace, requests: bytes, answers: bytes) -> None:

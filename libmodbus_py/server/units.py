@@ -107,24 +107,23 @@ class TcpUnits:
 
     def change(self, units: Units) -> None:
         """Replace the units from the next request on."""
+        self._shared = units
         self.interceptor: Interceptor | None = units.interceptor
         own = {each: units.devices[unit] for each, unit in units.aliases.items()}
-        self._units: dict[int, Device] = {**own, **units.devices}
-        self._any = units.any
+        self._devices: dict[int, Device] = own | units.devices
         self._refuses = units.unknown == "refuse"
-        self._on_unauthorized = units.on_unauthorized
-        self._auditor = units.auditor
-        self.in_c: list[Device | None] = [self._device_in_c(unit) for unit in range(0x100)]
+        self.in_c: list[Device | None] = [
+            None if self._is_for_python(unit) else self.device(unit) for unit in range(0x100)
+        ]
 
-    def _device_in_c(self, unit: int) -> Device | None:
+    def _is_for_python(self, unit: int) -> bool:
+        """Return True if C, which reports no write, may answer no request to a unit."""
         is_intercepted = self.interceptor is not None and self.interceptor.concerns(unit)
-        if is_intercepted or self._auditor is not None:  # C reports no write
-            return None
-        return self.device(unit)
+        return is_intercepted or self._shared.auditor is not None
 
     def device(self, unit: int) -> Device | None:
         """Return the device of a unit, if there is one."""
-        return self._units.get(unit, self._any)
+        return self._devices.get(unit, self._shared.any)
 
     def has(self, unit: int) -> bool:
         """Return True if requests to a unit are answered, as all are on a network."""
@@ -144,7 +143,7 @@ class TcpUnits:
 
     def answer(self, frame: Frame, client: Channel) -> Frame | None:
         unit, pdu, transaction = frame
-        device = self._units.get(unit, self._any)
+        device = self._devices.get(unit, self._shared.any)
         if device is not None:
             caller = Caller(
                 unit,
@@ -152,9 +151,9 @@ class TcpUnits:
                 None,
                 False,
                 client.role,
-                self._on_unauthorized,
+                self._shared.on_unauthorized,
                 client.holder,
-                self._auditor,
+                self._shared.auditor,
             )
             response = device.answer(pdu, caller)
         elif pdu[0] & 0x80 or not self._refuses:
@@ -179,20 +178,18 @@ class SerialLine:
 
     def change(self, units: Units) -> None:
         """Replace the units from the next request on; notes about the line stay with their unit."""
-        self.interceptor: Interceptor | None = units.interceptor
-        self.answers_all: bool = units.any is not None
-        self.on_unauthorized: Callable[[], object] = units.on_unauthorized
-        self.auditor: Auditor | None = units.auditor
+        self.shared = units
         given = units.devices if units.any is None else {EVERY_UNIT: units.any}
         before = {unit: log for unit, (_, log) in self.stations.items()}
-        logs = {unit: EventLog(is_serial=True) for unit in given} | before
-        self.stations = {unit: (device, logs[unit]) for unit, device in given.items()}
+        self.stations = {
+            unit: (device, before.get(unit) or EventLog(is_serial=True))
+            for unit, device in given.items()
+        }
 
 
 class SerialUnits:
     """
-    The units of a serial line, or of one over TCP: silence for other units, broadcasts,
-    and the
+    The units of a serial line, or of one over TCP: silence for other units, broadcasts, and the
     notes of every device about the line.
     """
 
@@ -217,12 +214,11 @@ class SerialUnits:
 
     @property
     def interceptor(self) -> Interceptor | None:
-        return self._line.interceptor
+        return self._line.shared.interceptor
 
     def has(self, unit: int) -> bool:
         """Return True if a device of this server answers requests to a unit."""
-        line = self._line
-        return line.answers_all or unit in line.stations
+        return self._line.shared.any is not None or unit in self._line.stations
 
     def is_answered(self, frame: Frame) -> bool:
         """Return True if a request is answered by a device of this server."""
@@ -247,9 +243,9 @@ class SerialUnits:
             None,
             frame.unit == 0,
             client.role,
-            self._line.on_unauthorized,
+            self._line.shared.on_unauthorized,
             client.holder,
-            self._line.auditor,
+            self._line.shared.auditor,
         )
         if frame.unit == 0:
             for device, log in self._all():
@@ -278,7 +274,7 @@ class SerialUnits:
             log.note_frame()
 
     def _station(self, unit: int, *, to_change: bool = False) -> Station | None:
-        if self._line.answers_all:
+        if self._line.shared.any is not None:
             unit = EVERY_UNIT
         station = self._line.stations.get(unit)
         if station is None or self._own is None:
