@@ -164,12 +164,12 @@ class Intercepted(Protocol):
         """Return True if a request to this unit and with this function is answered."""
         ...
 
-    def answer(self, request: Frame) -> Frame | None:
-        """Execute a request, and return the answer, which is not counted or traced yet."""
-        ...
+    def answer(self, request: Frame, code: int = 0) -> Frame | None:
+        """
+        Execute a request, or refuse it with the exception `code`; return the answer.
 
-    def refuse(self, request: Frame, code: int) -> Frame:
-        """Return the answer to a request that is not executed: the exception `code`."""
+        The answer is neither counted nor traced yet.
+        """
         ...
 
     def write(self, data: bytes) -> None:

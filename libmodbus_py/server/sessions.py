@@ -109,16 +109,12 @@ class ByFrame(Framed):
         if self._is_ascii:
             self._follow_delimiter()
 
-    def answer(self, request: Frame) -> Frame | None:
-        return self._units.answer(request, self.channel)
+    def answer(self, request: Frame, code: int = 0) -> Frame | None:
+        return self._units.answer(request, self.channel, code)
 
     def is_answered(self, request: Frame) -> bool:
         """See `Intercepted`."""
         return self._units.is_answered(request)
-
-    def refuse(self, request: Frame, code: int) -> Frame:
-        """See `Intercepted`."""
-        return self._units.refuse(request, code)
 
     def _follow_delimiter(self) -> None:
         """Use a changed delimiter from the frame after the answer on, in both directions."""

@@ -134,14 +134,8 @@ class TcpUnits:
         is_known = self._refuses or self.device(frame.unit) is not None
         return is_known and not frame.pdu[0] & 0x80
 
-    def refuse(self, frame: Frame, code: int) -> Frame:
-        """Answer a request that `is_answered` with an exception, without executing it."""
-        device = self.device(frame.unit)
-        if device is None:
-            return frame._replace(pdu=bytes([frame.pdu[0] | 0x80, code]))
-        return frame._replace(pdu=device.refuse(frame.pdu, code))
-
-    def answer(self, frame: Frame, client: Channel) -> Frame | None:
+    def answer(self, frame: Frame, client: Channel, code: int = 0) -> Frame | None:
+        """Execute a request, or refuse it with an exception if there is a `code`."""
         unit, pdu, transaction = frame
         device = self._devices.get(unit, self._shared.any)
         if device is not None:
@@ -155,11 +149,11 @@ class TcpUnits:
                 client.holder,
                 self._shared.auditor,
             )
-            response = device.answer(pdu, caller)
+            response = device.refuse(pdu, code, caller) if code else device.answer(pdu, caller)
         elif pdu[0] & 0x80 or not self._refuses:
             return None
         else:
-            response = bytes([pdu[0] | 0x80, GatewayTargetFailedToRespond.code])
+            response = bytes([pdu[0] | 0x80, code or GatewayTargetFailedToRespond.code])
         return Frame(unit, response, transaction) if response else None
 
     def note_damage(self, *, overrun: bool) -> None:
@@ -227,15 +221,8 @@ class SerialUnits:
             return False
         return not (frame.pdu[0] & 0x80 or station[1].listen_only)
 
-    def refuse(self, frame: Frame, code: int) -> Frame:
-        """Answer a request that `is_answered` with an exception, without executing it."""
-        self._note_frame()
-        station = self._station(frame.unit)
-        assert station is not None
-        device, log = station
-        return frame._replace(pdu=device.refuse(frame.pdu, code, Caller(frame.unit, log=log)))
-
-    def answer(self, frame: Frame, client: Channel) -> Frame | None:
+    def answer(self, frame: Frame, client: Channel, code: int = 0) -> Frame | None:
+        """As of `TcpUnits`; a broadcast is not refused."""
         self._note_frame()
         caller = Caller(
             frame.unit,
@@ -255,8 +242,11 @@ class SerialUnits:
         if station is None:
             return None
         device, log = station
-        before = log.delimiter
-        response = device.answer(frame.pdu, caller._replace(log=log))
+        before, caller = log.delimiter, caller._replace(log=log)
+        if code:
+            response = device.refuse(frame.pdu, code, caller)
+        else:
+            response = device.answer(frame.pdu, caller)
         if log.delimiter != before:
             self.delimiter = log.delimiter
         return Frame(frame.unit, response) if response else None

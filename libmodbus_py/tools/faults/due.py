@@ -147,10 +147,7 @@ class FaultyAnswers:
         faults = session.interceptor
         if isinstance(faults, Faults) and session.is_answered(request):
             fault = faults.due(request, has_transaction=self._has_transaction)
-        if fault is not None and fault.code is not None:
-            answer: Frame | None = session.refuse(request, fault.code)
-        else:
-            answer = session.answer(request)
+        answer = session.answer(request, 0 if fault is None else fault.code or 0)
         if answer is not None:
             session.statistics.refused += answer.pdu[0] >> 7
             self._delivery.send(fragments(fault, answer, session.framer))
