@@ -17,7 +17,7 @@ from ..protocol.logs import HarmlessLogger
 from .limits import ServerStatistics
 from .service import Channel, SessionState
 
-__all__ = ["AT_ONCE", "FOUND_AT_ONCE", "Echoes", "Framed"]
+__all__ = ["AT_ONCE", "FOUND_AT_ONCE", "Framed", "SessionSettings"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -27,40 +27,41 @@ AT_ONCE = 64
 FOUND_AT_ONCE = 4
 
 
-class Echoes:
+class SessionSettings:
     """
-    The local echoes of one endpoint: found ones are counted, and the first is logged.
+    What the sessions of one endpoint share, such as its framing and its counters.
 
     Args:
         endpoint: the endpoint, with the setting `echo`.
-        statistics: where connections with an echo are counted.
-
-    Attributes:
-        is_sent_later: True if answers wait for silence after `Channel.write`, as on a serial port:
-            then the channel calls `Framed.sent`.
+        statistics: the counters of requests.
+        at_once: the number of bytes searched for frames in one `receive`; of these frames,
+            `FOUND_AT_ONCE` are answered. None for no limit, where no other client waits.
     """
 
-    def __init__(self, endpoint: Endpoint, statistics: ServerStatistics) -> None:
-        self.is_sent_later: bool = endpoint.is_serial
-        self._endpoint = endpoint
+    def __init__(
+        self, endpoint: Endpoint, statistics: ServerStatistics, at_once: int | None = None
+    ) -> None:
+        self.endpoint = endpoint
         self.statistics = statistics
-        self._was_logged = False
+        self.at_once = at_once
+        self.framing: Framing = endpoint.framing
+        self._was_echo_logged = False
 
-    def new(self) -> Echo | None:
+    def new_echo(self) -> Echo | None:
         """Return the echo of a new connection, or None if there cannot be one."""
-        setting = self._endpoint.options.get("echo")
+        setting = self.endpoint.options.get("echo")
         # A frame with a transaction id cannot be an echo, and a datagram has no connection.
-        if self._endpoint.has_transactions or self._endpoint.is_datagram or setting is False:
+        if self.endpoint.has_transactions or self.endpoint.is_datagram or setting is False:
             return None
         return Echo(setting)
 
-    def note_found(self) -> None:
+    def note_echo(self) -> None:
         """Count a connection that was found to return what is sent; log the first one."""
         self.statistics.echoes += 1
-        if not self._was_logged:
-            self._was_logged = True
+        if not self._was_echo_logged:
+            self._was_echo_logged = True
             text = "%s: what is sent comes back (local echo), and is dropped; set echo=1 in the URL"
-            logger.warning(text, self._endpoint)
+            logger.warning(text, self.endpoint)
 
 
 class Framed(ABC):
@@ -68,41 +69,24 @@ class Framed(ABC):
     Finds the frames in what a channel receives, and writes the answers to it.
 
     Args:
-        framing: "tcp", "rtu", "ascii" or "udp".
+        settings: those of the endpoint.
         channel: channel of the client.
-        statistics: the counters of requests.
         is_ours: returns True if requests to a unit are answered here; others on the line may
             answer all other units.
-        at_once: the number of bytes searched for frames in one `receive`; of these frames,
-            `FOUND_AT_ONCE` are answered. None for no limit, where no other client waits.
-        is_datagram: True if what is received at once is all there will be of its frames.
-        pause: the seconds between two frames on a serial line, else 0.
-        echoes: the echoes of the endpoint; None if it has none.
     """
 
     def __init__(
-        self,
-        framing: Framing,
-        channel: Channel,
-        statistics: ServerStatistics,
-        is_ours: Callable[[int], bool],
-        at_once: int | None = None,
-        *,
-        is_datagram: bool = False,
-        pause: float = 0.0,
-        echoes: Echoes | None = None,
+        self, settings: SessionSettings, channel: Channel, is_ours: Callable[[int], bool]
     ) -> None:
-        self._framing: Framing = framing
-        self._echoes = echoes
-        self._echo = None if echoes is None else echoes.new()
-        self.framer = make_framer(framing, "server", pause)
+        self._settings = settings
+        self._echo = settings.new_echo()
+        self.framer = make_framer(settings.framing, "server", settings.endpoint.pause)
         if isinstance(self.framer, RtuFramer):
             self.framer.is_ours = is_ours
-        self._is_datagram = is_datagram
         self.channel = channel
         self.trace = channel.trace
-        self.statistics = statistics
-        self._at_once = at_once
+        self.statistics = settings.statistics
+        self._at_once = settings.at_once
         self._timer: asyncio.TimerHandle | None = None
         self._unsearched = b""
         self._is_quiet = False  # True if silence followed the unsearched bytes
@@ -211,7 +195,7 @@ class Framed(ABC):
             piece = self._unsearched[: self._at_once]
             self._unsearched = self._unsearched[len(piece) :]
             self._found = self.framer.scan(piece)
-            if self._is_datagram:
+            if self._settings.endpoint.is_datagram:
                 self._found += self.framer.scan_silence()
                 self._end_datagram()
         else:
@@ -258,14 +242,14 @@ class Framed(ABC):
         """Note that bytes of answers leave now, which may come back."""
         if (echo := self._echo) is not None:
             is_unknown = echo.is_there is None
-            echo.sent(data, is_telling=is_unknown and not _may_ask(self._framing, data))
+            echo.sent(data, is_telling=is_unknown and not _may_ask(self._settings.framing, data))
 
     def _without_echo(self, echo: Echo, data: bytes) -> bytes:
         was_there = echo.is_there
         data = echo.without(data)
-        if echo.is_there is not was_there and self._echoes is not None:
+        if echo.is_there is not was_there:
             if echo.is_there:
-                self._echoes.note_found()
+                self._settings.note_echo()
             else:
                 self._echo = None
         return data
@@ -277,7 +261,8 @@ class Framed(ABC):
 
     def write(self, data: bytes) -> None:
         self.channel.write(data)
-        if self._echoes is not None and not self._echoes.is_sent_later:
+        # A serial port sends it after silence, and then calls `sent`.
+        if self._echo is not None and not self._settings.endpoint.is_serial:
             self.sent(data)
 
     # --- answers ------------------------------------------------------------------------------

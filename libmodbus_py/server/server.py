@@ -18,9 +18,9 @@ from ..ports.endpoint import Endpoint
 from ..ports.trace import OnTraced
 from ..security.security import Security
 from .audit import Audit, OnAudited
-from .framed import AT_ONCE, Echoes
+from .framed import AT_ONCE, SessionSettings
 from .limits import Limits, ServerStatistics
-from .service import Channel, Later, MakeSession, Service, Session, explained
+from .service import Later, MakeSession, Service, explained
 from .serving import Running, Serving
 from .sessions import ByChunk, ByFrame, Singles
 from .units import SerialUnits, TcpUnits, Units, UnknownUnit
@@ -106,34 +106,19 @@ class Devices:
     def sessions(
         self, endpoint: Endpoint, statistics: ServerStatistics, later: Later | None = None
     ) -> MakeSession:
-        framing = endpoint.framing
-        at_once = None if later is None else AT_ONCE
-        echoes = Echoes(endpoint, statistics)
-
-        def by_frame(units: TcpUnits | SerialUnits, channel: Channel) -> Session:
-            return ByFrame(
-                units,
-                framing,
-                channel,
-                statistics,
-                at_once,
-                is_datagram=endpoint.is_datagram,
-                pause=endpoint.pause,
-                echoes=echoes,
-            )
-
+        settings = SessionSettings(endpoint, statistics, None if later is None else AT_ONCE)
         if not endpoint.has_transactions:
             line = SerialUnits(self._units)
             self._of_endpoints.append(line)
             if endpoint.is_serial:
-                return lambda channel: by_frame(line, channel)
-            return lambda channel: by_frame(line.of_connection(), channel)
+                return lambda channel: ByFrame(settings, line, channel)
+            return lambda channel: ByFrame(settings, line.of_connection(), channel)
         own = TcpUnits(self._units)
         self._of_endpoints.append(own)
         if later is None:
-            return lambda channel: by_frame(own, channel)
+            return lambda channel: ByFrame(settings, own, channel)
         singles = Singles(own, statistics, later)
-        return lambda channel: ByChunk(own, channel, statistics, singles)
+        return lambda channel: ByChunk(settings, own, channel, singles)
 
 
 def _running_loop() -> asyncio.AbstractEventLoop | None:

@@ -18,14 +18,13 @@ from ..protocol.framing import (
     UNIT,
     AsciiFramer,
     Frame,
-    Framing,
     Overheard,
     cut,
     is_one_frame,
     mbap,
     split,
 )
-from .framed import FOUND_AT_ONCE, Echoes, Framed
+from .framed import FOUND_AT_ONCE, Framed, SessionSettings
 from .limits import ServerStatistics
 from .service import Channel, Interception, Interceptor, Later, SessionState
 from .units import SerialUnits, TcpUnits
@@ -41,31 +40,13 @@ class ByFrame(Framed):
 
     Args:
         units: the devices.
-        framing, channel, statistics, at_once, is_datagram, pause, echoes: as for `Framed`.
+        settings, channel: as for `Framed`.
     """
 
     def __init__(
-        self,
-        units: TcpUnits | SerialUnits,
-        framing: Framing,
-        channel: Channel,
-        statistics: ServerStatistics,
-        at_once: int | None = None,
-        *,
-        is_datagram: bool = False,
-        pause: float = 0.0,
-        echoes: Echoes | None = None,
+        self, settings: SessionSettings, units: TcpUnits | SerialUnits, channel: Channel
     ) -> None:
-        super().__init__(
-            framing,
-            channel,
-            statistics,
-            units.has,
-            at_once,
-            is_datagram=is_datagram,
-            pause=pause,
-            echoes=echoes,
-        )
+        super().__init__(settings, channel, units.has)
         self._units = units
         self._interception: Interception | None = None  # None until a unit has one
         self._is_ascii = isinstance(self.framer, AsciiFramer)
@@ -129,14 +110,14 @@ class ByChunk(ByFrame):
     Requests that C leaves are answered one by one.
 
     Args:
-        units, channel, statistics: as for `ByFrame`.
+        settings, units, channel: as for `ByFrame`.
         singles: takes requests that come alone.
     """
 
     def __init__(
-        self, units: TcpUnits, channel: Channel, statistics: ServerStatistics, singles: Singles
+        self, settings: SessionSettings, units: TcpUnits, channel: Channel, singles: Singles
     ) -> None:
-        super().__init__(units, "tcp", channel, statistics)
+        super().__init__(settings, units, channel)
         self._in_c = units
         self._singles = singles
         self._pending = b""  # the beginning of a frame, or bytes that were not searched yet

@@ -15,8 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from libmodbus_py import Access, Device, Hook, IllegalDataAddress, Mapping, pdu
+from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.protocol.errors import FrameError
 from libmodbus_py.protocol.framing import Frame, cut, is_one_frame, split
+from libmodbus_py.server.framed import SessionSettings
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.service import SessionState
 from libmodbus_py.server.sessions import ByChunk, ByFrame, Singles
@@ -62,12 +64,13 @@ class End:
         self.calls: list[Callable[[], None]] = []
         units = TcpUnits(Units(devices, unknown))
         channel: Any = FakeChannel(self.write)
+        settings = SessionSettings(parse("tcp://10.0.0.1"), self.statistics)
         if kind == "chunk":
             # Here every turn has one connection, which may be alone.
             singles = Singles(units, self.statistics, self.calls.append)
-            self.session: Any = ByChunk(units, channel, self.statistics, singles)
+            self.session: Any = ByChunk(settings, units, channel, singles)
         else:
-            self.session = ByFrame(units, "tcp", channel, self.statistics)
+            self.session = ByFrame(settings, units, channel)
 
     def write(self, data: bytes) -> None:
         self.sent += data

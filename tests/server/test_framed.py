@@ -6,14 +6,15 @@ from __future__ import annotations
 
 import asyncio
 import struct
-from typing import Any, Literal
+from typing import Any
 
 import pytest
 
+from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.protocol.errors import FrameError
 from libmodbus_py.protocol.framing import Frame
 from libmodbus_py.security.describing import CertificateHolder
-from libmodbus_py.server.framed import Framed
+from libmodbus_py.server.framed import Framed, SessionSettings
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.service import SessionState
 from tests.simulation.network import Network
@@ -56,11 +57,13 @@ class Session(Framed):
     """Answers each request in the same way; None for not at all."""
 
     def __init__(
-        self, framing: Literal["tcp", "rtu"] = "tcp", *, answer: bytes | None = ANSWER, **keys: Any
+        self, scheme: str = "tcp", *, answer: bytes | None = ANSWER, at_once: int | None = None
     ) -> None:
-        self.channel, self.statistics = Channel(), ServerStatistics()
         self._pdu = answer
-        super().__init__(framing, self.channel, self.statistics, lambda unit: unit == 1, **keys)
+        endpoint = parse(f"{scheme}://10.0.0.1")
+        settings = SessionSettings(endpoint, ServerStatistics(), at_once)
+        self.channel: Channel
+        super().__init__(settings, Channel(), lambda unit: unit == 1)
 
     def answer(self, request: Frame) -> Frame | None:
         return None if self._pdu is None else request._replace(pdu=self._pdu)
@@ -160,14 +163,14 @@ class TestLine:
     """On a line frames end with silence, and a late request replaces the one before."""
 
     def test_only_the_last_of_several_requests_is_answered(self) -> None:
-        session = Session("rtu")
+        session = Session("rtu+tcp")
         asked = [rtu(f"01 03 000{at} 0001") for at in range(3)]
         assert session.receive(b"".join(asked)) == 3
         assert session.channel.written == [rtu("01 03 02 0007")]
         assert session.statistics.requests == 3
 
     def test_damage_is_counted_and_traced_without_a_unit(self) -> None:
-        session = Session("rtu")
+        session = Session("rtu+tcp")
         damaged = rtu("01 03 0000 0001")[:-1] + b"\x00"
         network = Network()
 

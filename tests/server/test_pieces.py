@@ -10,6 +10,8 @@ import socket
 import pytest
 
 from libmodbus_py import Device, Server, framing, pdu
+from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.server.framed import SessionSettings
 from libmodbus_py.server.limits import Limits, ServerStatistics
 from libmodbus_py.server.peers import Peers
 from libmodbus_py.server.sessions import ByChunk, Singles
@@ -34,12 +36,13 @@ def test_who_only_listens_any_more_gets_all_answers(device: Device) -> None:
         peers = Peers(Limits(), statistics)
         units = TcpUnits(Units(device))
         singles = Singles(units, statistics, peers.later)
+        settings = SessionSettings(parse("tcp://10.0.0.1"), statistics)
         end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
         end.setblocking(False)
         peers.admit(
             end,
             ("peer", 1),
-            lambda peer: ByChunk(units, peer, statistics, singles),
+            lambda peer: ByChunk(settings, units, peer, singles),
         )
         while statistics.requests < 80:  # it has seen the end of the requests
             await asyncio.sleep(0)

@@ -11,6 +11,8 @@ from contextlib import ExitStack
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.server.framed import SessionSettings
 from libmodbus_py.server.limits import Limits, ServerStatistics
 from libmodbus_py.server.peers import Peers
 from libmodbus_py.server.sessions import ByFrame
@@ -155,6 +157,7 @@ def test_ipv4_within_ipv6_is_the_same_address() -> None:
         statistics = ServerStatistics()
         peers = Peers(Limits(connections_per_address=1, when_full="refuse"), statistics)
         device = Units(Device(Mapping()))
+        settings = SessionSettings(parse("tcp://10.0.0.1"), statistics)
         with ExitStack() as stack:
             stack.callback(peers.close)
             for host in hosts:
@@ -163,7 +166,7 @@ def test_ipv4_within_ipv6_is_the_same_address() -> None:
                 peers.admit(
                     theirs,
                     (host, 1),
-                    lambda peer: ByFrame(TcpUnits(device), "tcp", peer, statistics),
+                    lambda peer: ByFrame(settings, TcpUnits(device), peer),
                 )
             return statistics.refused_address
 

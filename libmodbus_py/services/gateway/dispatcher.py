@@ -26,7 +26,7 @@ from ...protocol.errors import (
 from ...protocol.framing import Frame
 from ...protocol.logs import HarmlessLogger
 from ...security.describing import CertificateHolder
-from ...server.framed import AT_ONCE, Echoes, Framed
+from ...server.framed import AT_ONCE, Framed, SessionSettings
 from ...server.limits import ServerStatistics, host_of
 from ...server.service import Channel, Later, MakeSession
 from .line import Forwarded, GatewayLine
@@ -110,12 +110,8 @@ class Dispatcher:
     ) -> MakeSession:
         has_ids = endpoint.has_transactions
         at_once = None if has_ids or later is None else AT_ONCE
-        echoes = Echoes(endpoint, statistics)
-
-        def make(channel: Channel) -> ForwardingSession:
-            return ForwardingSession(self, endpoint, channel, statistics, at_once, echoes)
-
-        return make
+        settings = SessionSettings(endpoint, statistics, at_once)
+        return lambda channel: ForwardingSession(self, settings, channel)
 
     def has(self, unit: int) -> bool:
         """Return True if a unit is the gateway itself, or has a route."""
@@ -322,25 +318,10 @@ class ForwardingSession(Framed):
         asked: the unanswered requests, and what drops them: their lines, or their broadcasts.
     """
 
-    def __init__(
-        self,
-        dispatcher: Dispatcher,
-        endpoint: Endpoint,
-        channel: Channel,
-        statistics: ServerStatistics,
-        at_once: int | None,
-        echoes: Echoes | None = None,
-    ) -> None:
-        super().__init__(
-            endpoint.framing,
-            channel,
-            statistics,
-            dispatcher.has if endpoint.is_serial else dispatcher.refuses,
-            at_once,
-            is_datagram=endpoint.is_datagram,
-            pause=endpoint.pause,
-            echoes=echoes,
-        )
+    def __init__(self, dispatcher: Dispatcher, settings: SessionSettings, channel: Channel) -> None:
+        endpoint = settings.endpoint
+        is_ours = dispatcher.has if endpoint.is_serial else dispatcher.refuses
+        super().__init__(settings, channel, is_ours)
         self.peer: str = channel.address
         self.role: str | None = channel.role
         self.holder: CertificateHolder | None = channel.holder
@@ -383,7 +364,9 @@ class ForwardingSession(Framed):
         if response is not None:
             answer = Frame(forwarded.from_unit, response, forwarded.number)
             self._send(answer, self.framer.encode(answer))
-        if self._is_datagram and not self.asked:  # no other channel waits for that
+        if (
+            self._settings.endpoint.is_datagram and not self.asked
+        ):  # no other channel waits for that
             self.channel.follow()
 
     def end(self) -> None:

@@ -8,7 +8,9 @@ import asyncio
 
 import pytest
 
+from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
+from libmodbus_py.server.framed import SessionSettings
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.sessions import ByFrame
 from libmodbus_py.server.units import TcpUnits, Units
@@ -185,7 +187,8 @@ def test_a_session_that_is_closed_sends_nothing_more(stage: Stage) -> None:
     units.interceptor = Faults({None: [Fault("delay", seconds=10)]})
 
     async def ask() -> None:
-        session = ByFrame(TcpUnits(units), "tcp", FakeChannel(written.append), ServerStatistics())
+        settings = SessionSettings(parse("tcp://10.0.0.1"), ServerStatistics())
+        session = ByFrame(settings, TcpUnits(units), FakeChannel(written.append))
         session.receive(adu(READ))
         session.close()
         await asyncio.sleep(50)
