@@ -18,8 +18,9 @@ from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from typing import Generic, TypeVar
 
+from ..ports.listening import reason
+from ..protocol.errors import ModbusConnectionError
 from ..protocol.logs import HarmlessLogger
-from .service import explained
 
 __all__ = ["Background"]
 
@@ -138,9 +139,13 @@ class ServingThread(Generic[Running]):
 
     def _run(self) -> None:
         try:
-            with asyncio.Runner() as runner:
-                with explained("cannot serve"):
-                    runner.get_loop()  # the system may refuse this, before there is a coroutine
+            runner = asyncio.Runner()
+            try:
+                runner.get_loop()  # before there is a coroutine
+            except OSError as error:
+                text = f"cannot serve: {reason(error)}"
+                raise ModbusConnectionError(text, errno=error.errno) from error
+            with runner:
                 runner.run(self._serve())
         except asyncio.CancelledError:
             pass
