@@ -29,7 +29,7 @@ FOUND_AT_ONCE = 4
 
 class SessionSettings:
     """
-    What the sessions of one endpoint share, such as its framing and its counters.
+    The properties that the sessions of one endpoint share: framing, counters, limits, local echo.
 
     Args:
         endpoint: the endpoint, with the setting `echo`.
