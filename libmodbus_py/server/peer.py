@@ -104,7 +104,7 @@ class Turns(ABC):
         """Close all endpoints of the server, because a hook ends the program."""
 
     def stop(self) -> None:
-        """Have no more turns; may be called any number of times."""
+        """End the turns; may be called any number of times."""
         if self._next_turn is not None:
             self._next_turn.cancel()
         if not self._poller.closed:
