@@ -18,6 +18,7 @@ from ..binding.low_level import loaded_version
 from ..client.blocking import AsciiContext, Context, RtuContext, TcpContext
 from ..device.device import Device
 from ..device.mapping import Mapping
+from ..ports.endpoint import parse
 from ..protocol import pdu
 from ..protocol.errors import ExceptionResponse
 from ..protocol.values import parse_reference
@@ -106,7 +107,7 @@ def _devices() -> dict[int, Device]:
 def _tcp() -> Iterator[tuple[str, Context, Any]]:
     with ExitStack() as stack:
         running = stack.enter_context(Server(_devices()).background("tcp://127.0.0.1:0"))
-        wire = stack.enter_context(TcpWire(int(running.urls[0].rpartition(":")[2])))
+        wire = stack.enter_context(TcpWire(parse(running.urls[0]).port))
         context = stack.enter_context(TcpContext("127.0.0.1", wire.port, native=True))
         yield running.urls[0], context, wire
 

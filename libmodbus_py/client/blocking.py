@@ -4,7 +4,6 @@ The blocking client: a context for each kind of endpoint.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar, Unpack, overload
 
@@ -447,11 +446,12 @@ def _at(scheme: Any, host: str, port: int, usual: int) -> Endpoint:
     if isinstance(host, str) and (":" in host or "/" in host):
         if "/" in host:
             raise ValueError(f"host must be a name or an address, not {host!r}; Client takes URLs")
-        if found := re.fullmatch(r"\[([^\]]+)\](?::([0-9]{1,5}))?|([^:]+):([0-9]{1,5})", host):
-            text = found[2] or found[4]
-            if text is not None and port not in (usual, int(text)):
-                raise ValueError(f"host {host!r} contains another port than {port}")
-            host, port = found[1] or found[3], port if text is None else int(text)
+        from ..ports.hosts import split_host_and_port
+
+        plain, given = split_host_and_port(host)
+        if given is not None and port not in (usual, given):
+            raise ValueError(f"host {host!r} contains another port than {port}")
+        host, port = plain, port if given is None else given
     return _endpoint(scheme, host=host, port=port)
 
 

@@ -34,9 +34,11 @@ from typing import TYPE_CHECKING, Any
 
 from ..protocol.close_names import close_option
 from ..protocol.pauses import pause_between_frames
+from .hosts import host_and_port, split_host_and_port
 from .schemes import (
     ASCII_DEFAULTS,
     CLIENT_OPTIONS,
+    DEFAULT_PORT,
     OTHER_NAMES,
     SCHEMES,
     SERIAL_DEFAULTS,
@@ -146,8 +148,7 @@ class Endpoint:
     def _shown(self, options: dict[str, Any]) -> str:
         from urllib.parse import quote
 
-        host = f"[{self.host}]" if ":" in self.host else self.host
-        place = self.device if self.is_serial else f"{host}:{self.port}"
+        place = self.device if self.is_serial else host_and_port(self.host, self.port)
         query = "&".join(f"{name}={quote(_text(value))}" for name, value in options.items())
         return f"{self.scheme}://{place}{'?' if query else ''}{query}"
 
@@ -205,15 +206,18 @@ def url_of(text: str) -> str:
     place, mark, query = text.partition("?")
     if place.startswith(("/", "./", "../", "~/")):
         return f"rtu://{abspath(expanduser(place))}{mark}{query}"
-    if place.count(":") > 1 and not place.startswith("["):
-        place = f"[{place}]"
-    # A number alone is not a host, but a unit that stands where the URL should.
-    if not re.fullmatch(r"\[[^\]]+\](:[0-9]+)?|(?![0-9,-]+$)[^:/\[\]@\s]+(:[0-9]+)?", place):
+    try:
+        host, port = split_host_and_port(place)
+        # A number alone is not a host, but a unit that stands where the URL should.
+        if re.fullmatch("[0-9,-]+", place):
+            raise ValueError
+    except ValueError:
         shown = re.sub(PASSWORD, "***", text)
         raise ValueError(
             f"{shown!r}: must be a URL, such as tcp://192.0.2.10, a host or a path of a serial port"
-        )
-    return f"tcp://{place}{mark}{query}"
+        ) from None
+    at = host_and_port(host, DEFAULT_PORT if port is None else port)
+    return f"tcp://{at}{mark}{query}"
 
 
 def parse_to_listen(url: str) -> Endpoint:
@@ -233,15 +237,15 @@ def parse_to_listen(url: str) -> Endpoint:
 def _parse_network(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
     if parts.path not in ("", "/"):
         raise ValueError(f"{url!r}: nothing but options may follow the port")
-    if not parts.hostname:
+    if not parts.netloc:
         raise ValueError(f"{url!r}: a host is missing, as in {scheme}://127.0.0.1:502")
-    rules = TRANSPORTS[SCHEMES[scheme][1]]
     try:
-        port = rules.port if parts.port is None else parts.port
-    except ValueError:
-        raise ValueError(f"{url!r}: the port must be in 0..65535") from None
+        host, port = split_host_and_port(parts.netloc.lower())
+    except ValueError as error:
+        raise ValueError(f"{url!r}: {error}") from None
+    port = TRANSPORTS[SCHEMES[scheme][1]].port if port is None else port
     options, others = _options(url, parts.query, options_of(scheme))
-    return Endpoint(scheme, host=parts.hostname, port=port, options=options, client_options=others)
+    return Endpoint(scheme, host=host, port=port, options=options, client_options=others)
 
 
 def _parse_serial(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 from ..protocol.checks import integer
 from ..protocol.errors import MAX_RECEIVED, ModbusConnectionError
 from ..system import PROBES, TCP_QUICKACK
+from .hosts import host_and_port
 from .names import Resolve
 from .port import Port, Silence, lost
 from .waiting import WRITE, Ready, Steps, of_system
@@ -64,7 +65,7 @@ class SocketPort(Port):
         self.silence: Silence = Silence()
 
     def __str__(self) -> str:
-        return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
+        return host_and_port(self.host, self.port)
 
     def opening(self, deadline: float) -> Steps[None]:
         made = yield from self._connected(deadline)

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 from urllib.parse import urlsplit
 
+from ..ports.hosts import host_and_port
 from ..protocol.mistakes import WrongType, WrongValue
 
 __all__ = ["ServerUrl", "server_url", "url_without_login"]
@@ -33,7 +34,7 @@ class ServerUrl(NamedTuple):
     @property
     def place(self) -> str:
         """Host and port, equal for all spellings of the same host and port."""
-        return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
+        return host_and_port(self.host, self.port)
 
 
 def server_url(

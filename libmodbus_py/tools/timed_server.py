@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from typing import Any, Self, cast
 
+from ..ports.hosts import host_and_port
 from ..ports.listening import listen_on
 from ..ports.names import start_thread
 
@@ -60,8 +61,7 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
         self.addresses: list[str] = [each[0] for each in names]
         self.port: int = names[0][1]
         self.server_address = names[0]
-        shown = f"[{host}]" if ":" in host else host
-        self.place: str = f"http://{shown}:{self.port}"
+        self.place: str = f"http://{host_and_port(host, self.port)}"
 
     @contextlib.contextmanager
     def serving(self, name: str) -> Iterator[Self]:

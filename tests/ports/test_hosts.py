@@ -1,10 +1,20 @@
 """
-Which hosts are this machine.
+Hosts and ports as text, and which hosts are this machine.
 """
 
 from __future__ import annotations
 
-from libmodbus_py.ports.hosts import is_loopback, is_this_machine
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from libmodbus_py.ports.hosts import (
+    host_and_port,
+    host_of_peer,
+    is_loopback,
+    is_this_machine,
+    split_host_and_port,
+)
 from tests.support.cases import each_case
 
 LOOPBACK = ["localhost", "LOCALHOST", "ip6-localhost", "127.0.0.1", "127.255.0.9", "127.1"]
@@ -30,3 +40,52 @@ def test_other_machines_are_other_hosts(host: str) -> None:
 def test_all_addresses_are_this_machine_but_others_reach_them(host: str) -> None:
     assert is_this_machine(host)
     assert not is_loopback(host)
+
+
+# --- text --------------------------------------------------------------------------------------
+
+
+@each_case(
+    ("text", "host", "port"),
+    [
+        ("192.0.2.1", "192.0.2.1", None),
+        ("plc.example:1502", "plc.example", 1502),
+        ("[::1]:0", "::1", 0),
+        ("[fe80::1%eth0]", "fe80::1%eth0", None),
+        ("::1", "::1", None),
+        ("::1:502", "::1:502", None),
+        ("h:65535", "h", 65535),
+    ],
+)
+def test_a_text_has_a_host_and_may_have_a_port(text: str, host: str, port: int | None) -> None:
+    assert split_host_and_port(text) == (host, port)
+
+
+WRONG = ["", ":", ":502", "h:", "h:x", "h:65536", "h:-1", "[::1", "[::1]:", "[::1]x", "[]", "[]:1"]
+WRONG += ["a b", "me@h", "h/x", "[::1]:1:2", "[[::1]]", "h:502\n", "h:\u0665"]
+
+
+@each_case("text", WRONG)
+def test_other_texts_are_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=r"must be"):
+        split_host_and_port(text)
+
+
+HOSTS = st.one_of(
+    st.ip_addresses().map(str),
+    st.from_regex(r"[a-z0-9.-]{1,20}", fullmatch=True),
+    st.ip_addresses(v=6).map(lambda address: f"{address}%eth0"),
+)
+
+
+@given(HOSTS, st.integers(0, 65535))
+def test_what_is_formatted_is_parsed(host: str, port: int) -> None:
+    text = host_and_port(host, port)
+    assert split_host_and_port(text) == (host, port)
+    assert host_of_peer(text) == host
+
+
+def test_the_host_of_a_serial_port_is_the_port() -> None:
+    assert host_of_peer("/dev/serial/by-path/pci-0000:00:14.0") == (
+        "/dev/serial/by-path/pci-0000:00:14.0"
+    )

@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from ipaddress import ip_network
 
+from ...ports.hosts import host_and_port
 from ...ports.schemes import DEFAULT_PORT
 
 __all__ = ["AT_ONCE", "MOST_HOSTS", "HostRange", "host_range", "may_go_on"]
@@ -48,8 +49,7 @@ class HostRange:
                 tried = pool.map(lambda host: _accepts(host, self.port, timeout), self.hosts)
                 for host, is_there in zip(self.hosts, tried, strict=True):
                     if is_there:
-                        shown = f"[{host}]" if ":" in host else host
-                        yield f"tcp://{shown}:{self.port}"
+                        yield f"tcp://{host_and_port(host, self.port)}"
             finally:
                 pool.shutdown(wait=True, cancel_futures=True)
 

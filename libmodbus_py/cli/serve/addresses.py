@@ -8,7 +8,6 @@ import argparse
 import contextlib
 from collections.abc import Callable
 from typing import Any
-from urllib.parse import urlsplit
 
 __all__ = ["Address", "OneAddress", "address_like"]
 
@@ -19,10 +18,12 @@ def address_like(example: str) -> Callable[[str], Address]:
     """Return a function that reads an address; its error shows the example."""
 
     def read(text: str) -> Address:
+        from ...ports.hosts import split_host_and_port
+
         with contextlib.suppress(ValueError):
-            parts = urlsplit(f"//{text}")
-            if parts.netloc == text and parts.hostname and parts.port is not None:
-                return parts.hostname, parts.port
+            host, port = split_host_and_port(text)
+            if port is not None:
+                return host, port
         raise argparse.ArgumentTypeError(f"must be HOST:PORT, such as {example}, not {text!r}")
 
     return read

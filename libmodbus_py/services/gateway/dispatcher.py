@@ -14,7 +14,7 @@ from ...device.caller import Auditor, Caller, Executed
 from ...device.device import Device
 from ...device.rules import Allow
 from ...ports.endpoint import Endpoint
-from ...ports.hosts import is_loopback
+from ...ports.hosts import host_of_peer, is_loopback
 from ...protocol.errors import (
     ExceptionResponse,
     GatewayPathUnavailable,
@@ -326,7 +326,7 @@ class ForwardingSession(Framed):
         self.role: str | None = channel.role
         self.holder: CertificateHolder | None = channel.holder
         self.host: Hashable = host_of(channel.address)
-        self._peer_host = channel.address.rpartition(":")[0].strip("[]")
+        self._peer_host = host_of_peer(channel.address)
         self.has_ids: bool = endpoint.has_transactions
         self.is_line: bool = endpoint.is_serial
         self._dispatcher = dispatcher

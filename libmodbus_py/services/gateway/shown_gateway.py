@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from ...ports.hosts import host_of_peer
 from ...ports.trace import Traced
 from ...protocol.pdu.function_codes import REQUESTS
 from ...tools.page.log import Log, request_name
@@ -309,7 +310,7 @@ class ClientsTable:
         """Count a request or a response."""
         if traced.unit is None or traced.function is None:
             return
-        host = _host(traced.peer or "")
+        host = host_of_peer(traced.peer or "")
         key = host, traced.unit, traced.function & 0x7F
         found = self._asking.get(key)
         if traced.direction == "sent":
@@ -360,8 +361,3 @@ def _function(row: ClientCount) -> str:
     """Return the name of a function, such as "read holding registers"."""
     known = REQUESTS.get(row.function)
     return "" if known is None else request_name(known)
-
-
-def _host(peer: str) -> str:
-    """Return the host of "HOST:PORT", or the path of a serial port."""
-    return peer if peer.startswith("/") else peer.rpartition(":")[0].strip("[]")

@@ -15,7 +15,7 @@ from email.message import Message
 from ipaddress import ip_address
 from urllib.parse import parse_qs
 
-from ...ports.hosts import is_loopback
+from ...ports.hosts import is_loopback, split_host_and_port
 
 __all__ = ["PageGuard", "checked_token"]
 
@@ -63,13 +63,13 @@ class PageGuard:
         return ""
 
     def _is_own(self, host: str) -> bool:
-        name, _, port = host.rpartition(":") if not host.endswith("]") else (host, "", "")
-        if not name:
-            name, port = host, ""
-        if port != str(self._port) and not (port == "" and self._port == 80):
+        try:
+            name, port = split_host_and_port(host.lower())
+        except ValueError:
             return False
-        plain = name.lower().removeprefix("[").removesuffix("]")
-        return plain in self._names or (self._is_any and _is_address(plain))
+        if (80 if port is None else port) != self._port:
+            return False
+        return name in self._names or (self._is_any and _is_address(name))
 
     def _has_token(self, query: str, headers: Message) -> bool:
         given = [*_tokens(query), *self._kept(headers)]

@@ -96,7 +96,7 @@ WRONG: dict[str, tuple[str, int, str]] = {
     "own units": (f"own_units = [256]\n[[route]]\n{TO}", 1, "own_units[0] must be in 0..255"),
     "limits": (f'[limits]\nallow = ["x"]\n[[route]]\n{TO}', 2, "limits.allow: 'x'"),
     "limit": (f"[limits]\nspeed = 1\n[[route]]\n{TO}", 2, "limits.speed: no such key"),
-    "listen": (f'listen = ["tcp://:1"]\n[[route]]\n{TO}', 1, "listen[0]: 'tcp://:1': a host"),
+    "listen": (f'listen = ["tcp://:1"]\n[[route]]\n{TO}', 1, "listen[0]: 'tcp://:1': must be HOST"),
     "listen with options": (
         f'listen = ["tcp://127.0.0.1?timeout=1"]\n[[route]]\n{TO}',
         1,

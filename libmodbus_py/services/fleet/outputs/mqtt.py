@@ -130,7 +130,7 @@ class Mqtt:
         buffer: int = MOST_KEPT,
     ) -> None:
         self._server = server = url_without_login(url, SCHEMES, "mqtt://192.0.2.1:1883")
-        self.name: str = f"mqtt {server.host}:{server.port}"
+        self.name: str = f"mqtt {server.place}"
         self.buffer: int = buffer
         if password is not None and user is None:
             raise WrongValue("user", "must be given with a password")

@@ -4,6 +4,7 @@ Converts the parameters of modbus-connection to URLs of this package.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from typing import Any, TypeAlias
 from urllib.parse import urlsplit
@@ -16,6 +17,7 @@ from modbus_connection import (
 )
 
 from ....ports.endpoint import Endpoint, parse
+from ....ports.hosts import split_host_and_port
 from ....ports.schemes import Scheme
 
 __all__ = ["SUPPORTED_FRAMINGS", "Params", "url_of"]
@@ -91,12 +93,10 @@ def _serial(params: ModbusSerialParams) -> str:
 
 
 def _host_and_port(device: str) -> tuple[str, int]:
-    try:
-        parts = urlsplit(device)
-        if parts.hostname and parts.port:
-            return parts.hostname, parts.port
-    except ValueError:
-        pass
+    with contextlib.suppress(ValueError):
+        host, port = split_host_and_port(urlsplit(device).netloc)
+        if port:
+            return host, port
     raise ValueError(f"device must be a path or socket://HOST:PORT, not {device!r}")
 
 
