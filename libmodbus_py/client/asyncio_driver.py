@@ -18,7 +18,7 @@ from functools import partial
 from time import monotonic
 from typing import Any
 
-from ..ports.forking import abandoned_in_children
+from ..ports.port import abandoned_in_children
 from ..ports.waiting_async import Alarm, run_async
 from ..protocol.callbacks import finished, log_failure
 from ..protocol.errors import ModbusConnectionError

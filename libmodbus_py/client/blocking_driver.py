@@ -15,8 +15,7 @@ import weakref
 from typing import TYPE_CHECKING
 
 from ..binding.library import ffi, lib
-from ..ports.forking import abandoned_in_children
-from ..ports.port import lost
+from ..ports.port import abandoned_in_children, lost
 from ..ports.waiting import LONGEST, READ, WRITE, Woken, run
 from ..protocol.errors import ModbusConnectionError
 from .call import Batch, Call

@@ -9,8 +9,7 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 from ..ports.endpoint import Endpoint
-from ..ports.making import make_port
-from ..ports.port import Port
+from ..ports.port import Port, make_port
 from ..ports.schemes import SERIAL_OPTIONS
 from ..ports.trace import OnTraced, Trace
 from ..protocol.callbacks import checked_callback

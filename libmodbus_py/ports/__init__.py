@@ -1,22 +1,17 @@
 """
 Ports: TCP, TLS, UDP and serial, and how to wait for them.
 
-    endpoint       URLs of endpoints: transport, framing and options
-    schemes        the tables of schemes, transports and options of URLs; `TRANSPORTS` names the
-                   file of each transport, such as sockets, tls and serial
-    hosts          hosts that are this machine
-    making         the port of a client, made for its endpoint
-    port           the base class of ports; the silence of a line
-    names          host names, looked up in threads
-    waiting        steps that yield what they wait for; the blocking way to run them
-    waiting_async  the way to run steps in an event loop
-    sockets        TCP connections and UDP sockets
-    outage         a port or connection that is lost and comes back
-    listening      sockets that listen on all addresses of a host
-    tls            TLS connections: the handshake, and what it refuses
-    trace          every ADU that passes, for callbacks and the log
-    serial         serial ports, which libmodbus opens and configures; RS-485, echo, locks
-    serial_devices  the serial ports of this machine
-    forking        closes descriptors in forked children
-    read_only      serial ports that are only read, beside other users
+    endpoint        URLs of endpoints: transport, framing and options
+    schemes         the tables of schemes, transports and options of URLs; `TRANSPORTS` names the
+                    file of each transport, such as sockets, tls and serial
+    port            the base class of ports, their outages, and what forked children close
+    hosts           hosts: as text, looked up in threads, and sockets that listen on them
+    waiting         steps that yield what they wait for; the blocking way to run them
+    waiting_async   the way to run steps in an event loop
+    sockets         TCP connections and UDP sockets
+    tls             TLS connections: the handshake, and what it refuses
+    trace           every ADU that passes, for callbacks and the log
+    serial          serial ports, which libmodbus opens and configures; RS-485, echo, locks
+    serial_devices  the serial ports of this machine, and the programs that use them
+    read_only       serial ports that are only read, beside other users
 """

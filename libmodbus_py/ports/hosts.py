@@ -1,17 +1,27 @@
 """
-Hosts and ports as text, and hosts that are this machine.
+Hosts: with their ports as text, those that are this machine, look-ups of names, and sockets that
+listen on their addresses.
 """
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import os
 import re
 import socket
+import threading
+from collections.abc import Callable, Iterator
 from functools import lru_cache
+from typing import Any, NamedTuple
+
+from ..system import call_in_children
 
 # fmt: off
 __all__ = [
-    "EVERYWHERE", "host_and_port", "host_of_peer", "is_loopback", "is_this_machine",
-    "split_host_and_port",
+    "EVERYWHERE", "Make", "Question", "Resolve", "asked", "bind_all", "host_and_port",
+    "host_of_peer", "is_loopback", "is_this_machine", "listen_on", "numeric", "reason",
+    "split_host_and_port", "start_thread", "tcp_listener",
 ]
 # fmt: on
 
@@ -19,6 +29,16 @@ LOCALHOST = ("localhost", "ip6-localhost")
 
 EVERYWHERE = ("0.0.0.0", "::")
 """Hosts at which a server listens on all addresses of its machine."""
+
+
+# A family, host and port -> a socket bound to them.
+Make = Callable[[socket.AddressFamily, tuple[str, int]], socket.socket]
+
+# Connections that may wait in the system.
+BACKLOG = 4096
+
+# An address of a family that this machine does not have, such as ::1 without IPv6.
+NOT_HERE = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)
 
 
 # The second form is an IPv6 address without brackets, which no port can follow.
@@ -104,3 +124,188 @@ def is_this_machine(host: str) -> bool:
     except OSError:
         return False
     return True
+
+
+# --- look-ups --------------------------------------------------------------------------------
+
+# A look-up of a name ends only when the system gives up, after many seconds. So each name has a
+# thread, which all that ask for the name share: no name waits for another, and no event loop, whose
+# own threads would be busy for others, waits for one at its end.
+
+
+class Resolve(NamedTuple):
+    """Look up a name; yields the result of getaddrinfo, or raises its OSError or TimeoutError."""
+
+    host: str
+    port: int
+    kind: socket.SocketKind
+    deadline: float
+    flags: int = 0
+
+
+class Question:
+    """A name that is looked up, for all that ask for it meanwhile."""
+
+    def __init__(self, wanted: Resolve) -> None:
+        self._wanted = wanted
+        self._found: list[Any] | Exception | None = None
+        self.notes: list[Callable[[], object]] = []
+
+    def look_up(self) -> None:
+        """Set the result, and call all `notes`."""
+        host, port, kind, _, flags = self._wanted
+        try:
+            self._found = socket.getaddrinfo(host, port, type=kind, flags=flags)
+        except Exception as error:  # whatever it is, it ends the waits
+            self._found = error
+        with _lock:
+            _asked.pop(self._wanted, None)
+            notes, self.notes = self.notes, []
+        for note in notes:
+            with contextlib.suppress(Exception):  # a loop that was closed meanwhile
+                note()
+
+    def result(self) -> list[Any]:
+        """
+        Return the result of getaddrinfo.
+
+        Raises:
+            OSError: the name is not known, or cannot be looked up.
+        """
+        if isinstance(self._found, OSError):
+            # A new one for each caller, because a traceback belongs to one.
+            raise type(self._found)(*self._found.args) from self._found
+        if isinstance(self._found, Exception):
+            raise OSError(None, str(self._found)) from self._found
+        assert self._found is not None
+        return self._found
+
+
+@contextlib.contextmanager
+def asked(wanted: Resolve, note: Callable[[], object]) -> Iterator[Question]:
+    """
+    Look up a name while the ``with`` block runs; leaving it does not wait for the look-up.
+
+    Args:
+        note: called in another thread when the question has its result. It must not block.
+
+    Raises:
+        OSError: the system has no thread left.
+    """
+    key = wanted._replace(deadline=0.0)
+    with _lock:
+        question = _asked.get(key)
+        if question is None:
+            question = Question(key)
+            start_thread(threading.Thread(target=question.look_up, name="look-up", daemon=True))
+            _asked[key] = question
+        question.notes.append(note)
+    try:
+        yield question
+    finally:
+        with _lock, contextlib.suppress(ValueError):  # it was called
+            question.notes.remove(note)
+
+
+def numeric(wanted: Resolve) -> list[Any]:
+    """Return the result for a numeric address, which needs no look-up and no thread; else []."""
+    flags = wanted.flags | socket.AI_NUMERICHOST
+    try:
+        # As bytes, because for text Python would import its codec for international names.
+        return socket.getaddrinfo(wanted.host.encode(), wanted.port, type=wanted.kind, flags=flags)
+    except OSError as error:
+        if error.errno is None and error.strerror is None:
+            raise  # of a signal handler
+        return []
+    except UnicodeError:
+        return []
+
+
+def start_thread(thread: threading.Thread) -> None:
+    """
+    Start a thread.
+
+    Raises:
+        OSError: the system has no thread left.
+    """
+    try:
+        thread.start()
+    except RuntimeError as error:
+        raise OSError(errno.EAGAIN, str(error)) from error
+
+
+def _begin() -> None:
+    """In a forked child, too: the threads are its parent's, and one may have held the lock."""
+    global _lock, _asked
+    # Reentrant, because a signal handler may ask while its own thread does.
+    _lock = threading.RLock()
+    _asked = {}
+
+
+_lock: threading.RLock
+_asked: dict[Resolve, Question]
+_begin()
+call_in_children(_begin)
+
+
+# --- sockets that listen -----------------------------------------------------------------------
+
+
+def bind_all(found: list[Any], port: int, make: Make) -> list[socket.socket]:
+    """
+    Return a socket for each address that getaddrinfo found.
+
+    An address that this machine does not have is left out if there are others. For port 0 there is
+    one socket only, because a port that is free on one address may be taken on the next.
+
+    Raises:
+        OSError: an address cannot be bound; no socket is left open.
+    """
+    sockets: list[socket.socket] = []
+    missing: OSError | None = None
+    try:
+        for family, host in dict.fromkeys((each[0], str(each[4][0])) for each in found):
+            try:
+                sockets.append(make(family, (host, port)))
+            except OSError as error:
+                if error.errno not in NOT_HERE:
+                    raise
+                missing = error
+                continue
+            if not port:
+                break
+        if missing is not None and not sockets:
+            raise missing
+    except OSError:
+        for each in sockets:
+            each.close()
+        raise
+    return sockets
+
+
+def tcp_listener(family: socket.AddressFamily, address: tuple[str, int]) -> socket.socket:
+    """Return a socket that listens on an address; errors have the system's text alone."""
+    try:
+        return socket.create_server(address, family=family, backlog=BACKLOG)
+    except OSError as error:
+        raise OSError(error.errno, reason(error)) from error
+
+
+def listen_on(host: str, port: int) -> list[socket.socket]:
+    """
+    Return a TCP socket that listens on each address of a host.
+
+    Raises:
+        OSError: the host is unknown, or an address cannot be bound.
+    """
+    try:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    except UnicodeError as error:
+        raise OSError(errno.EINVAL, f"{host!r} cannot be the name of a host") from error
+    return bind_all(found, port, tcp_listener)
+
+
+def reason(error: OSError) -> str:
+    """Return the system's text for an error; numbers of getaddrinfo are negative."""
+    number = error.errno or 0
+    return os.strerror(number) if number > 0 else str(error.strerror or error)

@@ -1,17 +1,39 @@
 """
-A port: a descriptor that is opened and closed any number of times.
+The port of a client: how it is made, opened, lost and opened again, and left to a parent process.
 """
 
 from __future__ import annotations
 
+import contextlib
 import select
+import weakref
 from abc import ABC, abstractmethod
-from typing import Any
+from collections.abc import Callable
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Protocol
 
-from ..protocol.errors import ModbusConnectionError
+from ..protocol.errors import ModbusConnectionError, ModbusError
+from ..system import call_in_children
+from .schemes import TRANSPORTS
 from .waiting import Steps, Waker, of_system
 
-__all__ = ["Port", "Silence", "lost"]
+if TYPE_CHECKING:
+    import logging
+
+    from ..protocol.logs import HarmlessLogger
+    from ..security.given import GivenContext
+    from ..security.security import Security
+    from .endpoint import Endpoint
+
+# fmt: off
+__all__ = [
+    "REOPEN_AFTER", "Outage", "Port", "PortSettings", "Silence", "abandoned_in_children", "lost",
+    "make_port",
+]
+# fmt: on
+
+# Seconds between two attempts to open a port that is gone.
+REOPEN_AFTER = 1.0
 
 
 class Silence:
@@ -132,3 +154,100 @@ def lost(error: OSError) -> ModbusConnectionError:
     made = ModbusConnectionError(error.strerror or str(error), errno=error.errno)
     made.__cause__ = error
     return made
+
+
+class PortSettings(Protocol):
+    """
+    The options of a client that concern its port.
+
+    Attributes:
+        keepalive: seconds of silence after which TCP probes the connection; None for never.
+        security: the certificates, for TLS.
+    """
+
+    @property
+    def keepalive(self) -> float | None: ...
+    @property
+    def security(self) -> Security | GivenContext | None: ...
+
+
+def make_port(endpoint: Endpoint, settings: PortSettings) -> Port:
+    """
+    Return the port of a client, closed.
+
+    Raises:
+        TypeError, ValueError: a setting that this transport cannot have, or of the wrong range.
+    """
+    rules = TRANSPORTS[endpoint.transport]
+    if settings.security is not None and not rules.is_secure:
+        raise ValueError(f"security is for tls:// only, not for {endpoint.scheme}://")
+    module, _, name = rules.port_class.partition(".")
+    made: Port = getattr(import_module(f".{module}", __package__), name).of(endpoint, settings)
+    return made
+
+
+class Outage:
+    """
+    Logs once that a port or a connection is lost, and once that it is open again.
+
+    Args:
+        log: of the part that uses it.
+        name: of the port or the connection, for the log.
+
+    Attributes:
+        is_on: True while it is lost.
+    """
+
+    def __init__(self, log: logging.Logger | HarmlessLogger, name: object) -> None:
+        self.is_on: bool = False
+        self._log = log
+        self._name = name
+
+    def begin(self, error: ModbusError) -> None:
+        """Log that it is lost, or cannot be opened."""
+        if not self.is_on:
+            self.is_on = True
+            self._log.warning("%s: %s; trying again", self._name, error)
+
+    def end(self) -> None:
+        """Log that it is open again."""
+        if self.is_on:
+            self.is_on = False
+            self._log.warning("%s: open again", self._name)
+
+    def try_to_end(self, reopen: Callable[[], object]) -> bool:
+        """Open it again; return False if it is still gone. Call it every `REOPEN_AFTER` seconds."""
+        try:
+            reopen()
+        except ModbusConnectionError:
+            return False
+        self.end()
+        return True
+
+
+class Abandoned(Protocol):
+    """An object with descriptors, such as a server or the driver of a client."""
+
+    def abandon(self) -> None:
+        """Close the descriptors in a forked child, without an effect on loops, epolls or lines."""
+        ...
+
+
+# While a forked child has a copy of a descriptor, no peer sees the end of a connection that the
+# parent closes, and no port is free again.
+_abandoned: weakref.WeakSet[Abandoned] = weakref.WeakSet()
+
+
+def abandoned_in_children(owner: Abandoned) -> None:
+    """Call `abandon` of an object in every child that is forked while it exists."""
+    _abandoned.add(owner)
+
+
+def _abandon_all() -> None:
+    for owner in list(_abandoned):
+        # Not logged: another thread of the parent may have held the locks of the log.
+        with contextlib.suppress(Exception):
+            owner.abandon()
+
+
+call_in_children(_abandon_all)

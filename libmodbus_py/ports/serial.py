@@ -26,7 +26,7 @@ from .waiting import Steps, of_system
 
 if TYPE_CHECKING:
     from .endpoint import Endpoint
-    from .making import PortSettings
+    from .port import PortSettings
 
 __all__ = ["LineSettings", "SerialPort", "SerialSettings"]
 

@@ -18,14 +18,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 from ..protocol.checks import integer
 from ..protocol.errors import MAX_RECEIVED, ModbusConnectionError
 from ..system import PROBES, TCP_QUICKACK
-from .hosts import host_and_port
-from .names import Resolve
+from .hosts import Resolve, host_and_port
 from .port import Port, Silence, lost
 from .waiting import WRITE, Ready, Steps, of_system
 
 if TYPE_CHECKING:
     from .endpoint import Endpoint
-    from .making import PortSettings
+    from .port import PortSettings
 
 __all__ = ["SocketPort", "TcpPort", "UdpPort", "keep_alive"]
 

@@ -28,7 +28,7 @@ ClientSecurity = Security | GivenContext
 Given = TypeVar("Given", bound=ClientSecurity)
 
 if TYPE_CHECKING:
-    from .making import PortSettings
+    from .port import PortSettings
 
 __all__ = ["TlsPort", "named_security", "security_of"]
 

@@ -16,7 +16,7 @@ from collections.abc import Callable, Generator
 from typing import Any, NamedTuple, TypeVar
 
 from ..system import Flag
-from .names import Resolve, asked, numeric
+from .hosts import Resolve, asked, numeric
 
 # fmt: off
 __all__ = [

@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from .names import Resolve, asked, numeric
+from .hosts import Resolve, asked, numeric
 from .waiting import READ, Ready, Steps, of_system
 
 __all__ = ["Alarm", "look_up", "resolve", "run_async"]

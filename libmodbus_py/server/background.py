@@ -18,7 +18,7 @@ from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from typing import Generic, TypeVar
 
-from ..ports.listening import reason
+from ..ports.hosts import reason
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.logs import HarmlessLogger
 

@@ -11,7 +11,7 @@ import socket
 from collections.abc import Callable
 from select import POLLIN
 
-from ..ports.forking import abandoned_in_children
+from ..ports.port import abandoned_in_children
 from ..system import DescriptorPoller, make_poller, reserve_descriptors
 from .addresses import Address, Addresses, Idle, due
 from .audit import Audit

@@ -10,8 +10,7 @@ from collections import deque
 from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
-from ..ports.forking import abandoned_in_children
-from ..ports.outage import REOPEN_AFTER, Outage
+from ..ports.port import REOPEN_AFTER, Outage, abandoned_in_children
 from ..ports.serial import SerialPort
 from ..ports.trace import Trace
 from ..protocol.errors import ModbusConnectionError

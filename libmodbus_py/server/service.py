@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import Protocol
 
 from ..ports.endpoint import Endpoint
-from ..ports.listening import reason
+from ..ports.hosts import reason
 from ..ports.trace import Trace
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.framing import Frame, Framer

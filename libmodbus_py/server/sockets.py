@@ -16,8 +16,7 @@ from ipaddress import IPv6Address, ip_address
 from typing import Any
 
 from ..ports.endpoint import Endpoint
-from ..ports.listening import Make, bind_all, reason
-from ..ports.names import Resolve, numeric
+from ..ports.hosts import Make, Resolve, bind_all, numeric, reason
 from ..ports.waiting_async import look_up
 from ..protocol.errors import ModbusConnectionError
 from ..system import IP_PKTINFO

@@ -8,8 +8,8 @@ import asyncio
 import socket
 
 from ..ports.endpoint import Endpoint
-from ..ports.forking import abandoned_in_children
-from ..ports.listening import reason, tcp_listener
+from ..ports.hosts import reason, tcp_listener
+from ..ports.port import abandoned_in_children
 from ..protocol.logs import HarmlessLogger
 from ..security.security import Security
 from .peer import MakePeerSession

@@ -13,8 +13,8 @@ from collections import OrderedDict
 from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
-from ..ports.forking import abandoned_in_children
 from ..ports.hosts import is_loopback
+from ..ports.port import abandoned_in_children
 from ..ports.trace import Trace
 from ..protocol.framing import Framing, pdu_of
 from ..protocol.pdu import request_length

@@ -13,9 +13,7 @@ import time
 from collections.abc import Iterator
 from typing import Any, Self, cast
 
-from ..ports.hosts import host_and_port
-from ..ports.listening import listen_on
-from ..ports.names import start_thread
+from ..ports.hosts import host_and_port, listen_on, start_thread
 
 __all__ = ["TimedServer"]
 

@@ -16,7 +16,7 @@ import pytest
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.listen import listen
 from libmodbus_py.page import live_page
-from libmodbus_py.ports.listening import listen_on
+from libmodbus_py.ports.hosts import listen_on
 from tests.support.cases import each_case
 
 HERE = ["127.1.2.3", "127.1.2.4"]

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py.ports.names import Question, Resolve, asked
+from libmodbus_py.ports.hosts import Question, Resolve, asked
 from libmodbus_py.ports.waiting import Steps, Waker, run
 from libmodbus_py.ports.waiting_async import look_up, run_async
 from tests.support.peers import until

@@ -19,7 +19,7 @@ import pytest
 
 from libmodbus_py import ModbusConnectionError
 from libmodbus_py.client import blocking_driver
-from libmodbus_py.ports.names import Resolve
+from libmodbus_py.ports.hosts import Resolve
 from libmodbus_py.ports.sockets import TcpPort, UdpPort
 from libmodbus_py.ports.waiting import (
     READ,

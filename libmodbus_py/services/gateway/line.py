@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from ...client.asynchronous import AsyncClient, Submitted
 from ...client.reconnecting import State
 from ...ports.endpoint import Endpoint
-from ...ports.outage import Outage
+from ...ports.port import Outage
 from ...ports.waiting_async import Alarm
 from ...protocol.errors import (
     ExceptionResponse,

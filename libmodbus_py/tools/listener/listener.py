@@ -14,7 +14,7 @@ from functools import partial
 from typing import Self
 
 from ...ports.endpoint import Endpoint, parse_to_listen
-from ...ports.outage import REOPEN_AFTER, Outage
+from ...ports.port import REOPEN_AFTER, Outage
 from ...ports.waiting import READ, Ready, Steps, Waker, Woken, of_system, run
 from ...ports.waiting_async import run_async
 from ...protocol.close_names import named_parameters

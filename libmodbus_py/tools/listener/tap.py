@@ -16,8 +16,7 @@ from collections.abc import Callable
 from functools import partial
 
 from ...ports.endpoint import Endpoint
-from ...ports.listening import listen_on, reason
-from ...ports.names import start_thread
+from ...ports.hosts import listen_on, reason, start_thread
 from ...ports.waiting import Waker, Woken
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.logs import HarmlessLogger

@@ -11,7 +11,7 @@ import time
 from collections.abc import Hashable, Iterator, Mapping
 from typing import Any
 
-from ...ports.names import start_thread
+from ...ports.hosts import start_thread
 from ...protocol.json_text import COMPACT_JSON
 from ...protocol.logs import HarmlessLogger
 from ...system import Flag

@@ -13,7 +13,7 @@ from ...device.device import Device
 from ...device.kept_values import KeptValues
 from ...device.state_lines import UnitValues, parsed, read_text, text_of
 from ...device.writing_aside import remove_leftovers, write_aside
-from ...ports.forking import abandoned_in_children
+from ...ports.port import abandoned_in_children
 from ...system import lock_file
 from .simulated import SimulatedDevice
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import pytest
 
 from libmodbus_py import ModbusConnectionError
-from libmodbus_py.ports.outage import Outage
+from libmodbus_py.ports.port import Outage
 
 GONE = ModbusConnectionError("no such device", errno=19)
 
