@@ -5,16 +5,14 @@ A serial port that is only read: nothing is locked, and nothing is ever written.
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
 import termios
-from pathlib import Path
 from typing import Any
 
-from ..protocol.errors import ModbusConnectionError
 from ..protocol.logs import HarmlessLogger
 from ..system import set_odd_baudrate
 from .serial import SerialPort
+from .serial_devices import open_devices
 
 __all__ = ["ReadOnlySerialPort"]
 
@@ -33,36 +31,16 @@ class ReadOnlySerialPort(SerialPort):
     Use a separate port to listen without side effects.
     """
 
-    def open(self) -> None:
-        """
-        Open the port for reading, and apply the settings unless another program uses it.
+    _restored: list[Any] | None = None
 
-        Raises:
-            ModbusConnectionError: the port cannot be opened, with errno.
-        """
-        self._restored: list[Any] | None = None
-        flags = os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
-        try:
-            self._guards.extend(map(os.open, [self.device], [flags]))
-            self._set_up(self._guards[0])
-        except (OSError, termios.error) as error:
-            self.close()
-            number, text = error.args[:2]
-            if isinstance(error, termios.error) and number in (errno.ENOTTY, errno.EINVAL):
-                text = "not a serial port, or one that refuses these settings"
-            elif number == errno.EACCES:
-                text += "; is this user in the group dialout?"
-            raise ModbusConnectionError(
-                f"cannot open {self.device}: {text}", errno=number
-            ) from error
-        except BaseException:
-            self.close()
-            raise
+    def _take_port(self) -> None:
+        self._open_guard(os.O_RDONLY)
 
-    def _set_up(self, descriptor: int) -> None:
+    def _configure(self) -> None:
+        (descriptor,) = self._guards
         before = termios.tcgetattr(descriptor)
         self._process = os.getpid()
-        if (other := _other_user(descriptor)) is None:
+        if (other := _other_user(self.device, descriptor)) is None:
             self._restored = before
             self._set(descriptor)
             termios.tcflush(descriptor, termios.TCIFLUSH)
@@ -110,15 +88,10 @@ class ReadOnlySerialPort(SerialPort):
         self._release()
 
 
-def _other_user(descriptor: int) -> str | None:
-    """Return the name of another process that has the port open, as far as this user may know."""
-    number = os.fstat(descriptor).st_rdev
-    for link in Path("/proc").glob("[0-9]*/fd/*"):
-        process = link.parts[2]
-        if process == str(os.getpid()) and link.name == str(descriptor):
-            continue
-        with contextlib.suppress(OSError):
-            if os.readlink(link).startswith("/dev/") and os.stat(link).st_rdev == number:
-                name = Path("/proc", process, "comm").read_text().strip()
-                return "this program" if process == str(os.getpid()) else f"{name} ({process})"
+def _other_user(device: str, descriptor: int) -> str | None:
+    """Return another program that has the port open, as far as this user may know."""
+    path, own = os.path.realpath(device), os.getpid()
+    for user in open_devices()[0]:
+        if user.path == path and (user.process, user.descriptor) != (own, descriptor):
+            return "this program" if user.process == own else user.program()
     return None

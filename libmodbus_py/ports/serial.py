@@ -175,6 +175,8 @@ class SerialPort(Port):
             if isinstance(error, OSError):
                 of_system(error)
             number, reason = error.args[:2]
+            if isinstance(error, termios.error) and number == errno.EINVAL:
+                reason = "the port refuses these settings"
             raise ModbusConnectionError(
                 f"cannot open {self.device}: {reason}", errno=number
             ) from error
@@ -212,8 +214,21 @@ class SerialPort(Port):
 
     def _take_port(self) -> None:
         """Lock the port, because libmodbus would change the settings of another program."""
-        flags = os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
+        guard = self._open_guard(os.O_RDWR)
+        number = os.fstat(guard).st_rdev
+        try:
+            fcntl.flock(guard, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            itself = "this program itself; for_unit() gives another unit on the same line"
+            user = itself if number in _open_here else "another program"
+            raise OSError(errno.EBUSY, f"in use by {user}") from None
+        self._number = number
+        _open_here.add(number)
+
+    def _open_guard(self, mode: int) -> int:
+        """Return a descriptor of the port that the program waits for nothing to get."""
         self._release()
+        flags = mode | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
         try:
             # In one call, because a Ctrl-C after os.open would leave the port locked for ever.
             self._guards.extend(map(os.open, [self.device], [flags]))
@@ -222,29 +237,13 @@ class SerialPort(Port):
                 error.errno, f"{error.strerror}; is this user in the group dialout?"
             ) from None
         (guard,) = self._guards
-        self._number = os.fstat(guard).st_rdev
         try:
-            termios.tcgetattr(guard)  # before libmodbus touches a file that is not a port
-            fcntl.flock(guard, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except (OSError, termios.error) as error:
-            refusal = self._refusal(error)
-            self._number = 0
-            raise refusal from None
-        _open_here.add(self._number)
-
-    def _refusal(self, error: OSError | termios.error) -> OSError:
-        if isinstance(error, termios.error):
-            number, reason = error.args
-            is_other = number in (errno.ENOTTY, errno.EINVAL)
-            return OSError(number, "not a serial port" if is_other else reason)
-        if not isinstance(error, BlockingIOError):
-            return error
-        if self._number in _open_here:
-            return OSError(
-                errno.EBUSY,
-                "in use by this program itself; for_unit() gives another unit on the same line",
-            )
-        return OSError(errno.EBUSY, "in use by another program")
+            termios.tcgetattr(guard)  # before the settings of a file that is no port are changed
+        except termios.error as error:
+            if error.args[0] in (errno.ENOTTY, errno.EINVAL):
+                raise OSError(error.args[0], "not a serial port") from None
+            raise
+        return guard
 
     def _set_direction_control(self) -> None:
         if self.rs485 == "kernel":

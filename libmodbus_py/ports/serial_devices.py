@@ -1,15 +1,17 @@
 """
-The serial ports of this machine, and what the system knows of them.
+The serial ports of this machine, what the system knows of them, and the programs that use them.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
-__all__ = ["SerialDevice", "serial_devices"]
+__all__ = ["SerialDevice", "open_devices", "serial_devices"]
 
 # Ports that a kernel lists although no hardware stands behind them have this type (PORT_UNKNOWN).
 NO_HARDWARE = "0"
@@ -48,11 +50,12 @@ def serial_devices(root: str = "/") -> list[SerialDevice]:
         root: the folder with sys, dev and proc.
     """
     base = Path(root)
-    users, sees_all = _users(base)
+    opened, sees_all = open_devices(base)
+    users = {each.path: each for each in opened}
     stable = dict(_stable_names(base))
     found = []
     for place in sorted((base / "sys/class/tty").glob("*"), key=_in_order):
-        if not (place / "device").exists() or not _has_hardware(place):
+        if not (place / "device").exists() or _text(place / "type") == NO_HARDWARE:
             continue
         path = f"/dev/{place.name}"
         node = base / "dev" / place.name
@@ -62,7 +65,7 @@ def serial_devices(root: str = "/") -> list[SerialDevice]:
                 stable.get(place.name, ""),
                 _driver(place),
                 *_usb(place / "device"),
-                state=_state(node, users.get(path, ""), sees_all),
+                state=_state(node, users.get(path), sees_all),
             )
         )
     return found
@@ -80,10 +83,6 @@ def _stable_names(base: Path) -> Iterator[tuple[str, str]]:
             yield Path(os.readlink(link)).name, f"/dev/serial/by-id/{link.name}"
     except OSError:
         return
-
-
-def _has_hardware(place: Path) -> bool:
-    return _text(place / "type") != NO_HARDWARE
 
 
 def _driver(place: Path) -> str:
@@ -117,27 +116,47 @@ def _text(file: Path) -> str:
         return ""
 
 
-def _users(base: Path) -> tuple[dict[str, str], bool]:
-    """Return the program that has each port open, by path; and True if all programs were seen."""
-    found: dict[str, str] = {}
+class OpenDevice(NamedTuple):
+    """A file in /dev that a process has open with a descriptor."""
+
+    path: str
+    process: int
+    descriptor: int
+    base: Path
+
+    def program(self) -> str:
+        """Return the name of the program and its process, such as "minicom (77)"."""
+        name = _text(self.base / f"proc/{self.process}/comm")
+        return f"{name or 'a program'} ({self.process})"
+
+
+def open_devices(base: Path = Path("/")) -> tuple[list[OpenDevice], bool]:
+    """
+    Return the files in /dev that programs have open, and True if all programs were seen.
+
+    Args:
+        base: the folder with proc.
+    """
+    found: list[OpenDevice] = []
     sees_all = True
     for process in base.glob("proc/[0-9]*"):
         try:
-            links = [os.readlink(each) for each in (process / "fd").iterdir()]
+            links = list((process / "fd").iterdir())
         except PermissionError:
             sees_all = False
             continue
         except OSError:  # it has ended meanwhile
             continue
         for link in links:
-            if link.startswith("/dev/tty"):
-                found[link] = f"{_text(process / 'comm') or 'a program'} ({process.name})"
+            with contextlib.suppress(OSError):  # it was closed meanwhile
+                if (path := os.readlink(link)).startswith("/dev/"):
+                    found.append(OpenDevice(path, int(process.name), int(link.name), base))
     return found, sees_all
 
 
-def _state(node: Path, user: str, sees_all: bool) -> str:
-    if user:
-        return f"in use by {user}"
+def _state(node: Path, user: OpenDevice | None, sees_all: bool) -> str:
+    if user is not None:
+        return f"in use by {user.program()}"
     if not os.access(node, os.R_OK | os.W_OK):
         return "no permission" if node.exists() else "no device file"
     return "free" if sees_all else "not known"

@@ -258,7 +258,7 @@ class TestReadOnly:
             patch.setattr(termios, "tcsetattr", refuse)
             with pytest.raises(ModbusConnectionError) as caught:
                 made.open()
-        refused = "not a serial port, or one that refuses these settings"
+        refused = "the port refuses these settings"
         told = refused if number == errno.EINVAL else os.strerror(number)
         assert str(caught.value) == f"cannot open {wire.client}: {told}"
         assert caught.value.errno == number
