@@ -465,4 +465,4 @@ def _on_line(
     scheme: Literal["rtu", "ascii"], device: str, baudrate: int, options: RtuOptions
 ) -> tuple[Endpoint, Mapping[str, Any]]:
     settings, others = _split(options)
-    return _endpoint(scheme, device=device, options={"baudrate": baudrate, **settings}), others
+    return _endpoint(scheme, path=device, options={"baudrate": baudrate, **settings}), others

@@ -66,7 +66,7 @@ class Window:
     ) -> None:
         self.is_open: bool = not is_given and most > 1
         self.silent: set[tuple[int, int]] = set()
-        self._place: Hashable = endpoint.place
+        self._place: Hashable = endpoint.key
         self._name = str(endpoint)
         self._most = most
         self._now = 1 if self.is_open else most

@@ -48,6 +48,7 @@ from .schemes import (
     Transport,
     character_bits,
     options_of,
+    shape_of,
 )
 
 if TYPE_CHECKING:
@@ -68,8 +69,8 @@ class Endpoint:
 
     Attributes:
         scheme: one of `SCHEMES`.
-        host, port: the host and its port; empty and 0 for serial ports.
-        device: the path of the serial port; empty for networks.
+        host, port: the host and its port; empty and 0 if the endpoint is a path.
+        path: the path of a serial port; empty for networks.
         options: settings of the serial line, or files for TLS, converted but not checked.
         client_options: options of a client, converted but not checked.
     """
@@ -77,9 +78,9 @@ class Endpoint:
     scheme: Scheme
     host: str = ""
     port: int = 0
-    device: str = ""
-    options: dict[str, Any] = field(default_factory=dict)
-    client_options: dict[str, Any] = field(default_factory=dict)
+    path: str = ""
+    options: dict[str, Any] = field(default_factory=dict, hash=False)
+    client_options: dict[str, Any] = field(default_factory=dict, hash=False)
 
     @property
     def framing(self) -> Framing:
@@ -92,8 +93,13 @@ class Endpoint:
         return SCHEMES[self.scheme][1]
 
     @property
+    def has_path(self) -> bool:
+        """True if the endpoint is a path of this machine, not a host and a port."""
+        return TRANSPORTS[self.transport].has_path
+
+    @property
     def is_serial(self) -> bool:
-        """True for a serial port of this machine, False for a host and a port."""
+        """True for a serial port, that is, a line with settings and silences."""
         return TRANSPORTS[self.transport].is_serial
 
     @property
@@ -112,16 +118,22 @@ class Endpoint:
         return self.framing in ("tcp", "udp")
 
     @property
-    def place(self) -> tuple[str, str, int]:
-        """
-        The kind of port, its host or device, and its number, without any options.
+    def address(self) -> str:
+        """The path, or the host and its port as in "192.0.2.1:502"."""
+        return self.path if self.has_path else host_and_port(self.host, self.port)
 
-        Host names are not looked up, and symbolic links to devices not followed, so that the place
-        is the same on all machines.
+    @property
+    def key(self) -> tuple[str, str]:
         """
-        if self.is_serial:
-            return "serial", posixpath.normpath(self.device), 0
-        return "udp" if self.is_datagram else "tcp", _one_spelling(self.host), self.port
+        The kind of port and the address, equal for all endpoints at the same address.
+
+        Host names are not looked up, and symbolic links not followed, so that the key is the same
+        on all machines.
+        """
+        kind = "tcp" if self.is_secure else self.transport
+        if self.has_path:
+            return kind, posixpath.normpath(self.path)
+        return kind, host_and_port(_one_spelling(self.host), self.port)
 
     @property
     def serial_settings(self) -> dict[str, Any]:
@@ -148,13 +160,20 @@ class Endpoint:
     def _shown(self, options: dict[str, Any]) -> str:
         from urllib.parse import quote
 
-        place = self.device if self.is_serial else host_and_port(self.host, self.port)
+        address = _quoted(self.path) if self.has_path else self.address
         query = "&".join(f"{name}={quote(_text(value))}" for name, value in options.items())
-        return f"{self.scheme}://{place}{'?' if query else ''}{query}"
+        return f"{self.scheme}://{address}{'?' if query else ''}{query}"
 
 
 def _text(value: object) -> str:
     return "none" if value is None else str(value)
+
+
+def _quoted(path: str) -> str:
+    """Return a path as URLs contain it; bytes that are not UTF-8 are quoted, too."""
+    from urllib.parse import quote
+
+    return quote(path, safe="/:@+,=~", errors="surrogateescape")
 
 
 def _one_spelling(host: str) -> str:
@@ -190,7 +209,7 @@ def parse(url: str) -> Endpoint:
     if parts.fragment or parts.username is not None:
         raise ValueError(f"{url!r}: neither user nor fragment have a meaning here")
     scheme: Scheme = parts.scheme
-    read = _parse_serial if TRANSPORTS[SCHEMES[scheme][1]].is_serial else _parse_network
+    read = _parse_path if TRANSPORTS[SCHEMES[scheme][1]].has_path else _parse_network
     return read(url, scheme, parts)
 
 
@@ -205,7 +224,7 @@ def url_of(text: str) -> str:
         return text
     place, mark, query = text.partition("?")
     if place.startswith(("/", "./", "../", "~/")):
-        return f"rtu://{abspath(expanduser(place))}{mark}{query}"
+        return f"rtu://{_quoted(abspath(expanduser(place)))}{mark}{query}"
     try:
         host, port = split_host_and_port(place)
         # A number alone is not a host, but a unit that stands where the URL should.
@@ -248,14 +267,14 @@ def _parse_network(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
     return Endpoint(scheme, host=host, port=port, options=options, client_options=others)
 
 
-def _parse_serial(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
+def _parse_path(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
     from urllib.parse import unquote
 
-    device = unquote(parts.path)
-    if parts.netloc or not device.strip("/"):
-        raise ValueError(f"{url!r}: a device is missing, as in {scheme}:///dev/ttyUSB0")
+    path = unquote(parts.path, errors="surrogateescape")
+    if parts.netloc or not path.strip("/"):
+        raise ValueError(f"{url!r}: a path is missing, as in {shape_of(scheme)}")
     options, others = _options(url, parts.query, options_of(scheme))
-    return Endpoint(scheme, device=device, options=options, client_options=others)
+    return Endpoint(scheme, path=path, options=options, client_options=others)
 
 
 def _options(

@@ -149,7 +149,8 @@ class TransportRules(NamedTuple):
             imported when the first such port is made.
         options: of URLs, besides those of clients.
         port: the one that a URL means without a port; 0 if there are none.
-        is_serial: True if an endpoint is a device of this machine, not a host and a port.
+        example: an example of the path, if an endpoint is a path of this machine; else empty.
+        is_serial: True if an endpoint is a serial port, that is, a line.
         is_datagram: True if each ADU is a datagram, without a connection.
         is_secure: True if client and server show each other certificates.
     """
@@ -157,16 +158,24 @@ class TransportRules(NamedTuple):
     port_class: str
     options: Mapping[str, Option] = MappingProxyType({})
     port: int = DEFAULT_PORT
+    example: str = ""
     is_serial: bool = False
     is_datagram: bool = False
     is_secure: bool = False
+
+    @property
+    def has_path(self) -> bool:
+        """True if an endpoint is a path of this machine, not a host and a port."""
+        return bool(self.example)
 
 
 TRANSPORTS: dict[Transport, TransportRules] = {
     "tcp": TransportRules("sockets.TcpPort"),
     "udp": TransportRules("sockets.UdpPort", is_datagram=True),
     "tls": TransportRules("tls.TlsPort", SECURITY_OPTIONS, SECURE_PORT, is_secure=True),
-    "serial": TransportRules("serial.SerialPort", SERIAL_OPTIONS, 0, is_serial=True),
+    "serial": TransportRules(
+        "serial.SerialPort", SERIAL_OPTIONS, 0, "/dev/ttyUSB0", is_serial=True
+    ),
 }
 
 
@@ -185,8 +194,8 @@ def shape_of(scheme: Scheme) -> str:
     Schemes such as rtu+tcp are for serial device servers, which have no usual port.
     """
     rules = TRANSPORTS[SCHEMES[scheme][1]]
-    if rules.is_serial:
-        return f"{scheme}:///dev/ttyUSB0"
+    if rules.has_path:
+        return f"{scheme}://{rules.example}"
     return f"{scheme}://HOST:PORT" if "+" in scheme else f"{scheme}://HOST[:{rules.port}]"
 
 

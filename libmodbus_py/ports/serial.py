@@ -100,7 +100,7 @@ class SerialPort(Port):
     @classmethod
     def of(cls, endpoint: Endpoint, _settings: PortSettings) -> Self:
         """Return the port of a client for an endpoint."""
-        return cls(endpoint.device, **endpoint.serial_settings)
+        return cls(endpoint.path, **endpoint.serial_settings)
 
     def __init__(self, device: str, **settings: Unpack[SerialSettings]) -> None:
         if not isinstance(device, str):

@@ -52,10 +52,10 @@ class SerialServer:
         statistics: ServerStatistics,
         end: Callable[[], None] | None = None,
     ) -> None:
-        self._port = SerialPort(endpoint.device, **endpoint.serial_settings)
+        self._port = SerialPort(endpoint.path, **endpoint.serial_settings)
         self._endpoint = endpoint
         self._make_session = service.sessions(endpoint, statistics)
-        self.address: str = endpoint.device
+        self.address: str = endpoint.address
         self.role: str | None = None
         self.holder: CertificateHolder | None = None
         self.trace: Trace | None = None

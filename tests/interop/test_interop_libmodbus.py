@@ -295,7 +295,7 @@ def c_client_runs(compiled: Callable[[str], Path]) -> Callable[[str], tuple[str,
         if transport not in runs:
             device = make_device()
             with our_server(transport, {UNIT: device}) as place:
-                where = [place.end.port] if transport == "tcp" else [place.end.device, BAUDRATE]
+                where = [place.end.port] if transport == "tcp" else [place.end.path, BAUDRATE]
                 command = [compiled("client"), transport, *where, UNIT]
                 runs[transport] = (output_of(command), device)
         return runs[transport]

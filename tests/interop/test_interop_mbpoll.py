@@ -44,7 +44,7 @@ def mbpoll(
     if end.transport == "tcp":
         line, where = ["-m", "tcp", "-p", end.port], end.host
     else:
-        line, where = ["-m", "rtu", "-b", BAUDRATE, "-P", "even"], end.device
+        line, where = ["-m", "rtu", "-b", BAUDRATE, "-P", "even"], end.path
     command = ["mbpoll", *line, "-a", UNIT, "-0", "-1", "-o", 5, "-t", table, "-r", first]
     if count is not None:
         command += ["-c", count]

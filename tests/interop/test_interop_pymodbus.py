@@ -100,7 +100,7 @@ def pymodbus_client(transport: str, place: Place, timeout: float = TIMEOUT) -> I
     if transport.endswith("tcp"):
         client = ModbusTcpClient(place.end.host, port=place.end.port, **options)
     else:
-        client = ModbusSerialClient(place.end.device, **SERIAL_SETTINGS, **options)
+        client = ModbusSerialClient(place.end.path, **SERIAL_SETTINGS, **options)
     assert client.connect()
     try:
         yield client

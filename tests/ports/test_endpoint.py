@@ -8,6 +8,8 @@ import re
 from typing import Any
 
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.ports.schemes import CLIENT_OPTIONS, SCHEMES, SERIAL_OPTIONS
@@ -46,7 +48,7 @@ from tests.support.cases import each_case
             "rtu:///dev/ttyUSB0?baudrate=9600&parity=N&unit=7",
             Endpoint(
                 "rtu",
-                device="/dev/ttyUSB0",
+                path="/dev/ttyUSB0",
                 options={"baudrate": 9600, "parity": "N"},
                 client_options={"unit": 7},
             ),
@@ -151,8 +153,8 @@ ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
         ("tcp://", "a host is missing, as in tcp://127.0.0.1:502"),
         ("udp://h:65536", "the port must be in 0..65535"),
         ("udp://h:x", "must be HOST or HOST:PORT, not 'h:x'"),
-        ("rtu://ttyS0", "a device is missing, as in rtu:///dev/ttyUSB0"),
-        ("ascii:///", "a device is missing"),
+        ("rtu://ttyS0", "a path is missing, as in rtu:///dev/ttyUSB0"),
+        ("ascii:///", "a path is missing"),
         (
             "tls://h?anchor=x",
             "'anchor' must be one of cert, key, ca, crl, pin, server_name, password_env",
@@ -207,12 +209,49 @@ def test_no_error_shows_a_password(url: str) -> None:
     assert "secret" not in str(caught.value)
 
 
+# --- round trips -------------------------------------------------------------------------------
+
+ODD = ["#x", "?a=1", "%23", "a b", "ä", "\udcff", "a:b@c", "+", "//x", "a&b=c", "\n", "'\"[]"]
+
+
+@each_case("path", [f"/dev/tty{odd}" for odd in ODD])
+def test_a_path_comes_back_from_its_url(path: str) -> None:
+    endpoint = Endpoint("rtu", path=path, options={"baudrate": 9600}, client_options={"unit": 3})
+    assert parse(endpoint.url) == endpoint
+    assert parse(str(endpoint)).path == path
+    assert endpoint.url.isascii()
+    assert hash(parse(endpoint.url)) == hash(endpoint)
+
+
+@given(st.text(min_size=1), st.text())
+def test_any_path_and_any_option_come_back(path: str, option: str) -> None:
+    assume("/" not in path and "\0" not in path + option and path not in (".", ".."))
+    assume(not any("\ud800" <= each <= "\udfff" for each in path + option))
+    endpoint = Endpoint("rtu", path=f"/{path}", options={"rs485": option})
+    assert parse(endpoint.url) == endpoint
+
+
+def test_a_url_with_quoted_characters_stays_as_it_is() -> None:
+    assert str(parse("rtu:///dev/tty%23x")) == "rtu:///dev/tty%23x"
+    assert parse("rtu:///dev/tty%23x").path == "/dev/tty#x"
+
+
+def test_a_path_without_a_scheme_is_taken_as_it_is() -> None:
+    assert parse("/dev/tty#x").path == "/dev/tty#x"
+    assert parse("/dev/tty%23x?unit=7").path == "/dev/tty%23x"
+
+
+def test_endpoints_are_keys_of_dictionaries() -> None:
+    one, two = parse("rtu:///dev/ttyS0?unit=1"), parse("rtu:///dev/ttyS0?unit=2")
+    assert len({one: 1, two: 2, parse(one.url): 3}) == 2
+
+
 def test_a_url_is_text() -> None:
     with pytest.raises(TypeError, match="url must be a string, not int"):
         parse(502)  # type: ignore[arg-type]
 
 
-# --- places ------------------------------------------------------------------------------------
+# --- keys --------------------------------------------------------------------------------------
 
 SAME = [
     ("tcp://Plant.example", "rtu+tcp://plant.example:502?timeout=2"),
@@ -230,10 +269,10 @@ DIFFERENT = [
 
 
 @each_case(("one", "other"), SAME)
-def test_endpoints_at_one_place(one: str, other: str) -> None:
-    assert parse(one).place == parse(other).place
+def test_endpoints_at_one_address(one: str, other: str) -> None:
+    assert parse(one).key == parse(other).key
 
 
 @each_case(("one", "other"), DIFFERENT)
-def test_endpoints_at_two_places(one: str, other: str) -> None:
-    assert parse(one).place != parse(other).place
+def test_endpoints_at_two_addresses(one: str, other: str) -> None:
+    assert parse(one).key != parse(other).key

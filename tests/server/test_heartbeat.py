@@ -67,7 +67,7 @@ class Master:
     def __init__(self, stage: Stage, url: str) -> None:
         endpoint = parse(url)
         self._stage = stage
-        self._line = LineEnd(stage.line(endpoint.device)) if endpoint.is_serial else None
+        self._line = LineEnd(stage.line(endpoint.path)) if endpoint.is_serial else None
         self._talker: Talker | None = None if endpoint.is_serial else stage.talk(url, timeout=3)
 
     def ask(self, request: bytes, size: int) -> bytes:

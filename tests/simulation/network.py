@@ -265,7 +265,7 @@ class Network:
         )
 
     def _serial_port(self, endpoint: Endpoint, settings: Any) -> Port:
-        return self._serial(endpoint.device, **endpoint.serial_settings)
+        return self._serial(endpoint.path, **endpoint.serial_settings)
 
     def _serial(self, device: str, **settings: Any) -> MemorySerialPort:
         line = self.line(device)

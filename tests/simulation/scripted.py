@@ -52,7 +52,7 @@ class Scripted(Party):
         self._has_header = endpoint.framing == "tcp"
         if endpoint.transport == "serial":
             self.url: str = url
-            self._line = network.line(endpoint.device)
+            self._line = network.line(endpoint.path)
             self._line.join(self)
         else:
             self._is_secure = endpoint.is_secure

@@ -39,4 +39,4 @@ def announcing(allowed: list[str] | None) -> Callable[[Running], None]:
 
 def _is_open(endpoint: Endpoint) -> bool:
     """Return True if other machines can reach an endpoint that asks for no certificate."""
-    return not (endpoint.is_serial or endpoint.is_secure or is_loopback(endpoint.host))
+    return not (endpoint.has_path or endpoint.is_secure or is_loopback(endpoint.host))

@@ -230,9 +230,7 @@ def _endpoint(url: str) -> tuple[Endpoint, str]:
     # Invalid options of the client are refused now, not when the client is made.
     assembled(endpoint, CheckedOptions.of(endpoint, {}), 1)
     # Workers of other versions read the key, so that its form does not change.
-    _, where, port = endpoint.place
-    place = where if endpoint.is_serial else f"{where}:{port}"
-    return endpoint, f"{endpoint.transport}:{place}"
+    return endpoint, f"{endpoint.transport}:{endpoint.key[1]}"
 
 
 def by_connection(devices: Iterable[DeviceConfig]) -> dict[str, list[DeviceConfig]]:

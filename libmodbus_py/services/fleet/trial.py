@@ -87,7 +87,7 @@ def overloads(devices: Iterable[DeviceConfig]) -> list[Overload]:
 def _port(endpoint: Endpoint) -> SerialPort:
     from ...ports.serial import SerialPort  # which not every system has
 
-    return SerialPort(endpoint.device, **endpoint.serial_settings)
+    return SerialPort(endpoint.path, **endpoint.serial_settings)
 
 
 def _shares(device: DeviceConfig) -> list[tuple[float, tuple[DeviceConfig, list[str]]]]:

@@ -26,20 +26,20 @@ def check_line(name: Path, line: Endpoint, listening: Iterable[Endpoint]) -> Non
     Raises:
         ValueError: there is no such serial port, or the gateway itself listens on this endpoint.
     """
-    if line.is_serial and not os.path.exists(line.device):
-        raise WrongValue.about(name, f"there is no serial port {line.device}")
+    if line.is_serial and not os.path.exists(line.path):
+        raise WrongValue.about(name, f"there is no serial port {line.path}")
     for own in listening:
         if _is_same(line, own):
             raise WrongValue.about(name, f"the gateway itself listens on {own}")
 
 
 def _is_same(line: Endpoint, own: Endpoint) -> bool:
-    if line.place == own.place:
+    if line.key == own.key:
         return True
-    if line.is_serial and own.is_serial:
-        return os.path.realpath(line.device) == os.path.realpath(own.device)
-    if line.place[::2] != own.place[::2]:  # another transport or port
+    if line.key[0] != own.key[0] or line.port != own.port:
         return False
+    if line.has_path:
+        return os.path.realpath(line.path) == os.path.realpath(own.path)
     if own.host in EVERYWHERE:
         return is_this_machine(line.host)
     is_here = line.host in EVERYWHERE or is_loopback(line.host)

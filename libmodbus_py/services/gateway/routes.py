@@ -178,12 +178,12 @@ def check_routes(routes: Iterable[Route], name: str = "routes") -> None:
             or serial port with different options.
     """
     known: set[int] = set()
-    places: dict[tuple[str, str, int], tuple[int, str]] = {}
+    places: dict[tuple[str, str], tuple[int, str]] = {}
     for at, route in enumerate(routes):
         if not isinstance(route, Route):
             raise WrongType((name, at), f"must be a Route, not {type(route).__name__}")
         endpoint = route.endpoint
-        first, url = places.setdefault(endpoint.place, (at, endpoint.url))
+        first, url = places.setdefault(endpoint.key, (at, endpoint.url))
         if url != endpoint.url:
             reason = f"{name}[{first}] has other options for the same connection: {url}"
             raise WrongValue.about((name, at, "to"), reason)

@@ -72,7 +72,7 @@ class SerialSource:
     def __init__(self, endpoint: Endpoint, clock: Callable[[], float]) -> None:
         from ...ports.read_only import ReadOnlySerialPort  # which not every system has
 
-        self._port = ReadOnlySerialPort(endpoint.device, **endpoint.serial_settings)
+        self._port = ReadOnlySerialPort(endpoint.path, **endpoint.serial_settings)
         self._clock = clock
 
     @property

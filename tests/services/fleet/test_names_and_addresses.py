@@ -111,7 +111,7 @@ SAME = [
 
 @each_case(("one", "other"), SAME)
 def test_two_spellings_of_one_place(one: str, other: str) -> None:
-    assert parse(one).place == parse(other).place
+    assert parse(one).key == parse(other).key
     same = [meter("a", one), meter("b", other, unit=2)]
     assert same[0].connection_key == same[1].connection_key
     if "?" not in one:

@@ -174,7 +174,7 @@ def test_c_client_is_content_with_a_device_behind_it(
 ) -> None:
     with passage(front, SIDES[front]) as through:
         end = parse(through.url)
-        where = [end.port] if front == "tcp" else [end.device, BAUDRATE]
+        where = [end.port] if front == "tcp" else [end.path, BAUDRATE]
         command = [str(word) for word in (compiled("client"), front, *where, UNIT)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=50)
     said = done.stdout.splitlines()
@@ -192,7 +192,7 @@ def test_mbpoll_reads_and_writes_through_it(front: str) -> None:
         end = parse(through.url)
         where = ["-m", "tcp", "-p", end.port, end.host]
         if front == "rtu":
-            where = ["-m", "rtu", "-b", BAUDRATE, "-P", "even", end.device]
+            where = ["-m", "rtu", "-b", BAUDRATE, "-P", "even", end.path]
         words: list[Any] = ["mbpoll", "-a", UNIT, "-0", "-1", "-o", 5, "-t", 4]
         options: dict[str, Any] = {"capture_output": True, "text": True, "timeout": 20}
         options["stdin"] = subprocess.DEVNULL

@@ -89,7 +89,7 @@ def _serial(params: ModbusSerialParams) -> str:
         "parity": params.parity,
         "stop_bits": params.stopbits,
     }
-    return _checked("device", device, Endpoint(scheme, device=device, options=options))
+    return _checked("device", device, Endpoint(scheme, path=device, options=options))
 
 
 def _host_and_port(device: str) -> tuple[str, int]:
