@@ -13,6 +13,7 @@ import os
 import socket
 import struct
 import time
+from abc import abstractmethod
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from ..protocol.checks import integer
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from .endpoint import Endpoint
     from .port import PortSettings
 
-__all__ = ["SocketPort", "TcpPort", "UdpPort", "keep_alive"]
+__all__ = ["StreamPort", "TcpPort", "UdpPort", "keep_alive"]
 
 # Room for the answers to all requests usually in flight, and small enough for one turn.
 READ_SIZE = 16_384
@@ -40,31 +41,22 @@ MAX_EMPTY = 1 << 16
 
 class SocketPort(Port):
     """
-    A socket that is connected to one host and port.
+    A socket that is connected to one address.
 
     Args:
-        host: a name with all its addresses, an IPv4 or an IPv6 address.
-        port: 1..65535.
-
-    Raises:
-        TypeError, ValueError: an argument of the wrong type or range.
+        name: of the address, for errors.
     """
 
     kind: ClassVar[socket.SocketKind]
     _socket: socket.socket
     _connecting: socket.socket | None = None
 
-    def __init__(self, host: str, port: int) -> None:
-        if not isinstance(host, str):
-            raise TypeError(f"host must be a string, not {type(host).__name__}")
-        if not host.strip() or "\0" in host:
-            raise ValueError(f"host must be a name or an address, not {host!r}")
-        self.host = host
-        self.port: int = integer("port", port, 1, 65535)
+    def __init__(self, name: str) -> None:
         self.silence: Silence = Silence()
+        self._name = name
 
     def __str__(self) -> str:
-        return host_and_port(self.host, self.port)
+        return self._name
 
     def opening(self, deadline: float) -> Steps[None]:
         made = yield from self._connected(deadline)
@@ -117,17 +109,14 @@ class SocketPort(Port):
         reason = os.strerror(error.errno) if error.errno else error
         return ModbusConnectionError(f"cannot connect to {self}: {reason}", errno=error.errno)
 
+    @abstractmethod
     def _addresses(self, deadline: float) -> Steps[list[Any]]:
-        try:
-            found: list[Any] = yield Resolve(self.host, self.port, self.kind, deadline)
-        except OSError as error:
-            late = isinstance(error, TimeoutError)
-            reason = "it takes too long" if late else error.strerror or error
-            raise ModbusConnectionError(
-                f"cannot resolve host {self.host!r}: {reason}",
-                errno=errno.ETIMEDOUT if late else error.errno,
-            ) from error
-        return found
+        """
+        Return the addresses to try, as getaddrinfo returns them.
+
+        Raises:
+            ModbusConnectionError: there is none.
+        """
 
     def close(self) -> None:
         """Close the connection; a process that only inherited it leaves that of its parent open."""
@@ -184,40 +173,19 @@ def _is_own(made: socket.socket) -> bool:
         return False
 
 
-class TcpPort(SocketPort):
-    """
-    A TCP connection.
-
-    Args:
-        host, port: as for `SocketPort`.
-        keepalive: seconds of silence before the system probes the other side; None
-            for never.
-    """
+class StreamPort(SocketPort):
+    """A connection that carries a stream of bytes."""
 
     kind = socket.SOCK_STREAM
 
-    @classmethod
-    def of(cls, endpoint: Endpoint, settings: PortSettings) -> Self:
-        """Return the port of a client for an endpoint."""
-        return cls(endpoint.host, endpoint.port, settings.keepalive)
-
-    def __init__(self, host: str, port: int, keepalive: float | None) -> None:
-        super().__init__(host, port)
-        self._keepalive = keepalive
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
         self._unsent = bytearray()
 
     def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
-        yield from super()._preparing(made, deadline)
         self._unsent.clear()
         self.has_unsent: bool = False
-        made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        if self._keepalive is not None:
-            keep_alive(made, self._keepalive)
-
-    def detach(self) -> socket.socket:
-        """Return the socket of an open port, which from now on belongs to the caller."""
-        self.descriptor = -1
-        return self._socket
+        yield from ()
 
     def receive(self) -> list[bytes]:
         try:
@@ -229,17 +197,6 @@ class TcpPort(SocketPort):
         if not data:
             raise ModbusConnectionError("closed by the other side", errno=errno.ECONNRESET)
         return [data]
-
-    def acknowledge(self) -> None:
-        # A server that leaves Nagle's algorithm on, as libmodbus's own does, sends its next
-        # answer only when this one is acknowledged: after 40 ms, unless told to do it at once.
-        # The system forgets this setting, so it is made each time.
-        if TCP_QUICKACK is None:
-            return
-        try:
-            self._socket.setsockopt(socket.IPPROTO_TCP, TCP_QUICKACK, 1)
-        except OSError as error:
-            of_system(error)
 
     def send(self, adus: list[bytes], now: float) -> None:
         data = adus[0] if len(adus) == 1 else b"".join(adus)
@@ -260,10 +217,86 @@ class TcpPort(SocketPort):
         unsent = bytes(self._unsent)
         self._unsent.clear()
         self.has_unsent = False
-        TcpPort.send(self, [unsent], now)  # TLS has encrypted it
+        StreamPort.send(self, [unsent], now)  # TLS has encrypted it
 
 
-class UdpPort(SocketPort):
+class HostPort(SocketPort):
+    """
+    A socket that is connected to one host and port.
+
+    Args:
+        host: a name with all its addresses, an IPv4 or an IPv6 address.
+        port: 1..65535.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        if not isinstance(host, str):
+            raise TypeError(f"host must be a string, not {type(host).__name__}")
+        if not host.strip() or "\0" in host:
+            raise ValueError(f"host must be a name or an address, not {host!r}")
+        self.host = host
+        self.port: int = integer("port", port, 1, 65535)
+        super().__init__(host_and_port(host, port))
+
+    def _addresses(self, deadline: float) -> Steps[list[Any]]:
+        try:
+            found: list[Any] = yield Resolve(self.host, self.port, self.kind, deadline)
+        except OSError as error:
+            late = isinstance(error, TimeoutError)
+            reason = "it takes too long" if late else error.strerror or error
+            raise ModbusConnectionError(
+                f"cannot resolve host {self.host!r}: {reason}",
+                errno=errno.ETIMEDOUT if late else error.errno,
+            ) from error
+        return found
+
+
+class TcpPort(HostPort, StreamPort):
+    """
+    A TCP connection.
+
+    Args:
+        host, port: as for `HostPort`.
+        keepalive: seconds of silence before the system probes the other side; None
+            for never.
+    """
+
+    @classmethod
+    def of(cls, endpoint: Endpoint, settings: PortSettings) -> Self:
+        """Return the port of a client for an endpoint."""
+        return cls(endpoint.host, endpoint.port, settings.keepalive)
+
+    def __init__(self, host: str, port: int, keepalive: float | None) -> None:
+        super().__init__(host, port)
+        self._keepalive = keepalive
+
+    def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
+        yield from super()._preparing(made, deadline)
+        made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if self._keepalive is not None:
+            keep_alive(made, self._keepalive)
+
+    def detach(self) -> socket.socket:
+        """Return the socket of an open port, which from now on belongs to the caller."""
+        self.descriptor = -1
+        return self._socket
+
+    def acknowledge(self) -> None:
+        # A server that leaves Nagle's algorithm on, as libmodbus's own does, sends its next
+        # answer only when this one is acknowledged: after 40 ms, unless told to do it at once.
+        # The system forgets this setting, so it is made each time.
+        if TCP_QUICKACK is None:
+            return
+        try:
+            self._socket.setsockopt(socket.IPPROTO_TCP, TCP_QUICKACK, 1)
+        except OSError as error:
+            of_system(error)
+
+
+class UdpPort(HostPort):
     """
     A UDP socket that receives from one host only; one ADU in each datagram.
 
