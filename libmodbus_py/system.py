@@ -31,6 +31,7 @@ __all__ = [
     "lock_file",
     "make_poller",
     "most_descriptors",
+    "peer_credentials",
     "reserve_descriptors",
     "set_odd_baudrate",
 ]
@@ -207,6 +208,21 @@ def boot_time() -> float:
     if hasattr(time, "CLOCK_BOOTTIME"):
         return time.clock_gettime(time.CLOCK_BOOTTIME)
     return time.monotonic()
+
+
+def peer_credentials(made: socket.socket) -> tuple[int, int] | None:
+    """
+    Return the process and the user at the other end of a connected Unix socket.
+
+    Both are those at the time of the connection; the process is 0 if it is in a container whose
+    processes have other numbers. None on a system that does not report them like Linux.
+    """
+    if not hasattr(socket, "SO_PEERCRED"):
+        return None
+    size = struct.calcsize("3i")
+    found = made.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
+    process, user, _ = struct.unpack("3i", found)
+    return process, user
 
 
 def lock_file(descriptor: int) -> None:

@@ -25,7 +25,6 @@ from ..protocol.json_text import json_text
 from ..protocol.logs import HarmlessLogger
 from ..protocol.shown_time import time_text
 from ..security.describing import CertificateHolder
-from .limits import peer_name
 
 __all__ = ["Audit", "AuditEvent", "AuditFile", "OnAudited", "audit_of"]
 
@@ -50,7 +49,8 @@ class AuditEvent:
         event: "write", a request that changes a device, executed or not; "refused", any other
             request that `authorize` does not allow; "handshake", a TLS handshake that failed;
             "disallowed", a connection from a network that is not served.
-        peer: the client: "192.0.2.7:51234", "[2001:db8::7]:51234", or the serial port.
+        peer: the client: "192.0.2.7:51234", "[2001:db8::7]:51234", the serial port,
+            or the path of a Unix socket with the client's user and process.
         result: "ok"; "sent" for a broadcast; "no answer"; the exception; or why a connection was
             refused.
         unit, function: those of the request; None without a request.
@@ -143,7 +143,7 @@ class Audit:
         """Record a TLS handshake that failed."""
         self._tell("handshake", peer, reason, holder)
 
-    def note_disallowed(self, host: str, port: int) -> None:
+    def note_disallowed(self, host: str, peer: str) -> None:
         """Record a connection or datagram from a network that is not served, once a minute."""
         now = time.monotonic()
         if now < self._disallowed.get(host, -QUIET) + QUIET:
@@ -152,7 +152,7 @@ class Audit:
         if len(self._disallowed) >= HOSTS_REMEMBERED:
             del self._disallowed[next(iter(self._disallowed))]
         self._disallowed[host] = now
-        self._tell("disallowed", peer_name(host, port), "not in an allowed network", None)
+        self._tell("disallowed", peer, "not in an allowed network", None)
 
     def _tell(
         self, event: str, peer: str, result: str, holder: CertificateHolder | None, **more: Any

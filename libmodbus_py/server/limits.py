@@ -10,6 +10,7 @@ from functools import lru_cache
 from ipaddress import IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
 from typing import Literal
 
+from ..ports.hosts import host_of_peer
 from ..protocol.checks import integer, number, seconds
 from ..protocol.close_names import named_arguments
 from ..protocol.mistakes import WrongType, WrongValue
@@ -22,7 +23,6 @@ __all__ = [
     "ServerStatistics",
     "counted_host",
     "host_of",
-    "peer_name",
     "plain_host",
 ]
 
@@ -111,8 +111,8 @@ class Limits:
             number("requests_per_second", self.requests_per_second, 0.001, 1_000_000)
 
     def allows(self, host: str) -> bool:
-        """Return True if clients with this address are served."""
-        if not self._networks:
+        """Return True if clients with this address are served; paths are in no network."""
+        if not self._networks or host.startswith("/"):
             return True
         address = ip_address(plain_host(host).partition("%")[0])
         return any(address in network for network in self._networks)
@@ -156,15 +156,8 @@ def counted_host(host: str) -> str:
 
 
 def host_of(address: str) -> str:
-    """Return what a client counts for; `address`: its `peer_name`, or the path of a serial port."""
-    if address.startswith("/"):
-        return address
-    return counted_host(address.rpartition(":")[0].strip("[]"))
-
-
-def peer_name(host: str, port: int) -> str:
-    """Return what a client is called: "192.0.2.7:51234" or "[2001:db8::7]:51234"."""
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+    """Return what a client counts for; `address`: as in `Channel`."""
+    return counted_host(host_of_peer(address))
 
 
 def _networks(allow: Iterable[str]) -> tuple[IPv4Network | IPv6Network, ...]:

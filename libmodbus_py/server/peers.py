@@ -15,7 +15,7 @@ from ..ports.port import abandoned_in_children
 from ..system import DescriptorPoller, make_poller, reserve_descriptors
 from .addresses import Address, Addresses, Idle, due
 from .audit import Audit
-from .limits import SPARE_DESCRIPTORS, Limits, ServerStatistics, peer_name
+from .limits import SPARE_DESCRIPTORS, Limits, ServerStatistics
 from .peer import MakePeerSession, Peer, Turns
 from .service import SessionState
 
@@ -64,13 +64,18 @@ class Peers(Turns):
     def end(self) -> None:
         self._end()
 
-    def admit(self, client: socket.socket, address: tuple[str, int], make: MakePeerSession) -> None:
-        """Take charge of a new connection, or close it."""
-        host, port = address[:2]
+    def admit(self, client: socket.socket, host: str, name: str, make: MakePeerSession) -> None:
+        """
+        Take charge of a new connection, or close it.
+
+        Args:
+            host: what the limits of one address apply to.
+            name: of the client, as `Channel.address`.
+        """
         if not self.limits.allows(host):
             self.statistics.disallowed += 1
             if self.auditor is not None:
-                self.auditor.note_disallowed(host, port)
+                self.auditor.note_disallowed(host, name)
             client.close()
             return
         shared = self._addresses.get(host)
@@ -81,7 +86,7 @@ class Peers(Turns):
             self.statistics.refused_full += 1
             client.close()
         else:
-            self._add(client, peer_name(host, port), shared, make)
+            self._add(client, name, shared, make)
 
     def close(self) -> None:
         """Close all connections; may be called any number of times."""

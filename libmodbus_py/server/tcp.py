@@ -6,10 +6,12 @@ from __future__ import annotations
 
 import asyncio
 import socket
+from typing import Protocol
 
 from ..ports.endpoint import Endpoint
-from ..ports.hosts import reason, tcp_listener
+from ..ports.hosts import host_and_port, reason, tcp_listener
 from ..ports.port import abandoned_in_children
+from ..protocol.errors import ModbusConnectionError
 from ..protocol.logs import HarmlessLogger
 from ..security.security import Security
 from .peer import MakePeerSession
@@ -29,21 +31,44 @@ ACCEPTED_AT_ONCE = 16
 RETRY_AFTER = 0.1
 
 
+class StreamListener(Protocol):
+    """Listens at an address that is no host, such as a path."""
+
+    def open(self) -> socket.socket:
+        """Return a socket that listens. Raises OSError."""
+        ...
+
+    def name(self, client: socket.socket) -> tuple[str, str]:
+        """Return what the limits of one address apply to, and the name of a client."""
+        ...
+
+    def close(self) -> None:
+        """Remove what `open` made besides the socket."""
+        ...
+
+
 class TcpServer:
     """
-    Listens on all addresses of a host.
+    Listens on all addresses of a host, or at another address, for connections.
 
     Args:
         service: the service that answers.
         security: for TLS; else None.
+        listener: listens in place of the host of the endpoint; else None.
 
     Raises:
         ModbusConnectionError: an address cannot be bound, with errno.
     """
 
     def __init__(
-        self, endpoint: Endpoint, service: Service, peers: Peers, security: Security | None = None
+        self,
+        endpoint: Endpoint,
+        service: Service,
+        peers: Peers,
+        security: Security | None = None,
+        listener: StreamListener | None = None,
     ) -> None:
+        self._listener = listener
         self._service = service
         self._peers = peers
         self._loop = asyncio.get_running_loop()
@@ -60,7 +85,16 @@ class TcpServer:
 
     async def open(self) -> Endpoint:
         """Open the sockets, and return the endpoint with its port."""
-        self._listeners, endpoint = await bound(self._endpoint, socket.SOCK_STREAM, tcp_listener)
+        endpoint = self._endpoint
+        if self._listener is None:
+            self._listeners, endpoint = await bound(endpoint, socket.SOCK_STREAM, tcp_listener)
+        else:
+            try:
+                self._listeners = [self._listener.open()]
+            except OSError as error:
+                raise ModbusConnectionError(
+                    f"cannot listen on {endpoint}: {error.strerror or error}", errno=error.errno
+                ) from error
         make = self._service.sessions(endpoint, self._peers.statistics, self._peers.later)
         self._make_session = make if self._handshakes is None else _within(self._handshakes, make)
         for listener in self._listeners:
@@ -86,6 +120,8 @@ class TcpServer:
         for listener in self._listeners:
             self._loop.remove_reader(listener.fileno())
             listener.close()
+        if self._listeners and self._listener is not None:
+            self._listener.close()
         self._listeners.clear()
         if self._handshakes is not None:
             self._handshakes.close()
@@ -106,7 +142,14 @@ class TcpServer:
                 return
             self._is_short = False
             client.setblocking(False)
-            self._peers.admit(client, address, self._make_session)
+            host, name = self._name(client, address)
+            self._peers.admit(client, host, name, self._make_session)
+
+    def _name(self, client: socket.socket, address: tuple[str, int]) -> tuple[str, str]:
+        """Return the host of a client, and its name."""
+        if self._listener is not None:
+            return self._listener.name(client)
+        return address[0], host_and_port(*address[:2])
 
     def _pause(self, listener: socket.socket, error: OSError) -> None:
         """Stop accepting for a while, because connections not accepted keep waking the loop."""

@@ -13,7 +13,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
-from ..ports.hosts import is_loopback
+from ..ports.hosts import host_and_port, is_loopback
 from ..ports.port import abandoned_in_children
 from ..ports.trace import Trace
 from ..protocol.framing import Framing, pdu_of
@@ -21,7 +21,7 @@ from ..protocol.pdu import request_length
 from ..security.describing import CertificateHolder
 from .addresses import Address, Addresses, Paused
 from .audit import Audit
-from .limits import Allowance, Limits, ServerStatistics, peer_name
+from .limits import Allowance, Limits, ServerStatistics
 from .service import ENDS, Service, Session, SessionState
 from .sockets import bound, bound_datagrams
 
@@ -139,7 +139,7 @@ class _Datagram:
         local: socket.socket,
         source: tuple[str, int],
     ) -> None:
-        self.address = peer_name(*source[:2])
+        self.address = host_and_port(*source[:2])
         self.session: Session | None = None
         self._sources = sources
         self._framing: Framing = framing
@@ -181,11 +181,11 @@ class Sources:
 
     def admit(self, datagram: bytes, source: tuple[str, int]) -> bool:
         """Return True if a datagram is to be answered; count it if not."""
-        host, port = source[:2]
+        host = source[0]
         if not self._limits.allows(host):
             self._statistics.disallowed += 1
             if self._auditor is not None:
-                self._auditor.note_disallowed(host, port)
+                self._auditor.note_disallowed(host, host_and_port(*source[:2]))
         elif self._returns_too_often(datagram, source):
             self._statistics.reflected += 1
         elif self._is_too_fast(host):

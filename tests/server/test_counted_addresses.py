@@ -8,11 +8,12 @@ import asyncio
 
 import pytest
 
+from libmodbus_py.ports.hosts import host_and_port
 from libmodbus_py.ports.trace import Trace
 from libmodbus_py.security.describing import CertificateHolder
 from libmodbus_py.server import tls
 from libmodbus_py.server.addresses import Addresses, Paused
-from libmodbus_py.server.limits import Limits, ServerStatistics, counted_host, host_of, peer_name
+from libmodbus_py.server.limits import Limits, ServerStatistics, counted_host, host_of
 from libmodbus_py.server.service import Session
 from libmodbus_py.server.tls import Handshakes, TlsSession
 from tests.support.cases import each_case
@@ -35,7 +36,7 @@ from tests.support.certificates import Papers
 )
 def test_an_ipv6_address_counts_as_its_64(host: str, counted: str) -> None:
     assert counted_host(host) == counted
-    assert host_of(peer_name(host, 502)) == counted
+    assert host_of(host_and_port(host, 502)) == counted
 
 
 def test_a_serial_port_counts_as_itself() -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from libmodbus_py.ports.hosts import host_and_port
 from libmodbus_py.protocol.errors import FrameError
 from libmodbus_py.server import peer as module
 from libmodbus_py.server.limits import Limits, ServerStatistics
@@ -81,7 +82,7 @@ class FakeEndpoint:
         self.peers = stage.wait(made())
 
     def _accept(self, end: Any, address: tuple[str, int]) -> None:
-        self.peers.admit(end, address, self._session)
+        self.peers.admit(end, address[0], host_and_port(*address), self._session)
 
     def _session(self, peer: Peer) -> Session:
         self.sessions.append(Session(self, peer))

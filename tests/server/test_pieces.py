@@ -41,7 +41,8 @@ def test_who_only_listens_any_more_gets_all_answers(device: Device) -> None:
         end.setblocking(False)
         peers.admit(
             end,
-            ("peer", 1),
+            "peer",
+            "peer:1",
             lambda peer: ByChunk(settings, units, peer, singles),
         )
         while statistics.requests < 80:  # it has seen the end of the requests

@@ -12,6 +12,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.ports.hosts import host_and_port
 from libmodbus_py.server.framed import SessionSettings
 from libmodbus_py.server.limits import Limits, ServerStatistics
 from libmodbus_py.server.peers import Peers
@@ -165,7 +166,8 @@ def test_ipv4_within_ipv6_is_the_same_address() -> None:
                 stack.enter_context(ours)
                 peers.admit(
                     theirs,
-                    (host, 1),
+                    host,
+                    host_and_port(host, 1),
                     lambda peer: ByFrame(settings, TcpUnits(device), peer),
                 )
             return statistics.refused_address
