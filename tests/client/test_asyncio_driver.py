@@ -11,7 +11,7 @@ import pytest
 
 from libmodbus_py import AsyncClient, ModbusConnectionError
 from tests.simulation.network import Network
-from tests.simulation.ports import MemoryTcpPort
+from tests.simulation.ports import memory_port
 from tests.simulation.scripted import Scripted, Write
 from tests.support.talk import value
 
@@ -68,10 +68,11 @@ def test_a_send_that_fails_is_told_at_once_and_the_next_goes_over_another_connec
 ) -> None:
     network = Network()
     peer = Scripted(network, "tcp://10.0.0.1", answer_tcp)
-    send = MemoryTcpPort.send
+    kind = memory_port("tcp")
+    send = kind.send
     failing = [True]
 
-    def fail(port: MemoryTcpPort, adus: list[bytes], now: float) -> None:
+    def fail(port: Any, adus: list[bytes], now: float) -> None:
         if failing:
             failing.clear()
             raise ModbusConnectionError("Broken pipe", errno=32)
@@ -80,7 +81,7 @@ def test_a_send_that_fails_is_told_at_once_and_the_next_goes_over_another_connec
     async def main() -> None:
         async with AsyncClient(f"{peer.url}?retries=0") as plc:
             await plc.connect()
-            monkeypatch.setattr(MemoryTcpPort, "send", fail)
+            monkeypatch.setattr(kind, "send", fail)
             begun = network.events.now
             with pytest.raises(ModbusConnectionError, match="Broken pipe"):
                 await plc.read_holding_registers(1, 1)

@@ -12,12 +12,13 @@ from typing import Any
 import pytest
 
 from libmodbus_py import AsyncClient, ModbusError, ModbusTimeoutError, State, pdu
-from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS
+from libmodbus_py.ports.schemes import SCHEMES
 from tests.simulation.network import Network
 from tests.simulation.scripted import OnRequest, Scripted
 from tests.support.cases import each_case
 from tests.support.clients import World, making
 from tests.support.peers import Write, address_of, answer, has_header
+from tests.support.urls import rules_of
 
 each_scheme = pytest.mark.parametrize("scheme", SCHEMES)
 
@@ -75,7 +76,7 @@ METHODS = ["encode", "expects_response", "decode_response", "repeatable", "__str
 def test_a_mistake_in_a_class_is_met_by_its_caller(
     scheme: str, kind: str, name: str, outcome: str
 ) -> None:
-    rules = TRANSPORTS[SCHEMES[scheme][1]]  # type: ignore[index]
+    rules = rules_of(scheme)
     if outcome == "close" and (rules.is_serial or rules.is_datagram):
         return
     with making(kind) as world:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.ports.schemes import CLIENT_OPTIONS, SCHEMES, SERIAL_OPTIONS
 from tests.support.cases import each_case
+from tests.support.urls import url_for
 
 
 @each_case(
@@ -83,13 +84,13 @@ CLIENT_QUERIES: list[tuple[str, Any]] = [
 @each_case("scheme", SCHEMES)
 @each_case(("query", "value"), CLIENT_QUERIES)
 def test_every_scheme_takes_the_options_of_clients(scheme: str, query: str, value: Any) -> None:
-    place = "/dev/ttyS0" if SCHEMES[scheme][1] == "serial" else "h:1"  # type: ignore[index]
-    endpoint = parse(f"{scheme}://{place}?{query}")
+    url = url_for(scheme, "h:1")
+    endpoint = parse(f"{url}?{query}")
     name = query.partition("=")[0]
     assert endpoint.client_options == {name: value}
     assert type(endpoint.client_options[name]) is type(value)
     assert endpoint.options == {}
-    assert str(endpoint) == f"{scheme}://{place}"
+    assert str(endpoint) == url
     assert parse(endpoint.url) == endpoint
 
 

@@ -6,10 +6,11 @@ from __future__ import annotations
 
 import pytest
 
-from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS
+from libmodbus_py.ports.schemes import SCHEMES
 from libmodbus_py.ports.trace import Traced
 from tests.support.cases import each_case
 from tests.support.talk import ascii_frame, rtu
+from tests.support.urls import url_for
 
 # The example of function 3 in the application protocol, 6.3: registers 108..110 are read.
 PDU = bytes.fromhex("03 006B 0003")
@@ -31,9 +32,8 @@ WITH_IDS = [scheme for scheme, adu in ADUS.items() if adu == MBAP]
 
 
 def traced(scheme: str, adu: bytes, unit: int | None, function: int | None) -> Traced:
-    is_serial = TRANSPORTS[SCHEMES[scheme][1]].is_serial  # type: ignore[index]
-    place = "/dev/ttyS0?baudrate=9600" if is_serial else "[::1]:502"
-    return Traced(0.0, f"{scheme}://{place}", "received", adu, unit, function)
+    url = url_for(scheme, "[::1]:502", line="/dev/ttyS0?baudrate=9600")
+    return Traced(0.0, url, "received", adu, unit, function)
 
 
 @each_case(("scheme", "adu"), ADUS.items())

@@ -32,6 +32,7 @@ from libmodbus_py.ports.schemes import (
 )
 from libmodbus_py.server.serving import ENDPOINTS
 from tests.support.certificates import Papers
+from tests.support.urls import rules_of, url_for
 
 KNOWN: dict[Scheme, tuple[type[Context], set[str]]] = {
     "tcp": (TcpContext, {"has_transactions"}),
@@ -40,8 +41,8 @@ KNOWN: dict[Scheme, tuple[type[Context], set[str]]] = {
     "udp": (UdpContext, {"has_transactions", "is_datagram"}),
     "rtu+udp": (UdpContext, {"is_datagram"}),
     "tls": (TlsContext, {"has_transactions", "is_secure"}),
-    "rtu": (RtuContext, {"is_serial"}),
-    "ascii": (AsciiContext, {"is_serial"}),
+    "rtu": (RtuContext, {"has_path", "is_serial"}),
+    "ascii": (AsciiContext, {"has_path", "is_serial"}),
 }
 """
 Scheme -> the class of its contexts, and which of `PROPERTIES` its endpoints have.
@@ -51,7 +52,7 @@ These may not change; of other schemes their own tests tell it.
 
 URLS_PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "read-and-write.md"
 
-PROPERTIES = ["has_transactions", "is_datagram", "is_secure", "is_serial"]
+PROPERTIES = ["has_path", "has_transactions", "is_datagram", "is_secure", "is_serial"]
 
 
 def test_each_transport_has_a_port_an_endpoint_and_a_scheme() -> None:
@@ -62,8 +63,8 @@ def test_each_transport_has_a_port_an_endpoint_and_a_scheme() -> None:
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_each_scheme_has_a_context_and_a_port(scheme: Scheme, tmp_path: Path) -> None:
-    rules = TRANSPORTS[SCHEMES[scheme][1]]
-    url = f"{scheme}:///dev/null" if rules.is_serial else f"{scheme}://h"
+    rules = rules_of(scheme)
+    url = url_for(scheme, "h", line="/dev/null")
     security = {"security": Papers(tmp_path).client()} if rules.is_secure else {}
     context = Context.from_url(url, **security)
     assert type(context) not in (Context, Client)

@@ -14,6 +14,7 @@ from libmodbus_py import Context, Device, Gateway, Mapping, Route, Server
 from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS
 from tests.simulation.stage import LineEnd, Stage
 from tests.support.talk import ascii_frame, rtu
+from tests.support.urls import url_for
 
 WRITE = rtu("01 06 0001 0003")
 READ = rtu("01 03 0001 0001")
@@ -46,8 +47,7 @@ each_stream = pytest.mark.parametrize(
 
 def place_on(scheme: str) -> str:
     """Return the URL of a server."""
-    is_serial = LINES[scheme][1].is_serial
-    return f"{scheme}://{'/dev/line?baudrate=115200' if is_serial else '10.0.0.1:1502'}"
+    return url_for(scheme, "10.0.0.1:1502", line="/dev/line?baudrate=115200")
 
 
 @contextmanager

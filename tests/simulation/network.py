@@ -22,7 +22,6 @@ from libmodbus_py.client.blocking_driver import BlockingDriver
 from libmodbus_py.ports import tls
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.ports.port import Port
-from libmodbus_py.ports.schemes import Transport
 from libmodbus_py.protocol.errors import ModbusConnectionError
 from libmodbus_py.server import serial as serial_server
 from libmodbus_py.server import serving, tcp, udp
@@ -34,7 +33,7 @@ from libmodbus_py.services.gateway import gateway
 from .events import Events
 from .lines import MemorySerialPort, SerialLine
 from .loop import Descriptors, VirtualLoop, run
-from .ports import MemoryTcpPort, MemoryTlsPort, MemoryUdpPort, MemoryWaker
+from .ports import MemoryWaker, memory_port
 from .processes import HOST, StoppableLoop
 from .sockets import DELAY, MemoryDatagrams, MemoryEpoll, MemoryListener, MemorySocket, pair
 
@@ -113,7 +112,7 @@ class Network:
     def listen(self, url: str, accept: Accept) -> str:
         """Accept connections to a URL, or datagrams; return the URL with its port."""
         endpoint = parse(url)
-        if not endpoint.port:
+        if not (endpoint.port or endpoint.has_path):
             endpoint = replace(endpoint, port=self.new_port())
         self._hosts[self._key(endpoint)] = accept, str(endpoint)
         return str(endpoint)
@@ -124,7 +123,7 @@ class Network:
 
     def _key(self, endpoint: Endpoint) -> tuple[str, ADDRESS]:
         kind = "udp" if endpoint.transport == "udp" else "tcp"
-        return kind, (endpoint.host, endpoint.port)
+        return kind, (endpoint.host or endpoint.path, endpoint.port)
 
     def line(self, device: str) -> SerialLine:
         """Return the line behind a device."""
@@ -226,46 +225,13 @@ class Network:
             yield
 
     def _make_port(self, endpoint: Endpoint, settings: Any) -> Port:
-        ports: dict[Transport, Callable[[Endpoint, Any], Port]] = {
-            "tcp": self._tcp_port,
-            "tls": self._tls_port,
-            "udp": self._udp_port,
-            "serial": self._serial_port,
-        }
-        return ports[endpoint.transport](endpoint, settings)
-
-    def _tcp_port(self, endpoint: Endpoint, settings: Any) -> Port:
-        return MemoryTcpPort(
-            self.descriptors,
-            self.connect,
-            self.waker,
-            host=endpoint.host,
-            port=endpoint.port,
-            keepalive=settings.keepalive,
-        )
-
-    def _tls_port(self, endpoint: Endpoint, settings: Any) -> Port:
-        return MemoryTlsPort(
-            self.descriptors,
-            self.connect,
-            self.waker,
-            host=endpoint.host,
-            port=endpoint.port,
-            keepalive=settings.keepalive,
-            security=tls.security_of(endpoint, settings.security),
-        )
-
-    def _udp_port(self, endpoint: Endpoint, settings: Any) -> Port:
-        return MemoryUdpPort(
-            self.descriptors,
-            self.open_datagrams,
-            self.waker,
-            host=endpoint.host,
-            port=endpoint.port,
-        )
-
-    def _serial_port(self, endpoint: Endpoint, settings: Any) -> Port:
-        return self._serial(endpoint.path, **endpoint.serial_settings)
+        if endpoint.is_serial:
+            return self._serial(endpoint.path, **endpoint.serial_settings)
+        connect = self.open_datagrams if endpoint.is_datagram else self.connect
+        address = endpoint.host or endpoint.path, endpoint.port
+        made = memory_port(endpoint.transport).of(endpoint, settings)
+        made.join(self.descriptors, partial(connect, *address), self.waker)
+        return made
 
     def _serial(self, device: str, **settings: Any) -> MemorySerialPort:
         line = self.line(device)

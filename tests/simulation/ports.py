@@ -1,7 +1,7 @@
 """
 The ports of clients on a network in memory, and what blocking clients wait with there.
 
-All but the system's part is the package's own: `TcpPort` and `UdpPort` send and receive through a
+All but the system's part is the package's own: `TcpPort`, for example, sends and receives through a
 socket in memory.
 """
 
@@ -11,10 +11,11 @@ import errno
 import os
 import socket
 from collections.abc import Callable
+from functools import cache
+from importlib import import_module
 from typing import Any, cast
 
-from libmodbus_py.ports.sockets import TcpPort, UdpPort
-from libmodbus_py.ports.tls import ClientSecurity, TlsPort
+from libmodbus_py.ports.schemes import TRANSPORTS, Transport
 from libmodbus_py.ports.waiting import READ, WRITE, Ready, Steps, Waker, Woken, milliseconds
 from libmodbus_py.protocol.errors import ModbusConnectionError
 
@@ -22,10 +23,10 @@ from .events import Events
 from .loop import Descriptors
 from .sockets import MemorySocket
 
-__all__ = ["Connect", "MemoryTcpPort", "MemoryTlsPort", "MemoryUdpPort", "MemoryWaker"]
+__all__ = ["Connect", "MemoryWaker", "memory_port"]
 
-Connect = Callable[[str, int], tuple[MemorySocket | None, int]]
-"""Returns for a host and a port: a socket, which is connected once it is writable; or an errno."""
+Connect = Callable[[], tuple[MemorySocket | None, int]]
+"""Returns a socket to the address of a port, connected once it is writable; or an errno."""
 
 
 class MemoryWaker(Waker):
@@ -83,13 +84,17 @@ class MemoryWaker(Waker):
 
 
 class _InMemory:
-    """What both kinds of sockets have in common; a mixin in front of `SocketPort`."""
+    """What all kinds of sockets have in common; a mixin in front of `SocketPort`."""
 
     descriptor: int
-    host: str
-    port: int
 
-    def _join(self, descriptors: Descriptors, connect: Connect, waker: Callable[[], Waker]) -> None:
+    def join(
+        self,
+        descriptors: Descriptors,
+        connect: Connect,
+        waker: Callable[[], Waker],
+    ) -> None:
+        """Use a network in memory."""
         self._descriptors = descriptors
         self._connect = connect
         self._waker = waker
@@ -104,7 +109,7 @@ class _InMemory:
         self.descriptor = descriptor
 
     def _connected(self, deadline: float) -> Steps[socket.socket]:
-        made, number = self._connect(self.host, self.port)
+        made, number = self._connect()
         if made is not None:
             try:
                 is_ready = yield Ready(made.fileno(), WRITE, deadline)
@@ -120,27 +125,9 @@ class _InMemory:
         return cast(socket.socket, made)
 
 
-class MemoryTcpPort(_InMemory, TcpPort):
-    """A `TcpPort` on a network in memory."""
-
-    def __init__(self, *parts: Any, host: str, port: int, keepalive: float | None) -> None:
-        TcpPort.__init__(self, host, port, keepalive)
-        self._join(*parts)
-
-
-class MemoryTlsPort(_InMemory, TlsPort):
-    """A `TlsPort` on a network in memory."""
-
-    def __init__(
-        self, *parts: Any, host: str, port: int, keepalive: float | None, security: ClientSecurity
-    ) -> None:
-        TlsPort.__init__(self, host, port, keepalive, security)
-        self._join(*parts)
-
-
-class MemoryUdpPort(_InMemory, UdpPort):
-    """A `UdpPort` on a network in memory."""
-
-    def __init__(self, *parts: Any, host: str, port: int) -> None:
-        UdpPort.__init__(self, host, port)
-        self._join(*parts)
+@cache
+def memory_port(transport: Transport) -> Any:
+    """Return the class of ports of a transport, on a network in memory; not for serial ports."""
+    module, _, name = TRANSPORTS[transport].port_class.partition(".")
+    kind = getattr(import_module(f"libmodbus_py.ports.{module}"), name)
+    return type(f"Memory{name}", (_InMemory, kind), {})

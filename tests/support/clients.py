@@ -25,6 +25,7 @@ from tests.simulation.loop import VirtualLoop, complaints_of
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.support.peers import OnRequest, Peer, peer_at
+from tests.support.urls import url_for
 
 # fmt: off
 __all__ = [
@@ -230,8 +231,8 @@ class Simulated(World):
         return Context.from_url(url, native=False, **options)
 
     def peer(self, scheme: str, on_request: OnRequest) -> Scripted:
-        where = "/dev/line?baudrate=115200" if scheme in ("rtu", "ascii") else "10.0.0.1"
-        return Scripted(self.network, f"{scheme}://{where}", on_request)
+        url = url_for(scheme, line="/dev/line?baudrate=115200")
+        return Scripted(self.network, url, on_request)
 
     @property
     def now(self) -> float:

@@ -15,6 +15,7 @@ import os
 import selectors
 import socket
 import struct
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -26,6 +27,7 @@ from libmodbus_py.ports.schemes import SCHEMES
 from libmodbus_py.tools.testing.line_ends import open_line, read_what_is_there, write_all
 
 from .secured import Sealing, with_certificates
+from .urls import rules_of
 
 # fmt: off
 __all__ = [
@@ -203,10 +205,19 @@ class TcpPeer(Peer):
         super().__init__(on_request)
         self._is_cut = has_header(scheme)
         self._sealings: dict[socket.socket, Sealing] | None = {} if scheme == "tls" else None
-        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._stack = contextlib.ExitStack()
+        if rules_of(scheme).has_path:
+            path = f"{self._stack.enter_context(tempfile.TemporaryDirectory())}/peer"
+            self._listener = socket.socket(socket.AF_UNIX)
+            self._listener.bind(path)
+            self._listener.listen()
+            self.port: int = 0
+            self.url = f"{scheme}://{path}"
+        else:
+            self._listener = socket.create_server(("127.0.0.1", 0))
+            self.port = self._listener.getsockname()[1]
+            self.url = with_certificates(f"{scheme}://127.0.0.1:{self.port}")
         self._selector.register(self._listener, selectors.EVENT_READ)
-        self.port: int = self._listener.getsockname()[1]
-        self.url = with_certificates(f"{scheme}://127.0.0.1:{self.port}")
         self._peers: dict[socket.socket, bytearray] = {}
 
     def drop_all(self) -> None:
@@ -221,11 +232,13 @@ class TcpPeer(Peer):
         for peer in list(self._peers):
             self._end(peer)
         self._listener.close()
+        self._stack.close()
 
     def _read(self, key: selectors.SelectorKey) -> None:
         if key.fileobj is self._listener:
             peer, _ = self._listener.accept()
-            peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if self.port:
+                peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self.connections += 1
             self._peers[peer] = bytearray()
             if self._sealings is not None:
@@ -371,9 +384,9 @@ class LinePeer(Peer):
 
 def peer_at(scheme: str, on_request: OnRequest) -> Peer:
     """Return the peer that a scheme's carrier needs."""
-    if scheme in ("rtu", "ascii"):
+    if rules_of(scheme).is_serial:
         return LinePeer(on_request, scheme)
-    if scheme.endswith("udp"):
+    if rules_of(scheme).is_datagram:
         return UdpPeer(on_request, scheme)
     return TcpPeer(on_request, scheme)
 
