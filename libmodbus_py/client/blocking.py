@@ -296,7 +296,7 @@ class Client(Context):
         super().__init__(*_parsed(url, options))
 
 
-class TcpContext(Context, schemes=("tcp", "rtu+tcp", "ascii+tcp")):
+class TcpContext(Context, schemes=("tcp", "rtu+tcp", "ascii+tcp", "unix")):
     """
     A client over TCP.
 

@@ -1,5 +1,5 @@
 """
-Ports: TCP, TLS, UDP and serial, and how to wait for them.
+Ports: TCP, TLS, UDP, Unix sockets and serial, and how to wait for them.
 
     endpoint        URLs of endpoints: transport, framing and options
     schemes         the tables of schemes, transports and options of URLs; `TRANSPORTS` names the
@@ -10,6 +10,7 @@ Ports: TCP, TLS, UDP and serial, and how to wait for them.
     waiting_async   the way to run steps in an event loop
     sockets         TCP connections and UDP sockets
     tls             TLS connections: the handshake, and what it refuses
+    unix            Unix sockets, for clients and servers
     trace           every ADU that passes, for callbacks and the log
     serial          serial ports, which libmodbus opens and configures; RS-485, echo, locks
     serial_devices  the serial ports of this machine, and the programs that use them

@@ -6,6 +6,7 @@ The schemes are those of `SCHEMES` in `schemes`, among them::
     tcp://HOST:PORT    rtu+tcp://HOST:PORT    ascii+tcp://HOST:PORT
     udp://HOST:PORT    rtu+udp://HOST:PORT
     tls://HOST:PORT?cert=own.pem&key=own.key&ca=authority.pem
+    unix:///run/modbus.sock
     rtu:///dev/ttyUSB0?baudrate=19200&parity=E&data_bits=8&stop_bits=1
     ascii:///dev/ttyUSB0?baudrate=9600&parity=E&data_bits=7&stop_bits=1
 
@@ -70,7 +71,7 @@ class Endpoint:
     Attributes:
         scheme: one of `SCHEMES`.
         host, port: the host and its port; empty and 0 if the endpoint is a path.
-        path: the path of a serial port; empty for networks.
+        path: the path of a serial port or a Unix socket; empty for networks.
         options: settings of the serial line, or files for TLS, converted but not checked.
         client_options: options of a client, converted but not checked.
     """
@@ -89,7 +90,7 @@ class Endpoint:
 
     @property
     def transport(self) -> Transport:
-        """ "tcp", "udp", "tls" or "serial"."""
+        """ "tcp", "udp", "tls", "unix" or "serial"."""
         return SCHEMES[self.scheme][1]
 
     @property

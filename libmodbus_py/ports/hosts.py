@@ -75,12 +75,14 @@ def split_host_and_port(text: str) -> tuple[str, int | None]:
 
 def host_of_peer(peer: str) -> str:
     """
-    Return the host in the name of a client of a server; other names are returned as they are.
+    Return the host in the name of a client of a server; of a path, all but the process.
 
     Args:
-        peer: as `host_and_port` returns it, or the path of a serial port.
+        peer: as `host_and_port` returns it, "/run/x.sock uid 0 pid 7", or a path.
     """
-    return peer if peer.startswith("/") else peer.rpartition(":")[0].strip("[]")
+    if peer.startswith("/"):
+        return peer.partition(" pid ")[0]
+    return peer.rpartition(":")[0].strip("[]")
 
 
 @lru_cache(1024)

@@ -27,9 +27,9 @@ DEFAULT_PORT = 502
 # The port of Modbus Security.
 SECURE_PORT = 802
 
-Scheme = Literal["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu+udp", "tls", "rtu", "ascii"]
+Scheme = Literal["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu+udp", "tls", "unix", "rtu", "ascii"]
 
-Transport = Literal["tcp", "udp", "tls", "serial"]
+Transport = Literal["tcp", "udp", "tls", "unix", "serial"]
 
 SCHEMES: dict[Scheme, tuple[Framing, Transport]] = {
     "tcp": ("tcp", "tcp"),
@@ -38,6 +38,7 @@ SCHEMES: dict[Scheme, tuple[Framing, Transport]] = {
     "udp": ("udp", "udp"),
     "rtu+udp": ("rtu", "udp"),
     "tls": ("tcp", "tls"),
+    "unix": ("tcp", "unix"),
     "rtu": ("rtu", "serial"),
     "ascii": ("ascii", "serial"),
 }
@@ -173,6 +174,7 @@ TRANSPORTS: dict[Transport, TransportRules] = {
     "tcp": TransportRules("sockets.TcpPort"),
     "udp": TransportRules("sockets.UdpPort", is_datagram=True),
     "tls": TransportRules("tls.TlsPort", SECURITY_OPTIONS, SECURE_PORT, is_secure=True),
+    "unix": TransportRules("unix.UnixPort", port=0, example="/run/modbus.sock"),
     "serial": TransportRules(
         "serial.SerialPort", SERIAL_OPTIONS, 0, "/dev/ttyUSB0", is_serial=True
     ),

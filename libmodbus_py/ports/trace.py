@@ -37,7 +37,8 @@ class Traced(NamedTuple):
         unit: 0..255, the unit of the ADU; None for bytes that are not a frame.
         function: 1..255, the function code of the ADU, with bit 7 set in an exception response;
             None for bytes that are not a frame.
-        peer: for a server, the client: "192.0.2.7:51234", or the serial port; None for clients.
+        peer: for a server, the client: "192.0.2.7:51234", the serial port, or the path of a Unix
+            socket with the client's user and process; None for clients.
     """
 
     time: float

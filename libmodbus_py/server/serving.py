@@ -20,6 +20,7 @@ from ..ports.endpoint import Endpoint, parse_to_listen
 from ..ports.schemes import Transport
 from ..ports.tls import security_of
 from ..ports.trace import OnTraced
+from ..ports.unix import UnixListener
 from ..protocol.callbacks import checked_callback
 from ..protocol.logs import HarmlessLogger
 from ..security.security import Security
@@ -287,6 +288,9 @@ ENDPOINTS: dict[
         endpoint, service, shared.sources, shared.statistics, shared.end
     ),
     "tls": _tls_server,
+    "unix": lambda endpoint, service, shared: TcpServer(
+        endpoint, service, shared.peers, listener=UnixListener(endpoint.path)
+    ),
     "serial": _serial_server,
 }
 """Transport -> function that makes the endpoint of a server."""

@@ -1,0 +1,165 @@
+"""
+Unix sockets: Modbus/TCP between programs of one machine, guarded by the permissions of a file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import socket
+import stat
+import sys
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, Self
+
+from ..system import lock_file, peer_credentials
+from .hosts import BACKLOG
+from .sockets import StreamPort
+from .waiting import Steps
+
+if TYPE_CHECKING:
+    from .endpoint import Endpoint
+    from .port import PortSettings
+
+__all__ = ["UnixListener", "UnixPort"]
+
+# The bytes of a path in struct sockaddr_un, without the final 0.
+MAX_PATH = 107 if sys.platform == "linux" else 103
+
+# The owner of the socket and its group may connect, which needs the permission to write.
+MODE = 0o660
+
+# Seconds for which another program may lock the folder: it does so while it makes its own socket,
+# which takes less than a millisecond.
+LOCKED_S, RETRY_S = 1.0, 0.01
+
+
+def _checked(path: str) -> str:
+    if not 1 <= len(os.fsencode(path)) <= MAX_PATH or "\0" in path:
+        raise ValueError(f"path must have 1..{MAX_PATH} bytes, not {path!r}")
+    return path
+
+
+class UnixPort(StreamPort):
+    """
+    A connection to a Unix socket.
+
+    Args:
+        path: the path of the socket, at most 107 bytes (103 on other systems than Linux).
+
+    Raises:
+        ValueError: the path is too long.
+    """
+
+    @classmethod
+    def of(cls, endpoint: Endpoint, _settings: PortSettings) -> Self:
+        """Return the port of a client for an endpoint."""
+        return cls(endpoint.path)
+
+    def __init__(self, path: str) -> None:
+        super().__init__(_checked(path))
+
+    def _addresses(self, deadline: float) -> Steps[list[Any]]:
+        yield from ()
+        return [(socket.AF_UNIX, socket.SOCK_STREAM, 0, "", str(self))]
+
+
+class UnixListener:
+    """
+    Listens at the path of a Unix socket. See `server.tcp.StreamListener`.
+
+    The socket of a server that has died is replaced. The owner and the group of the socket may
+    connect; `name` tells the user and the process of a client.
+
+    Args:
+        path: as for `UnixPort`.
+
+    Raises:
+        ValueError: the path is too long.
+    """
+
+    def __init__(self, path: str) -> None:
+        self._path = _checked(path)
+        self._identity: tuple[int, int] | None = None
+
+    def open(self) -> socket.socket:
+        """
+        Return a socket that listens.
+
+        Raises:
+            OSError: a program listens at the path, the file there is no socket, or the folder
+                cannot be read and written.
+        """
+        made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            made.setblocking(False)
+            with contextlib.suppress(OSError):  # Linux makes the file with the mode of the socket
+                os.fchmod(made.fileno(), 0)
+            with _locked(os.path.dirname(self._path) or "."):
+                if os.path.lexists(self._path):
+                    self._remove_stale()
+                made.bind(self._path)
+                self._identity = _identity(self._path)
+                made.listen(BACKLOG)
+                os.chmod(self._path, MODE)
+        except BaseException:
+            self.close()
+            made.close()
+            raise
+        return made
+
+    def _remove_stale(self) -> None:
+        if not stat.S_ISSOCK(os.lstat(self._path).st_mode):
+            raise OSError(errno.EEXIST, "there is a file that is no socket")
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+            probe.setblocking(False)
+            number = probe.connect_ex(self._path)
+        if number != errno.ECONNREFUSED:
+            raise OSError(errno.EADDRINUSE, os.strerror(errno.EADDRINUSE))
+        os.unlink(self._path)
+
+    def name(self, client: socket.socket) -> tuple[str, str]:
+        """Return the path with the user of a client, and that with its process."""
+        try:
+            found = peer_credentials(client)
+        except OSError:  # it has gone already
+            found = None
+        if found is None:
+            return self._path, self._path
+        process, user = found
+        host = f"{self._path} uid {user}"
+        return host, f"{host} pid {process}"
+
+    def close(self) -> None:
+        """Remove the file, unless another one has taken its place."""
+        identity, self._identity = self._identity, None
+        if identity is not None:
+            with contextlib.suppress(OSError):
+                if _identity(self._path) == identity:
+                    os.unlink(self._path)
+
+
+def _identity(path: str) -> tuple[int, int]:
+    found = os.lstat(path)
+    return found.st_dev, found.st_ino
+
+
+@contextlib.contextmanager
+def _locked(folder: str) -> Iterator[None]:
+    """Lock a folder, so that of two programs that find a stale socket there only one removes it."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        until = time.monotonic() + LOCKED_S
+        while True:
+            try:
+                lock_file(descriptor)
+                break
+            except BlockingIOError:
+                if time.monotonic() > until:
+                    raise OSError(errno.EBUSY, f"{folder} is locked by another program") from None
+                time.sleep(RETRY_S)
+        yield
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,356 @@
+"""
+Unix sockets: who may listen and connect, what becomes of the file, and how clients are named.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import os
+import socket
+import stat
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import (
+    AsyncClient,
+    Context,
+    Device,
+    Gateway,
+    Limits,
+    Mapping,
+    ModbusConnectionError,
+    ModbusTimeoutError,
+    Route,
+    Server,
+    TcpContext,
+)
+from libmodbus_py.ports.hosts import host_of_peer
+from libmodbus_py.ports.unix import MAX_PATH, UnixListener, UnixPort
+from tests.support.cases import each_case
+from tests.support.peers import ignore, peer_at, until
+
+
+@pytest.fixture
+def path(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A path that is short enough for a socket."""
+    return str(tmp_path_factory.mktemp("u") / "m.sock")
+
+
+def server(**options: Any) -> Server:
+    return Server(Device(Mapping(holding_registers={0: [1, 2, 3]})), **options)
+
+
+def stale(path: str) -> None:
+    """Leave the file of a server that died."""
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(path)
+
+
+@pytest.mark.parametrize("native", [True, False])
+def test_a_blocking_client_reads_and_writes(path: str, native: bool) -> None:
+    with (
+        server().background(f"unix://{path}") as running,
+        Context.from_url(f"unix://{path}", native=native) as client,
+    ):
+        assert running.urls == [f"unix://{path}"]
+        assert type(client) is TcpContext
+        client.write_register(1, 7)
+        assert client.read_holding_registers(0, 3) == [1, 7, 3]
+
+
+def test_an_asyncio_client_reads_from_a_server_in_its_loop(path: str) -> None:
+    async def main() -> None:
+        async with (
+            server().serving(f"unix://{path}", "tcp://127.0.0.1:0"),
+            AsyncClient(f"unix://{path}") as client,
+        ):
+            reads = (client.read_holding_registers(at, 1) for at in (0, 1, 2) * 20)
+            assert await asyncio.gather(*reads) == [[1], [2], [3]] * 20
+
+    asyncio.run(main())
+
+
+def test_a_gateway_listens_and_asks_over_paths(path: str) -> None:
+    front = f"{path}.front"
+    with (
+        server().background(f"unix://{path}"),
+        Gateway([Route(f"unix://{path}", "1-3")]).background(f"unix://{front}"),
+        Context.from_url(f"unix://{front}", unit=2) as client,
+    ):
+        client.write_register(0, 9)
+        assert client.read_holding_registers(0, 3) == [9, 2, 3]
+
+
+def test_a_gateway_refuses_a_line_to_itself(path: str) -> None:
+    os.symlink(path, f"{path}.link")
+    with (
+        pytest.raises(ValueError, match="the gateway itself listens"),
+        Gateway([Route(f"unix://{path}.link")]).background(f"unix://{path}"),
+    ):
+        pass
+
+
+# --- the file ----------------------------------------------------------------------------------
+
+
+def test_the_owner_and_the_group_may_connect_whatever_the_umask_is(path: str) -> None:
+    before = os.umask(0o077)
+    try:
+        with server().background(f"unix://{path}"):
+            assert stat.S_IMODE(os.stat(path).st_mode) == 0o660
+    finally:
+        os.umask(before)
+
+
+def test_the_file_ends_with_the_server(path: str) -> None:
+    for _ in range(2):
+        with server().background(f"unix://{path}"):
+            assert os.path.exists(path)
+        assert os.listdir(os.path.dirname(path)) == []
+
+
+def test_the_file_of_a_server_that_died_is_replaced(path: str) -> None:
+    stale(path)
+    with server().background(f"unix://{path}"), Context.from_url(f"unix://{path}") as client:
+        assert client.read_holding_registers(0, 1) == [1]
+
+
+def test_a_file_of_another_program_stays(path: str) -> None:
+    listener = UnixListener(path)
+    with listener.open():
+        os.unlink(path)
+        with socket.socket(socket.AF_UNIX) as other:
+            other.bind(path)
+            listener.close()
+            assert os.path.exists(path)
+
+
+def refused(path: str, number: int, text: str) -> None:
+    running = server().background(f"unix://{path}")
+    with pytest.raises(ModbusConnectionError, match=text) as caught, running:
+        pass
+    assert caught.value.errno == number
+    assert f"cannot listen on unix://{path}" in str(caught.value)
+
+
+def test_a_path_in_use_is_refused_and_its_server_goes_on(path: str) -> None:
+    with server().background(f"unix://{path}"):
+        refused(path, errno.EADDRINUSE, "in use")
+        with Context.from_url(f"unix://{path}") as client:
+            assert client.read_holding_registers(0, 1) == [1]
+
+
+def test_a_path_of_a_server_that_is_busy_is_in_use(path: str) -> None:
+    """Its backlog is full, so that it accepts nobody."""
+    with socket.socket(socket.AF_UNIX) as made, socket.socket(socket.AF_UNIX) as client:
+        made.bind(path)
+        made.listen(0)
+        client.connect(path)
+        refused(path, errno.EADDRINUSE, "in use")
+        with pytest.raises(ModbusConnectionError, match="unavailable"):
+            Context.from_url(f"unix://{path}").connect()
+
+
+def test_a_socket_for_datagrams_is_in_use(path: str) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as made:
+        made.bind(path)
+        refused(path, errno.EADDRINUSE, "in use")
+    assert os.path.exists(path)
+
+
+@each_case("kind", ["file", "folder", "link", "dangling"])
+def test_what_is_no_socket_is_refused_and_stays(kind: str, tmp_path: Path) -> None:
+    folder = tmp_path / kind
+    folder.mkdir()
+    path = folder / "x"
+    if kind == "file":
+        path.write_text("precious")
+    elif kind == "folder":
+        path.mkdir()
+    else:
+        path.symlink_to(folder / "o")
+        if kind == "link":
+            stale(str(folder / "o"))
+    refused(str(path), errno.EEXIST, "no socket")
+    assert os.path.lexists(path)
+
+
+def test_a_folder_that_is_missing_is_an_error(path: str) -> None:
+    refused(f"{path}/none/x", errno.ENOENT, "No such file")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_that_is_read_only_is_an_error(path: str) -> None:
+    os.chmod(os.path.dirname(path), 0o500)
+    refused(path, errno.EACCES, "denied")
+
+
+def test_the_longest_path_can_be_used_and_no_longer_one(path: str) -> None:
+    longest = os.path.dirname(path) + "/"
+    longest += "x" * (MAX_PATH - len(longest))
+    with server().background(f"unix://{longest}"), Context.from_url(f"unix://{longest}") as client:
+        assert client.read_holding_registers(0, 1) == [1]
+    for make in (UnixPort, UnixListener):
+        with pytest.raises(ValueError, match=r"path must have 1\.\.10"):
+            make(f"{longest}x")
+        with pytest.raises(ValueError, match="path must have"):
+            make("/run/\0")
+    with pytest.raises(ValueError, match="path must have"):
+        Context.from_url(f"unix://{longest}x")
+
+
+def test_odd_names_work(path: str) -> None:
+    url = f"unix://{path}%23%20%3F%C3%A4%25"
+    with server().background(url) as running, Context.from_url(running.urls[0]) as client:
+        assert running.urls == [url]
+        assert os.path.exists(f"{path}# ?ä%")
+        assert client.read_holding_registers(0, 1) == [1]
+
+
+def test_a_forked_child_neither_removes_the_file_nor_keeps_the_port(path: str) -> None:
+    with server().background(f"unix://{path}"):
+        child = os.fork()
+        if child == 0:
+            os._exit(0)
+        os.waitpid(child, 0)
+        assert os.path.exists(path)
+        with Context.from_url(f"unix://{path}") as client:
+            assert client.read_holding_registers(0, 1) == [1]
+
+
+# Listens at each line, and lets go at the next, as a program that dies: the file stays.
+LISTENING = """
+import sys
+from libmodbus_py.ports.unix import UnixListener
+
+while sys.stdin.readline():
+    made = None
+    try:
+        made = UnixListener(sys.argv[1]).open()
+        print(0, flush=True)
+    except OSError as error:
+        print(error.errno, flush=True)
+    sys.stdin.readline()
+    if made:
+        made.close()
+    print(flush=True)
+"""
+
+
+def test_of_two_processes_that_find_a_dead_socket_one_listens(path: str) -> None:
+    stale(path)
+    with contextlib.ExitStack() as stack:
+        pipe = subprocess.PIPE
+        command = [sys.executable, "-c", LISTENING, path]
+        others = [
+            stack.enter_context(subprocess.Popen(command, stdin=pipe, stdout=pipe, bufsize=0))
+            for _ in range(2)
+        ]
+
+        def all_do() -> list[bytes]:
+            for other in others:
+                assert other.stdin is not None
+                other.stdin.write(b"\n")
+            return sorted(other.stdout.readline() for other in others if other.stdout is not None)
+
+        for _ in range(50):
+            assert all_do() == [b"0\n", b"%d\n" % errno.EADDRINUSE]
+            all_do()
+
+
+def test_a_folder_that_stays_locked_is_an_error(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    import fcntl
+
+    from libmodbus_py.ports import unix
+
+    monkeypatch.setattr(unix, "LOCKED_S", 0.0)
+    descriptor = os.open(os.path.dirname(path), os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        refused(path, errno.EBUSY, "locked by another program")
+    finally:
+        os.close(descriptor)
+
+
+# --- clients -----------------------------------------------------------------------------------
+
+
+def test_no_server_is_a_connection_error(path: str) -> None:
+    with pytest.raises(ModbusConnectionError, match=f"cannot connect to {path}: No such") as caught:
+        Context.from_url(f"unix://{path}").connect()
+    assert caught.value.errno == errno.ENOENT
+    stale(path)
+    with pytest.raises(ModbusConnectionError, match="refused"):
+        Context.from_url(f"unix://{path}").connect()
+
+
+def test_a_client_finds_the_next_server_at_its_path(path: str) -> None:
+    client = Context.from_url(f"unix://{path}")
+    for _ in range(3):
+        with server().background(f"unix://{path}"):
+            client.connect()
+            assert client.read_holding_registers(0, 1) == [1]
+    client.close()
+
+
+@pytest.mark.parametrize("native", [True, False])
+def test_a_silent_server_costs_the_timeout_and_close_ends_a_wait(native: bool) -> None:
+    with peer_at("unix", ignore) as peer:
+        client = Context.from_url(peer.url, timeout=0.05, native=native)
+        with pytest.raises(ModbusTimeoutError):
+            client.read_coils(0, 1)
+        client.timeout = 600
+        failed: list[Exception] = []
+
+        def read() -> None:
+            try:
+                client.read_coils(0, 1)
+            except ModbusConnectionError as error:
+                failed.append(error)
+
+        waiting = threading.Thread(target=read)
+        waiting.start()
+        until(lambda: len(peer.requests) == 2)
+        client.close()
+        waiting.join()
+        assert "closed" in str(failed[0])
+
+
+def test_a_client_is_named_by_the_path_its_user_and_its_process(path: str) -> None:
+    audited: list[Any] = []
+    traced: list[Any] = []
+    made = server(audit=audited.append, trace=traced.append)
+    with made.background(f"unix://{path}"), Context.from_url(f"unix://{path}") as client:
+        client.write_register(0, 5)
+    name = f"{path} uid {os.getuid()} pid {os.getpid()}"
+    assert audited[0].peer == name
+    assert {each.peer for each in traced} == {name}
+    assert host_of_peer(name) == f"{path} uid {os.getuid()}"
+
+
+def test_networks_do_not_concern_paths_but_the_limits_of_one_address_do(path: str) -> None:
+    limits = Limits(allow=["192.0.2.0/24"], connections_per_address=1, when_full="refuse")
+    made = server(limits=limits)
+    with made.background(f"unix://{path}"), Context.from_url(f"unix://{path}") as client:
+        assert client.read_holding_registers(0, 1) == [1]
+        with Context.from_url(f"unix://{path}") as other, pytest.raises(ModbusConnectionError):
+            other.read_holding_registers(0, 1)
+        assert made.statistics.refused_address >= 1
+
+
+def test_where_the_system_names_nobody_the_path_is_the_name(
+    path: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from libmodbus_py.ports import unix
+
+    monkeypatch.setattr(unix, "peer_credentials", lambda _: None)
+    one, other = socket.socketpair(socket.AF_UNIX)
+    with one, other:
+        assert UnixListener(path).name(one) == (path, path)
