@@ -128,19 +128,18 @@ class TlsPort(TcpPort):
         super().__init__(host, port, keepalive)
         self._security = security
         self._session: ssl.SSLSession | None = None
-        self._tunnel: Tunnel | None = None
         self._acceptance = security.acceptance()
         self._check_at = 0.0
         self._owner = 0
-        self._begin()
+        self._begin(None)
 
-    def _begin(self) -> None:
-        # Read in search of input, which only a decrypted record is.
-        self._received: list[bytes] = []
-        # Asked for, but not encrypted yet.
-        self._plain = bytearray()
-        self._failure: ModbusConnectionError | None = None
+    def _begin(self, tunnel: Tunnel | None) -> None:
+        self._tunnel = tunnel
+        self._received: list[bytes] = []  # decrypted
+        self._plain = bytearray()  # not encrypted yet
+        self._failure: ModbusConnectionError | None = None  # raised behind what was received
         self._chaff = 0
+        self._flights = 0  # how often this side has sent during the handshake
         self._has_answered = False
 
     # --- opening ------------------------------------------------------------------------------
@@ -149,24 +148,43 @@ class TlsPort(TcpPort):
         yield from super()._preparing(made, deadline)
         session, self._session = self._session, None  # after a failure none is resumed (R-11)
         self._acceptance = self._security.acceptance()
-        self._has_answered = False
         tunnel = self._security.to_server(self.host, session)
+        self._begin(None)
         try:
-            yield from _shaking_hands(made, tunnel, deadline)
+            yield from self._shaking_hands(made, tunnel, deadline)
         except ssl.SSLCertVerificationError as error:
             raise self._distrusting(in_words(error), tunnel.certificate) from error
         except ssl.SSLError as error:
             raise self._because(error) from error
-        except _Hanging as error:
-            raise self._suspecting(self._unfinished(error)) from error
         except OSError as error:
             raise self._unfinished(of_system(error)) from error
         if (reason := self._security.refusal(tunnel)) is not None:
             raise self._distrusting(reason, tunnel.certificate)
-        self._begin()
         self._acceptance.begin(tunnel)
         self._check_at = time.monotonic() + CERTIFICATE_INTERVAL
         self._tunnel, self._owner = tunnel, os.getpid()
+
+    def _shaking_hands(self, made: socket.socket, tunnel: Tunnel, deadline: float) -> Steps[None]:
+        while True:
+            try:
+                is_done = tunnel.handshake()
+            except ssl.SSLError:
+                with contextlib.suppress(OSError):  # send the alert, if the peer still receives
+                    made.send(tunnel.outgoing())
+                raise
+            data = tunnel.outgoing()
+            self._flights += bool(data)
+            while data:
+                try:
+                    data = data[made.send(data) :]
+                except BlockingIOError:
+                    yield from _ready(made, WRITE, deadline)
+            if is_done:
+                return
+            yield from _ready(made, READ, deadline)
+            if not (received := made.recv(READ_SIZE)):
+                raise ConnectionResetError(errno.ECONNRESET, "closed by the other side")
+            tunnel.feed(received)
 
     # --- errors -------------------------------------------------------------------------------
 
@@ -179,12 +197,14 @@ class TlsPort(TcpPort):
         is_ended = error.errno in (errno.ECONNRESET, errno.ETIMEDOUT)
         hint = "; does it speak TLS, or is it tcp://?" if is_ended else ""
         reason = f"no TLS handshake with {self}: {error.strerror or error}{hint}"
-        return ModbusConnectionError(reason, errno=error.errno)
+        made = ModbusConnectionError(reason, errno=error.errno)
+        # In TLS 1.2 the second flight has our certificate.
+        is_hanging = self._flights > 1 and error.errno == errno.ECONNRESET
+        return self._suspecting(made) if is_hanging else made
 
     def _because(self, error: ssl.SSLError) -> ModbusConnectionError:
-        reason = error.reason or str(error)
         words = in_words(error, guess=True)
-        if reason.endswith(OF_OUR_CERTIFICATE):
+        if (error.reason or "").endswith(OF_OUR_CERTIFICATE):
             own = f": {describe(self._security.own)}" if self._security.own else ""
             text = f"{self} refused our certificate ({words}){own}"
             made = ModbusConnectionError(text, errno=KEY_REJECTED)
@@ -199,87 +219,52 @@ class TlsPort(TcpPort):
             error.args = (f"{error.args[0]}; it may have refused our certificate",)
         return error
 
-    # --- open -----------------------------------------------------------------------------------
+    # --- receiving ------------------------------------------------------------------------------
 
     def has_input(self) -> bool:
         # A connection that ends here, before a request, is made again, as if the server had closed
         # it: the server may have a new certificate by now.
-        if self._tunnel is not None and (now := time.monotonic()) > self._check_at:
-            self._check_certificate(now)
+        self._check_certificate(time.monotonic())
         # Tickets are none; there may be an answer behind them, or the end.
         while not self._received and self._failure is None and super().has_input():
-            try:
-                self._received = self._read()
-            except ModbusConnectionError as error:
-                self._failure = error
+            self._read()
         return bool(self._received) or self._failure is not None
 
     def receive(self) -> list[bytes]:
-        if self._received:
-            received, self._received = self._received, []
-            return received
+        if not self._received and self._failure is None:
+            self._read()
+        received, self._received = self._received, []
         if self._failure is not None:
-            raise self._failure
-        return self._read()
+            if not received:
+                raise self._failure
+            self._be_ready()
+        return received
 
-    def _read(self) -> list[bytes]:
+    def _read(self) -> None:
+        """Receive, and set what was decrypted and why the connection has ended."""
         tunnel = self._tunnel
         assert tunnel is not None
         try:
-            chunks = super().receive()
-        except ModbusConnectionError as error:
-            raise self._suspecting(error) from error.__cause__
-        for data in chunks:
-            self._chaff += len(data)
-            tunnel.feed(data)
-        found: list[bytes] = []
-        try:
+            for data in super().receive():
+                self._chaff += len(data)
+                tunnel.feed(data)
             while piece := tunnel.receive():
-                found.append(piece)
+                self._received.append(piece)
                 self._chaff -= len(piece) * CHAFF_OF_BYTE
+        except ModbusConnectionError as error:
+            self._failure = self._suspecting(error)
         except ssl.SSLError as error:
             self._end(tunnel, error)
         else:
             if piece is not None:
                 ended = ModbusConnectionError("closed by the other side", errno=errno.ECONNRESET)
                 self._failure = self._suspecting(ended)
-            self._go_on_encrypting(tunnel)
-        self._has_answered = self._has_answered or bool(found)
+            # Delayed requests, and records of OpenSSL itself: a change of keys, an alert.
+            self._send(tunnel, b"")
+        self._has_answered = self._has_answered or bool(self._received)
         self._chaff = max(0, self._chaff)
         if self._chaff > MAX_CHAFF and self._failure is None:
             self._failure = ModbusConnectionError("flooded with bytes that are not a response")
-        if self._failure is not None:
-            if not found:
-                raise self._failure
-            self._be_ready()
-        return found
-
-    def _go_on_encrypting(self, tunnel: Tunnel) -> None:
-        """Send delayed requests, and records of OpenSSL itself: a change of keys, an alert."""
-        if self._plain:
-            plain, self._plain = bytes(self._plain), bytearray()
-            self._encrypt(tunnel, plain)
-        if data := tunnel.outgoing():
-            try:
-                super().send([data], 0.0)
-            except ModbusConnectionError as error:
-                self._failure = self._failure or error
-
-    def _encrypt(self, tunnel: Tunnel, data: bytes) -> None:
-        try:
-            tunnel.send(data)
-        except ssl.SSLWantReadError:
-            # In the midst of a ticket that came in several records nothing can be encrypted.
-            self._plain += data
-        except ssl.SSLError as error:
-            self._end(tunnel, error)
-
-    def _end(self, tunnel: Tunnel, error: ssl.SSLError) -> None:
-        """End a connection that one side refused, so that it is never resumed (R-11)."""
-        self._failure = self._because(error)
-        self._tunnel = None
-        with contextlib.suppress(ModbusConnectionError):
-            super().send([tunnel.outgoing()], 0.0)
 
     def _be_ready(self) -> None:
         """Make the descriptor readable, so that a waiting program reads here once more."""
@@ -288,38 +273,57 @@ class TlsPort(TcpPort):
         except OSError as error:
             of_system(error)
 
+    # --- sending --------------------------------------------------------------------------------
+
     def send(self, adus: list[bytes], now: float) -> None:
+        # A connection that is never idle is not asked for input.
+        self._check_certificate(now - CERTIFICATE_INTERVAL)
+        if self._failure is None:
+            assert self._tunnel is not None
+            self._send(self._tunnel, b"".join(adus))
+            if self._failure is not None and self._tunnel is not None:
+                # In TLS 1.3 a server refuses a certificate when the handshake is over for us,
+                # and what it said is still there.
+                lost, self._failure = self._failure, None
+                self.has_input()
+                self._failure = self._failure or lost
         if self._failure is not None:
             raise self._failure
-        tunnel = self._tunnel
-        assert tunnel is not None
-        if now > self._check_at + CERTIFICATE_INTERVAL:  # never idle, so `has_input` is not asked
-            self._check_certificate(now)
-            if self._failure is not None:
-                raise self._failure
-        data = adus[0] if len(adus) == 1 else b"".join(adus)
-        if self._plain:
-            self._plain += data
-            return
-        self._encrypt(tunnel, data)
-        if self._failure is not None:
-            raise self._failure
+
+    def _send(self, tunnel: Tunnel, data: bytes) -> None:
+        """Encrypt and send, behind what waits for that; set why the connection has ended."""
+        data = bytes(self._plain) + data
+        self._plain.clear()
         try:
-            super().send([tunnel.outgoing()], now)
+            if data:
+                tunnel.send(data)
+        except ssl.SSLWantReadError:
+            # In the midst of a ticket that came in several records nothing can be encrypted.
+            self._plain += data
+        except ssl.SSLError as error:
+            self._end(tunnel, error)
+        try:
+            if encrypted := tunnel.outgoing():
+                super().send([encrypted], 0.0)
         except ModbusConnectionError as error:
-            # In TLS 1.3 a server refuses a certificate when the handshake is over for us,
-            # and what it said is still there.
-            self.has_input()
-            if self._failure is not None:
-                raise self._failure from self._failure.__cause__
-            raise self._suspecting(error) from error.__cause__
+            self._failure = self._failure or self._suspecting(error)
+
+    def _end(self, tunnel: Tunnel, error: ssl.SSLError) -> None:
+        """End a connection that one side refused, so that it is never resumed (R-11)."""
+        self._failure = self._because(error)
+        self._tunnel = None
+        with contextlib.suppress(ModbusConnectionError):
+            super().send([tunnel.outgoing()], 0.0)
 
     def _check_certificate(self, now: float) -> None:
-        self._check_at = now + CERTIFICATE_INTERVAL
+        if self._tunnel is None or now <= self._check_at:
+            return
+        self._check_at = time.monotonic() + CERTIFICATE_INTERVAL
         self._security.warn_of_end()
         if (reason := self._acceptance.refusal()) is not None:
-            assert self._tunnel is not None
             self._failure = self._distrusting(reason, self._tunnel.certificate)
+
+    # --- closing --------------------------------------------------------------------------------
 
     def close(self) -> None:
         # A close_notify would end the connection of the parent process.
@@ -331,58 +335,8 @@ class TlsPort(TcpPort):
         super().close()
 
     def _release(self) -> None:
-        self._tunnel = None
-        self._begin()
+        self._begin(None)
         super()._release()
-
-
-class _Hanging(ConnectionResetError):
-    """The peer has ended the connection behind our certificate."""
-
-
-def _shaking_hands(made: socket.socket, tunnel: Tunnel, deadline: float) -> Steps[None]:
-    flights = 0
-    while True:
-        try:
-            is_done = tunnel.handshake()
-        except ssl.SSLError:
-            with contextlib.suppress(OSError):  # send the alert, if the peer still receives
-                made.send(tunnel.outgoing())
-            raise
-        if data := tunnel.outgoing():
-            flights += 1
-            yield from _sending(made, data, deadline)
-        if is_done:
-            return
-        yield from _ready(made, READ, deadline)
-        data = _received(made, flights)
-        tunnel.feed(data)
-
-
-def _received(made: socket.socket, flights: int) -> bytes:
-    """
-    Return bytes of the peer.
-
-    Args:
-        flights: how many we have sent; in TLS 1.2 the second one has our certificate, which a
-            server may refuse without a word.
-    """
-    kind = ConnectionResetError if flights < 2 else _Hanging
-    try:
-        data = made.recv(READ_SIZE)
-    except ConnectionResetError as error:
-        raise kind(error.errno, error.strerror) from error
-    if not data:
-        raise kind(errno.ECONNRESET, "closed by the other side")
-    return data
-
-
-def _sending(made: socket.socket, data: bytes, deadline: float) -> Steps[None]:
-    while data:
-        try:
-            data = data[made.send(data) :]
-        except BlockingIOError:
-            yield from _ready(made, WRITE, deadline)
 
 
 def _ready(made: socket.socket, events: int, deadline: float) -> Steps[None]:
