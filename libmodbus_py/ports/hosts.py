@@ -11,7 +11,7 @@ import os
 import re
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ from ..system import call_in_children
 
 # fmt: off
 __all__ = [
-    "EVERYWHERE", "Make", "Question", "Resolve", "asked", "bind_all", "host_and_port",
+    "EVERYWHERE", "Make", "Question", "Resolve", "ask", "bind_all", "host_and_port",
     "host_of_peer", "is_loopback", "is_this_machine", "listen_on", "numeric", "reason",
     "split_host_and_port", "start_thread", "tcp_listener",
 ]
@@ -146,11 +146,11 @@ class Resolve(NamedTuple):
 
 
 class Question:
-    """A name that is looked up, for all that ask for it meanwhile."""
+    """A name that is looked up in a thread, for all that ask for it meanwhile."""
 
     def __init__(self, wanted: Resolve) -> None:
         self._wanted = wanted
-        self._found: list[Any] | Exception | None = None
+        self._found: list[Any] | Exception = []
         self.notes: list[Callable[[], object]] = []
 
     def look_up(self) -> None:
@@ -174,19 +174,18 @@ class Question:
         Raises:
             OSError: the name is not known, or cannot be looked up.
         """
-        if isinstance(self._found, OSError):
+        found = self._found
+        if isinstance(found, OSError):
             # A new one for each caller, because a traceback belongs to one.
-            raise type(self._found)(*self._found.args) from self._found
-        if isinstance(self._found, Exception):
-            raise OSError(None, str(self._found)) from self._found
-        assert self._found is not None
-        return self._found
+            raise type(found)(*found.args) from found
+        if isinstance(found, Exception):
+            raise OSError(None, str(found)) from found
+        return found
 
 
-@contextlib.contextmanager
-def asked(wanted: Resolve, note: Callable[[], object]) -> Iterator[Question]:
+def ask(wanted: Resolve, note: Callable[[], object]) -> Question:
     """
-    Look up a name while the ``with`` block runs; leaving it does not wait for the look-up.
+    Look up a name, or share a look-up that is under way; nobody needs to wait for its end.
 
     Args:
         note: called in another thread when the question has its result. It must not block.
@@ -202,11 +201,7 @@ def asked(wanted: Resolve, note: Callable[[], object]) -> Iterator[Question]:
             start_thread(threading.Thread(target=question.look_up, name="look-up", daemon=True))
             _asked[key] = question
         question.notes.append(note)
-    try:
-        yield question
-    finally:
-        with _lock, contextlib.suppress(ValueError):  # it was called
-            question.notes.remove(note)
+    return question
 
 
 def numeric(wanted: Resolve) -> list[Any]:

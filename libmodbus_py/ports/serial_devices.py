@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -52,7 +51,8 @@ def serial_devices(root: str = "/") -> list[SerialDevice]:
     base = Path(root)
     opened, sees_all = open_devices(base)
     users = {each.path: each for each in opened}
-    stable = dict(_stable_names(base))
+    links = sorted((base / "dev/serial/by-id").glob("*"))
+    stable = {_target(link): f"/dev/serial/by-id/{link.name}" for link in links}
     found = []
     for place in sorted((base / "sys/class/tty").glob("*"), key=_in_order):
         if not (place / "device").exists() or _text(place / "type") == NO_HARDWARE:
@@ -63,7 +63,7 @@ def serial_devices(root: str = "/") -> list[SerialDevice]:
             SerialDevice(
                 path,
                 stable.get(place.name, ""),
-                _driver(place),
+                _target(place / "device/driver"),
                 *_usb(place / "device"),
                 state=_state(node, users.get(path), sees_all),
             )
@@ -77,28 +77,18 @@ def _in_order(place: Path) -> tuple[str, int]:
     return name, int(number or -1)
 
 
-def _stable_names(base: Path) -> Iterator[tuple[str, str]]:
+def _target(link: Path) -> str:
+    """Return the name of what a symbolic link leads to."""
     try:
-        for link in sorted((base / "dev/serial/by-id").iterdir()):
-            yield Path(os.readlink(link)).name, f"/dev/serial/by-id/{link.name}"
-    except OSError:
-        return
-
-
-def _driver(place: Path) -> str:
-    try:
-        return Path(os.readlink(place / "device" / "driver")).name
+        return Path(os.readlink(link)).name
     except OSError:
         return ""
 
 
 def _usb(device: Path) -> tuple[str, str, str]:
     """Return vendor, product and serial number; the ids are in a folder above the interface."""
-    try:
-        folders = [device.resolve(), *device.resolve().parents][:6]
-    except OSError:
-        return "", "", ""
-    for folder in folders:
+    real = Path(os.path.realpath(device))
+    for folder in (real, *real.parents[:5]):
         if vendor := _text(folder / "idVendor"):
             product = _text(folder / "idProduct")
             return (

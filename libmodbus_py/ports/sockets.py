@@ -62,15 +62,11 @@ class SocketPort(Port):
         made = yield from self._connected(deadline)
         try:
             yield from self._preparing(made, deadline)
-        except ModbusConnectionError:
+        except BaseException as error:
             made.close()
-            raise
-        except OSError as error:  # of an option, or of the descriptor itself
-            made.close()
-            of_system(error)
-            raise self._cannot_connect(error) from error
-        except BaseException:
-            made.close()
+            # Of an option, or of the descriptor itself.
+            if isinstance(error, OSError) and not isinstance(error, ModbusConnectionError):
+                raise self._cannot_connect(of_system(error)) from error
             raise
         self._socket, self._connecting = made, None
         self._watch(made.fileno())
@@ -94,12 +90,11 @@ class SocketPort(Port):
             self._connecting = made
             try:
                 yield from _connecting(made, address, share)
-            except OSError as error:
+            except BaseException as error:
                 made.close()
+                if not isinstance(error, OSError):
+                    raise
                 last = of_system(error)
-            except BaseException:
-                made.close()
-                raise
             else:
                 return made
         assert last is not None  # getaddrinfo gives one address or raises

@@ -16,7 +16,7 @@ from collections.abc import Callable, Generator
 from typing import Any, NamedTuple, TypeVar
 
 from ..system import Flag
-from .hosts import Resolve, asked, numeric
+from .hosts import Resolve, ask, numeric
 
 # fmt: off
 __all__ = [
@@ -168,10 +168,10 @@ def _wait(wanted: Ready | Resolve, waker: Waker) -> Any:
 def _look_up(wanted: Resolve, waker: Waker) -> list[Any]:
     done = Waker()
     try:
-        with asked(wanted, done.wake) as question:
-            if not waker.wait(done.descriptor, READ, wanted.deadline):
-                raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
-            return question.result()
+        question = ask(wanted, done.wake)
+        if not waker.wait(done.descriptor, READ, wanted.deadline):
+            raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+        return question.result()
     finally:
         done.close()  # an error that the caller keeps would keep it open
 

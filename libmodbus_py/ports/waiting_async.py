@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from .hosts import Resolve, asked, numeric
+from .hosts import Resolve, ask, numeric
 from .waiting import READ, Ready, Steps, of_system
 
 __all__ = ["Alarm", "look_up", "resolve", "run_async"]
@@ -55,15 +55,15 @@ async def look_up(wanted: Resolve) -> list[Any]:
     loop = asyncio.get_running_loop()
     ready = loop.create_future()
     timeout = asyncio.timeout_at(None if wanted.deadline == math.inf else wanted.deadline)
-    with asked(wanted, lambda: loop.call_soon_threadsafe(resolve, ready)) as question:
-        try:
-            async with timeout:
-                await ready
-        except TimeoutError as error:
-            if not timeout.expired():
-                raise
-            raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT)) from error
-        return question.result()
+    question = ask(wanted, lambda: loop.call_soon_threadsafe(resolve, ready))
+    try:
+        async with timeout:
+            await ready
+    except TimeoutError as error:
+        if not timeout.expired():
+            raise
+        raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT)) from error
+    return question.result()
 
 
 def resolve(future: asyncio.Future[None]) -> None:

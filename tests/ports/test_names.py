@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py.ports.hosts import Question, Resolve, asked
+from libmodbus_py.ports.hosts import Question, Resolve, ask
 from libmodbus_py.ports.waiting import Steps, Waker, run
 from libmodbus_py.ports.waiting_async import look_up, run_async
 from tests.support.peers import until
@@ -162,10 +162,11 @@ def test_a_loop_that_was_closed_meanwhile_stops_no_other(resolver: Resolver) -> 
     def fails() -> None:
         raise RuntimeError("Event loop is closed")
 
-    with asked(wanted("stuck"), fails), asked(wanted("stuck"), lambda: told.append(1)) as question:
-        resolver.release.set()
-        until(lambda: told == [1])
-        assert question.result() == FOUND
+    ask(wanted("stuck"), fails)
+    question = ask(wanted("stuck"), lambda: told.append(1))
+    resolver.release.set()
+    until(lambda: told == [1])
+    assert question.result() == FOUND
 
 
 @pytest.mark.parametrize("error", [UnicodeError("label too long"), MemoryError("no memory")])
@@ -199,16 +200,16 @@ def test_no_thread_is_an_error_and_leaves_nothing(
 
 
 def test_a_forked_child_looks_up_what_its_parent_waits_for(resolver: Resolver) -> None:
-    with asked(wanted("stuck"), lambda: None):
-        until(lambda: resolver.asked == ["stuck"])
-        child = os.fork()
-        if child == 0:
-            result = 1
-            try:
-                resolver.release = threading.Event()
-                resolver.release.set()
-                result = int(run(resolving("stuck"), Waker()) != FOUND)
-            finally:
-                os._exit(result)
-        _, status = os.waitpid(child, 0)
-        assert os.waitstatus_to_exitcode(status) == 0
+    ask(wanted("stuck"), lambda: None)
+    until(lambda: resolver.asked == ["stuck"])
+    child = os.fork()
+    if child == 0:
+        result = 1
+        try:
+            resolver.release = threading.Event()
+            resolver.release.set()
+            result = int(run(resolving("stuck"), Waker()) != FOUND)
+        finally:
+            os._exit(result)
+    _, status = os.waitpid(child, 0)
+    assert os.waitstatus_to_exitcode(status) == 0
