@@ -263,6 +263,8 @@ def _parse_network(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
         host, port = split_host_and_port(parts.netloc.lower())
     except ValueError as error:
         raise ValueError(f"{url!r}: {error}") from None
+    if ":" in host and not parts.netloc.startswith("["):
+        raise ValueError(f"{url!r}: an IPv6 address needs brackets, as in {scheme}://[::1]:502")
     port = TRANSPORTS[SCHEMES[scheme][1]].port if port is None else port
     options, others = _options(url, parts.query, options_of(scheme))
     return Endpoint(scheme, host=host, port=port, options=options, client_options=others)

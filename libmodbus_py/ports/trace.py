@@ -106,7 +106,7 @@ class Trace:
         self._callback = callback
         self._peer = peer
         self._later = later
-        self.is_on: Callable[[], bool] = _switch(callback)
+        self.is_on: Callable[[], bool] = _is_logged if callback is None else _always
 
     def tell(
         self,
@@ -134,27 +134,15 @@ class Trace:
                 log_failure(__name__, "trace(%s) failed", traced)
 
 
-def _switch(callback: OnTraced | None) -> Callable[[], bool]:
-    """Return a function that says if ADUs are reported; each request of a client calls it."""
-    if callback is not None:
-        return lambda: True
-    logger = _logger()
-    return _is_logged if logger is None else partial(logger.isEnabledFor, DEBUG)
+def _always() -> bool:
+    return True
 
 
 def _is_logged() -> bool:
-    """Return True if the logger is at DEBUG."""
-    if "logging" not in sys.modules:
-        return False
-    logger = _logger()
-    return logger is not None and logger.isEnabledFor(DEBUG)
-
-
-def _logger() -> Logger | None:
     """
-    Return the logger; None if logging has not been imported.
+    Return True if the logger is at DEBUG.
 
-    It is not imported here, because that takes an eighth of the time of importing the whole
+    Logging is not imported here, because that takes an eighth of the time of importing the whole
     client: a program that has not imported it cannot have set DEBUG.
     """
     global _wire
@@ -162,4 +150,4 @@ def _logger() -> Logger | None:
         import logging
 
         _wire = logging.getLogger(WIRE)
-    return _wire
+    return _wire is not None and _wire.isEnabledFor(DEBUG)

@@ -153,6 +153,7 @@ ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
         ("tcp://h/x", "nothing but options may follow the port"),
         ("tcp://", "a host is missing, as in tcp://127.0.0.1:502"),
         ("udp://h:65536", "the port must be in 0..65535"),
+        ("tcp://::1:502", "an IPv6 address needs brackets, as in tcp://[::1]:502"),
         ("udp://h:x", "must be HOST or HOST:PORT, not 'h:x'"),
         ("rtu://ttyS0", "a path is missing, as in rtu:///dev/ttyUSB0"),
         ("ascii:///", "a path is missing"),
