@@ -185,7 +185,7 @@ class Question:
 
 def ask(wanted: Resolve, note: Callable[[], object]) -> Question:
     """
-    Look up a name, or share a look-up that is under way; nobody needs to wait for its end.
+    Look up a name, or share a look-up that is under way; its end need not be waited for.
 
     Args:
         note: called in another thread when the question has its result. It must not block.

@@ -82,7 +82,7 @@ class UnixListener:
 
     def __init__(self, path: str) -> None:
         self._path = _checked(path)
-        self._identity: tuple[int, int] | None = None
+        self._identity: tuple[int, int, int] | None = None
 
     def open(self) -> socket.socket:
         """
@@ -141,9 +141,10 @@ class UnixListener:
                     os.unlink(self._path)
 
 
-def _identity(path: str) -> tuple[int, int]:
+def _identity(path: str) -> tuple[int, int, int]:
+    """Return what differs from a later file at the path, which may have the same inode."""
     found = os.lstat(path)
-    return found.st_dev, found.st_ino
+    return found.st_dev, found.st_ino, found.st_mtime_ns
 
 
 @contextlib.contextmanager

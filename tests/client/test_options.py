@@ -57,7 +57,7 @@ def test_bad_option_is_named(world: World, options: Any, named: str) -> None:
         ("tcp://", "host"),
         ("tcp://h:0", "port"),
         ("tcp://h:99999", "port"),
-        ("rtu://", "device"),
+        ("rtu://", "path"),
         ("rtu:///dev/x?speed=9600", "speed"),
         ("rtu:///dev/x?baudrate=fast", "baudrate"),
         ("rtu:///dev/x?parity=X", "parity"),
