@@ -4,10 +4,8 @@ One named value of a device: its location and the meaning of its cells.
 
 from __future__ import annotations
 
-import functools
 import reprlib
 import struct
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -56,8 +54,7 @@ class Point:
         scale, offset: for numbers, value = raw * scale + offset, computed with the decimal
             numbers as they are written: 2305 times 0.1 is 230.5. Integers stay integers if both
             are whole. Each is -1e30..1e30, and the scale is not nearer to 0 than 1e-30.
-        units: the units of the value, such as "V" or "kWh", up to 50 characters. `unit` is the
-            former name.
+        units: the units of the value, such as "V" or "kWh", up to 50 characters.
         access: what clients may do: "read", "write" or "read_write". If it is not given,
             "read" for discrete inputs and input registers, and "read_write" for others.
         minimum, maximum: the lowest and the highest scaled value that may be written; None for
@@ -159,12 +156,6 @@ class Point:
         self._check_bounds()
 
     # --- properties ----------------------------------------------------------------------
-
-    @property
-    def unit(self) -> str:
-        """The former name of `units`."""
-        warnings.warn("Point.unit is now Point.units", DeprecationWarning, stacklevel=2)
-        return self.units
 
     @property
     def is_readable(self) -> bool:
@@ -514,20 +505,6 @@ class Point:
                 number(name, bound)
         if low is not None and high is not None and low > high:
             raise WrongValue("minimum", f"must not be above maximum, {shown(high)}: {shown(low)}")
-
-
-_init = Point.__init__
-
-
-@functools.wraps(_init)
-def _renaming(self: Point, *args: Any, **options: Any) -> None:
-    if "unit" in options:
-        warnings.warn("Point(unit=) is now Point(units=)", DeprecationWarning, stacklevel=2)
-        options["units"] = options.pop("unit")
-    _init(self, *args, **options)
-
-
-Point.__init__ = _renaming  # type: ignore[method-assign]
 
 
 def _local(kind: ValueType | None, point: Point) -> ValueType:

@@ -216,10 +216,6 @@ def test_cells_that_hold_no_value(keys: dict[str, Any], cells: list[int], messag
         point(**keys).decode(cells)
 
 
-def test_unit_is_the_old_name_of_units() -> None:
-    with pytest.warns(DeprecationWarning, match=r"Point\(unit=\) is now Point\(units=\)"):
-        point = Point("power", "input_registers", 0, unit="W")  # type: ignore[call-arg]
-    assert point.units == "W"
-    assert point == Point("power", "input_registers", 0, units="W")
-    with pytest.warns(DeprecationWarning, match=r"Point\.unit is now Point\.units"):
-        assert point.unit == "W"
+def test_a_unit_of_a_point_has_the_name_units() -> None:
+    with pytest.raises(TypeError, match=r"^'unit' must be one of .*; did you mean units"):
+        Point("power", "input_registers", 0, unit="W")  # type: ignore[call-arg]

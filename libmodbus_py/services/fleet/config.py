@@ -20,7 +20,6 @@ from ...protocol.checks import integer, number, seconds
 from ...protocol.close_names import named_arguments
 from ...protocol.json_text import json_text
 from ...protocol.mistakes import Path, WrongType, WrongValue, inside
-from ...tools.files.maps.drafts import point_of
 
 __all__ = [
     "DeviceConfig",
@@ -326,7 +325,7 @@ def _map_to_json(points: RegisterMap) -> str:
 
 @lru_cache(maxsize=4096)
 def _map_from_json(text: str) -> RegisterMap:
-    return RegisterMap([point_of(**each) for each in json.loads(text)])
+    return RegisterMap([Point(**each) for each in json.loads(text)])
 
 
 def _changed(value: object, of: Iterable[Any]) -> dict[str, Any]:

@@ -76,7 +76,7 @@ POINT_KEYS = POINT.but("table")
 
 TYPING = POINT.only("type", "order", "encoding", "padding")
 
-NAMING = POINT.only("name", "description", "units", "unit", "scale", "offset")
+NAMING = POINT.only("name", "description", "units", "scale", "offset")
 """The keys that give a point a name or a unit of measurement; a file may have 10000 such points."""
 
 DEFAULTS = (TYPING | POINT.only("access")).optional()

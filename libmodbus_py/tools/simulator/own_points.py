@@ -14,7 +14,7 @@ from ...protocol.mistakes import Path, WrongValue, inside, path_text, placed
 from ...protocol.pdu import RECORDS_PER_FILE
 from ...protocol.tables import TABLES
 from ...protocol.values import value_type
-from ..files.maps.drafts import MAX_POINTS, point_of
+from ..files.maps.drafts import MAX_POINTS
 from .keys import CONTENTS, DEFAULTS, MOVES, NAMING, POINT_KEYS, TYPING, VALUES
 from .simulated_point import SimulatedPoint
 
@@ -212,8 +212,8 @@ def _read_point(table: str, count: int, given: Mapping[str, Any]) -> Point:
     keys["count"] = count
     keys.setdefault("name", f"{table}_{first}")
     if table == "file":
-        return point_of(**keys, table="holding_registers", address=first)
-    return point_of(**keys, table=table)
+        return Point(**keys, table="holding_registers", address=first)
+    return Point(**{**keys, "table": table})
 
 
 def _check_end(path: Path, table: str, point: Point) -> None:

@@ -22,7 +22,7 @@ table = "holding_registers"
 address = 0
 type = "int16"
 scale_from = "v_sf"
-unit = "V"
+units = "V"
 
 [[point]]
 name = "v_sf"

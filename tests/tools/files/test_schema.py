@@ -74,11 +74,7 @@ PLACE = {"table": "coils", "address": 1}
         ({"point": {"name": "a"}}, "point.table is missing"),
         ({"point": {"name": "a", **PLACE, "x": 1}}, "point.x: no such key; allowed are name, "),
         ({"point": {"name": "", **PLACE}}, "point.name must have 1..100 characters, not 0"),
-        ({"point": {"name": "a", **PLACE, "unit": 1}}, "point.unit must be a string, not int"),
-        (
-            {"point": {"name": "a", **PLACE, "unit": "V", "units": "V"}},
-            "point.unit cannot be given",
-        ),
+        ({"point": {"name": "a", **PLACE, "units": 1}}, "point.units must be a string, not int"),
         ({"point": {"name": "a", **PLACE, "scale": 2}}, "point.scale must be 1 for coils, which"),
     ],
 )
@@ -121,7 +117,7 @@ def test_every_key_of_every_file_says_what_it_means(table_of_keys: Keys) -> None
 
 
 def test_every_key_can_stand_in_a_cell_that_csv_has_a_column_for() -> None:
-    assert set(READERS) - {"function", "divisor"} == set(POINT) - {"unit"}
+    assert set(READERS) - {"function", "divisor"} == set(POINT)
     not_in_cells = {"map", "dead_bands", "labels"}
     columns = {key.name for key in fleet_files.DEVICE.values() if key.kind in CELLS}
     assert columns == set(fleet_files.DEVICE) - not_in_cells
@@ -138,7 +134,7 @@ POINTS = {
     "bounds": "address = 7\nminimum = -1\nmaximum = 5.5",
     "a hexadecimal address": "address = 0x07",
     "several values": "address = 7\ncount = 3",
-    "a scale": 'address = 7\nscale = 0.1\noffset = -5\nunit = "V"',
+    "a scale": 'address = 7\nscale = 0.1\noffset = -5\nunits = "V"',
     "units": 'address = 7\nunits = "V"',
     "a text": 'address = 7\ntype = "string:5"\nencoding = "latin-1"\npadding = " "',
     "a name of spaces and letters": "address = 7",

@@ -106,7 +106,7 @@ BROKEN = [
         "unit[0].coils[0].table: no such key; allowed are name, address, count, type, order,"
         " encoding, padding, scale, offset, units, access, minimum, maximum, description, missing,"
         " plausible_minimum, plausible_maximum, never_falls, scale_from, scale_as, states, bits,"
-        " bit, byte, time_zone, interval, group, unit,"
+        " bit, byte, time_zone, interval, group,"
         " value, values, counter, sine, random_walk, copy; did you mean value or scale?",
     ),
     (

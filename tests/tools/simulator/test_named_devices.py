@@ -88,7 +88,7 @@ REGISTER = "[[unit]]\n[[unit.input_registers]]\naddress = 0\n"
         ("offset = 100", [0]),
         ("type = 'int32'\nscale = 0.001\nvalue = -0.001", [0xFFFF, 0xFFFF]),
         ("type = 'float32'\nscale = 0.5\nvalue = 0.5", [0x3F80, 0]),
-        ("scale = 1\nunit = 'V'\nvalue = 3", [3]),
+        ("scale = 1\nunits = 'V'\nvalue = 3", [3]),
     ],
 )
 def test_values_are_those_that_users_see(content: str, registers: list[int]) -> None:
@@ -141,7 +141,7 @@ def test_a_device_knows_its_names_and_points() -> None:
         address = 7
         name = "flow"
         description = "of the heating"
-        unit = "°C"
+        units = "°C"
         scale = 0.1
         values = [55.5, 45]
         [[unit.holding_registers]]
@@ -363,7 +363,7 @@ BROKEN = [
     ),
     (REGISTER + "scale = 0.1\nvalue = 7000", "unit[0].input_registers[0].value must be in 0.0..65"),
     (REGISTER + "name = ''", "unit[0].input_registers[0].name must have 1..100 characters, not 0"),
-    (REGISTER + "unit = 5", "unit[0].input_registers[0].unit must be a string, not int"),
+    (REGISTER + "units = 5", "unit[0].input_registers[0].units must be a string, not int"),
     ("[[unit]]\nname = 5", "unit[0].name must be text, not 5"),
     ("[[unit]]\ndefaults = 5", "unit[0].defaults must be a table, not 5"),
     ("[[unit]]\ndefaults = { value = 5 }", "unit[0].defaults.value: no such key; allowed are type"),

@@ -12,37 +12,14 @@ from ....maps.point import Point
 from ....maps.sources import scale_mistakes
 from ....protocol.mistakes import Path, WrongValue, placed
 from ..file_error import FileError, FilePlace
-from ..schema import Key, Keys, keys_of
+from ..schema import keys_of
 
-__all__ = ["MAX_POINTS", "POINT", "Contents", "Draft", "MapError", "collected", "point_of"]
+__all__ = ["MAX_POINTS", "POINT", "Contents", "Draft", "MapError", "collected"]
 
 # As many as a file in TOML can have.
 MAX_POINTS = 10_000
 
-
-def point_of(**keys: Any) -> Point:
-    """
-    Return the point with these keys of a file; `unit` is the old name of `units`.
-
-    Raises:
-        TypeError, ValueError: as `Point`.
-    """
-    if "unit" in keys:
-        if "units" in keys:
-            raise WrongValue("unit", "cannot be given together with units")
-        keys["units"] = keys.pop("unit")
-        try:
-            return Point(**keys)
-        except (TypeError, ValueError) as error:
-            mistake = placed(error, ())
-            is_units = mistake.path[:1] == ("units",)
-            raise mistake.renamed(("unit",)) if is_units else mistake from None
-    return Point(**keys)
-
-
-_OLD_NAMES = Keys([Key("unit", text="the same as units, of which it is the old name", default="")])
-
-POINT = Keys((keys_of(Point) | _OLD_NAMES).values(), point_of)
+POINT = keys_of(Point)
 """The keys of a point, in every file that describes points."""
 
 
