@@ -1,8 +1,9 @@
 """
 The items of a plan that a device refuses, found by halving. No I/O, no clock.
 
-A request of a plan reads pieces: cells that are read together, because a value is never cut. A
-device that cannot read one piece refuses the whole request, with exception 2, 3 or 4.
+A block is what one request of a plan reads: pieces, which are cells that are read together, because
+a value is never cut. A device that cannot read one piece refuses the whole request, with exception
+2, 3 or 4.
 
 1. A request that is refused is halved, and both halves are asked for, until single pieces are
    known. A piece that is refused alone is a hole. One hole among 20 pieces costs up to 10 requests.
@@ -23,7 +24,7 @@ Holes are known by their cells, so that all plans of a unit share them.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any, NamedTuple, TypeVar
 
@@ -37,17 +38,12 @@ from ..protocol.errors import (
 )
 from ..protocol.tables import TABLES
 
+# fmt: off
 __all__ = [
-    "Block",
-    "Holes",
-    "PartialAnswer",
-    "Span",
-    "Steps",
-    "Unreadable",
-    "carried_out",
-    "is_refusal",
-    "reading",
+    "Block", "Holes", "PartialAnswer", "Piece", "Span", "Steps", "Unreadable", "carried_out",
+    "is_refusal", "reading",
 ]
+# fmt: on
 
 RETRY_S = 600.0
 """Seconds after which what a device refused is tried again."""
@@ -57,8 +53,6 @@ REFUSED_HALVES = 16
 
 Result = TypeVar("Result")
 Steps = Generator[list[pdu.Request[Any]], list[Any], Result]
-
-_TABLE_OF: dict[Any, str] = {rules.read: table for table, rules in TABLES.items()}
 
 
 def is_refusal(outcome: object) -> bool:
@@ -79,6 +73,26 @@ class Span(NamedTuple):
         cell = "coil or input" if TABLES[self.table].is_bits else "register"
         what = f"{self.start}" if count == 1 else f"{self.start}..{self.stop - 1}"
         return f"{self.table} {what} ({count} {cell}{'s' * (count > 1)})"
+
+
+class Piece(NamedTuple):
+    """Cells that are read together or not at all, and the names of the items in them."""
+
+    span: Span
+    names: tuple[Any, ...]
+
+
+Block = Sequence[Piece]
+"""The pieces of one request, or of a part of it, in the order of their addresses."""
+
+
+def _span(block: Block) -> Span:
+    return block[0].span._replace(stop=max(each.span.stop for each in block))
+
+
+def _request(block: Block) -> pdu.Request[list[Any]]:
+    table, start, stop = _span(block)
+    return TABLES[table].read(start, stop - start)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +135,7 @@ class PastRefusal(NamedTuple):
         return connects != self.connects or now - self.at >= RETRY_S
 
 
+@dataclass(slots=True)
 class Holes:
     """
     The refusals of one unit, as one client knows them.
@@ -130,11 +145,8 @@ class Holes:
         cuts: the table and address at which a request must begin.
     """
 
-    __slots__ = ("cuts", "refused")
-
-    def __init__(self) -> None:
-        self.refused: dict[Span, PastRefusal] = {}
-        self.cuts: dict[tuple[Any, ...], PastRefusal] = {}
+    refused: dict[Span, PastRefusal] = field(default_factory=dict)
+    cuts: dict[tuple[Any, ...], PastRefusal] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
         return bool(self.refused or self.cuts)
@@ -144,38 +156,9 @@ class Holes:
         self.cuts.clear()
 
 
-class BlockPiece(NamedTuple):
-    """Cells that are read together or not at all, and the names of the items in them."""
-
-    span: Span
-    names: tuple[Any, ...]
-
-    @property
-    def cut(self) -> tuple[Any, ...]:
-        return self.span[:2]
-
-
-class Block:
-    """
-    One request of a plan, and the pieces that it reads, in the order of their addresses.
-
-    Args:
-        request: the request.
-        parts: the places of the pieces in its answer, and their names.
-    """
-
-    def __init__(self, request: Any, parts: list[tuple[int, int, tuple[Any, ...]]]) -> None:
-        table, start = _TABLE_OF[type(request)], request.address
-        self.request: pdu.Request[list[Any]] = request
-        self.pieces: tuple[BlockPiece, ...] = tuple(
-            BlockPiece(Span(table, start + first, start + last), names)
-            for first, last, names in parts
-        )
-
-
 class PartialAnswer(list[Any]):
     """
-    The cells of an answer, with None for those that could not be read.
+    The cells of an answer, with None for those that were not read.
 
     Attributes:
         lost: the names of the items that could not be read.
@@ -188,245 +171,174 @@ class PartialAnswer(list[Any]):
         self.errors: dict[tuple[int, int], ModbusError] = {}
 
 
-class _BlockRun:
-    """
-    The cells that one run has read of a block.
-
-    Attributes:
-        states: of each piece: None before it is asked for, what was refused if it is left out,
-            then its cells or its error.
-    """
-
-    def __init__(self, block: Block) -> None:
-        self.pieces = block.pieces
-        self.request: Any = block.request
-        self.states: list[Any] = [None] * len(block.pieces)
-        self._whole: Any = None
-
-    def take(self, first: int, last: int, outcome: Any) -> None:
-        if isinstance(outcome, ModbusError):
-            self.states[first:last] = [outcome] * (last - first)
-            return
-        if last - first == len(self.pieces):
-            self._whole = outcome
-        start = self.pieces[first].span.start
-        for at in range(first, last):
-            span = self.pieces[at].span
-            self.states[at] = outcome[span.start - start : span.stop - start]
-
-    @property
-    def answer(self) -> Any:
-        """The answer to the request of the block, as `Plan.results` takes it."""
-        if self._whole is not None:
-            return self._whole
-        states = [
-            alike(each.error) if isinstance(each, PastRefusal) else each for each in self.states
-        ]
-        if all(isinstance(each, ModbusError) for each in states):
-            return states[0]
-        answer = PartialAnswer(self.request.count)
-        for piece, state in zip(self.pieces, states, strict=True):
-            start, stop = (each - self.request.address for each in piece.span[1:])
-            if isinstance(state, ModbusError):
-                answer.errors[start, stop] = state
-                answer.lost += piece.names
-            else:
-                answer[start:stop] = state
-        return answer
-
-
-class _Portion(NamedTuple):
-    """The pieces first..last-1 of a block, in one request."""
-
-    part: _BlockRun
-    first: int
-    last: int
-
-    @property
-    def span(self) -> Span:
-        pieces = self.part.pieces[self.first : self.last]
-        return pieces[0].span._replace(stop=max(each.span.stop for each in pieces))
-
-    @property
-    def request(self) -> pdu.Request[list[Any]]:
-        if self.last - self.first == len(self.part.pieces):
-            return self.part.request  # type: ignore[no-any-return]
-        table, start, stop = self.span
-        return TABLES[table].read(start, stop - start)
-
-
-class _SearchEnds(Exception):
-    """A run cannot find out more."""
-
-
-class _PlanRun:
+class _Run:
     """One run of a plan at one unit."""
 
     def __init__(self, blocks: Sequence[Block], holes: Holes, now: float, connects: int) -> None:
-        self.parts = [_BlockRun(each) for each in blocks]
+        self._blocks = blocks
         self._holes = holes
         # The first connection is made by the first request.
         self._time = now, max(connects, 1)
+        self._read: dict[Span, Any] = {}  # piece -> its cells, or why they were not read
         self._found: set[Span] = set()
         self._is_answered = False
-        self._refused_halves = 0
+
+    @property
+    def _pieces(self) -> Iterator[Piece]:
+        return (piece for block in self._blocks for piece in block)
 
     def tolerant(self) -> Steps[list[Any]]:
         """Read all pieces but the holes, and search for others."""
-        left_out = list(self._left_out())
+        left_out = self._leave_out()
         asked = self._portions()
-        trial, hole = min(left_out, key=lambda each: each[1].at, default=(None, None))
-        if trial and hole and (not asked or hole.is_due(*self._time)):
-            *outcomes, tried = yield from self._send([*asked, trial])
-            if isinstance(tried, ModbusError):
-                error = tried if is_refusal(tried) else hole.error
-                self._holes.refused[trial.span] = PastRefusal(error, *self._time)
-            else:
+        oldest = min(left_out, key=lambda piece: left_out[piece].at, default=None)
+        tried = [oldest] if oldest and (not asked or left_out[oldest].is_due(*self._time)) else []
+        refused = yield from self._send([*asked, *([piece] for piece in tried)])
+        for piece in tried:
+            outcome = self._read[piece.span]
+            if not isinstance(outcome, ModbusError):
                 self._holes.forget()
-                for each, _ in left_out:
-                    if each != trial:
-                        each.part.states[each.first] = None
-                again = self._portions()
-                outcomes += yield from self._send(again)
-                asked += again
-        else:
-            outcomes = yield from self._send(asked)
-        try:
-            for portion, outcome in zip(asked, outcomes, strict=True):
-                if is_refusal(outcome):
-                    yield from self._search(portion)
-        except _SearchEnds:
-            pass
-        return [each.answer for each in self.parts]
+                for other in left_out.keys() - tried:
+                    self._read.pop(other.span, None)
+                refused += yield from self._send(self._portions())
+            elif not is_refusal(outcome):
+                self._holes.refused[piece.span] = PastRefusal(left_out[piece].error, *self._time)
+        yield from self._search(refused)
+        return [self._answer(block) for block in self._blocks]
 
     def strict(self) -> Steps[list[Any]]:
         """Read everything; the last answer is the first error, with the names of its piece."""
-        outcomes = yield [each.request for each in self.parts]
-        answers = []
-        for part, outcome in zip(self.parts, outcomes, strict=True):
-            answers.append(outcome)
+        answers: list[Any] = []
+        outcomes = yield [_request(block) for block in self._blocks]
+        for block, outcome in zip(self._blocks, outcomes, strict=False):
             if is_refusal(outcome):
-                answers[-1] = yield from self._first_refused(part, outcome)
-            elif not isinstance(outcome, ModbusError):
-                if any(each.span in self._holes.refused for each in part.pieces):
-                    self._holes.forget()
-                continue
-            break
+                outcome = yield from self._first_refused(block, outcome)
+            answers.append(outcome)
+            if isinstance(outcome, ModbusError):
+                break
+            if any(piece.span in self._holes.refused for piece in block):
+                self._holes.forget()
         return answers
 
     def news(self) -> Iterator[str]:
         """Yield a sentence about all holes that were found side by side."""
-        for part in self.parts:
-            found = [at for at, each in enumerate(part.pieces) if each.span in self._found]
-            for _, group in groupby(enumerate(found), lambda each: each[1] - each[0]):
-                indexes = [at for _, at in group]
-                portion = _Portion(part, indexes[0], indexes[-1] + 1)
-                names = [str(name) for at in indexes for name in part.pieces[at].names]
-                told = ", ".join(names[:3]) + ", ..." * (len(names) > 3)
-                yield f"{told}, {portion.span}: {_reason_of(part.states[indexes[0]])}"
+        for block in self._blocks:
+            for is_new, group in groupby(block, lambda piece: piece.span in self._found):
+                if is_new:
+                    pieces = list(group)
+                    names = [str(name) for piece in pieces for name in piece.names]
+                    told = ", ".join(names[:3]) + ", ..." * (len(names) > 3)
+                    yield f"{told}, {_span(pieces)}: {_reason_of(self._read[pieces[0].span])}"
 
-    def _left_out(self) -> Iterator[tuple[_Portion, PastRefusal]]:
-        """Leave known holes out, and forget old cuts."""
-        refused, cuts = self._holes.refused, self._holes.cuts
-        for part in self.parts:
-            for at, piece in enumerate(part.pieces):
-                if (cut := cuts.get(piece.cut)) and cut.is_due(*self._time):
-                    cuts.pop(piece.cut, None)
-                if hole := refused.get(piece.span):
-                    part.states[at] = hole
-                    yield _Portion(part, at, at + 1), hole
+    def _leave_out(self) -> dict[Piece, PastRefusal]:
+        """Forget old cuts; leave known holes out, and return them."""
+        cuts, known = self._holes.cuts, self._holes.refused.copy()
+        for at in [at for at, cut in cuts.copy().items() if cut.is_due(*self._time)]:
+            cuts.pop(at, None)
+        found = {piece: known[piece.span] for piece in self._pieces if piece.span in known}
+        self._read = {piece.span: alike(hole.error) for piece, hole in found.items()}
+        return found
 
-    def _portions(self) -> list[_Portion]:
+    def _portions(self) -> list[list[Piece]]:
         """Return what is to be asked for, in as few requests as holes and cuts allow."""
-        found: list[_Portion] = []
-        for part in self.parts:
-            first = None
-            for at, (piece, state) in enumerate(zip(part.pieces, part.states, strict=True)):
-                if state is not None:
-                    first = None
-                elif first is None or piece.cut in self._holes.cuts:
-                    first = at
-                    found.append(_Portion(part, at, at + 1))
+        found: list[list[Piece]] = []
+        for block in self._blocks:
+            is_open = False
+            for piece in block:
+                if piece.span in self._read:
+                    is_open = False
+                elif is_open and piece.span[:2] not in self._holes.cuts:
+                    found[-1].append(piece)
                 else:
-                    found[-1] = _Portion(part, first, at + 1)
+                    found.append([piece])
+                    is_open = True
         return found
 
-    def _send(self, asked: Sequence[_Portion]) -> Steps[list[Any]]:
-        outcomes = (yield [each.request for each in asked]) if asked else []
-        for each, outcome in zip(asked, outcomes, strict=True):
-            each.part.take(each.first, each.last, outcome)
-            self._is_answered |= not isinstance(outcome, ModbusError)
-        return outcomes
+    def _send(self, asked: Sequence[Block]) -> Steps[list[Block]]:
+        """Read some pieces; return those blocks that are refused."""
+        outcomes = (yield [_request(block) for block in asked]) if asked else []
+        for block, outcome in zip(asked, outcomes, strict=True):
+            is_error, first = isinstance(outcome, ModbusError), block[0].span.start
+            self._is_answered |= not is_error
+            for span, _ in block:
+                cells = slice(span.start - first, span.stop - first)
+                self._read[span] = outcome if is_error else outcome[cells]
+        return [block for block, each in zip(asked, outcomes, strict=True) if is_refusal(each)]
 
-    def _ask(self, asked: Sequence[_Portion]) -> Steps[list[Any]]:
-        """Send requests of a search; raise `_SearchEnds` after a failure that is no refusal."""
-        outcomes = yield from self._send(asked)
-        if any(isinstance(each, ModbusError) and not is_refusal(each) for each in outcomes):
-            raise _SearchEnds
-        return outcomes
+    def _has_failed(self, block: Block) -> bool:
+        """Return True if what was sent for a block failed, but was not refused."""
+        outcome = self._read[block[0].span]
+        return isinstance(outcome, ModbusError) and not is_refusal(outcome)
 
-    def _search(self, portion: _Portion) -> Steps[None]:
-        """Find the holes in a portion that was refused."""
-        part, first, last = portion
-        if last - first == 1:
-            self._add(part, first)
-            return
-        if self._refused_halves >= REFUSED_HALVES and not self._is_answered:
-            for each in self.parts:
-                for at, state in enumerate(each.states):
-                    if is_refusal(state):
-                        self._add(each, at)
-            raise _SearchEnds
-        error, middle = part.states[first], (first + last) // 2
-        halves = _Portion(part, first, middle), _Portion(part, middle, last)
-        outcomes = yield from self._ask(halves)
-        refused = [half for half, each in zip(halves, outcomes, strict=True) if is_refusal(each)]
-        if not refused:
-            self._holes.cuts[part.pieces[middle].cut] = PastRefusal(error, *self._time)
-        self._refused_halves += len(refused)
-        for half in refused:
-            yield from self._search(half)
+    def _search(self, refused: list[Block]) -> Steps[None]:
+        """Find the holes in what was refused."""
+        refused_halves = 0
+        while refused:
+            block = refused.pop(0)
+            if len(block) == 1:
+                self._add(block[0])
+                continue
+            if refused_halves >= REFUSED_HALVES and not self._is_answered:
+                for piece in self._pieces:
+                    if is_refusal(self._read[piece.span]):
+                        self._add(piece)
+                return
+            error, middle = self._read[block[0].span], len(block) // 2
+            halves = block[:middle], block[middle:]
+            again = yield from self._send(halves)
+            if any(map(self._has_failed, halves)):
+                return
+            if not again:
+                self._holes.cuts[block[middle].span[:2]] = PastRefusal(error, *self._time)
+            refused_halves += len(again)
+            refused = [*again, *refused]
 
-    def _first_refused(self, part: _BlockRun, error: ModbusError) -> Steps[ModbusError]:
+    def _first_refused(self, block: Block, error: ModbusError) -> Steps[ModbusError]:
         """Return the refusal of the first piece that is refused alone; `error` if there is none."""
-        part.take(0, len(part.pieces), error)
-        known = (at for at, each in enumerate(part.pieces) if each.span in self._holes.refused)
-        at = next(known, None)
-        try:
-            if at is not None and not (yield from self._is_refused(part, at, at + 1)):
-                self._holes.forget()
-                at = None
-            if at is None:
-                at = yield from self._halved(part)
-        except _SearchEnds:
-            return error
-        if at is None:
-            return error
-        self._add(part, at)
-        found: ModbusError = part.states[at]
-        found.names = part.pieces[at].names
-        return found
+        known = [piece for piece in block if piece.span in self._holes.refused][:1]
+        if known:
+            if (yield from self._send([known])):
+                return self._named(known[0])
+            if self._has_failed(known):
+                return error
+            self._holes.forget()
+        self._read[block[0].span] = error
+        is_refused = True
+        while len(block) > 1 or not is_refused:
+            half = block[: max(len(block) // 2, 1)]
+            is_refused = bool((yield from self._send([half])))
+            if not is_refused and (len(block) == 1 or self._has_failed(half)):
+                return error
+            block = half if is_refused else block[len(half) :]
+        return self._named(block[0])
 
-    def _halved(self, part: _BlockRun) -> Steps[int | None]:
-        """Return the first piece that is refused alone, if the device lacks one."""
-        first, last, is_refused = 0, len(part.pieces), True
-        while last - first > 1:
-            middle = (first + last) // 2
-            is_refused = yield from self._is_refused(part, first, middle)
-            first, last = (first, middle) if is_refused else (middle, last)
-        if is_refused or (yield from self._is_refused(part, first, last)):
-            return first
-        return None
+    def _named(self, piece: Piece) -> ModbusError:
+        """Return the refusal of a piece that was refused alone, with the names of its items."""
+        self._add(piece)
+        error: ModbusError = self._read[piece.span]
+        error.names = piece.names
+        return error
 
-    def _is_refused(self, part: _BlockRun, first: int, last: int) -> Steps[bool]:
-        (outcome,) = yield from self._ask([_Portion(part, first, last)])
-        return is_refusal(outcome)
+    def _add(self, piece: Piece) -> None:
+        if piece.span not in self._holes.refused:
+            self._found.add(piece.span)
+        self._holes.refused[piece.span] = PastRefusal(self._read[piece.span], *self._time)
 
-    def _add(self, part: _BlockRun, at: int) -> None:
-        span = part.pieces[at].span
-        if span not in self._holes.refused:
-            self._found.add(span)
-        self._holes.refused[span] = PastRefusal(part.states[at], *self._time)
+    def _answer(self, block: Block) -> Any:
+        """Return the answer to the request of a block, as `Plan.results` takes it."""
+        found = [self._read[span] for span, _ in block]
+        if all(isinstance(each, ModbusError) for each in found):
+            return found[0]
+        _, first, end = _span(block)
+        answer = PartialAnswer(end - first)
+        for (span, names), cells in zip(block, found, strict=True):
+            start, stop = span.start - first, span.stop - first
+            if isinstance(cells, ModbusError):
+                answer.errors[start, stop] = cells
+                answer.lost += names
+            else:
+                answer[start:stop] = cells
+        return answer
 
 
 def reading(
@@ -453,7 +365,7 @@ def reading(
     Returns:
         The answers to the requests of the plan, as `Plan.results` takes them.
     """
-    run = _PlanRun(blocks, holes, now, connects)
+    run = _Run(blocks, holes, now, connects)
     try:
         return (yield from (run.strict() if is_strict else run.tolerant()))
     finally:

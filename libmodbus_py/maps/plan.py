@@ -11,7 +11,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from heapq import heapify, heappop, heappush
-from operator import itemgetter
 from typing import Any, Literal, NamedTuple, Required, TypedDict, TypeVar
 
 from ..protocol import pdu
@@ -22,7 +21,7 @@ from ..protocol.mistakes import WrongType, WrongValue, inside, placed
 from ..protocol.pdu.fields import checked_span, store
 from ..protocol.tables import TABLE_SIZE, TABLES, Table, checked_table
 from ..protocol.values import Order, TypeName, ValueType, value_type
-from .holes import Block, Holes, PartialAnswer, Unreadable
+from .holes import Block, Holes, PartialAnswer, Piece, Span, Unreadable
 
 # fmt: off
 __all__ = [
@@ -253,17 +252,15 @@ class Plan:
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
-        """The pieces of each request, for those that read them otherwise."""
-        pieces: list[dict[tuple[int, int], list[Any]]] = [{} for _ in self.requests]
+        """The pieces of each request, in the order of their addresses."""
+        found: list[dict[Span, list[Any]]] = [{} for _ in self.requests]
         for name, parts in self._parts.items():
-            for request, start, stop in parts:
-                pieces[request].setdefault((start, stop), []).append(name)
+            for at, start, stop in parts:
+                first: int = self.requests[at].address  # type: ignore[attr-defined]
+                span = Span(self._reads[name].table, first + start, first + stop)
+                found[at].setdefault(span, []).append(name)
         return tuple(
-            Block(
-                request,
-                [(*each, tuple(names)) for each, names in sorted(found.items(), key=itemgetter(0))],
-            )
-            for request, found in zip(self.requests, pieces, strict=True)
+            [Piece(span, tuple(pieces[span])) for span in sorted(pieces)] for pieces in found
         )
 
     def _values(self, name: Any, answers: list[Any]) -> Any:
@@ -366,9 +363,9 @@ def unreadable_of(plan: Plan, holes: Holes, device: str) -> list[Unreadable]:
     """Return the items of a plan that a device is known to refuse."""
     found: dict[Any, ModbusError] = {}
     for block in plan.blocks:
-        for piece in block.pieces:
-            if (hole := holes.refused.get(piece.span)) is not None:
-                found |= dict.fromkeys(piece.names, hole.error)
+        for span, names in block:
+            if (hole := holes.refused.get(span)) is not None:
+                found |= dict.fromkeys(names, hole.error)
     return [
         Unreadable(device, name, read.table, read.cells, found[name])
         for name, read in plan._reads.items()
