@@ -1,25 +1,25 @@
 """
-The meaning of raw values beyond scale and offset: no value, states, named bits, parts of
-registers.
+The meaning of the cells of a value: numbers, states, bits, parts of registers, or no value.
 """
 
 from __future__ import annotations
 
 import math
+import re
+import reprlib
+import struct
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
-from ..protocol.checks import shown
-from ..protocol.mistakes import WrongValue
+from ..protocol.checks import are_registers, integer, shown
+from ..protocol.mistakes import Path, WrongType, WrongValue
+from ..protocol.pdu.fields import checked_bit
 from ..protocol.values import ValueType
-from .parts import Part, put_named
+from .scaling import Scaling
 
-__all__ = ["Judged", "Meaning", "NoValue", "Reason", "sunspec_missing"]
+__all__ = ["Change", "Judged", "Meaning", "NoValue", "Part", "Reason", "part_of"]
 
 Reason = Literal["Missing", "Implausible", "InvalidTime", "BadScale"]
-
-Scale = Callable[[Any], Any]
-"""Function that converts a raw number to a scaled one."""
 
 
 class NoValue(ValueError):
@@ -73,9 +73,109 @@ class Judged(NamedTuple):
         return cls(values, quality, bad[0].reason if bad else "")
 
 
+# --- parts of registers -----------------------------------------------------------------
+
+_SPAN = re.compile(r"\s*([0-9]{1,3})\s*(?:\.\.\s*([0-9]{1,3})\s*)?", re.ASCII)
+
+
+class Part(NamedTuple):
+    """
+    Some adjacent bits of a value. Its text is what `part_of` takes.
+
+    Attributes:
+        shift: the number of the lowest bit; 0 is the lowest of the value.
+        width: how many bits.
+        is_flag: True if the value is True or False, not a number.
+        is_signed: True if the highest bit of the part is a sign.
+    """
+
+    shift: int
+    width: int
+    is_flag: bool = False
+    is_signed: bool = False
+
+    @property
+    def key(self) -> int | str:
+        """The part as `part_of` takes it."""
+        return self.shift if self.is_flag else f"{self.shift}..{self.shift + self.width - 1}"
+
+    @property
+    def mask(self) -> int:
+        """The bits of the part, as a number of all bits."""
+        return (1 << self.width) - 1 << self.shift
+
+    @property
+    def limits(self) -> tuple[int, int]:
+        """The lowest and the highest number."""
+        if self.is_signed:
+            return -1 << self.width - 1, (1 << self.width - 1) - 1
+        return 0, (1 << self.width) - 1
+
+    def of(self, number: int) -> int:
+        """Return the part of a number; True or False for a flag."""
+        found = (number & self.mask) >> self.shift
+        if self.is_flag:
+            return bool(found)
+        return found - (1 << self.width) if self.is_signed and found >> self.width - 1 else found
+
+    def put(self, name: str | Path, value: object) -> int:
+        """
+        Return the bits of a value, with all other bits 0.
+
+        Raises:
+            TypeError, ValueError: the part cannot hold the value.
+        """
+        if self.is_flag and isinstance(value, bool):
+            value = int(value)
+        return integer(name, value, *self.limits) << self.shift & self.mask
+
+
+def part_of(path: str | Path, given: object, bits: int, *, is_signed: bool = False) -> Part:
+    """
+    Return the part that a number such as 3, or a text such as "4..7", names.
+
+    Args:
+        bits: of the type.
+
+    Raises:
+        TypeError, ValueError: it names no bits, or bits that the type does not have.
+    """
+    if isinstance(given, int) and not isinstance(given, bool):
+        return Part(integer(path, given, 0, bits - 1), 1, is_flag=True)
+    if not isinstance(given, str):
+        raise WrongType(path, f"must be a bit such as 3, or bits such as '4..7', not {given!r}")
+    found = _SPAN.fullmatch(given)
+    if found is None:
+        wanted = "a bit such as 3, or bits such as '4..7'"
+        raise WrongValue(path, f"must be {wanted}, not {reprlib.repr(given)}")
+    if found[2] is None:
+        return part_of(path, int(found[1]), bits)
+    first, last = int(found[1]), int(found[2])
+    if not first <= last < bits:
+        wanted = f"within 0..{bits - 1}, the lower number first"
+        raise WrongValue(path, f"must be {wanted}, not {reprlib.repr(given)}")
+    return Part(first, last - first + 1, is_signed=is_signed)
+
+
+# --- values -----------------------------------------------------------------------------
+
+
+class Change(NamedTuple):
+    """
+    What a new value changes.
+
+    Attributes:
+        cells: the new cells; of a part of registers, with all other bits 0.
+        masks: the bits that change in each register; None if all do.
+    """
+
+    cells: list[Any]
+    masks: list[int] | None
+
+
 class Meaning:
     """
-    Turns raw values of a point into values or `NoValue`, and back into bits.
+    Turns the cells of a point into values or `NoValue`, and values into cells.
 
     Args:
         name: of the point.
@@ -87,23 +187,16 @@ class Meaning:
         bits: name -> bits; empty unless the value is a dict.
 
     Attributes:
-        judge: returns the value of a raw value, or a `NoValue`; its second argument converts
-            raw numbers to scaled ones, or is None.
-        from_bytes: returns the raw value of some bytes; raises ValueError if they hold none.
-        parts: the bits that are written, if not all: a mask write changes them.
+        part, bits: as given.
+        from_bytes: returns the raw value of the bytes of one value; raises ValueError if they
+            hold none.
+        has_numbers: True if the values are numbers.
+        is_plain: True if every raw number is a value, but for nan.
     """
 
     __slots__ = (
-        "_bits",
-        "_kind",
-        "_missing",
-        "_name",
-        "_numbers",
-        "_span",
-        "_states",
-        "from_bytes",
-        "judge",
-        "part",
+        *("_is_list", "_kind", "_missing", "_name", "_numbers", "_span", "_states"),
+        *("bits", "from_bytes", "has_numbers", "is_plain", "part"),
     )
 
     def __init__(
@@ -118,143 +211,164 @@ class Meaning:
         bits: Mapping[str, Part],
     ) -> None:
         self._name, self._kind = name, kind
-        self._missing, self._span = missing, span
-        self._states, self._bits = states, bits
+        self._missing, self._span, self._states = missing, span, states
         self._numbers = {text: number for number, text in states.items()}
-        self.part: Part | None = part
-        self.from_bytes: Callable[[bytes], Any] = self._reader(kind)
-        self.judge: Callable[[Any, Scale | None], Any] = self._judge()
+        self._is_list = kind is not None and kind.name.startswith("bits") and not (part or bits)
+        self.part, self.bits = part, bits
+        self.is_plain = not (part or bits or span or missing or states)
+        self.has_numbers = _has_numbers(kind, part) and not (states or bits)
+        self.from_bytes: Callable[[bytes], Any] = bool if kind is None else self._reader(kind)
+
+    def _reader(self, kind: ValueType) -> Callable[[bytes], Any]:
+        if self.part is not None:
+            to_number, of = kind.to_number, self.part.of
+            return lambda data: of(to_number(data))
+        return kind.to_number if self.bits else kind.reader
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The lowest and the highest raw number; 0 and 1 if raw values are none."""
+        if self.part is not None:
+            return self.part.limits
+        return (0, 1) if self._kind is None or self._kind.limits is None else self._kind.limits
 
     @property
     def mask(self) -> int:
         """The bits of the registers that writing changes, if not all."""
-        parts = self._bits.values() if self.part is None else [self.part]
+        parts = self.bits.values() if self.part is None else [self.part]
         return sum(part.mask for part in parts)
 
     @property
     def is_part(self) -> bool:
         """True if writing changes some bits of the registers only."""
-        return self.part is not None or bool(self._bits)
+        return self.part is not None or bool(self.bits)
 
     # --- read ------------------------------------------------------------------------------
 
-    def _reader(self, kind: ValueType | None) -> Callable[[bytes], Any]:
-        if kind is None:
-            return bool
-        if self.part is not None:
-            to_number, of = kind.to_number, self.part.of
-            return lambda data: of(to_number(data))
-        return kind.to_number if self._bits else kind.reader
+    def values_in(self, cells: Sequence[Any], scaling: Scaling | None) -> list[Any]:
+        """
+        Return the values that cells hold; a `NoValue` stands for no value.
 
-    def _judge(self) -> Callable[[Any, Scale | None], Any]:
-        if self._bits:
-            return self._named_bits
+        Args:
+            cells: of one value or several.
+            scaling: converts raw numbers; None if they are the values.
+
+        Raises:
+            TypeError, ValueError: the cells hold no values of this type.
+        """
+        scale = None if scaling is None else scaling.to_value
+        raws = self.raws_in(cells)
+        return [raw if isinstance(raw, NoValue) else self.judge(raw, scale) for raw in raws]
+
+    def raws_in(self, cells: Sequence[Any]) -> list[Any]:
+        """
+        Return the raw values that cells hold; a `NoValue` stands for a time that is none.
+
+        Raises:
+            TypeError, ValueError: as `values_in`.
+        """
+        if (kind := self._kind) is None:
+            return list(cells)
+        size = kind.registers
+        if len(cells) % size or not are_registers(cells):
+            kind.decode_many(cells)  # raises the error that says what is wrong
+        data = struct.pack(f">{len(cells)}H", *cells)
+        found: list[Any] = []
+        for at in range(0, len(cells), size):
+            try:
+                found.append(self.from_bytes(data[2 * at : 2 * (at + size)]))
+            except ValueError as error:
+                if not kind.is_time:
+                    text = f"registers[{at}:{at + size}] hold no {kind.name}: {error}"
+                    raise ValueError(text) from None
+                found.append(NoValue(self._name, "InvalidTime", f"has no value: {error}"))
+        return found
+
+    def judge(self, raw: Any, scale: Callable[[Any], Any] | None) -> Any:
+        """
+        Return the value of a raw value, or a `NoValue`.
+
+        Args:
+            scale: converts raw numbers to scaled ones; None if they are the same.
+        """
+        key = sum(bit << at for at, bit in enumerate(raw)) if self._is_list else raw
+        if key in self._missing:
+            return self._missed(key)
+        if self.bits:
+            return {name: part.of(raw) for name, part in self.bits.items()}
         if self._states:
-            return self._state
-        if self.part is not None or (self._kind is not None and self._kind.limits is not None):
-            return self._number_judge()
-        is_list = self._kind is not None and self._kind.name.startswith("bits")
-        return self._list if is_list else self._other
-
-    def _named_bits(self, raw: int, scale: Scale | None) -> Any:
-        if raw in self._missing:
-            return self._missed(raw)
-        return {name: part.of(raw) for name, part in self._bits.items()}
-
-    def _state(self, raw: int, scale: Scale | None) -> Any:
-        return self._missed(raw) if raw in self._missing else self._states.get(raw, raw)
-
-    def _list(self, raw: list[bool], scale: Scale | None) -> Any:
-        number = sum(bit << at for at, bit in enumerate(raw))
-        return self._missed(number) if number in self._missing else raw
-
-    def _other(self, raw: Any, scale: Scale | None) -> Any:
-        """Return a text or a time."""
-        return self._missed(raw) if raw in self._missing else raw
-
-    def _number_judge(self) -> Callable[[Any, Scale | None], Any]:
-        # A closure, because most points are numbers, and attributes take as long as the rest.
-        missing, (low, high) = self._missing, self._span or (-math.inf, math.inf)
-
-        def judge(raw: Any, scale: Scale | None) -> Any:
-            if raw in missing:
-                return self._missed(raw)
-            value = raw if scale is None else scale(raw)
-            return value if low <= value <= high else self._doubted(value)
-
-        return judge
-
-    def _doubted(self, value: float) -> NoValue:
+            return self._states.get(raw, raw)
+        value = raw if scale is None else scale(raw)
         if value != value:  # only nan differs from itself
             return self._missed(value)
-        span = self._span or ()
-        wanted = "..".join("" if math.isinf(each) else str(each) for each in span)
-        return NoValue(self._name, "Implausible", f"is {shown(value)}, and plausible is {wanted}")
+        if self._span is None or self._span[0] <= value <= self._span[1]:
+            return value
+        wanted = "..".join("" if math.isinf(each) else str(each) for each in self._span)
+        text = f"is {shown(value)}, and plausible is {wanted}"
+        return NoValue(self._name, "Implausible", text)
 
     def _missed(self, raw: object) -> NoValue:
         return NoValue(self._name, "Missing", f"has no value: the device says {shown(raw)}")
 
     # --- write -----------------------------------------------------------------------------
 
-    def bits_of(self, value: object) -> tuple[int, int]:
+    def change(self, value: Any, scaling: Scaling | None) -> Change:
         """
-        Return the bits of a value of named bits or of a part, and the mask of those bits.
-
-        Args:
-            value: a raw number for a part.
+        Return what a value changes.
 
         Raises:
-            TypeError, ValueError: it cannot hold the value.
+            TypeError, ValueError: it does not fit; the message begins with "value".
         """
-        if self._bits:
-            return put_named(self._bits, value)
-        assert self.part is not None
-        return self.part.put("value", value), self.part.mask
+        kind, raw = self._kind, self._raw_of(value, scaling)
+        if kind is None:
+            return Change([checked_bit("value", raw)], None)
+        if not self.is_part:
+            return Change(kind.encode(raw), None)
+        if self.part is not None:
+            bits, mask = self.part.put("value", raw), self.part.mask
+        else:
+            bits, mask = self._named_bits(raw)
+        return Change(kind.cells_of_number(bits), kind.cells_of_number(mask))
 
-    def number_of(self, value: Any) -> Any:
-        """
-        Return the number of a state's name; other values as they are.
+    def _raw_of(self, value: Any, scaling: Scaling | None) -> Any:
+        if self._states:
+            return self._number_of(value)
+        if scaling is None:
+            return value
+        low, high = self.limits
+        if isinstance(low, float):
+            return scaling.to_float(value)
+        raw = scaling.to_whole(value)
+        if not low <= raw <= high:
+            least, most = sorted(map(scaling.to_value, (low, high)))
+            raise WrongValue("value", f"must be in {least}..{most}, not {shown(value)}")
+        return raw
 
-        Raises:
-            ValueError: there is no state of this name.
-        """
-        if not self._states or not isinstance(value, str):
+    def _number_of(self, value: Any) -> Any:
+        """Return the number of a state's name; other values as they are."""
+        if not isinstance(value, str):
             return value
         if value not in self._numbers:
             allowed = ", ".join(self._numbers)
             raise WrongValue("value", f"must be one of {allowed}, or a number, not {value!r}")
-        number = self._numbers[value]
         is_flag = self._kind is None or (self.part is not None and self.part.is_flag)
-        return bool(number) if is_flag else number
+        return bool(self._numbers[value]) if is_flag else self._numbers[value]
+
+    def _named_bits(self, value: object) -> tuple[int, int]:
+        """Return the bits of a mapping of names to values, and the mask of those bits."""
+        if not isinstance(value, Mapping):
+            raise WrongType("value", f"must be a dict of named bits, not {type(value).__name__}")
+        bits = mask = 0
+        for name, each in value.items():
+            if name not in self.bits:
+                allowed = ", ".join(self.bits)
+                raise WrongValue("value", f"must have names of {allowed}, not {shown(name)}")
+            bits |= self.bits[name].put(("value", name), each)
+            mask |= self.bits[name].mask
+        return bits, mask
 
 
-# --- raw values that mean none ----------------------------------------------------------
-
-_SUNSPEC = {
-    "int16": 0x8000,
-    "uint16": 0xFFFF,
-    "int32": 0x8000_0000,
-    "uint32": 0xFFFF_FFFF,
-    "int64": 0x8000_0000_0000_0000,
-    "uint64": 0xFFFF_FFFF_FFFF_FFFF,
-    "bits16": 0xFFFF,
-    "bits32": 0xFFFF_FFFF,
-    "bits64": 0xFFFF_FFFF_FFFF_FFFF,
-}
-
-
-def sunspec_missing(kind: ValueType) -> int | None:
-    """
-    Return the bits of "not implemented" in a type of SunSpec; None for a float, whose nan means
-    no value anyway.
-
-    Raises:
-        ValueError: SunSpec has no such type.
-    """
-    if kind.is_text:
-        return 0
-    if kind.name in ("float32", "float64"):
-        return None
-    if kind.name not in _SUNSPEC:
-        raise WrongValue("missing", f"must be numbers for {kind.name}, which SunSpec does not have")
-    return _SUNSPEC[kind.name]
+def _has_numbers(kind: ValueType | None, part: Part | None) -> bool:
+    if part is not None:
+        return not part.is_flag
+    return kind is not None and kind.limits is not None

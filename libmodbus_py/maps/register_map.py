@@ -16,7 +16,7 @@ from ..protocol.errors import ModbusError
 from ..protocol.mistakes import WrongType, WrongValue
 from ..protocol.values import ValueType
 from .holes import PartialAnswer
-from .meaning import NoValue
+from .meaning import Meaning, NoValue
 from .plan import Plan, PlanOptions
 from .point import Point
 from .scaling import scaling_by
@@ -298,14 +298,13 @@ class PointPlan(Plan):
             parts, kind, meaning = self._parts[name], point.read.kind, point.meaning
             if kind is not None and point.count == len(parts) == 1:
                 request, start, stop = parts[0]
-                decoder = kind.reader if meaning is None else meaning.from_bytes
-                judge = None if meaning is None else meaning.judge
+                judge = None if meaning.is_plain else meaning.judge
                 others = point.to_value, judge, scale_of.get(name)
-                if form := _form_of(kind, decoder):
+                if form := _form_of(kind, meaning):
                     at = request + (1 + list(FORMS.values()).index(form)) * len(self.requests)
                     yield _Quick(name, at, start, stop, None, *others)
                 else:
-                    yield _Quick(name, request, 2 * start, 2 * stop, decoder, *others)
+                    yield _Quick(name, request, 2 * start, 2 * stop, meaning.from_bytes, *others)
 
     def _data(self, answers: list[Any]) -> list[Any]:
         """Return the bytes of each answer, and its registers in each of `FORMS`."""
@@ -392,11 +391,9 @@ class PointPlan(Plan):
             if isinstance(each, ModbusError):
                 return each
         try:
-            scaling = point.scaling_for(source)
+            found = point.meaning.values_in(cells, point.scaling_for(source))
         except NoValue as none:
             return none
-        try:
-            found = point.found_in(cells, None if scaling is None else scaling.to_value)
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
         if point.count == 1:
@@ -427,13 +424,11 @@ def _add_scale(scales: _Scales, scale: _Scale, number: int) -> None:
             scales.functions[number] = scaling.to_value
 
 
-def _form_of(kind: ValueType, decoder: Callable[[bytes], Any]) -> str:
-    """Return the form of `struct` that does the same as a decoder of one register, or nothing."""
-    if kind.registers != 1 or kind.order != "ABCD":
+def _form_of(kind: ValueType, meaning: Meaning) -> str:
+    """Return the form of `struct` that does the same as the decoder of one register, or nothing."""
+    if kind.registers != 1 or kind.order != "ABCD" or meaning.part is not None:
         return ""
-    if decoder == kind.to_number:
-        return FORMS["uint16"]
-    return FORMS.get(kind.name, "") if decoder == kind.reader else ""
+    return FORMS["uint16"] if meaning.bits else FORMS.get(kind.name, "")
 
 
 def _packed(answer: Any) -> bytes | None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 
 from ..protocol.mistakes import WrongValue
-from .meaning_keys import has_numbers
 from .point import Point
 
 __all__ = ["scale_mistakes", "sources_of"]
@@ -27,7 +26,7 @@ def _unfit(points: Mapping[str, Point], name: str) -> str:
     source = points.get(name)
     if source is None:
         return f"the map has no point {name!r}"
-    if not has_numbers(source) or source.count > 1:
+    if not source.meaning.has_numbers or source.count > 1:
         return f"{source.name!r} must be one number"
     if not source.is_readable:
         return f"{source.name!r} cannot be read: its access is write"

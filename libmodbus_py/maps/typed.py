@@ -40,8 +40,7 @@ def typed_value(point: Point, text: str) -> Any:
         return _state(point.states, text.strip())
     if point.bits is not None:
         return _named_bits(text)
-    kind, meaning = point.read.kind, point.meaning
-    part = None if meaning is None else meaning.part
+    kind, part = point.read.kind, point.meaning.part
     if kind is None or (part is not None and part.is_flag):
         return bit_of(text.strip())
     if kind.is_text:

@@ -117,10 +117,7 @@ def encoded_change(point: Point, value: Any, source: Any) -> Encoded:
     Raises:
         TypeError, ValueError: the value does not fit the point, which the message names.
     """
-    if not point.is_part:
-        return Encoded(point, point.encode(value, source=source), None)
-    changed = point.masks_of(value, source)
-    return Encoded(point, [bits for bits, _ in changed], [mask for _, mask in changed])
+    return Encoded(point, *point.change(value, source=source))
 
 
 def _mask(

@@ -331,7 +331,9 @@ def test_parts_come_back(cell: int, first: int, last: int, signed: bool) -> None
     first, last = sorted((first, last))
     made = point(bit=f"{first}..{last}", type="int16" if signed else "uint16")
     value = made.decode([cell])
-    ((bits, mask),) = made.masks_of(value)
+    change = made.change(value)
+    assert change.masks is not None
+    (bits,), (mask,) = change
     assert cell & mask == bits
     assert mask == sum(1 << at for at in range(first, last + 1))
     assert made.decode(made.encode(value)) == value
@@ -343,4 +345,4 @@ def test_named_bits_come_back(number: int, order: str) -> None:
     made = point(type="uint32", order=order, bits=names)
     cells = point(type="uint32", order=order).encode(number)
     assert made.encode(made.decode(cells)) == cells
-    assert all(mask == 0xFFFF for _, mask in made.masks_of(made.decode(cells)))
+    assert made.change(made.decode(cells)).masks == [0xFFFF, 0xFFFF]

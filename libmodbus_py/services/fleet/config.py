@@ -13,7 +13,8 @@ from functools import lru_cache
 from typing import Any
 
 from ...client.options import CheckedOptions, assembled
-from ...maps.point import LONGEST_INTERVAL, SHORTEST_INTERVAL, Point
+from ...maps.point import Point
+from ...maps.point_checks import LONGEST_INTERVAL, SHORTEST_INTERVAL
 from ...maps.register_map import PointPlan, RegisterMap
 from ...ports.endpoint import Endpoint, parse
 from ...protocol.checks import integer, number, seconds

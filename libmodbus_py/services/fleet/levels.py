@@ -7,7 +7,7 @@ from __future__ import annotations
 import re
 from urllib.parse import unquote
 
-from ...maps.point import MAX_NAME
+from ...maps.point_checks import MAX_NAME
 from .config import LONGEST_NAME
 
 __all__ = ["Levels"]

@@ -7,7 +7,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from ...maps.point import MAX_DESCRIPTION, Point
+from ...maps.point import Point
+from ...maps.point_checks import MAX_DESCRIPTION
 from ...protocol.tables import TABLE_SIZE, Table
 from .chain import HEADER
 

@@ -10,8 +10,7 @@ import reprlib
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from ....maps.meaning_keys import SCALES
-from ....maps.parts import BYTES
+from ....maps.point_checks import BYTES, SCALES
 from ....protocol.mistakes import WrongValue
 from ....protocol.words import ORDER_WORDS, TABLE_WORDS, TYPE_WORDS, plain, type_named
 from ..csv_text import flag_in, number_in, whole_in

@@ -1,0 +1,364 @@
+"""
+Checks of the arguments of a point, from which its attributes are made.
+"""
+
+from __future__ import annotations
+
+import math
+import reprlib
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from ..protocol.checks import integer, seconds, shown
+from ..protocol.checks import number as checked_number
+from ..protocol.mistakes import Path, WrongType, WrongValue, placed
+from ..protocol.pdu.fields import store
+from ..protocol.tables import TABLES, checked_table
+from ..protocol.values import ValueType
+from .meaning import Meaning, Part, part_of
+from .plan import Read
+from .scaling import Scaling, number
+
+# fmt: off
+__all__ = [
+    "ACCESSES", "BYTES", "LONGEST_INTERVAL", "MAX_DESCRIPTION", "MAX_NAME", "SCALES",
+    "SHORTEST_INTERVAL", "check_point",
+]
+# fmt: on
+
+# A `Point` whose arguments are not all checked yet; its module imports this one.
+Point = Any
+
+# Seconds; a longer interval is taken to be a mistake.
+SHORTEST_INTERVAL, LONGEST_INTERVAL = 0.01, 86_400.0
+
+# Characters.
+MAX_NAME, MAX_UNITS, MAX_DESCRIPTION = 100, 50, 2000
+
+# Far beyond those of any manual; a longer list is taken to be a mistake.
+MAX_STATES, MAX_MISSING = 1000, 100
+
+LARGEST_PLAUSIBLE = 1e300
+"""Beyond any value of a float32 with the largest scale."""
+
+ACCESSES = ("read", "write", "read_write")
+SCALES = ("exponent", "factor")
+
+BYTES = {"high": "8..15", "low": "0..7"}
+"""Byte of a register -> its bits."""
+
+TEXTS = {
+    "name": (1, MAX_NAME),
+    "units": (0, MAX_UNITS),
+    "group": (0, MAX_NAME),
+    "description": (0, MAX_DESCRIPTION),
+}
+"""Argument -> the fewest and the most characters."""
+
+NEED_NUMBERS = {
+    "scale": 1,
+    "offset": 0,
+    **dict.fromkeys(("scale_from", "minimum", "maximum"), None),
+    **dict.fromkeys(("plausible_minimum", "plausible_maximum"), None),
+    "never_falls": False,
+}
+"""Argument that needs numbers -> its value if it is not given."""
+
+NEED_BITS = ("bits", "bit", "byte")
+"""Arguments that need whole numbers or bits in registers."""
+
+SUNSPEC_MISSING = {
+    "int16": 0x8000,
+    "int32": 0x8000_0000,
+    "int64": 0x8000_0000_0000_0000,
+    **dict.fromkeys(("uint16", "bits16"), 0xFFFF),
+    **dict.fromkeys(("uint32", "bits32"), 0xFFFF_FFFF),
+    **dict.fromkeys(("uint64", "bits64"), 0xFFFF_FFFF_FFFF_FFFF),
+    **dict.fromkeys(("float32", "float64"), None),
+}
+"""Type -> the bits of "not implemented" in SunSpec; None for floats: a nan is no value anyway."""
+
+
+def check_point(point: Point) -> None:
+    """
+    Check the arguments of a point; store each in one spelling, and what is made of them.
+
+    Raises:
+        TypeError, ValueError: as `Point`.
+    """
+    for name, (least, most) in TEXTS.items():
+        _check_text(name, getattr(point, name), least, most)
+    for name in ("encoding", "padding"):
+        _check_string(name, getattr(point, name))
+    table = checked_table(point.table)
+    is_bits = TABLES[table].is_bits
+    type_: Any = "uint16" if point.type is None and not is_bits else point.type
+    text = {"encoding": point.encoding, "padding": point.padding}
+    read = Read(table, point.address, point.count, type_, point.order, **text)
+    order = "ABCD" if read.kind is None else read.kind.order
+    store(point, read=read, table=table, address=read.address, count=read.count, order=order)
+    store(point, type=read.type)
+    if point.time_zone != "UTC":
+        store(read, kind=_local(read.kind, point))
+    if point.interval is not None:
+        seconds("interval", point.interval, SHORTEST_INTERVAL, LONGEST_INTERVAL)
+    store(point, access=_access(point), meaning=_meaning(point, read.kind))
+    for name in ("scale", "offset"):
+        number(name, getattr(point, name))
+    is_scaled = (point.scale, point.offset) != (1, 0)
+    store(point, _scaling=Scaling(point.scale, point.offset) if is_scaled else None)
+    _check_bounds(point, "minimum", "maximum", number)
+
+
+def _check_string(name: str | Path, value: object) -> None:
+    if not isinstance(value, str):
+        raise WrongType(name, f"must be a string, not {type(value).__name__}")
+
+
+def _check_text(name: str, value: Any, least: int, most: int) -> None:
+    _check_string(name, value)
+    if not least <= len(value) <= most:
+        raise WrongValue(name, f"must have {least}..{most} characters, not {len(value)}")
+    unfit = [each for each in value if not each.isprintable() and each not in "\n\t"]
+    if unfit or (name != "description" and value != value.strip()):
+        raise WrongValue(
+            name, f"must be printable characters, without spaces around: {reprlib.repr(value)}"
+        )
+
+
+def _local(kind: ValueType | None, point: Point) -> ValueType:
+    """Return the type of a point whose registers hold the local time of a zone."""
+    from ..protocol.local_times import checked_time_zone, in_time_zone  # which few programs need
+
+    zone = checked_time_zone("time_zone", point.time_zone)
+    if kind is None or not kind.is_time:
+        reason = f"must be left out for {point.type_name}, which is not a time"
+        raise WrongValue("time_zone", reason)
+    return in_time_zone(kind, zone)
+
+
+def _access(point: Point) -> str:
+    can_be_written = TABLES[point.table].most_written > 0
+    if point.access is None:
+        return "read_write" if can_be_written else "read"
+    if point.access not in ACCESSES:
+        given = reprlib.repr(point.access)
+        raise WrongValue("access", f"must be one of {', '.join(ACCESSES)}, not {given}")
+    if point.access != "read" and not can_be_written:
+        raise WrongValue("access", f"must be read for {point.table}, not {point.access!r}")
+    return str(point.access)
+
+
+def _check_bounds(point: Point, least: str, most: str, check: Callable[[str, Any], Any]) -> None:
+    low, high = getattr(point, least), getattr(point, most)
+    for name, bound in ((least, low), (most, high)):
+        if bound is not None:
+            check(name, bound)
+    if low is not None and high is not None and low > high:
+        raise WrongValue(least, f"must not be above {most}, {shown(high)}: {shown(low)}")
+
+
+# --- the meaning --------------------------------------------------------------------------
+
+
+def _meaning(point: Point, kind: ValueType | None) -> Meaning:
+    """Return the meaning of the raw values; store the arguments that say what it is."""
+    missing = _listed(point.missing)
+    part = _part(point, kind)
+    states = _names("states", point.states, lambda path, key: _state(path, key, kind, part, point))
+    bits = _bits(point, kind)
+    if states and bits:
+        raise WrongValue("states", "cannot be given together with bits")
+    _check_bounds(
+        point,
+        "plausible_minimum",
+        "plausible_maximum",
+        lambda name, bound: checked_number(name, bound, -LARGEST_PLAUSIBLE, LARGEST_PLAUSIBLE),
+    )
+    low, high = point.plausible_minimum, point.plausible_maximum
+    span = (-math.inf if low is None else low, math.inf if high is None else high)
+    meaning = Meaning(
+        point.name,
+        kind,
+        missing=_missing(point, missing, kind, part),
+        span=None if low is None and high is None else span,
+        part=part,
+        states=states,
+        bits=bits,
+    )
+    _check_numbers(point, meaning)
+    store(
+        point,
+        missing=missing,
+        bit=None if point.bit is None or part is None else part.key,
+        states=states or None,
+        bits={part.key: name for name, part in bits.items()} or None,
+    )
+    return meaning
+
+
+def _part(point: Point, kind: ValueType | None) -> Part | None:
+    """Return the bits that are the raw value; None if all are."""
+    given = [name for name in NEED_BITS if getattr(point, name) is not None]
+    if not given:
+        return None
+    if len(given) > 1:
+        raise WrongValue(given[1], f"cannot be given together with {given[0]}")
+    name = given[0]
+    if kind is None or not kind.name.startswith(("int", "uint", "bits")):
+        raise WrongValue(name, f"must be left out for {point.type_name}, which has no single bits")
+    width, is_signed = 16 * kind.registers, kind.name.startswith("int")
+    if name == "bit":
+        return part_of("bit", point.bit, width, is_signed=is_signed)
+    if name == "bits":
+        return None
+    if point.byte not in BYTES:
+        raise WrongValue("byte", f"must be one of {', '.join(BYTES)}, not {point.byte!r}")
+    if kind.registers != 1:
+        raise WrongValue("byte", f"must be left out for {kind.name}, which has {width} bits")
+    return part_of("byte", BYTES[point.byte], width, is_signed=is_signed)
+
+
+def _names(name: str, given: object, key_of: Callable[[Path, Any], Any]) -> dict[Any, str]:
+    """Return the names that an argument gives to numbers or bits; the keys of files are text."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise WrongType(name, f"must be a table of names, not {type(given).__name__}")
+    if not 1 <= len(given) <= MAX_STATES:
+        raise WrongValue(name, f"must hold 1..{MAX_STATES} names, not {len(given)}")
+    found: dict[Any, str] = {}
+    for key, text in given.items():
+        path = (name, str(key))
+        if not isinstance(text, str):
+            raise WrongType(path, f"must be a name, not {type(text).__name__}")
+        if not 1 <= len(text) <= MAX_NAME or not text.isprintable() or text != text.strip():
+            wanted = f"1..{MAX_NAME} printable characters, without spaces around"
+            raise WrongValue(path, f"must have {wanted}: {reprlib.repr(text)}")
+        made = key_of(path, key)
+        if made in found:
+            raise WrongValue(path, "is given twice")
+        if text in found.values():
+            raise WrongValue(path, f"must have a name of its own; {text!r} occurs twice")
+        found[made] = text
+    return found
+
+
+def _state(path: Path, key: Any, kind: ValueType | None, part: Part | None, point: Point) -> int:
+    """Return the number of a state."""
+    if isinstance(key, str):
+        try:
+            key = int(key[:40], 0)
+        except ValueError:
+            raise WrongValue.about(path, "the key must be a number") from None
+    if part is not None:
+        return integer(path, key, *part.limits)
+    if kind is None:
+        return integer(path, key, 0, 1)
+    if kind.limits is None or isinstance(kind.limits[0], float):
+        raise WrongValue("states", f"must be left out for {point.type_name}: no whole numbers")
+    return integer(path, key, int(kind.limits[0]), int(kind.limits[1]))
+
+
+def _bits(point: Point, kind: ValueType | None) -> dict[str, Part]:
+    width = 0 if kind is None else 16 * kind.registers
+    found: dict[str, Part] = {}
+    taken = 0
+    named = _names("bits", point.bits, lambda path, key: part_of(path, key, width))
+    for part, name in named.items():
+        if part.mask & taken:
+            raise WrongValue(("bits", str(part.key)), "overlaps bits before it")
+        taken |= part.mask
+        found[name] = part
+    return found
+
+
+def _check_numbers(point: Point, meaning: Meaning) -> None:
+    if point.scale_as not in SCALES:
+        raise WrongValue("scale_as", f"must be one of {', '.join(SCALES)}, not {point.scale_as!r}")
+    if point.scale_from is None and point.scale_as != "exponent":
+        raise WrongValue("scale_as", "must be left out without scale_from")
+    if not isinstance(point.never_falls, bool):
+        raise WrongType("never_falls", f"must be true or false, not {point.never_falls!r}")
+    if point.scale_from is not None:
+        if not isinstance(point.scale_from, str):
+            raise WrongType("scale_from", f"must be a name, not {type(point.scale_from).__name__}")
+        if point.scale_from == point.name:
+            raise WrongValue("scale_from", "must be another point, not the point itself")
+    if point.never_falls and point.count > 1:
+        raise WrongValue("never_falls", "must be left out where count is more than 1")
+    if meaning.has_numbers:
+        return
+    given = [name for name in ("states", "bits", "bit") if getattr(point, name) is not None]
+    about = f"a point with {given[0]}" if given else point.type_name
+    for name, usual in NEED_NUMBERS.items():
+        if getattr(point, name) != usual:
+            wanted = "be left out" if usual is None or usual is False else f"be {usual}"
+            raise WrongValue(name, f"must {wanted} for {about}, which has no numbers")
+
+
+# --- missing ------------------------------------------------------------------------------
+
+
+def _listed(missing: Any) -> Any:
+    """Return the argument `missing`: a text, a tuple of numbers, or None."""
+    if missing is None or isinstance(missing, str):
+        return missing
+    found = tuple(missing) if isinstance(missing, Iterable) else (missing,)
+    if not 1 <= len(found) <= MAX_MISSING:
+        raise WrongValue("missing", f"must hold 1..{MAX_MISSING} numbers, not {len(found)}")
+    return found
+
+
+def _missing(
+    point: Point, missing: Any, kind: ValueType | None, part: Part | None
+) -> frozenset[Any]:
+    """Return the raw values that mean no value."""
+    if missing is None:
+        return frozenset()
+    if kind is None:
+        raise WrongValue("missing", f"must be left out for {point.type_name}")
+    if missing == "sunspec":
+        if part is not None:
+            raise WrongValue("missing", "must be numbers for a part of a register")
+        if kind.name not in SUNSPEC_MISSING and not kind.is_text:
+            reason = f"must be numbers for {kind.name}, which SunSpec does not have"
+            raise WrongValue("missing", reason)
+        bits = 0 if kind.is_text else SUNSPEC_MISSING[kind.name]
+        return frozenset() if bits is None else frozenset(_raws_of_bits(point, kind, bits))
+    if isinstance(missing, str):
+        raise WrongValue("missing", f'must be numbers or "sunspec", not {reprlib.repr(missing)}')
+    return frozenset(
+        raw
+        for at, given in enumerate(missing)
+        for raw in _raws(("missing", at), point, kind, part, given)
+    )
+
+
+def _raws(
+    path: Path, point: Point, kind: ValueType, part: Part | None, given: object
+) -> Iterable[Any]:
+    if part is not None:
+        return [integer(path, given, *part.limits)]
+    if kind.is_text:
+        raise WrongValue(path, 'must be "sunspec" for strings')
+    size = 1 << 16 * kind.registers
+    if kind.limits is None or point.bits is not None:
+        return _raws_of_bits(point, kind, integer(path, given, 0, size - 1))
+    if kind.name.startswith("int"):
+        # Manuals name the bits of a negative number, such as 0x8000.
+        value = integer(path, given, -size // 2, size - 1)
+        return [value if value <= kind.limits[1] else value - size]
+    try:
+        return [kind.decode(kind.encode(given))]
+    except (TypeError, ValueError) as error:
+        raise placed(error, ()).renamed(path) from None
+
+
+def _raws_of_bits(point: Point, kind: ValueType, bits: int) -> list[Any]:
+    if kind.name.startswith("bits") or point.bits is not None:
+        return [bits]
+    try:
+        return [kind.decode(kind.cells_of_number(bits))]
+    except ValueError:
+        return []  # registers that hold no time have no value anyway
