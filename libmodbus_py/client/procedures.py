@@ -121,7 +121,7 @@ class Procedures(Requests):
                 return done.value
 
     def _poll_plan(self, plan: Plan, max_in_flight: int) -> Steps[Any]:
-        from ..maps.register_map import PointPlan
+        from ..maps.point_plan import PointPlan
 
         answers = yield from _plan_answers(
             self,

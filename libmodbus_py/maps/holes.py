@@ -40,8 +40,16 @@ from ..protocol.tables import TABLES
 
 # fmt: off
 __all__ = [
-    "Block", "Holes", "PartialAnswer", "Piece", "Span", "Steps", "Unreadable", "carried_out",
-    "is_refusal", "reading",
+    "Block",
+    "BlockPiece",
+    "Holes",
+    "PartialAnswer",
+    "Span",
+    "Steps",
+    "Unreadable",
+    "carried_out",
+    "is_refusal",
+    "reading",
 ]
 # fmt: on
 
@@ -75,14 +83,14 @@ class Span(NamedTuple):
         return f"{self.table} {what} ({count} {cell}{'s' * (count > 1)})"
 
 
-class Piece(NamedTuple):
+class BlockPiece(NamedTuple):
     """Cells that are read together or not at all, and the names of the items in them."""
 
     span: Span
     names: tuple[Any, ...]
 
 
-Block = Sequence[Piece]
+Block = Sequence[BlockPiece]
 """The pieces of one request, or of a part of it, in the order of their addresses."""
 
 
@@ -171,7 +179,7 @@ class PartialAnswer(list[Any]):
         self.errors: dict[tuple[int, int], ModbusError] = {}
 
 
-class _Run:
+class _PlanRun:
     """One run of a plan at one unit."""
 
     def __init__(self, blocks: Sequence[Block], holes: Holes, now: float, connects: int) -> None:
@@ -184,7 +192,7 @@ class _Run:
         self._is_answered = False
 
     @property
-    def _pieces(self) -> Iterator[Piece]:
+    def _pieces(self) -> Iterator[BlockPiece]:
         return (piece for block in self._blocks for piece in block)
 
     def tolerant(self) -> Steps[list[Any]]:
@@ -230,7 +238,7 @@ class _Run:
                     told = ", ".join(names[:3]) + ", ..." * (len(names) > 3)
                     yield f"{told}, {_span(pieces)}: {_reason_of(self._read[pieces[0].span])}"
 
-    def _leave_out(self) -> dict[Piece, PastRefusal]:
+    def _leave_out(self) -> dict[BlockPiece, PastRefusal]:
         """Forget old cuts; leave known holes out, and return them."""
         cuts, known = self._holes.cuts, self._holes.refused.copy()
         for at in [at for at, cut in cuts.copy().items() if cut.is_due(*self._time)]:
@@ -239,9 +247,9 @@ class _Run:
         self._read = {piece.span: alike(hole.error) for piece, hole in found.items()}
         return found
 
-    def _portions(self) -> list[list[Piece]]:
+    def _portions(self) -> list[list[BlockPiece]]:
         """Return what is to be asked for, in as few requests as holes and cuts allow."""
-        found: list[list[Piece]] = []
+        found: list[list[BlockPiece]] = []
         for block in self._blocks:
             is_open = False
             for piece in block:
@@ -312,14 +320,14 @@ class _Run:
             block = half if is_refused else block[len(half) :]
         return self._named(block[0])
 
-    def _named(self, piece: Piece) -> ModbusError:
+    def _named(self, piece: BlockPiece) -> ModbusError:
         """Return the refusal of a piece that was refused alone, with the names of its items."""
         self._add(piece)
         error: ModbusError = self._read[piece.span]
         error.names = piece.names
         return error
 
-    def _add(self, piece: Piece) -> None:
+    def _add(self, piece: BlockPiece) -> None:
         if piece.span not in self._holes.refused:
             self._found.add(piece.span)
         self._holes.refused[piece.span] = PastRefusal(self._read[piece.span], *self._time)
@@ -365,7 +373,7 @@ def reading(
     Returns:
         The answers to the requests of the plan, as `Plan.results` takes them.
     """
-    run = _Run(blocks, holes, now, connects)
+    run = _PlanRun(blocks, holes, now, connects)
     try:
         return (yield from (run.strict() if is_strict else run.tolerant()))
     finally:

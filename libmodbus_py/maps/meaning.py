@@ -17,7 +17,7 @@ from ..protocol.pdu.fields import checked_bit
 from ..protocol.values import ValueType
 from .scaling import Scaling
 
-__all__ = ["Change", "Judged", "Meaning", "NoValue", "Part", "Reason", "part_of"]
+__all__ = ["CellChange", "Judged", "Meaning", "NoValue", "Part", "Reason", "part_of"]
 
 Reason = Literal["Missing", "Implausible", "InvalidTime", "BadScale"]
 
@@ -160,9 +160,9 @@ def part_of(path: str | Path, given: object, bits: int, *, is_signed: bool = Fal
 # --- values -----------------------------------------------------------------------------
 
 
-class Change(NamedTuple):
+class CellChange(NamedTuple):
     """
-    What a new value changes.
+    The change of the cells of a point by a new value.
 
     Attributes:
         cells: the new cells; of a part of registers, with all other bits 0.
@@ -312,7 +312,7 @@ class Meaning:
 
     # --- write -----------------------------------------------------------------------------
 
-    def change(self, value: Any, scaling: Scaling | None) -> Change:
+    def change(self, value: Any, scaling: Scaling | None) -> CellChange:
         """
         Return what a value changes.
 
@@ -321,14 +321,14 @@ class Meaning:
         """
         kind, raw = self._kind, self._raw_of(value, scaling)
         if kind is None:
-            return Change([checked_bit("value", raw)], None)
+            return CellChange([checked_bit("value", raw)], None)
         if not self.is_part:
-            return Change(kind.encode(raw), None)
+            return CellChange(kind.encode(raw), None)
         if self.part is not None:
             bits, mask = self.part.put("value", raw), self.part.mask
         else:
             bits, mask = self._named_bits(raw)
-        return Change(kind.cells_of_number(bits), kind.cells_of_number(mask))
+        return CellChange(kind.cells_of_number(bits), kind.cells_of_number(mask))
 
     def _raw_of(self, value: Any, scaling: Scaling | None) -> Any:
         if self._states:

@@ -21,7 +21,7 @@ from ..protocol.mistakes import WrongType, WrongValue, inside, placed
 from ..protocol.pdu.fields import checked_span, store
 from ..protocol.tables import TABLE_SIZE, TABLES, Table, checked_table
 from ..protocol.values import Order, TypeName, ValueType, value_type
-from .holes import Block, Holes, PartialAnswer, Piece, Span, Unreadable
+from .holes import Block, BlockPiece, Holes, PartialAnswer, Span, Unreadable
 
 # fmt: off
 __all__ = [
@@ -260,7 +260,7 @@ class Plan:
                 span = Span(self._reads[name].table, first + start, first + stop)
                 found[at].setdefault(span, []).append(name)
         return tuple(
-            [Piece(span, tuple(pieces[span])) for span in sorted(pieces)] for pieces in found
+            [BlockPiece(span, tuple(pieces[span])) for span in sorted(pieces)] for pieces in found
         )
 
     def _values(self, name: Any, answers: list[Any]) -> Any:

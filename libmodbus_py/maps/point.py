@@ -14,7 +14,7 @@ from ..protocol.mistakes import WrongType, WrongValue
 from ..protocol.pdu.fields import checked_sequence
 from ..protocol.tables import Table
 from ..protocol.values import Order, TypeName
-from .meaning import Change, Judged, Meaning, NoValue
+from .meaning import CellChange, Judged, Meaning, NoValue
 from .plan import Read
 from .point_checks import check_point
 from .scaling import Scaling, exact, scaling_by
@@ -278,7 +278,7 @@ class Point:
         """
         return self.change(value, source=source).cells
 
-    def change(self, value: Any, *, source: float | None = None) -> Change:
+    def change(self, value: Any, *, source: float | None = None) -> CellChange:
         """
         Return what writing a value changes: all bits of the cells, or those of a part.
 
@@ -344,7 +344,7 @@ class Point:
         changes = [self.meaning.change(each, self._scaling) for each in values]
         return [cell for each in changes for cell in each.cells]
 
-    def _change(self, value: Any, scaling: Scaling | None) -> Change:
+    def _change(self, value: Any, scaling: Scaling | None) -> CellChange:
         if self.count == 1:
             return self._change_of_one(value, scaling)
         values = checked_sequence("value", value, self.count)
@@ -352,9 +352,9 @@ class Point:
             raise WrongValue("value", f"must be a list of {self.count}, not of {len(values)}")
         changes = [self._change_of_one(each, scaling) for each in values]
         masks = [mask for each in changes for mask in each.masks or ()]
-        return Change([cell for each in changes for cell in each.cells], masks or None)
+        return CellChange([cell for each in changes for cell in each.cells], masks or None)
 
-    def _change_of_one(self, value: Any, scaling: Scaling | None) -> Change:
+    def _change_of_one(self, value: Any, scaling: Scaling | None) -> CellChange:
         scaling = scaling or self._scaling
         change = self.meaning.change(value, scaling)
         if self.minimum is not None or self.maximum is not None:

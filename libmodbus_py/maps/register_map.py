@@ -4,28 +4,21 @@ The points of a device by name: the requests that read them, and the values of t
 
 from __future__ import annotations
 
-import contextlib
 import reprlib
-import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Unpack
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Unpack
 
 from ..protocol import pdu
 from ..protocol.close_names import close_to
-from ..protocol.errors import ModbusError
 from ..protocol.mistakes import WrongType, WrongValue
-from ..protocol.values import ValueType
-from .holes import PartialAnswer
-from .meaning import Meaning, NoValue
-from .plan import Plan, PlanOptions
+from .plan import PlanOptions
 from .point import Point
-from .scaling import scaling_by
-from .sources import scale_mistakes, sources_of
+from .point_plan import PointPlan
 
 if TYPE_CHECKING:
     from .bound_map import BoundMap, MapClient
 
-__all__ = ["PointPlan", "RegisterMap", "close_to"]
+__all__ = ["RegisterMap", "close_to", "scale_mistakes", "sources_of"]
 
 
 class RegisterMap(Mapping[str, Point]):
@@ -195,253 +188,56 @@ class RegisterMap(Mapping[str, Point]):
         raise ValueError(f"the map has no point {reprlib.repr(name)}{close_to(name, self._points)}")
 
 
-FORMS = {"uint16": "H", "int16": "h"}
-"""Type -> form of `struct`, if a register is the number."""
-
-
-class _Scale(NamedTuple):
-    """The arguments of a scaling that depends on a point; many points have the same."""
-
-    source: str
-    how: Literal["exponent", "factor"]
-    scale: float
-    offset: float
-
-
-class _Scales(NamedTuple):
-    """
-    The scales that some answers tell.
-
-    Attributes:
-        values: the values of the points that scale others, by name, or the reason why there is
-            none.
-        functions: those that scale raw numbers, by the number of the scale in the plan; without
-            those whose point has no fit value.
-    """
-
-    values: dict[str, Any]
-    functions: dict[int, Callable[[Any], Any]]
-
-
-class _Quick(NamedTuple):
-    """
-    A point with one value in registers of one answer.
-
-    Attributes:
-        name: the name.
-        data: the index of the answer in what `PointPlan._data` returns.
-        start: the index of its first byte; of its register, without `from_bytes`.
-        stop: the index behind its last byte.
-        from_bytes: the decoder; None for a number of 16 bits, which needs none.
-        to_value, judge: as of `Point` and of its `Meaning`.
-        scale: the number of its scale, if another point tells that.
-    """
-
-    name: str
-    data: int
-    start: int
-    stop: int
-    from_bytes: Callable[[bytes], Any] | None
-    to_value: Callable[[Any], Any] | None
-    judge: Callable[[Any, Callable[[Any], Any] | None], Any] | None
-    scale: int | None
-
-
-class PointPlan(Plan):
-    """
-    A `Plan` for points of a map, whose results are their values by name.
-
-    ``plc.read_many(plan)`` returns the same dict.
-
-    Args:
-        points: the points of the results.
-        sources: the points that scale them, or each other, by name, which are read, too; each
-            stands before those that it scales.
-        options: as for `Plan`.
-
-    Raises:
-        ValueError: a point that scales another is not in `sources`; or as `Plan`.
-    """
-
-    def __init__(
-        self,
-        points: Iterable[Point],
-        sources: Mapping[str, Point] | None = None,
-        **options: Unpack[PlanOptions],
-    ) -> None:
-        self._points = {point.name: point for point in points}
-        self._sources = dict(sources or {})
-        self._all = {**self._points, **self._sources}
-        # Each scale has a number: looking up that is faster.
-        self._numbers: dict[_Scale, int] = {}
-        scale_of: dict[str, int] = {}
-        for name, point in self._all.items():
-            if (source := point.scale_from) is None:
-                continue
-            if source not in self._sources:
-                raise WrongValue.about("sources", f"{source}, which scales {name}, is missing")
-            scale = _Scale(source, point.scale_as, point.scale, point.offset)
-            scale_of[name] = self._numbers.setdefault(scale, len(self._numbers))
-        super().__init__({name: point.read for name, point in self._all.items()}, **options)
-        self._quick = list(self._quick_ones(scale_of))
-        are_quick = {each.name for each in self._quick}
-        self._slow = [name for name in self._points if name not in are_quick]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The names of the points of the results, in their order."""
-        return tuple(self._points)
-
-    def _quick_ones(self, scale_of: dict[str, int]) -> Iterator[_Quick]:
-        """The points that can be decoded directly, which is ten times as fast; most can."""
-        for name, point in self._points.items():
-            parts, kind, meaning = self._parts[name], point.read.kind, point.meaning
-            if kind is not None and point.count == len(parts) == 1:
-                request, start, stop = parts[0]
-                judge = None if meaning.is_plain else meaning.judge
-                others = point.to_value, judge, scale_of.get(name)
-                if form := _form_of(kind, meaning):
-                    at = request + (1 + list(FORMS.values()).index(form)) * len(self.requests)
-                    yield _Quick(name, at, start, stop, None, *others)
-                else:
-                    yield _Quick(name, request, 2 * start, 2 * stop, meaning.from_bytes, *others)
-
-    def _data(self, answers: list[Any]) -> list[Any]:
-        """Return the bytes of each answer, and its registers in each of `FORMS`."""
-        packed = [_packed(answer) for answer in answers]
-        unpacked = [
-            data and struct.unpack(f">{len(data) // 2}{form}", data)
-            for form in FORMS.values()
-            for data in packed
-        ]
-        return packed + unpacked
-
-    def results(
-        self, answers: Iterable[Sequence[Any] | ModbusError], *, return_exceptions: bool = False
-    ) -> dict[str, Any]:
-        """
-        Return the values of the points.
-
-        Args:
-            answers: the answer to each of `requests`, in their order: a list
-                    of cells, or a ModbusError.
-            return_exceptions: True to return a ValueError in place of a value that the
-                    registers do not hold, such as a bcd16 with the digit F, and a `NoValue` in
-                    place of None; False to raise the former.
-
-        Returns:
-            Values by name, None for no value. A point that was part of a failed request has the
-            ModbusError instead.
-
-        Raises:
-            ValueError: answers that are not to these requests; registers that hold no such
-                value, by the name of the point.
-        """
-        given = self._checked_answers(list(answers))
-        data = self._data(given)
-        scales = self._scales(given)
-        functions = scales.functions
-        found: dict[str, Any] = dict.fromkeys(self._points)
-        slow = self._slow.copy()
-        for name, at, start, stop, from_bytes, to_value, judge, scale in self._quick:
-            try:
-                raw = data[at][start] if from_bytes is None else from_bytes(data[at][start:stop])
-                convert = to_value if scale is None else functions[scale]
-                if judge is None:
-                    value = raw if convert is None else convert(raw)
-                    if value == value:  # only nan differs from itself
-                        found[name] = value
-                        continue
-                else:
-                    value = judge(raw, convert)
-                    if return_exceptions or value.__class__ is not NoValue:
-                        found[name] = value
-                    continue
-            except (TypeError, LookupError, ValueError):
-                pass  # an error in place of the answer or the scale, or registers without a value
-            slow.append(name)
-        for answer in given:
-            if isinstance(answer, PartialAnswer):  # its lost cells count as zeros until here
-                slow += [name for name in answer.lost if name in found]
-        for name in slow:
-            found[name] = self._slowly(name, given, scales, return_exceptions)
-        return found
-
-    def _slowly(
-        self, name: str, answers: list[Any], scales: _Scales, return_exceptions: bool
-    ) -> Any:
-        try:
-            value = self._value(name, answers, scales)
-        except ValueError as error:
-            if not return_exceptions:
-                raise
-            return error
-        return None if isinstance(value, NoValue) and not return_exceptions else value
-
-    def _value(self, name: str, answers: list[Any], scales: _Scales) -> Any:
-        """
-        Return the value of a point, a `NoValue`, or the error of its request.
-
-        Raises:
-            ValueError: its registers hold no value of its type.
-        """
-        point, cells = self._all[name], self._values(name, answers)
-        source = scales.values.get(point.scale_from or "")
-        for each in (cells, source):
-            if isinstance(each, ModbusError):
-                return each
-        try:
-            found = point.meaning.values_in(cells, point.scaling_for(source))
-        except NoValue as none:
-            return none
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from None
-        if point.count == 1:
-            return found[0]
-        return [None if isinstance(each, NoValue) else each for each in found]
-
-    def _scales(self, answers: list[Any]) -> _Scales:
-        scales = _Scales({}, {})
-        for name in self._sources:
-            try:
-                scales.values[name] = self._value(name, answers, scales)
-            except ValueError:
-                scales.values[name] = None
-            for scale, number in self._numbers.items():
-                if scale.source == name:
-                    _add_scale(scales, scale, number)
-        return scales
-
-    def _decoded(self, name: str, cells: list[Any]) -> Any:
-        return cells  # `_value` decodes them
-
-
-def _add_scale(scales: _Scales, scale: _Scale, number: int) -> None:
-    value = scales.values[scale.source]
-    if isinstance(value, int | float):
-        with contextlib.suppress(ValueError):
-            scaling = scaling_by(scale.scale, scale.offset, scale.how, value)
-            scales.functions[number] = scaling.to_value
-
-
-def _form_of(kind: ValueType, meaning: Meaning) -> str:
-    """Return the form of `struct` that does the same as the decoder of one register, or nothing."""
-    if kind.registers != 1 or kind.order != "ABCD" or meaning.part is not None:
-        return ""
-    return FORMS["uint16"] if meaning.bits else FORMS.get(kind.name, "")
-
-
-def _packed(answer: Any) -> bytes | None:
-    """Return the bytes of registers; None for bits, errors and values out of 0..65535."""
-    if isinstance(answer, PartialAnswer):
-        answer = [0 if cell is None else cell for cell in answer]
-    try:
-        return struct.pack(f">{len(answer)}H", *answer)
-    except (TypeError, struct.error):
-        return None
-
-
 def _checked_names(names: object) -> Iterable[str]:
     if isinstance(names, str | bytes) or not isinstance(names, Iterable):
         raise WrongType("names", f"must be a list of names, not {type(names).__name__}")
     return names
+
+
+# --- points that scale others ---------------------------------------------------------------
+
+
+def scale_mistakes(points: Mapping[str, Point]) -> Iterator[tuple[str, WrongValue]]:
+    """Yield the name of each point whose `scale_from` is wrong, and the error."""
+    ending: set[str] = set()  # those whose chain of sources is known to end
+    for name, point in points.items():
+        if point.scale_from is None:
+            continue
+        if reason := _unfit(points, point.scale_from) or _circle(points, point, ending):
+            yield name, WrongValue.about((name, "scale_from"), reason)
+
+
+def _unfit(points: Mapping[str, Point], name: str) -> str:
+    source = points.get(name)
+    if source is None:
+        return f"the map has no point {name!r}"
+    if not source.meaning.has_numbers or source.count > 1:
+        return f"{source.name!r} must be one number"
+    if not source.is_readable:
+        return f"{source.name!r} cannot be read: its access is write"
+    return ""
+
+
+def _circle(points: Mapping[str, Point], point: Point, ending: set[str]) -> str:
+    """Return why the chain of sources of a point has no end; if it has, add it to `ending`."""
+    chain = {point.name: None}
+    source: Point | None = point
+    while source is not None and (name := source.scale_from) is not None and name not in ending:
+        if name in chain:
+            return f"leads back to a point: {', '.join((*chain, name))}"
+        chain[name] = None
+        source = points.get(name)
+    ending.update(chain)
+    return ""
+
+
+def sources_of(points: Iterable[Point], known: Mapping[str, Point]) -> dict[str, Point]:
+    """Return the points that scale some points, by name; each before those that it scales."""
+    found: dict[str, Point] = {}
+    for point in points:
+        chain = []
+        while (name := point.scale_from) is not None and name not in found:
+            point = known[name]
+            chain.append(point)
+        found |= {each.name: each for each in reversed(chain)}
+    return found

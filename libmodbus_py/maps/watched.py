@@ -1,23 +1,159 @@
 """
 The points of a map from poll to poll: which are due, and totals that are read again.
+
+No clock: times are seconds of any steady clock.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable
-from typing import Any, Unpack
+import math
+from collections.abc import Collection, Generator, Iterable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..protocol.errors import ModbusError
 from .holes import is_refusal
-from .pace import PointIntervals
-from .plan import PlanOptions
-from .register_map import PointPlan, RegisterMap
-from .totals import Totals
 
-__all__ = ["PolledValues", "WatchedPoints"]
+if TYPE_CHECKING:
+    from typing import Unpack
+
+    from .plan import PlanOptions
+    from .point_plan import PointPlan
+    from .register_map import RegisterMap
+
+__all__ = ["Falls", "PointIntervals", "PolledValues", "Totals", "WatchedPoints"]
+
+TOLERANCE = 0.001
+"""The part of the time between two polls that sums of times may be inexact by."""
 
 MOST_PLANS = 64
 """Plans for different sets of points that are kept."""
+
+
+class PointIntervals:
+    """
+    The intervals of the points of one device, from poll to poll.
+
+    Polls come at the shortest interval. A point with a longer one is read at the first poll that is
+    due when its interval is over, and never sooner. The times at which polls are due count, not
+    those at which they begin, so that no poll is left out because the one before began late.
+
+    Args:
+        own: the interval of each point; None for one without its own.
+        usual: the interval of points without their own, in seconds.
+
+    Attributes:
+        interval: seconds from one poll to the next.
+    """
+
+    __slots__ = ("_again", "_at", "_due", "_indexes", "_last", "interval")
+
+    def __init__(self, own: Sequence[float | None], usual: float) -> None:
+        self._indexes: dict[float, list[int]] = {}
+        for at, each in enumerate(own):
+            self._indexes.setdefault(usual if each is None else each, []).append(at)
+        self.interval: float = min(self._indexes, default=usual)
+        # When the poll was due that read the points of an interval last.
+        self._last: dict[float, float] = {}
+        # Intervals whose points were not answered at the last poll, although others were.
+        self._again: set[float] = set()
+        self._due: list[float] = []
+        self._at = 0.0
+
+    def due(self, at: float) -> tuple[int, ...] | None:
+        """
+        Return the indexes of the points that are read at a poll; None if all are.
+
+        Args:
+            at: when the poll is due.
+        """
+        self._at = at
+        over = at + self.interval * TOLERANCE
+        self._due = [
+            each
+            for each in self._indexes
+            if each == self.interval or self._last.get(each, -math.inf) + each <= over
+        ]
+        if len(self._due) == len(self._indexes):
+            return None
+        return tuple(sorted(at for each in self._due for at in self._indexes[each]))
+
+    def done(self, unanswered: Collection[int] = ()) -> None:
+        """
+        Note that what was due is read.
+
+        Points without an answer are read again at the next poll, once; if there was no answer at
+        all, until there is one.
+
+        Args:
+            unanswered: the indexes of the points that the device did not answer for.
+        """
+        missing = set(unanswered)
+        if missing and all(missing.issuperset(self._indexes[each]) for each in self._due):
+            return
+        for each in self._due:
+            if each not in self._again and not missing.isdisjoint(self._indexes[each]):
+                self._again.add(each)
+                continue
+            self._again.discard(each)
+            self._last[each] = self._at
+
+
+class Falls(NamedTuple):
+    """
+    The totals of a poll that are smaller than before.
+
+    Attributes:
+        doubtful: the indexes of those that must be read again before they are believed.
+        fell: the indexes of those that were read again, and are still smaller.
+    """
+
+    doubtful: frozenset[int]
+    fell: frozenset[int]
+
+
+class Totals:
+    """
+    Remembers the totals of one device from poll to poll. No clock.
+
+    Args:
+        indexes: those of the points with `never_falls`, among the values of a poll.
+    """
+
+    __slots__ = ("_doubtful", "_last")
+
+    def __init__(self, indexes: Iterable[int]) -> None:
+        self._last: dict[int, Any] = dict.fromkeys(indexes)
+        self._doubtful: frozenset[int] = frozenset()
+
+    def take(self, values: Sequence[Any]) -> Falls:
+        """
+        Return which totals of a poll are smaller than before.
+
+        Args:
+            values: all values of the poll; what is not a number is left out.
+        """
+        if not self._last:
+            return NO_FALLS
+        smaller = {
+            at
+            for at, before in self._last.items()
+            if before is not None and isinstance(values[at], int | float) and values[at] < before
+        }
+        fell = frozenset(smaller & self._doubtful)
+        doubtful = frozenset(smaller - fell)
+        for at in self._last.keys() - doubtful:
+            if isinstance(values[at], int | float):
+                self._last[at] = values[at]
+        unread = {at for at in self._doubtful if not isinstance(values[at], int | float)}
+        self._doubtful = doubtful | unread
+        return Falls(doubtful, fell)
+
+    def before(self, at: int) -> Any:
+        """Return the last total that was believed."""
+        return self._last[at]
+
+
+NO_FALLS = Falls(frozenset(), frozenset())
 
 
 class PolledValues(dict[str, Any]):

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from libmodbus_py import Point, RegisterMap
-from libmodbus_py.maps.pace import PointIntervals
+from libmodbus_py.maps.watched import PointIntervals
 from tests.support.cases import each_case
 
 

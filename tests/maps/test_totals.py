@@ -10,7 +10,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from libmodbus_py.maps.totals import Totals
+from libmodbus_py.maps.watched import Totals
 
 
 def falls(*polls: Any) -> list[str]:

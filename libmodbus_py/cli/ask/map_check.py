@@ -11,7 +11,8 @@ from typing import Any
 
 from ...client.blocking import Context
 from ...maps.holes import Holes, carried_out, reading
-from ...maps.register_map import PointPlan, RegisterMap
+from ...maps.point_plan import PointPlan
+from ...maps.register_map import RegisterMap
 from ...ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
 from ...protocol.errors import ExceptionResponse, ModbusError
 from ...protocol.tables import TABLES

@@ -14,8 +14,7 @@ from typing import Any, Protocol
 
 from ...client.blocking import Context
 from ...maps.holes import Holes, carried_out, reading
-from ...maps.pace import PointIntervals
-from ...maps.totals import Totals
+from ...maps.watched import PointIntervals, Totals
 from ...protocol.errors import (
     ExceptionResponse,
     IllegalDataAddress,

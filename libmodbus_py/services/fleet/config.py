@@ -15,7 +15,8 @@ from typing import Any
 from ...client.options import CheckedOptions, assembled
 from ...maps.point import Point
 from ...maps.point_checks import LONGEST_INTERVAL, SHORTEST_INTERVAL
-from ...maps.register_map import PointPlan, RegisterMap
+from ...maps.point_plan import PointPlan
+from ...maps.register_map import RegisterMap
 from ...ports.endpoint import Endpoint, parse
 from ...protocol.checks import integer, number, seconds
 from ...protocol.close_names import named_arguments

@@ -25,8 +25,7 @@ from os import PathLike
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple
 
-from ...maps.register_map import RegisterMap
-from ...maps.sources import scale_mistakes
+from ...maps.register_map import RegisterMap, scale_mistakes
 from ...protocol.mistakes import (
     Mistake,
     Path,

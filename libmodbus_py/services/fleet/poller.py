@@ -10,10 +10,9 @@ from typing import Any
 
 from ...client.asynchronous import Submitted
 from ...maps.holes import Holes, PartialAnswer, Steps, Unreadable, is_refusal, reading
-from ...maps.pace import PointIntervals
 from ...maps.plan import unreadable_of
-from ...maps.register_map import PointPlan
-from ...maps.totals import Totals
+from ...maps.point_plan import PointPlan
+from ...maps.watched import PointIntervals, Totals
 from ...protocol.errors import ModbusError
 from ..waiting_room import rest_after
 from .config import DeviceConfig

@@ -11,7 +11,7 @@ import pytest
 
 from libmodbus_py import IllegalDataAddress, ModbusTimeoutError, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig
-from libmodbus_py.maps.register_map import PointPlan
+from libmodbus_py.maps.point_plan import PointPlan
 from libmodbus_py.services.fleet.poller import DeviceState, Poller, Reads
 
 NAMES = ("a", "b", "c")

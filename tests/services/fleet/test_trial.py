@@ -9,7 +9,7 @@ import asyncio
 import pytest
 
 from libmodbus_py import Device, Mapping, Point, RegisterMap, Server
-from libmodbus_py.maps.register_map import PointPlan
+from libmodbus_py.maps.point_plan import PointPlan
 from libmodbus_py.services.fleet.trial import Tried, overloads, trying
 from tests.services.fleet.fleets import Peer, good, meter, simulated_run
 
