@@ -1,8 +1,8 @@
 """
-Register maps bound to clients: a short path to `maps.bound_map`.
+Register maps bound to clients: a short path to `maps.register_map`.
 """
 
-from .maps.bound_map import BoundMap as BoundMap
-from .maps.bound_map import MapBinding as MapBinding
+from .maps.register_map import BoundMap as BoundMap
+from .maps.register_map import MapBinding as MapBinding
 
 __all__ = ["BoundMap", "MapBinding"]

@@ -9,7 +9,8 @@ from collections.abc import Mapping as MappingABC
 from typing import Any
 
 from ..maps.point import Point
-from ..maps.register_map import RegisterMap, close_to, sources_of
+from ..maps.point_plan import sources_of
+from ..maps.register_map import RegisterMap, close_to
 from ..maps.writing import Encoded, check_overlaps, encoded_change
 from ..protocol.mistakes import WrongType, WrongValue
 from ..protocol.tables import TABLES

@@ -9,7 +9,7 @@ from collections.abc import Mapping as MappingABC
 
 from ..maps.bounds import check_cells, has_bounds
 from ..maps.point import Point
-from ..maps.register_map import sources_of
+from ..maps.point_plan import sources_of
 from ..protocol.mistakes import WrongValue
 from .access import Access
 from .mapping import Mapping

@@ -3,17 +3,17 @@ The registers of a device, by name, and the requests that read and write them. N
 
 ::
 
-    register_map   the points of a device: RegisterMap; points that scale others
+    register_map   the points of a device: RegisterMap; with a client: BoundMap
     point          one named value: Point
     point_checks   the checks of its arguments
     meaning        cells to values and back: no value, states, bits, parts: Meaning, Judged, NoValue
     scaling        conversion of raw numbers to scaled ones, and back
     bounds         minimum and maximum of values that a client wrote
     plan           few requests of many reads: Plan, Read
-    point_plan     the same for points: PointPlan
+    point_plan     the same for points, and for points that scale them: PointPlan
     holes          the items that a device refuses, found by halving
     watched        the points of a map from poll to poll: those that are due, and totals
-    bound_map      a map with a client, and its points as attributes: BoundMap
+    attribute_names  names of points as attributes of Python classes
     typed          values of points and registers from typed text
     writing        few requests of many writes
 """

@@ -5,20 +5,18 @@ The points of a device by name: the requests that read them, and the values of t
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Unpack
+from collections.abc import Coroutine, Iterable, Iterator, Mapping, Sequence
+from typing import Any, Protocol, Unpack
 
 from ..protocol import pdu
 from ..protocol.close_names import close_to
 from ..protocol.mistakes import WrongType, WrongValue
+from .attribute_names import attribute_names
 from .plan import PlanOptions
 from .point import Point
-from .point_plan import PointPlan
+from .point_plan import PointPlan, scale_mistakes, sources_of
 
-if TYPE_CHECKING:
-    from .bound_map import BoundMap, MapClient
-
-__all__ = ["RegisterMap", "close_to", "scale_mistakes", "sources_of"]
+__all__ = ["BoundMap", "MapBinding", "RegisterMap", "close_to"]
 
 
 class RegisterMap(Mapping[str, Point]):
@@ -170,8 +168,6 @@ class RegisterMap(Mapping[str, Point]):
         Raises:
             TypeError: `client` is not a client.
         """
-        from .bound_map import BoundMap  # most programs have no need of it
-
         return BoundMap(client, self, **options)
 
     def _readable(self, names: Sequence[str] | None) -> list[Point]:
@@ -194,50 +190,169 @@ def _checked_names(names: object) -> Iterable[str]:
     return names
 
 
-# --- points that scale others ---------------------------------------------------------------
+# --- with a client ------------------------------------------------------------------------
 
 
-def scale_mistakes(points: Mapping[str, Point]) -> Iterator[tuple[str, WrongValue]]:
-    """Yield the name of each point whose `scale_from` is wrong, and the error."""
-    ending: set[str] = set()  # those whose chain of sources is known to end
-    for name, point in points.items():
-        if point.scale_from is None:
-            continue
-        if reason := _unfit(points, point.scale_from) or _circle(points, point, ending):
-            yield name, WrongValue.about((name, "scale_from"), reason)
+class MapClient(Protocol):
+    """A client, blocking or not."""
+
+    @property
+    def read_map(self) -> Any:
+        """The method that reads points of a map."""
+        ...
+
+    @property
+    def write_map(self) -> Any:
+        """The method that writes points of a map."""
+        ...
 
 
-def _unfit(points: Mapping[str, Point], name: str) -> str:
-    source = points.get(name)
-    if source is None:
-        return f"the map has no point {name!r}"
-    if not source.meaning.has_numbers or source.count > 1:
-        return f"{source.name!r} must be one number"
-    if not source.is_readable:
-        return f"{source.name!r} cannot be read: its access is write"
-    return ""
+class MapBinding:
+    """
+    The base of bound maps: a register map with a client, and the values that were read.
+
+    Args:
+        client: a blocking client or an `AsyncClient`.
+        map: a `RegisterMap`.
+        options: the options of `Plan` for reading: `gap`, `forbidden`, `max_registers`, `max_bits`.
+
+    Attributes:
+        client, map: as given.
+
+    Raises:
+        TypeError: `client` is not a client.
+    """
+
+    def __init__(
+        self, client: MapClient, map: Mapping[str, Point], **options: Unpack[PlanOptions]
+    ) -> None:
+        if not callable(getattr(client, "read_map", None)):
+            raise WrongType("client", f"must be a client, not {type(client).__name__}")
+        self.client: Any = client
+        self.map: Mapping[str, Point] = map
+        self._options = options
+        self._values: dict[str, Any] = {}
+        self._attributes = attribute_names(map)
+        self._names = {attribute: name for name, attribute in self._attributes.items()}
+
+    def __getitem__(self, name: str) -> Any:
+        """
+        Return the value of a point by its name in the map.
+
+        Raises:
+            KeyError: there is no such point, or it has not been read.
+        """
+        if name in self._values:
+            return self._values[name]
+        if name in self.map:
+            raise KeyError(f"{name!r} has not been read: call read()")
+        raise KeyError(f"there is no point {name!r}{close_to(name, self.map)}")
+
+    def __setattr__(self, attribute: str, value: object) -> None:
+        if attribute in self.__dict__.get("_names", ()):
+            raise AttributeError(f"{attribute} is written by write({attribute}=...)")
+        super().__setattr__(attribute, value)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of {len(self.map)} points: {self._values!r}>"
+
+    def _read(self, attributes: Iterable[str]) -> Any:
+        """Read points, all if no attribute is given; return None, or a coroutine for it."""
+        names = [self._named(each) for each in attributes] or None
+        found = self.client.read_map(self.map, names, **self._options)
+        if hasattr(found, "__await__"):
+            return self._keep_later(found)
+        self._values.update(found)
+        return None
+
+    async def _keep_later(self, coming: Coroutine[Any, Any, Mapping[str, Any]]) -> None:
+        self._values.update(await coming)
+
+    def _write(self, values: Mapping[str, Any]) -> Any:
+        """Write values by attribute; return None, or a coroutine for it."""
+        given = {self._named(attribute): value for attribute, value in values.items()}
+        return self.client.write_map(self.map, given)
+
+    def _value(self, name: str) -> Any:
+        """
+        Return the value of a point, None for no value.
+
+        Raises:
+            AttributeError: it has not been read.
+        """
+        if name not in self._values:
+            raise AttributeError(f"{self._attributes[name]} has not been read: call read()")
+        return self._values[name]
+
+    def _certain(self, name: str) -> Any:
+        """
+        Return the value of a point for which the map knows no values that mean none.
+
+        Raises:
+            AttributeError: it has not been read.
+            ValueError: there is no value all the same, such as for a nan.
+        """
+        value = self._value(name)
+        if value is None:
+            raise ValueError(f"{name} has no value")
+        return value
+
+    def _named(self, attribute: str) -> str:
+        if attribute in self._names:
+            return self._names[attribute]
+        close = close_to(attribute, self._names)
+        raise AttributeError(f"there is no attribute {attribute!r}{close}")
 
 
-def _circle(points: Mapping[str, Point], point: Point, ending: set[str]) -> str:
-    """Return why the chain of sources of a point has no end; if it has, add it to `ending`."""
-    chain = {point.name: None}
-    source: Point | None = point
-    while source is not None and (name := source.scale_from) is not None and name not in ending:
-        if name in chain:
-            return f"leads back to a point: {', '.join((*chain, name))}"
-        chain[name] = None
-        source = points.get(name)
-    ending.update(chain)
-    return ""
+class BoundMap(MapBinding):
+    """
+    A register map, bound to a client: ``meter.read()``, then ``meter.voltage``.
 
+    With an `AsyncClient`, `read` and `write` are awaited. An attribute has the value of the last
+    successful `read`, or None if there is no value; before the first one it raises AttributeError.
+    Using it sends nothing. The classes that ``libmodbus-py map class`` writes work in the same way,
+    and type checkers know their attributes.
 
-def sources_of(points: Iterable[Point], known: Mapping[str, Point]) -> dict[str, Point]:
-    """Return the points that scale some points, by name; each before those that it scales."""
-    found: dict[str, Point] = {}
-    for point in points:
-        chain = []
-        while (name := point.scale_from) is not None and name not in found:
-            point = known[name]
-            chain.append(point)
-        found |= {each.name: each for each in reversed(chain)}
-    return found
+    The attribute of a point is its name, if that is an identifier. In other names, every run of
+    characters that identifiers cannot contain is replaced by one ``_``, and removed at the ends. A
+    name that begins with a digit gets the prefix "point_", one that Python or this class uses gets
+    the suffix ``_``, and duplicates get ``_2``, ``_3`` and so on. ``meter["voltage L1"]`` returns
+    the value by the original name.
+    """
+
+    def read(self, *attributes: str) -> Any:
+        """
+        Read the points of these attributes; without arguments, all readable points.
+
+        Returns:
+            None; a coroutine with an `AsyncClient`.
+
+        Raises:
+            AttributeError: there is no such attribute.
+            ModbusError, TypeError, ValueError: as for `read_map`; no value has changed.
+        """
+        return self._read(attributes)
+
+    def write(self, **values: Any) -> Any:
+        """
+        Write values to points, by their attributes: ``meter.write(setpoint=21.5)``.
+
+        All values are checked before the first byte is sent. Attributes change with the next
+        `read`.
+
+        Returns:
+            None; a coroutine with an `AsyncClient`.
+
+        Raises:
+            AttributeError: there is no such attribute.
+            ModbusError, TypeError, ValueError: as for `write_map`.
+        """
+        return self._write(values)
+
+    def __getattr__(self, attribute: str) -> Any:
+        if attribute.startswith("_"):  # before __init__, such as in copy.copy
+            raise AttributeError(attribute)
+        return self._value(self._named(attribute))
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *self._names})

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from libmodbus_py import Point
-from libmodbus_py.maps.register_map import scale_mistakes, sources_of
+from libmodbus_py.maps.point_plan import scale_mistakes, sources_of
 
 H = "holding_registers"
 

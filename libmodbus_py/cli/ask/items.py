@@ -152,7 +152,7 @@ class Words:
         """Return the points that scale the items, each before the points that it scales."""
         if self.map is None:
             return []
-        from ...maps.register_map import sources_of
+        from ...maps.point_plan import sources_of
 
         points = [item.point for item in items if item.point is not None]
         found = sources_of(points, self.map)

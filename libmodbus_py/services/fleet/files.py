@@ -25,7 +25,8 @@ from os import PathLike
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple
 
-from ...maps.register_map import RegisterMap, scale_mistakes
+from ...maps.point_plan import scale_mistakes
+from ...maps.register_map import RegisterMap
 from ...protocol.mistakes import (
     Mistake,
     Path,

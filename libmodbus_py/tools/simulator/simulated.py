@@ -18,7 +18,8 @@ from ...device.point_index import RuledCells
 from ...device.written import FirstValues
 from ...maps.bounds import has_bounds
 from ...maps.point import Point
-from ...maps.register_map import RegisterMap, sources_of
+from ...maps.point_plan import sources_of
+from ...maps.register_map import RegisterMap
 from ...protocol.mistakes import WrongValue
 from ...protocol.tables import TABLES
 from ..faults.fault import Fault

@@ -12,7 +12,7 @@ from ...device.device import DEFAULT_SERVER_ID
 from ...device.mapping import Mapping as Tables
 from ...device.record_file import RecordFile
 from ...maps.point import Point
-from ...maps.register_map import scale_mistakes
+from ...maps.point_plan import scale_mistakes
 from ...protocol.checks import integer
 from ...protocol.close_names import close_to
 from ...protocol.mistakes import Path, WrongValue, inside

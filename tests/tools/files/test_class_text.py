@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from libmodbus_py import Client, Device, Point, RegisterMap, Server, load_map
-from libmodbus_py.maps.bound_map import attribute_names, class_name
+from libmodbus_py.maps.attribute_names import attribute_names, class_name
 from libmodbus_py.tools.files.maps.class_text import class_text
 from tests.support.cases import each_case
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from typing import Any
 
-from ....maps.bound_map import attribute_names, class_name
+from ....maps.attribute_names import attribute_names, class_name
 from ....maps.point import Point
 from ....maps.register_map import RegisterMap
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from ....maps.point import Point
-from ....maps.register_map import scale_mistakes
+from ....maps.point_plan import scale_mistakes
 from ....protocol.mistakes import Path, WrongValue, placed
 from ..file_error import FileError, FilePlace
 from ..schema import keys_of
