@@ -18,7 +18,7 @@ from ..maps.plan import (
     Tolerant,
     Values,
 )
-from ..maps.register_map import RegisterMap
+from ..maps.register_map import AnyMap
 from ..maps.watched import PolledValues
 from ..ports.endpoint import parse
 from ..protocol import pdu
@@ -238,7 +238,7 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
     @overload
     def watch(
         self,
-        what: RegisterMap,
+        what: AnyMap,
         *,
         every: float,
         names: Iterable[str] | None = None,
@@ -267,7 +267,7 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
     def watch(self, what: Plan, *, every: float, max_in_flight: int = 16) -> AwaitedPolls[Any]: ...
     def watch(
         self,
-        what: RegisterMap | Plan | Items,
+        what: AnyMap | Plan | Items,
         *,
         every: float,
         names: Iterable[str] | None = None,

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         Tolerant,
         Values,
     )
-    from ..maps.register_map import RegisterMap
+    from ..maps.register_map import AnyMap
     from ..maps.watched import PolledValues
     from ..ports.endpoint import Endpoint
     from ..ports.serial import LineSettings, SerialSettings
@@ -205,7 +205,7 @@ class Context(Handle[BlockingDriver], Procedures, Blocking):
     @overload
     def watch(
         self,
-        what: RegisterMap,
+        what: AnyMap,
         *,
         every: float,
         names: Iterable[str] | None = None,
@@ -234,7 +234,7 @@ class Context(Handle[BlockingDriver], Procedures, Blocking):
     def watch(self, what: Plan, *, every: float, max_in_flight: int = 16) -> Polls[Any]: ...
     def watch(
         self,
-        what: RegisterMap | Plan | Items,
+        what: AnyMap | Plan | Items,
         *,
         every: float,
         names: Iterable[str] | None = None,

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable
+from os import PathLike
 from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 
 from ..protocol import pdu
@@ -17,7 +18,7 @@ from .reconnecting import State
 if TYPE_CHECKING:
     from ..maps.holes import Holes, Unreadable
     from ..maps.plan import Plan
-    from ..maps.register_map import RegisterMap
+    from ..maps.register_map import AnyMap
     from .call import Timeouts
     from .options import CheckedOptions, Parts
     from .statistics import Statistics
@@ -139,7 +140,7 @@ class Handle(Generic[Driving]):
         """The number of responses that were dropped because their request had been given up."""
         return self._statistics.late_answers
 
-    def unreadable(self, what: RegisterMap | Plan) -> list[Unreadable]:
+    def unreadable(self, what: AnyMap | Plan) -> list[Unreadable]:
         """
         Return the items that this client leaves out, because the unit refused them.
 
@@ -148,18 +149,21 @@ class Handle(Generic[Driving]):
         made of one client share what they know.
 
         Args:
-            what: a `RegisterMap`, of which all readable points count, or a `Plan`.
+            what: a `RegisterMap` or the path of its file, of which all readable points count; or a
+                `Plan`.
 
         Raises:
-            TypeError: `what` is neither.
+            TypeError: `what` is none of them.
+            MapError: as for `load_map`.
         """
         from ..maps.plan import Plan, unreadable_of
-        from ..maps.register_map import RegisterMap
+        from ..maps.register_map import RegisterMap, map_of
 
-        plan = what.plan() if isinstance(what, RegisterMap) else what
-        if not isinstance(plan, Plan):
+        if isinstance(what, RegisterMap | str | PathLike):
+            what = map_of(what).plan()
+        if not isinstance(what, Plan):
             raise TypeError(f"what must be a RegisterMap or a Plan, not {type(what).__name__}")
-        return unreadable_of(plan, self.holes, self.device)
+        return unreadable_of(what, self.holes, self.device)
 
     def __repr__(self) -> str:
         name = type(self).__name__
@@ -222,7 +226,8 @@ class Handle(Generic[Driving]):
         another thread or task, and may be left at any time.
 
         Args:
-            what: a `RegisterMap`, a `Plan`, or the items of one, as for `read_many`.
+            what: a `RegisterMap` or the path of its file, a `Plan`, or the items of one, as for
+                `read_many`.
             every: seconds from one poll to the next, 0.01..86400. A point with an interval of its
                 own (`Point.interval`) is read at that interval instead: polls then come at the
                 shortest interval, and points that are not due keep their values.

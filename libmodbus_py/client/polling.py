@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from math import ceil
+from os import PathLike
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 if TYPE_CHECKING:
@@ -132,12 +133,12 @@ def watched(what: Any, names: Any, every: float, options: Any) -> WatchedPoints 
         TypeError, ValueError: as for `RegisterMap.plan` and `Plan`; or `names` without a map.
     """
     from ..maps.plan import planned
-    from ..maps.register_map import RegisterMap
+    from ..maps.register_map import RegisterMap, map_of
 
-    if isinstance(what, RegisterMap):
+    if isinstance(what, RegisterMap | str | PathLike):
         from ..maps.watched import WatchedPoints
 
-        return WatchedPoints(what, names, every, **options)
+        return WatchedPoints(map_of(what), names, every, **options)
     if names is not None:
         raise ValueError("names are for a RegisterMap only")
     return planned(what, options)

@@ -18,7 +18,7 @@ __all__ = ["Procedures"]
 # What only some methods need is imported by them.
 if TYPE_CHECKING:
     from ..maps.plan import Items, Plan, PlanOptions
-    from ..maps.register_map import RegisterMap
+    from ..maps.register_map import AnyMap
     from ..maps.watched import WatchedPoints
     from ..protocol.tables import RegisterTable, WritableTable
     from ..protocol.type_names import Layout, Order, TextOptions, TypeName
@@ -233,7 +233,7 @@ class Procedures(Requests):
     @follows
     def read_map(
         self,
-        map: RegisterMap,
+        map: AnyMap,
         names: Iterable[str] | None = None,
         *,
         max_in_flight: int = 16,
@@ -251,7 +251,8 @@ class Procedures(Requests):
         points is raised, with the name of the point in `names`.
 
         Args:
-            map: the register map, such as `load_map` returns.
+            map: the register map, such as `load_map` returns; or the path of its file, which is
+                then loaded at each call.
             names: the names of the points to read; None for all readable points. A program that
                 often reads the same few points should make a `RegisterMap` of them.
             max_in_flight: as for `execute_many`.
@@ -268,8 +269,11 @@ class Procedures(Requests):
         Raises:
             TypeError, ValueError: there is no such point, or it cannot be read; an option is wrong;
                 registers hold no value of the point's type.
+            MapError: as for `load_map`.
         """
-        plan = _checked_map(map).plan(names, **options)
+        from ..maps.register_map import map_of
+
+        plan = map_of(map).plan(names, **options)
         answers = yield from _plan_answers(
             self,
             plan,
@@ -280,7 +284,7 @@ class Procedures(Requests):
 
     @follows
     def write_map(
-        self, map: RegisterMap, values: Mapping[str, Any], *, multiple: bool = False
+        self, map: AnyMap, values: Mapping[str, Any], *, multiple: bool = False
     ) -> Steps[None]:
         """
         Write values to points of a register map.
@@ -295,7 +299,7 @@ class Procedures(Requests):
         written, and no other such change on this connection comes in between.
 
         Args:
-            map: the register map, such as `load_map` returns.
+            map: the register map, or the path of its file, as for `read_map`.
             values: the values by name, such as ``{"setpoint": 21.5}``; each is rounded to the
                 nearest value that its scale can represent (`Point.encode`).
             multiple: True to write even single coils and registers with functions 15 and
@@ -304,9 +308,12 @@ class Procedures(Requests):
         Raises:
             TypeError, ValueError: there is no such point, or it cannot be written; a value does
                 not fit its point; points share cells.
+            MapError: as for `load_map`.
             NoValue: a point named by `scale_from` has no value that can be a scale.
         """
-        points = _checked_map(map)
+        from ..maps.register_map import map_of
+
+        points = map_of(map)
         sources = points.scale_sources(values)
         read: dict[str, Any] = {}
         if sources:
@@ -341,15 +348,6 @@ def _registers(table: object) -> Any:
         wanted = ", ".join(REGISTER_TABLES)
         raise ValueError(f"table must be one of {wanted}, not {table!r}{close}")
     return name
-
-
-def _checked_map(given: object) -> RegisterMap:
-    # Who has one has paid for the import; others should not.
-    from ..maps.register_map import RegisterMap
-
-    if not isinstance(given, RegisterMap):
-        raise TypeError(f"map must be a RegisterMap, not {type(given).__name__}")
-    return given
 
 
 def _plan_answers(

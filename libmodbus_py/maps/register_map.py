@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import reprlib
 from collections.abc import Coroutine, Iterable, Iterator, Mapping, Sequence
-from typing import Any, Protocol, Unpack
+from importlib import import_module
+from os import PathLike
+from typing import Any, Protocol, TypeAlias, Unpack
 
 from ..protocol import pdu
 from ..protocol.close_names import close_to
@@ -16,7 +18,7 @@ from .plan import PlanOptions
 from .point import Point
 from .point_plan import PointPlan, scale_mistakes, sources_of
 
-__all__ = ["BoundMap", "MapBinding", "RegisterMap", "close_to"]
+__all__ = ["AnyMap", "BoundMap", "MapBinding", "RegisterMap", "close_to", "map_of"]
 
 
 class RegisterMap(Mapping[str, Point]):
@@ -190,6 +192,32 @@ def _checked_names(names: object) -> Iterable[str]:
     return names
 
 
+AnyMap: TypeAlias = RegisterMap | str | PathLike[str]
+"""A register map, or the path of its file."""
+
+
+def map_of(given: AnyMap, name: str = "map") -> RegisterMap:
+    """
+    Return a register map, or load that of a file.
+
+    Args:
+        name: that of the argument, for errors.
+
+    Raises:
+        TypeError: it is neither a map nor a path.
+        MapError: the file cannot be read, or contains a mistake.
+    """
+    if isinstance(given, RegisterMap):
+        return given
+    if not isinstance(given, str | PathLike):
+        wanted = "a RegisterMap or the path of its file"
+        raise WrongType(name, f"must be {wanted}, not {type(given).__name__}")
+    # What reads files is above the maps, which import nothing from there: it is found by its
+    # public name when a path is given.
+    found: RegisterMap = import_module(__name__.partition(".")[0]).load_map(given)
+    return found
+
+
 # --- with a client ------------------------------------------------------------------------
 
 
@@ -213,26 +241,26 @@ class MapBinding:
 
     Args:
         client: a blocking client or an `AsyncClient`.
-        map: a `RegisterMap`.
+        map: a `RegisterMap`, or the path of its file.
         options: the options of `Plan` for reading: `gap`, `forbidden`, `max_registers`, `max_bits`.
 
     Attributes:
-        client, map: as given.
+        client: as given.
+        map: the map.
 
     Raises:
-        TypeError: `client` is not a client.
+        TypeError: `client` is not a client, or `map` neither a map nor a path.
+        MapError: as for `load_map`.
     """
 
-    def __init__(
-        self, client: MapClient, map: Mapping[str, Point], **options: Unpack[PlanOptions]
-    ) -> None:
+    def __init__(self, client: MapClient, map: AnyMap, **options: Unpack[PlanOptions]) -> None:
         if not callable(getattr(client, "read_map", None)):
             raise WrongType("client", f"must be a client, not {type(client).__name__}")
         self.client: Any = client
-        self.map: Mapping[str, Point] = map
+        self.map: RegisterMap = map_of(map)
         self._options = options
         self._values: dict[str, Any] = {}
-        self._attributes = attribute_names(map)
+        self._attributes = attribute_names(self.map)
         self._names = {attribute: name for name, attribute in self._attributes.items()}
 
     def __getitem__(self, name: str) -> Any:

@@ -197,7 +197,7 @@ def named(plc: TcpContext) -> None:
 
 
 async def asking(plc: AsyncClient) -> None:
-    assert_type(await plc.read_map(load_map("meter.toml")), dict[str, Any])
+    assert_type(await plc.read_map("meter.toml"), dict[str, Any])
     await plc.write_map(load_map("meter.toml"), {"setpoint": 21.5})
     assert_type(await plc.read_coils(0, 8), list[bool])
     assert_type(await plc.read_holding_registers(address=0, count=8), list[int])
@@ -209,7 +209,7 @@ async def asking(plc: AsyncClient) -> None:
     for key, read in (await plc.read_many({"level": ("coils", 0, 8)})).items():
         assert_type(key, str)
         assert_type(read, list[Any])
-    async for values in plc.watch(load_map("meter.toml"), every=0.5, names=["level"]):
+    async for values in plc.watch(Path("meter.toml"), every=0.5, names=["level"]):
         assert_type(values, PolledValues)
         assert_type(values.fell, frozenset[str])
     async with plc as same:

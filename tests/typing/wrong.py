@@ -70,7 +70,7 @@ def blocking(plc: TcpContext) -> None:
     plc.read_many([("coils", 0, 8)], gpa=4)  # wrong
     meter = load_map("meter.csv")
     plc.read_map(meter, gpa=4)  # wrong
-    plc.unreadable("meter.csv")  # wrong
+    plc.unreadable(5)  # wrong
     plc.write_map(meter, ["setpoint"])  # wrong
     Point("level", "coil", 0)  # wrong
     Point("level", "coils", 0, access="rw")  # wrong
@@ -88,7 +88,7 @@ async def asking(plc: AsyncClient) -> None:
     await plc.read_values("holding_regs", 0, "float32")  # wrong
     await plc.read_coils("0", 8)  # wrong
     await plc.read_many({"level": ("coil", 0, 8)})  # wrong
-    await plc.read_map("meter.csv")  # wrong
+    await plc.read_map(5)  # wrong
 
 
 def forgotten_await(plc: AsyncClient) -> list[bool]:
