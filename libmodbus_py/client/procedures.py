@@ -196,6 +196,34 @@ class Procedures(Requests):
         return kind.decode_many(cells)
 
     @follows
+    def write_value(
+        self,
+        /,
+        table: WritableTable,
+        address: int,
+        value: Any,
+        type: TypeName,
+        **layout: Unpack[Layout],
+    ) -> Steps[None]:
+        """
+        Write one number, string, time or list of bits to holding registers, with function 16.
+
+        Args:
+            table: "holding_registers", the only table of registers that can be written.
+            address: the address of the first register.
+            value: the value, as `read_value` returns it.
+            type, layout: as for `read_value`.
+
+        Raises:
+            TypeError, ValueError: an argument is wrong; nothing was sent.
+        """
+        from ..protocol.values import value_type
+
+        _check_writable(table)
+        cells = value_type(type, **layout).encode(value)
+        yield pdu.WriteRegisters(address, cells)  # type: ignore[arg-type]
+
+    @follows
     def write_values(
         self,
         /,
@@ -219,12 +247,9 @@ class Procedures(Requests):
         Raises:
             TypeError, ValueError: an argument is wrong; nothing was sent.
         """
-        from ..protocol.words import table_named
-
-        if table != "holding_registers" and table_named(table) != "holding_registers":
-            raise ValueError(f"table must be holding_registers, not {table!r}")
         from ..protocol.values import value_type
 
+        _check_writable(table)
         cells = value_type(type, order=order, **text).encode_many(values)
         yield pdu.WriteRegisters(address, cells)  # type: ignore[arg-type]
 
@@ -348,6 +373,13 @@ def _registers(table: object) -> Any:
         wanted = ", ".join(REGISTER_TABLES)
         raise ValueError(f"table must be one of {wanted}, not {table!r}{close}")
     return name
+
+
+def _check_writable(table: object) -> None:
+    from ..protocol.words import table_named
+
+    if table != "holding_registers" and table_named(table) != "holding_registers":
+        raise ValueError(f"table must be holding_registers, not {table!r}")
 
 
 def _plan_answers(

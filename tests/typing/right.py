@@ -109,6 +109,7 @@ def handles(plc: TcpContext) -> None:
 def values(plc: TcpContext) -> None:
     plc.read_values("holding_registers", 100, "float32", 2, order="CDAB")
     plc.read_values("input_registers", 100, "string:16", encoding="latin-1", padding=" ")
+    plc.write_value("holding_registers", 100, "pump", "string:8", padding=" ")
     plc.write_values("holding_registers", 100, [3.14], "float64", order="DCBA")
 
 

@@ -59,6 +59,7 @@ def blocking(plc: TcpContext) -> None:
     plc.read_values("holding_registers", 0, "flaot32")  # wrong
     plc.read_values("holding_registers", 0, "float32", order="ABDC")  # wrong
     plc.read_values("coils", 0, "float32")  # wrong
+    plc.write_value("holding_registers", 0, 1.5, "flaot32")  # wrong
     plc.write_values("input_registers", 0, [1.5], "float32")  # wrong
     plc.read_coils("0", 8)  # wrong
     plc.read_coils(0, cuont=8)  # wrong
