@@ -102,7 +102,7 @@ class Read:
             TypeError, ValueError: the number of cells is wrong, or they hold no value of this type.
         """
         if len(cells) != len(self.cells):
-            raise WrongValue("cells", f"must be {len(self.cells)}, not {len(cells)}")
+            raise WrongValue("cells", f"must have {len(self.cells)} items, not {len(cells)}")
         return list(cells) if self.kind is None else self.kind.decode_many(cells)
 
 
@@ -158,7 +158,7 @@ class _Rest(NamedTuple):
 
     start: int
     stop: int
-    place: int
+    item: int
     step: int
 
 
@@ -309,32 +309,27 @@ class Plan:
 
         No request begins before it must: at the lowest cell that is in none yet.
         """
+        items = [(name, read) for name, read in self._reads.items() if read.table == table]
         pieces = [
-            _Rest(cells.start, cells.stop, place, len(cells) if len(cells) <= limit else size)
-            for place, (cells, size) in enumerate(self._spans(table))
+            _Rest(each.address, each.cells.stop, at, _size_together(each, limit))
+            for at, (_, each) in enumerate(items)
         ]
         windows: list[_Window] = []
-        parts = self._parts_of(table)
         heapify(pieces)
         while pieces:
-            start, stop, place, step = heappop(pieces)
+            start, stop, at, step = heappop(pieces)
             if not windows or not self._fits(table, windows[-1], start, start + step, limit):
                 windows.append(_Window(start, start))
             window = windows[-1]
             reached = min(stop, start + (window.start + limit - start) // step * step)
             window.stop = max(window.stop, reached)
             number = len(self._requests) + len(windows) - 1
-            parts[place].append(_Part(number, start - window.start, reached - window.start))
+            part = _Part(number, start - window.start, reached - window.start)
+            self._parts[items[at][0]].append(part)
             if reached < stop:
-                heappush(pieces, _Rest(reached, stop, place, step))
+                heappush(pieces, _Rest(reached, stop, at, step))
         make = TABLES[table].read
         self._requests += [make(window.start, window.stop - window.start) for window in windows]
-
-    def _spans(self, table: str) -> list[tuple[range, int]]:
-        return [(read.cells, read.size) for read in self._reads.values() if read.table == table]
-
-    def _parts_of(self, table: str) -> list[list[_Part]]:
-        return [self._parts[name] for name, read in self._reads.items() if read.table == table]
 
     def _fits(self, table: str, window: _Window, start: int, stop: int, limit: int) -> bool:
         between = range(window.stop, start)
@@ -371,6 +366,11 @@ def unreadable_of(plan: Plan, holes: Holes, device: str) -> list[Unreadable]:
         for name, read in plan._reads.items()
         if name in found
     ]
+
+
+def _size_together(read: Read, limit: int) -> int:
+    """Return how many cells must be in one request: all of them, or those of one value."""
+    return len(read.cells) if len(read.cells) <= limit else read.size
 
 
 def _overlap(first: range, second: range) -> bool:

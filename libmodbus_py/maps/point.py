@@ -209,7 +209,7 @@ class Point:
         """
         try:
             if len(cells) != len(self.cells):
-                raise WrongValue("cells", f"must be {len(self.cells)}, not {len(cells)}")
+                raise WrongValue("cells", f"must have {len(self.cells)} items, not {len(cells)}")
             try:
                 scaling = self.scaling_for(source)
             except NoValue as none:
@@ -358,14 +358,23 @@ class Point:
         scaling = scaling or self._scaling
         change = self.meaning.change(value, scaling)
         if self.minimum is not None or self.maximum is not None:
-            self._check_bounds_of(value)
+            self.check_bounds(value)
             if scaling is not None and self.step:
                 # 0.25 at a scale of 0.1 is written as 0.2.
                 (raw,) = self.meaning.raws_in(change.cells)
-                self._check_bounds_of(scaling.to_value(raw), value)
+                self.check_bounds(scaling.to_value(raw), value)
         return change
 
-    def _check_bounds_of(self, value: Any, given: Any = None) -> None:
+    def check_bounds(self, value: Any, given: Any = None) -> None:
+        """
+        Check a value against `minimum` and `maximum`.
+
+        Args:
+            given: the value as it was passed, if it was rounded to this one.
+
+        Raises:
+            ValueError: it is outside, or not a number; the message begins with "value".
+        """
         low, high = self.minimum, self.maximum
         if not _is_within(value, low, high):
             span = f"{'' if low is None else low}..{'' if high is None else high}"

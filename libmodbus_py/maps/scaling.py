@@ -19,13 +19,12 @@ if TYPE_CHECKING:
 __all__ = ["Scaling", "exact", "number", "scaling_by"]
 
 # Far beyond any measured quantity, and small enough for exact arithmetic.
-LARGEST = 1e30
+LARGEST, SMALLEST = 1e30, 1e-30
 
 # A float that has as many digits, and is the quotient of 1 and a whole number up to this one, is
 # the result of that division.
 DIGITS_OF_DIVISION = 14
 LARGEST_DIVISOR = 1_000_000
-SMALLEST = 1e-30
 
 
 def number(name: str, value: object) -> int | float:
@@ -112,6 +111,7 @@ class Scaling:
 
 
 LARGEST_EXPONENT = 30
+"""Powers of ten that a device may name: those of `LARGEST` and `SMALLEST`."""
 
 
 @lru_cache(maxsize=1024)

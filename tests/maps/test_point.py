@@ -208,7 +208,7 @@ def test_a_value_that_a_point_cannot_have(keys: dict[str, Any], value: Any, mess
     [
         ({"type": "bcd16"}, [0xF], "it: registers[0:1] hold no bcd16: 000F has digits other than"),
         ({"type": "string:2"}, [0xFFFF], "it: registers[0:1] hold no string:2: FF FF is no ascii"),
-        ({}, [1, 2], "it: cells must be 1, not 2"),
+        ({}, [1, 2], "it: cells must have 1 items, not 2"),
     ],
 )
 def test_cells_that_hold_no_value(keys: dict[str, Any], cells: list[int], message: str) -> None:
