@@ -209,8 +209,9 @@ class _PlanRun:
                 for other in left_out.keys() - tried:
                     self._read.pop(other.span, None)
                 refused += yield from self._send(self._portions())
-            elif not is_refusal(outcome):
-                self._holes.refused[piece.span] = PastRefusal(left_out[piece].error, *self._time)
+            else:
+                error = outcome if is_refusal(outcome) else left_out[piece].error
+                self._holes.refused[piece.span] = PastRefusal(error, *self._time)
         yield from self._search(refused)
         return [self._answer(block) for block in self._blocks]
 
@@ -304,7 +305,7 @@ class _PlanRun:
     def _first_refused(self, block: Block, error: ModbusError) -> Steps[ModbusError]:
         """Return the refusal of the first piece that is refused alone; `error` if there is none."""
         known = [piece for piece in block if piece.span in self._holes.refused][:1]
-        if known:
+        if known and len(block) > 1:
             if (yield from self._send([known])):
                 return self._named(known[0])
             if self._has_failed(known):

@@ -482,6 +482,22 @@ def test_no_item_is_named_if_each_is_answered_alone() -> None:
     assert not polls.holes
 
 
+def test_a_refused_block_of_one_item_is_asked_for_once() -> None:
+    """It would be answered the second time."""
+
+    class Changing(Registers):
+        def __call__(self, request: Any) -> Any:
+            answer = super().__call__(request)
+            self.missing.clear()
+            return answer
+
+    polls = Polls(singles(1), Registers([0]))
+    polls.poll()
+    polls.device = Changing([0])
+    count, answers = polls.strictly()
+    assert (count, answers[0].names) == (1, (0,))
+
+
 def test_a_failure_while_the_item_is_searched_leaves_the_refusal() -> None:
     class Leaving(Registers):
         def __call__(self, request: Any) -> Any:
