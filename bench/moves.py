@@ -23,7 +23,6 @@ from libmodbus_py import (
     AsyncClient,
     Context,
     Device,
-    DeviceConfig,
     Fleet,
     Gateway,
     Hook,
@@ -33,6 +32,7 @@ from libmodbus_py import (
     Route,
     Server,
 )
+from libmodbus_py.fleet import DeviceConfig
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -1,63 +1,59 @@
 """
-Modbus for Python on Debian's libmodbus.
+Modbus for Python on Debian's libmodbus: clients and servers, over networks and serial lines.
 
-Its folders, floor by floor. Imports run downwards only, and folders on the same floor do not
-import each other::
+::
 
-    cli                 libmodbus-py: read, write, scan, listen, serve, gateway, poll, demo
-    services            gateway, fleet, workers, engine, integrations
-    tools               files, listener, scan, simulator, testing, page, certificates
-    client   server     TcpContext, ..., AsyncClient send requests; Server answers them
-    ports    device     transports, and waiting for them; one unit and its tables
-    maps                register maps: named points, and plans that read them with few requests
-    binding  security   the C library; Modbus Security: certificates and roles
-    protocol            bytes and values: PDUs, frames, errors; no socket, no clock
-    late                public names imported when they are first used
-    system              calls that only Linux has, and their substitutes elsewhere
-    version             the version number
+    from libmodbus_py import IllegalDataAddress, TcpContext
 
-The public names of the package are those of ``__init__.pyi``; each is imported when it is first
-used. The other files are public modules that take their names from the folders: ``errors``,
-``framing``, ``low_level``, ``pdu`` and ``values``; ``listen``, ``scan``, ``page`` and ``serve``;
-``fleet``, ``device_file``, ``bound`` and ``sunspec``; ``testing``; ``prometheus`` and
-``modbus_connection``.
+    with TcpContext("192.0.2.10", unit=17, timeout=1.0) as plc:
+        plc.write_registers(100, [555, 0, 100])
+        plc.read_holding_registers(100, 3)             # [555, 0, 100]
+        plc.read_values("input_registers", 0, "float32", 2)   # [21.5, 1013.25]
+        try:
+            plc.read_coils(60000, 10)
+        except IllegalDataAddress as error:
+            print(error)                               # names unit, function, request and reason
 
-A read goes ``client`` -> ``protocol.pdu`` -> ``protocol.framing`` -> ``ports`` -> the wire ->
-``ports`` -> ``server`` -> ``device`` -> libmodbus's modbus_reply on the tables, and back. The
-docstring of each folder names its files.
+Addresses are 0-based and times are in seconds everywhere. The names that most programs need:
 
-Addresses are 0-based and times are in seconds everywhere.
+====================== ==========================================================================
+TcpContext             a client over TCP; `UdpContext` and `TlsContext` are made in the same way
+RtuContext             a client on a serial line; `AsciiContext` for ASCII mode
+Client                 a client for any URL, such as "tcp://192.0.2.10" or "rtu:///dev/ttyUSB0"
+AsyncClient            the same for asyncio, with the same methods as coroutines
+Server                 answers requests over any number of transports
+Device                 one unit of a server: its tables, its files, and what may be done with them
+Mapping                the tables of a device: coils, discrete inputs, holding and input registers
+load_map               loads a `RegisterMap`, which gives registers names, types and scales
+ExceptionResponse      the server refused a request; its subclasses tell why
+ModbusError            the base of all errors: also ModbusTimeoutError and ModbusConnectionError
+====================== ==========================================================================
+
+Modules with more public names:
+
+====================== ==========================================================================
+pdu, framing, values   bytes only: requests and responses, frames, and values in registers
+errors                 the exceptions
+serve, device_file     hooks, rules and audits of servers; devices that files describe
+bound, sunspec         register maps bound to clients; SunSpec models of inverters and meters
+fleet                  polling of many devices, with a journal and outputs
+scan, listen           searching for units and registers; listening to other devices
+page                   a live page of a running server
+prometheus             metrics
+modbus_connection      a backend for Home Assistant's modbus-connection
+testing                serial lines, recording servers and faults for tests
+low_level              libmodbus itself
+====================== ==========================================================================
 """
 
-from .late import Public, moved
+from .late import Public
 from .version import __version__ as __version__
 
-# Where modules were before, and programs may still look for them.
-_MOVED = {
-    "engine": "services.engine",
-    "fleet": "services.fleet",
-    "gateway": "services.gateway",
-    "integrations": "services.integrations",
-    "listener": "tools.listener",
-    "listener.listening": "tools.listener.listener",
-    "page": "tools.page",
-    "scan": "tools.scan",
-    "scan.scanning": "tools.scan.scan",
-    "scan.searching": "tools.scan.search",
-    "security.making": "tools.certificates",
-    "server.delivery": "tools.faults.delivery",
-    "simulator": "tools.simulator",
-    "testing": "tools.testing",
-    "toml": "tools.files",
-    "workers": "services.workers",
-}
-
-moved(__name__, _MOVED)
-
+# The public names are those of __init__.pyi; each is imported when it is first used.
 _PUBLIC = Public(__name__, __file__)
 __all__ = _PUBLIC.names
 __getattr__ = _PUBLIC.named
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *__all__, *_PUBLIC.modules})

@@ -2,7 +2,12 @@
 The public names of the package, each once: type checkers read this file, and so does Python.
 """
 
-from .binding import low_level as low_level
+from . import device_file as device_file
+from . import errors as errors
+from . import framing as framing
+from . import low_level as low_level
+from . import pdu as pdu
+from . import values as values
 from .client.asynchronous import AsyncClient as AsyncClient
 from .client.blocking import AsciiContext as AsciiContext
 from .client.blocking import Client as Client
@@ -19,17 +24,12 @@ from .device.hooks import Hook as Hook
 from .device.mapping import Mapping as Mapping
 from .device.rules import Allow as Allow
 from .device.rules import Rules as Rules
-from .maps.holes import Unreadable as Unreadable
 from .maps.meaning import NoValue as NoValue
 from .maps.plan import Plan as Plan
 from .maps.plan import Read as Read
 from .maps.point import Point as Point
 from .maps.register_map import RegisterMap as RegisterMap
 from .ports.trace import Traced as Traced
-from .protocol import errors as errors
-from .protocol import framing as framing
-from .protocol import pdu as pdu
-from .protocol import values as values
 from .protocol.errors import Acknowledge as Acknowledge
 from .protocol.errors import ExceptionResponse as ExceptionResponse
 from .protocol.errors import FrameError as FrameError
@@ -48,8 +48,6 @@ from .protocol.errors import ServerDeviceBusy as ServerDeviceBusy
 from .protocol.errors import ServerDeviceFailure as ServerDeviceFailure
 from .security.security import Security as Security
 from .server.limits import Limits as Limits
-from .server.limits import ServerStatistics as ServerStatistics
-from .services.fleet.config import DeviceConfig as DeviceConfig
 from .services.fleet.fleet import Fleet as Fleet
 from .services.gateway.gateway import Gateway as Gateway
 from .services.gateway.routes import Route as Route
@@ -58,28 +56,4 @@ from .tools.faults.fault import Fault as Fault
 from .tools.faults.server import Server as Server
 from .tools.files.maps.drafts import MapError as MapError
 from .tools.files.maps.map_file import load_map as load_map
-from .tools.simulator import device_file as device_file
 from .version import __version__ as __version__
-
-# isort: split
-# Former names; using one emits a DeprecationWarning.
-
-from .fleet import Reading as Reading
-from .listen import CaptureError as CaptureError
-from .listen import Listener as Listener
-from .listen import Separator as Separator
-from .listen import Summary as Summary
-from .listen import Transaction as Transaction
-from .listen import listening as listening
-from .page import Page as Page
-from .page import page_of as page_of
-from .scan import Extent as Extent
-from .scan import Found as Found
-from .scan import Scan as Scan
-from .scan import Search as Search
-from .scan import scanning as scanning
-from .scan import searching as searching
-from .serve import Asked as Asked
-from .serve import Caller as Caller
-from .serve import RecordFile as RecordFile
-from .serve import Running as Running

@@ -5,6 +5,9 @@ The short path of `protocol.errors`: importing this module gives that module.
 import sys
 
 from .protocol import errors
-from .protocol.errors import *  # noqa: F403 (for type checkers)
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from .protocol.errors import *  # noqa: F403
 
 sys.modules[__name__] = errors

@@ -29,5 +29,3 @@ __all__ = [
     "Reading",
     "load",
 ]
-# Modules of the former folder `fleet` are found in `services.fleet`.
-__path__: list[str] = []

@@ -9,6 +9,4 @@ from .tools.listener.separator import Separator as Separator
 from .tools.listener.summary import Summary as Summary
 from .tools.listener.transaction import Transaction as Transaction
 
-listening = listen  # its former name
-
 __all__ = ["CaptureError", "Listener", "Separator", "Summary", "Transaction", "listen"]

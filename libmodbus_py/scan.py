@@ -9,9 +9,4 @@ from .tools.scan.search import Extent as Extent
 from .tools.scan.search import Search as Search
 from .tools.scan.search import search as search
 
-scanning = scan  # the former names
-searching = search
-
 __all__ = ["Extent", "Found", "Scan", "Search", "scan", "search"]
-# Modules of the former folder `scan` are found in `tools.scan`.
-__path__: list[str] = []

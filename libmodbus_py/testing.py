@@ -9,5 +9,3 @@ from .tools.testing.wires import SerialWire as SerialWire
 from .tools.testing.wires import TcpWire as TcpWire
 
 __all__ = ["FaultSwitch", "RecordingServer", "SerialWire", "ServerMaker", "TcpWire"]
-# Modules of the former folder `testing` are found in `tools.testing`.
-__path__: list[str] = []

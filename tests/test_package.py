@@ -13,12 +13,13 @@ import importlib.util
 import inspect
 import os
 import pickle
+import pydoc
 import re
 import shutil
 import subprocess
 import sys
+import textwrap
 import tomllib
-import warnings
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -128,12 +129,36 @@ class TestImports:
 FOLDERS = sorted({name.split(".")[0] for name in MODULES if "." in name})
 
 
-class TestMap:
-    """Whoever looks for something starts at the docstrings of the folders."""
+# The modules beside the folders, except those that programs do not import.
+PUBLIC_MODULES = sorted(
+    name
+    for name, path in MODULES.items()
+    if path.parent == PACKAGE and name not in ("__init__", "__main__", "late", "system", "version")
+)
 
-    def test_the_first_page_names_every_folder(self) -> None:
-        text = libmodbus_py.__doc__ or ""
-        assert [each for each in FOLDERS if not re.search(rf"\b{each}\b", text)] == []
+
+class TestMap:
+    """Users start at ``help(libmodbus_py)``, contributors at the docstrings of the folders."""
+
+    def test_help_begins_with_an_example_and_the_names_that_matter(self) -> None:
+        head = pydoc.plaintext.document(libmodbus_py).splitlines()[:35]
+        rulers = [number for number, line in enumerate(head) if line.strip().startswith("====")]
+        assert 'with TcpContext("192.0.2.10"' in "\n".join(head[: rulers[0]])
+        names = [line.split()[0] for line in head[rulers[0] + 1 : rulers[1]]]
+        assert len(names) == 10
+        assert set(names) <= set(libmodbus_py.__all__)
+
+    def test_the_example_of_help_compiles(self) -> None:
+        text = (libmodbus_py.__doc__ or "").partition("::\n")[2].partition("\nAddresses")[0]
+        assert ast.parse(textwrap.dedent(text)).body
+
+    def test_help_names_every_public_module(self) -> None:
+        text = (libmodbus_py.__doc__ or "").partition("Modules with more public names")[2]
+        assert [each for each in PUBLIC_MODULES if not re.search(rf"\b{each}\b", text)] == []
+
+    def test_contributing_names_every_folder(self) -> None:
+        text = (PACKAGE.parent / "CONTRIBUTING.md").read_text()
+        assert [each for each in FOLDERS if f"`{each}`" not in text] == []
 
     @pytest.mark.parametrize("folder", FOLDERS)
     def test_each_folder_names_its_files(self, folder: str) -> None:
@@ -147,20 +172,6 @@ class TestMap:
 
 # --- public names --------------------------------------------------------------------------
 
-
-# What programs imported from the package before its names were sorted into modules.
-FORMER = [
-    *("Asked", "Caller", "CaptureError", "Extent", "Found", "Listener", "Page", "Reading"),
-    *("RecordFile", "Running", "Scan", "Search", "Separator", "Summary", "Transaction"),
-    *("listening", "page_of", "scanning", "searching"),
-]
-
-# Modules that programs imported by the paths that the documentation gave.
-FORMER_MODULES = [
-    *("fleet.readings", "fleet.statistics", "listener.transaction", "page.page", "scan.scanning"),
-    *("simulator.device_file", "testing.fault_switch", "testing.line_ends", "testing.plugin"),
-    *("testing.recording", "testing.wires", "toml.roles", "workers.status", "security.making"),
-]
 
 SHORT_PATHS = {
     **{name: f"protocol.{name}" for name in ("errors", "framing", "pdu", "values")},
@@ -176,36 +187,7 @@ class TestPublicNames:
         assert missing == []
 
     def test_there_are_few_at_the_top(self) -> None:
-        assert len(set(libmodbus_py.__all__) - set(errors.__all__)) <= 41
-
-    @pytest.mark.parametrize("name", FORMER)
-    def test_a_former_name_is_kept_with_a_warning(self, name: str) -> None:
-        says = rf"^libmodbus_py\.{name} is now (\S+)$"
-        with pytest.warns(DeprecationWarning, match=says) as said:
-            value = getattr(libmodbus_py, name)
-        module, _, present = str(said[0].message).rpartition(" ")[2].rpartition(".")
-        assert getattr(importlib.import_module(module), present) is value
-        assert name not in libmodbus_py.__all__
-
-    @pytest.mark.parametrize("name", FORMER_MODULES)
-    def test_a_module_is_found_by_its_former_path(self, name: str) -> None:
-        former = f"libmodbus_py.{name}"
-        sys.modules.pop(former, None)
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always")
-            module = importlib.import_module(former)
-        (message,) = (str(each.message) for each in said if f"{former} " in str(each.message))
-        assert message.startswith(f"{former} has moved to ")
-        present = message.rpartition(" ")[2]
-        assert importlib.import_module(present) is module
-        assert module.__spec__ is not None
-        assert (module.__name__, module.__spec__.name) == (present, present)
-
-    @pytest.mark.filterwarnings("ignore:libmodbus_py")
-    def test_a_module_that_never_was_is_not_found(self) -> None:
-        for name in ("testing.none", "toml.none", "none"):
-            with pytest.raises(ModuleNotFoundError, match="none"):
-                importlib.import_module(f"libmodbus_py.{name}")
+        assert len(libmodbus_py.__all__) <= 48
 
     @pytest.mark.parametrize("package", [libmodbus_py, pdu])
     def test_everything_is_there_for_whoever_asks_in_any_way(self, package: Any) -> None:

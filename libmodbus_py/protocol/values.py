@@ -555,18 +555,6 @@ def readings(registers: Iterable[int]) -> list[Interpretation]:
     return list(found.values())
 
 
-if not TYPE_CHECKING:  # checkers would take any name for one of this module
-
-    def __getattr__(name: str) -> object:
-        """Return the class for its former name, which programs may still use."""
-        if name != "Reading":
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        from warnings import warn
-
-        warn("values.Reading is now values.Interpretation", DeprecationWarning, stacklevel=2)
-        return Interpretation
-
-
 # --- references --------------------------------------------------------------------
 
 TABLES = {

@@ -15,7 +15,6 @@ from libmodbus_py import (
     Client,
     Context,
     Device,
-    DeviceConfig,
     Mapping,
     Point,
     RegisterMap,
@@ -25,6 +24,7 @@ from libmodbus_py import (
     TcpContext,
     UdpContext,
 )
+from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.ports.schemes import SERIAL_OPTIONS
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.protocol.close_names import SERIAL_SETTINGS

@@ -13,6 +13,7 @@ from pathlib import Path
 
 PUBLIC = [
     "libmodbus_py",
+    "libmodbus_py.bound",
     "libmodbus_py.device_file",
     "libmodbus_py.errors",
     "libmodbus_py.fleet",

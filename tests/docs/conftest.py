@@ -70,7 +70,8 @@ def names(home: Home) -> dict[str, Any]:
     known: dict[str, Any] = {}
     for module in ("libmodbus_py.listen", "libmodbus_py.page", "libmodbus_py.scan"):
         known |= vars(importlib.import_module(module))
-    known |= {name: getattr(libmodbus_py, name) for name in libmodbus_py.__all__}
+    top = [*libmodbus_py.__all__, "framing", "pdu", "values"]
+    known |= {name: getattr(libmodbus_py, name) for name in top}
     return known | {
         "asyncio": asyncio,
         "at_end": home.at_end,

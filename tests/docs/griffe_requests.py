@@ -30,5 +30,5 @@ class NamesOfStubs(Extension):
         """Set the exports of a package that has an ``__init__.pyi``."""
         stub = Path(str(mod.filepath)).with_suffix(".pyi")
         if stub.exists():
-            current = stub.read_text().partition("# isort: split")[0]
-            mod.exports = sorted(re.findall(r" as (\w+)", current))
+            names = re.findall(r"from \.\w.* as (\w+)", stub.read_text())  # without modules
+            mod.exports = sorted(names)

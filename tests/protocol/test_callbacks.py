@@ -27,7 +27,7 @@ from libmodbus_py import (
 from libmodbus_py.device.authorization import Authorization
 from libmodbus_py.listen import Separator
 from libmodbus_py.protocol.callbacks import checked_callback, finished, log_failure
-from libmodbus_py.scan import scanning, searching
+from libmodbus_py.scan import scan, search
 from tests.support.cases import each_case
 
 URL = "tcp://127.0.0.1:1"
@@ -97,8 +97,8 @@ TAKING: dict[str, Callable[[Any], object]] = {
     "Client trace": lambda call: Client(URL, trace=call),
     "Client on_state": lambda call: Client(URL, on_state=call),
     "TcpContext trace": lambda call: TcpContext("127.0.0.1", trace=call),
-    "scanning": lambda call: scanning(URL, on_progress=call),
-    "searching": lambda call: searching(URL, on_progress=call),
+    "scan": lambda call: scan(URL, on_progress=call),
+    "search": lambda call: search(URL, on_progress=call),
     "Separator": lambda call: Separator("rtu", call),
     "request_length": lambda call: registered(request_length=staticmethod(call)),
     "response_length": lambda call: registered(response_length=staticmethod(call)),

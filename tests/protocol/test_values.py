@@ -913,10 +913,3 @@ def test_limits_are_the_numbers_that_just_fit(name: str) -> None:
 @each_case("name", [*get_args(BitsType), "string:1"])
 def test_what_is_no_number_has_no_limits(name: str) -> None:
     assert value_type(name).limits is None
-
-
-def test_the_former_name_of_an_interpretation_warns() -> None:
-    with pytest.warns(DeprecationWarning, match="values.Interpretation"):
-        assert values.Reading is values.Interpretation  # type: ignore[attr-defined]
-    with pytest.raises(AttributeError, match="has no attribute 'Other'"):
-        _ = values.Other  # type: ignore[attr-defined]

@@ -164,9 +164,14 @@ def without_cryptography(program: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize("call", ["role.role_of(b'')", "making.make('x')"], ids=["role_of", "make"])
+@pytest.mark.parametrize(
+    "call", ["role.role_of(b'')", "certificates.make('x')"], ids=["role_of", "make"]
+)
 def test_without_cryptography_it_says_what_to_install(call: str) -> None:
-    done = without_cryptography(f"from libmodbus_py.security import making, role\n{call}")
+    done = without_cryptography(
+        f"from libmodbus_py.security import role\n"
+        f"from libmodbus_py.tools import certificates\n{call}"
+    )
     assert done.returncode == 1
     last = done.stderr.splitlines()[-1]
     assert last.startswith("ImportError: ")

@@ -9,7 +9,8 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import partial
 
-from libmodbus_py import AsyncClient, Device, DeviceConfig, Gateway, Mapping, Route, Server
+from libmodbus_py import AsyncClient, Device, Gateway, Mapping, Route, Server
+from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.workers.records import FleetSettings
 from tests.services.workers.trial import MAP, Asked
 

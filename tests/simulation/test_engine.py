@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Device, DeviceConfig, Mapping, Point, RegisterMap, Server
+from libmodbus_py import Device, Mapping, Point, RegisterMap, Server
+from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.ports.trace import Traced
 from libmodbus_py.services.engine.buckets import Change
 from libmodbus_py.services.engine.errors import EngineError

@@ -35,10 +35,10 @@ from libmodbus_py import (
     TlsContext,
     Traced,
     UdpContext,
-    Unreadable,
     load_map,
     pdu,
 )
+from libmodbus_py.bound import Unreadable
 from libmodbus_py.listen import Separator, Transaction, listen
 from libmodbus_py.maps.watched import PolledValues
 from libmodbus_py.protocol.type_names import TypeName

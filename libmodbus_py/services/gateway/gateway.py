@@ -7,7 +7,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Iterable
-from warnings import warn
 
 from ...device.authorization import Authorize
 from ...ports.endpoint import Endpoint
@@ -97,12 +96,6 @@ class Gateway(Serving):
         self._answering_now: Answering | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._closing: set[asyncio.Task[None]] = set()
-
-    @property
-    def passed(self) -> GatewayStatistics:
-        """The old name of `traffic`."""
-        warn("Gateway.passed is now Gateway.traffic", DeprecationWarning, stacklevel=2)
-        return self.traffic
 
     def change_routes(self, routes: Iterable[Route]) -> None:
         """

@@ -10,8 +10,8 @@ from contextlib import asynccontextmanager, suppress
 from contextvars import ContextVar
 from typing import Any, Self, TypeVar
 
-from libmodbus_py import Device, DeviceConfig, Fleet, Mapping, Point, RegisterMap
-from libmodbus_py.fleet import Reading
+from libmodbus_py import Device, Fleet, Mapping, Point, RegisterMap
+from libmodbus_py.fleet import DeviceConfig, Reading
 from tests.simulation.network import Network
 from tests.simulation.sockets import MemorySocket
 from tests.support.scripted import all_accepted

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import DeviceConfig, Point, RegisterMap
-from libmodbus_py.fleet import Reading
+from libmodbus_py import Point, RegisterMap
+from libmodbus_py.fleet import DeviceConfig, Reading
 from libmodbus_py.services.fleet.buffer import Buffer
 from libmodbus_py.services.fleet.statistics import LATENESS_BOUNDS, FleetStatistics
 from libmodbus_py.tools.files.csv_text import CELLS

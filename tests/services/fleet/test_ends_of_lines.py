@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import DeviceConfig, Fleet
+from libmodbus_py import Fleet
+from libmodbus_py.fleet import DeviceConfig
 from tests.services.fleet.test_line import MAP, Plant
 
 AFTERWARDS = 10.0

@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import DeviceConfig, Fleet, Point, RegisterMap
+from libmodbus_py import Fleet, Point, RegisterMap
+from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.fleet.config import by_connection, devices_from_json, devices_to_json
 from libmodbus_py.services.fleet.files import FleetFileError, load
 from libmodbus_py.services.fleet.outputs.kinds import KINDS

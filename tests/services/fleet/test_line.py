@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import DeviceConfig, Fleet, Point, RegisterMap
+from libmodbus_py import Fleet, Point, RegisterMap
+from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services import waiting_room
 from libmodbus_py.services.fleet.poller import DeviceState
 from libmodbus_py.services.fleet.schedule import first_time

@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import DeviceConfig, Fleet, Point, RegisterMap
+from libmodbus_py import Fleet, Point, RegisterMap
+from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.fleet.poller import DeviceState
 from tests.services.fleet.fleets import while_polled
 from tests.simulation.network import Network

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Gateway, Route
+from libmodbus_py import Route
 from libmodbus_py.ports import hosts
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.services.gateway.config import MOST_ROUTES
@@ -225,12 +225,6 @@ def test_an_endpoint_elsewhere_is_fine() -> None:
     given: list[Endpoint] = []
     check_line("to", parse(TCP), given)
     assert given == []
-
-
-def test_passed_is_the_old_name_of_traffic() -> None:
-    gateway = Gateway([Route(TCP)])
-    with pytest.warns(DeprecationWarning, match=r"Gateway\.passed is now Gateway\.traffic"):
-        assert gateway.passed is gateway.traffic
 
 
 def test_two_spellings_of_one_port_are_one_place() -> None:

@@ -16,7 +16,8 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import DeviceConfig, Point, RegisterMap
+from libmodbus_py import Point, RegisterMap
+from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.engine.errors import EngineError, EngineGone
 from libmodbus_py.services.fleet.buffer import Buffer
 from libmodbus_py.services.fleet.commands import Commands

@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import DeviceConfig, Point, RegisterMap
+from libmodbus_py import Point, RegisterMap
+from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.engine.errors import EngineError, EngineGone
 from libmodbus_py.services.workers.pushing import Pushed, connections_of, push, seen_now
 from libmodbus_py.services.workers.records import SETTINGS, FleetSettings

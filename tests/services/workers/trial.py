@@ -9,7 +9,8 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
-from libmodbus_py import Device, DeviceConfig, Mapping, Point, RegisterMap, Server
+from libmodbus_py import Device, Mapping, Point, RegisterMap, Server
+from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.ports.trace import Traced
 from libmodbus_py.services.workers.records import FleetSettings
 from tests.simulation.engine import Engine

@@ -13,7 +13,8 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import DeviceConfig, Point, RegisterMap, load_map
+from libmodbus_py import Point, RegisterMap, load_map
+from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.fleet.config import devices_from_json, devices_to_json
 from libmodbus_py.services.fleet.files import load as load_fleet
 from libmodbus_py.tools.files.maps.class_text import class_text

@@ -14,8 +14,8 @@ from urllib.parse import parse_qs
 
 import pytest
 
-from libmodbus_py import DeviceConfig, Fleet, Point, RegisterMap
-from libmodbus_py.fleet import FleetFileError, Reading
+from libmodbus_py import Fleet, Point, RegisterMap
+from libmodbus_py.fleet import DeviceConfig, FleetFileError, Reading
 from libmodbus_py.services.fleet.files import load
 from libmodbus_py.services.fleet.outputs import influx_server, pump
 from libmodbus_py.services.fleet.outputs.influx import Influx

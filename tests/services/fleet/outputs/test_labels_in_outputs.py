@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import DeviceConfig, Fleet, Point, RegisterMap, Server
-from libmodbus_py.fleet import Reading
+from libmodbus_py import Fleet, Point, RegisterMap, Server
+from libmodbus_py.fleet import DeviceConfig, Reading
 from libmodbus_py.services.fleet.outputs.csv_output import CsvOutput
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.json_output import JsonOutput

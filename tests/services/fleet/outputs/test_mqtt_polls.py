@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import DeviceConfig, Server
-from libmodbus_py.fleet import Journal, Reading
+from libmodbus_py import Server
+from libmodbus_py.fleet import DeviceConfig, Journal, Reading
 from libmodbus_py.services.fleet.outputs.forms import payload, payload_text
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.poll_messages import poll_messages

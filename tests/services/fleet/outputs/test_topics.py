@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py import DeviceConfig, Fleet, Server
-from libmodbus_py.fleet import FleetFileError, load
+from libmodbus_py import Fleet, Server
+from libmodbus_py.fleet import DeviceConfig, FleetFileError, load
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.topics import Topic
 from tests.services.fleet.fleets import meter, simulated, until
