@@ -76,8 +76,8 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
     Args:
         url: a URL such as "tcp://192.0.2.10?unit=17" or "rtu:///dev/ttyUSB0?baudrate=9600"
             (`libmodbus_py.ports.endpoint`).
-        options: `unit`, `timeout` and others, which take precedence over those of the URL; see
-            `client.options.Options`.
+        options: `unit`, `timeout` and others, which take precedence over those of the URL;
+            ``__init__`` lists all with their defaults.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.

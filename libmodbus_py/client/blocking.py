@@ -67,8 +67,8 @@ class Context(Handle[BlockingDriver], Procedures, Blocking):
     fork, the child opens its own connection, and the parent is not affected. Ctrl-C takes effect
     at once.
 
-    Addresses are 0-based, 0..65535; times are in seconds; the options are those of
-    `client.options.ContextOptions`.
+    Addresses are 0-based, 0..65535; times are in seconds; ``__init__`` lists the options of all
+    contexts with their defaults.
 
     Besides the exceptions that its method names, every request can raise:
 
@@ -306,7 +306,7 @@ class TcpContext(Context, schemes=("tcp", "rtu+tcp", "ascii+tcp", "unix")):
         port: 1..65535.
         framing: "tcp" (with the MBAP header); "rtu" or "ascii" for a serial line behind a
             serial device server.
-        options: `unit`, `timeout` and others; see `client.options.ContextOptions`.
+        options: `unit`, `timeout` and others; ``__init__`` lists all with their defaults.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -338,8 +338,8 @@ class TlsContext(Context, schemes=("tls",)):
         host: a host name, all of whose addresses are tried, or an IPv4 or IPv6 address; it may
             contain the port, as in "192.0.2.1:1502".
         port: 1..65535.
-        options: `security`, which is required, `unit`, `timeout` and others; see
-            `client.options.ContextOptions`.
+        options: `security`, which is required, `unit`, `timeout` and others; ``__init__`` lists
+            all with their defaults.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range, or no `security`.
@@ -364,7 +364,7 @@ class UdpContext(Context, schemes=("udp", "rtu+udp")):
         host: a host name, an IPv4 or an IPv6 address; it may contain the port, as in
             "192.0.2.1:1502".
         port: 1..65535.
-        options: `unit`, `timeout` and others; see `client.options.ContextOptions`.
+        options: `unit`, `timeout` and others; ``__init__`` lists all with their defaults.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -384,7 +384,7 @@ class RtuContext(Context, schemes=("rtu",)):
         device: the path of the port, such as "/dev/ttyUSB0"; it is locked while it is open, so
             that no two programs use it at once.
         baudrate: bits per second, 1..4000000.
-        options: `unit`, `timeout` and others, see `client.options.ContextOptions`; and
+        options: `unit`, `timeout` and others, which ``__init__`` lists with their defaults; and
             `parity` ("E"), `data_bits` (8), `stop_bits` (1), `rs485`, `rts_delay`, `echo` and
             `silence`, see `ports.serial.SerialPort`. `timeout` should be longer than the slowest
             unit takes, because a late response cannot be told from the next one.

@@ -49,6 +49,37 @@ class Handle(Generic[Driving]):
         driver: Driving,
         timeouts: Timeouts | None = None,
     ) -> None:
+        """
+        Make a client. These are the options of all clients, with their defaults; times are in
+        seconds, and `client.options.Options` describes each in full:
+
+            unit=1                      the unit to which requests are sent, 0..255
+            timeout=1.0                 the longest time that a request may take
+            retries=0                   how often a request is sent again without a good response
+            busy_retries=0              the same for a device that reports that it is busy
+            max_in_flight=None          requests that may be pending at once; None finds it out
+            turnaround=0.1              the duration of a broadcast
+            request_spacing=0.0         the minimum time between the starts of two requests
+            connect_delay=0.0           the time between connecting and the first request
+            timeouts_before_reconnect=3 timeouts in a row after which the next request reconnects
+            max_pause=0.0               the longest pause between two attempts to connect
+            keepalive=30.0              the silence after which TCP probes the peer; None for never
+            accept_unit="same"          "any" accepts responses from other units
+            delimiter=10                the byte after CR in ASCII frames
+            security=None               the certificates for TLS, a `Security`
+            trace=None                  called with each ADU, as a `Traced`
+            on_state=None               called with each new `State`, and the error that led to it
+            statistics=None             the `Statistics` to count in; None for new ones
+
+        Contexts also have:
+
+            native=True                 requests are sent, and responses read, by C
+
+        `AsyncClient` also has, and differs in one default:
+
+            may_send=None               requests are sent only while this function returns True
+            max_pause=30.0              the longest pause between two attempts to connect
+        """
         self._unit = settings.unit
         self._timeouts = timeouts or settings.timeouts
         self._endpoint = parts.endpoint

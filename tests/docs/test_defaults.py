@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import pydoc
 import re
 from dataclasses import fields
 from pathlib import Path
@@ -13,6 +14,16 @@ from typing import Any
 
 import pytest
 
+from libmodbus_py import (
+    AsciiContext,
+    AsyncClient,
+    Client,
+    RtuContext,
+    TcpContext,
+    TlsContext,
+    UdpContext,
+)
+from libmodbus_py.client.asynchronous import MAX_PAUSE
 from libmodbus_py.client.options import AsyncOptions, CheckedOptions, ContextOptions, Options
 from libmodbus_py.ports.serial import SERIAL_DEFAULTS
 
@@ -61,6 +72,30 @@ def test_docstrings_of_options_name_each_key() -> None:
         name for options in (Options, ContextOptions, AsyncOptions) for name in keys_of(options)
     ]
     assert sorted(told) == sorted(CLIENTS)
+
+
+LISTED = re.compile(r"^ +\| +(\w+)=(\S+) +\S", re.MULTILINE)
+"""An option and its default, as help shows it among the methods of a class."""
+
+
+@pytest.mark.parametrize(
+    "client", [TcpContext, TlsContext, UdpContext, RtuContext, AsciiContext, Client, AsyncClient]
+)
+def test_help_lists_every_option_with_its_default(client: type[Any]) -> None:
+    listed = LISTED.findall(pydoc.plaintext.document(client))
+    expected = [*CLIENTS.items(), ("max_pause", MAX_PAUSE)]
+    assert sorted(listed) == sorted((name, _as_listed(value)) for name, value in expected)
+
+
+def _as_listed(value: Any) -> str:
+    return repr(value).replace("'", '"')
+
+
+@pytest.mark.parametrize("client", [TcpContext, AsyncClient])
+@pytest.mark.parametrize("method", ["execute", "read_many", "watch"])
+def test_help_tells_what_methods_of_many_types_do(client: type[Any], method: str) -> None:
+    text = pydoc.plaintext.document(getattr(client, method))
+    assert re.search(r"\n    [A-Z].*\.\n[^$]*Args:", text), text
 
 
 def test_the_page_of_serial_ports_names_the_defaults() -> None:
