@@ -5,32 +5,33 @@ The asyncio client.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any, Self, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, Self, TypeVar, Unpack, overload
 
-from ..maps.plan import (
-    Item,
-    Items,
-    Key,
-    Named,
-    Plan,
-    PlanOptions,
-    Strict,
-    Tolerant,
-    Values,
-)
-from ..maps.register_map import AnyMap
-from ..maps.watched import PolledValues
-from ..ports.endpoint import parse
 from ..protocol import pdu
 from ..protocol.checks import integer, seconds
 from ..protocol.errors import InvalidResponse, ModbusError
 from .asyncio_driver import AsyncioDriver
 from .call import MAX_IN_FLIGHT, Call, Phase, encoded, raised
 from .handle import Handle
-from .options import AsyncOptions, CheckedOptions, assembled
 from .polling import AwaitedPolls, interval_of, watched
 from .procedures import Procedures
 from .requests import Awaiting, ChangeRegister, Several
+
+if TYPE_CHECKING:
+    from ..maps.plan import (
+        Item,
+        Items,
+        Key,
+        Named,
+        Plan,
+        PlanOptions,
+        Strict,
+        Tolerant,
+        Values,
+    )
+    from ..maps.register_map import AnyMap
+    from ..maps.watched import PolledValues
+    from .options import AsyncOptions
 
 __all__ = ["IN_FLIGHT", "MAX_PAUSE", "AsyncClient", "Submitted"]
 
@@ -84,6 +85,11 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
     """
 
     def __init__(self, url: str, **options: Unpack[AsyncOptions]) -> None:
+        # Imported here, as in `Context`, and `reads` for the same reason as there.
+        from ..ports.endpoint import parse
+        from ..protocol.pdu import reads  # noqa: F401
+        from .options import CheckedOptions, assembled
+
         endpoint = parse(url)
         settings = CheckedOptions.of(endpoint, options, max_pause=MAX_PAUSE, may_send=None)
         parts = assembled(endpoint, settings, IN_FLIGHT)

@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Callable
 from functools import partial
 from time import monotonic
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..ports.port import abandoned_in_children
 from ..ports.waiting_async import Alarm, run_async
@@ -24,8 +24,10 @@ from ..protocol.callbacks import finished, log_failure
 from ..protocol.errors import ModbusConnectionError
 from .call import Batch, Call
 from .connection import forbidden
-from .options import Parts
 from .reconnecting import FORKED, State
+
+if TYPE_CHECKING:
+    from .options import Parts
 
 __all__ = ["AsyncioDriver"]
 

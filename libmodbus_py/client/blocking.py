@@ -99,7 +99,8 @@ class Context(Handle[BlockingDriver], Procedures, Blocking):
 
     def __init__(self, endpoint: Endpoint, options: Mapping[str, Any]) -> None:
         # Imported here, because the parts of a client take longer to import than this module, and
-        # some programs make no client.
+        # some programs make no client. A first read may find no descriptor to import `reads` with.
+        from ..protocol.pdu import reads  # noqa: F401
         from .options import CheckedOptions, assembled
 
         settings = CheckedOptions.of(endpoint, options, native=True)

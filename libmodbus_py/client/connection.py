@@ -21,10 +21,8 @@ from __future__ import annotations
 import errno
 import math
 from collections.abc import Callable, Collection, Iterable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from ..ports.endpoint import Endpoint
-from ..ports.trace import Trace
 from ..protocol.callbacks import finished, log_failure
 from ..protocol.errors import (
     FrameError,
@@ -39,7 +37,11 @@ from .hints import add_hint, explain_end
 from .outcomes import Outcomes
 from .queue import Queue, Window
 from .reconnecting import Reconnecting
-from .statistics import Statistics
+
+if TYPE_CHECKING:
+    from ..ports.endpoint import Endpoint
+    from ..ports.trace import Trace
+    from .statistics import Statistics
 
 __all__ = ["Pace", "Transactions", "forbidden"]
 

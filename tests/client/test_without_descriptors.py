@@ -14,9 +14,13 @@ from tests.support.peers import answer, peer_at
 # Every import opens a file, so a module that is first needed now cannot be had.
 PROGRAM = """
 import asyncio, errno, resource, sys
-from libmodbus_py import AsyncClient, Context, ModbusConnectionError, ModbusError
+from libmodbus_py import ModbusConnectionError, ModbusError
 
 url, kind, hook = sys.argv[1:]
+if kind == "asyncio":
+    from libmodbus_py import AsyncClient
+else:
+    from libmodbus_py import Context
 soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
 
 def fail(*_):
