@@ -25,8 +25,7 @@ from .reconnecting import OnState, Reconnecting
 from .statistics import Statistics
 
 if TYPE_CHECKING:  # ssl, which it needs, takes longer to import than the rest of a client
-    from ..security.given import GivenContext
-    from ..security.security import Security
+    from ..security.security import GivenContext, Security
 
 __all__ = ["AsyncOptions", "CheckedOptions", "ContextOptions", "Options", "Parts", "assembled"]
 
@@ -207,8 +206,7 @@ class CheckedOptions:
 
 
 def _check_security(security: object) -> None:
-    from ..security.given import GivenContext
-    from ..security.security import Security
+    from ..security.security import GivenContext, Security
 
     if not isinstance(security, Security | GivenContext):
         raise TypeError(f"security must be Security, not {type(security).__name__}")

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     import logging
 
     from ..protocol.logs import HarmlessLogger
-    from ..security.given import GivenContext
-    from ..security.security import Security
+    from ..security.security import GivenContext, Security
     from .endpoint import Endpoint
 
 # fmt: off

@@ -14,11 +14,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from ..protocol.errors import ModbusConnectionError
-from ..security.describing import describe
-from ..security.given import GivenContext
-from ..security.security import Security
+from ..security.describing import describe, in_words
+from ..security.security import GivenContext, Security
 from ..security.tunnel import READ_SIZE, Tunnel
-from ..security.words import in_words
 from ..system import KEY_REJECTED
 from .endpoint import Endpoint
 from .sockets import TcpPort

@@ -1,29 +1,48 @@
 """
-A certificate in one line of an error message.
+Certificates and errors of OpenSSL as text, for error messages.
 
 Certificates come from peers that are not trusted yet: texts are cut, and characters that could harm
-a terminal or log are escaped.
+a terminal or log are escaped. Python's ssl does not read what is in a certificate; the package
+cryptography does. It takes 35 ms to import, so it is imported where it is used.
 """
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
 import reprlib
-from datetime import UTC, datetime
-from typing import TYPE_CHECKING, NamedTuple
-
-from .extra import require_cryptography
+import ssl
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
+    from datetime import datetime
+
     from cryptography import x509
 
-__all__ = ["CertificateHolder", "describe", "end_of", "holder_of", "shown"]
-
-SHOWN_TIME = "%Y-%m-%d %H:%M:%S"
+# fmt: off
+__all__ = [
+    "CertificateHolder", "describe", "digest_of", "end_of", "holder_of", "in_words",
+    "require_cryptography", "shown", "time_in",
+]
+# fmt: on
 
 _REPR = reprlib.Repr()
 _REPR.maxstring = 100
+
+MEANINGS = {
+    "WRONG_VERSION_NUMBER": "what answers there is no TLS; is it tcp://?",
+    "UNSUPPORTED_PROTOCOL": "it speaks no TLS 1.2 or newer",
+    "TLSV1_ALERT_PROTOCOL_VERSION": "it speaks no TLS 1.2 or newer",
+    "SSLV3_ALERT_HANDSHAKE_FAILURE": "handshake failure: no cipher in common?",
+}
+"""Reason -> the probable cause at the server of a client."""
+
+
+def in_words(error: ssl.SSLError, *, guess: bool = False) -> str:
+    """Return an error of OpenSSL as text; `guess`: for a client's, the cause at its server."""
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return str(error.verify_message)
+    reason = error.reason or str(error)
+    found = MEANINGS.get(reason) if guess else None
+    return found or reason.lower().replace("_", " ")
 
 
 def shown(what: object) -> str:
@@ -31,31 +50,54 @@ def shown(what: object) -> str:
     return _REPR.repr(str(what))
 
 
-def describe(certificate: bytes) -> str:
-    """
-    Return subject, issuer, validity and SHA-256 of a certificate.
+def digest_of(certificate: bytes) -> str:
+    """Return the SHA-256 of a certificate in DER, in hexadecimal digits."""
+    import hashlib  # 2 ms, which programs without TLS need not wait for
 
-    Without cryptography the result is the SHA-256, with a hint how to see more. Never raises,
-    whatever the bytes are.
+    return hashlib.sha256(certificate).hexdigest()
 
-    Args:
-        certificate: X.509 in DER.
 
-    Returns:
-        One line of printable characters, 500 at most. The SHA-256 is what ``openssl x509
-        -fingerprint -sha256`` prints, without its colons.
-    """
-    fingerprint = f"SHA-256 {hashlib.sha256(certificate).hexdigest()}"
+def require_cryptography() -> None:
+    """Raise an ImportError that names the package to install if cryptography is missing."""
     try:
-        require_cryptography()
-    except ImportError:
-        return f"{fingerprint} (more with: pip install 'libmodbus-py[security]')"
+        import cryptography.x509  # noqa: F401
+    except ImportError as error:
+        raise ImportError(
+            "roles and certificates need the package cryptography: "
+            "pip install 'libmodbus-py[security]' (Debian: python3-cryptography)"
+        ) from error
+
+
+def _read(certificate: bytes) -> x509.Certificate:
+    require_cryptography()
     from cryptography import x509
 
+    return x509.load_der_x509_certificate(certificate)
+
+
+def describe(certificate: bytes) -> str:
+    """
+    Return subject, issuer, validity and SHA-256 of a certificate in DER, whatever the bytes are.
+
+    The result is one line of printable characters, 500 at most. Without cryptography it is the
+    SHA-256, as ``openssl x509 -fingerprint -sha256`` prints it, but for its colons.
+    """
+    fingerprint = f"SHA-256 {digest_of(certificate)}"
     try:
-        return f"{_said(x509.load_der_x509_certificate(certificate))}, {fingerprint}"
+        found = _read(certificate)
+        is_own = found.subject == found.issuer
+        issuer = "self-signed" if is_own else f"issued by {_name(found.issuer)}"
+        begin, end = time_in(found, "not_valid_before"), time_in(found, "not_valid_after")
+        valid = f"{begin:%Y-%m-%d %H:%M:%S} to {end:%Y-%m-%d %H:%M:%S} UTC"
+        return f"{_name(found.subject)}, {issuer}, valid {valid}, {fingerprint}"
+    except ImportError:
+        return f"{fingerprint} (more with: pip install 'libmodbus-py[security]')"
     except Exception:
         return f"{len(certificate)} bytes that are not a certificate, {fingerprint}"
+
+
+def _name(name: x509.Name) -> str:
+    return shown(name.rfc4514_string()) if name.rdns else "nameless"
 
 
 class CertificateHolder(NamedTuple):
@@ -64,8 +106,7 @@ class CertificateHolder(NamedTuple):
 
     Attributes:
         subject: the name as in RFC 4514; empty for a nameless one, or without cryptography.
-        serial: the serial number in hexadecimal digits, or without cryptography the SHA-256 of the
-            certificate.
+        serial: the serial number in hexadecimal digits; without cryptography the SHA-256.
     """
 
     subject: str
@@ -73,54 +114,29 @@ class CertificateHolder(NamedTuple):
 
 
 def holder_of(certificate: bytes) -> CertificateHolder:
-    """
-    Return the holder of a certificate. Never raises, whatever the bytes are.
-
-    Args:
-        certificate: X.509 in DER.
-    """
+    """Return the holder of a certificate in DER. Never raises, whatever the bytes are."""
     try:
-        require_cryptography()
-        from cryptography import x509
-
-        found = x509.load_der_x509_certificate(certificate)
+        found = _read(certificate)
         return CertificateHolder(found.subject.rfc4514_string(), f"{found.serial_number:x}")
     except Exception:
-        return CertificateHolder("", hashlib.sha256(certificate).hexdigest())
+        return CertificateHolder("", digest_of(certificate))
 
 
 def end_of(certificate: bytes) -> float | None:
-    """
-    Return the time at which a certificate ends, in seconds since 1970; None without cryptography.
-
-    Args:
-        certificate: X.509 in DER.
-    """
+    """Return when a certificate in DER ends, in seconds since 1970; None without cryptography."""
     try:
-        require_cryptography()
+        end = time_in(_read(certificate), "not_valid_after")
     except ImportError:
         return None
-    from cryptography import x509
-
-    return _time(x509.load_der_x509_certificate(certificate), "not_valid_after").timestamp()
+    return None if end is None else end.timestamp()
 
 
-def _said(certificate: x509.Certificate) -> str:
-    begin, end = (_time(certificate, f"not_valid_{when}") for when in ("before", "after"))
-    is_own = certificate.subject == certificate.issuer
-    issuer = "self-signed" if is_own else f"issued by {_name(certificate.issuer)}"
-    valid = f"{begin:{SHOWN_TIME}} to {end:{SHOWN_TIME}} UTC"
-    return f"{_name(certificate.subject)}, {issuer}, valid {valid}"
-
-
-def _name(name: x509.Name) -> str:
-    return shown(name.rfc4514_string()) if name.rdns else "nameless"
-
-
-def _time(certificate: x509.Certificate, name: str) -> datetime:
-    # Since version 42 there is one with a timezone, and the one without warns.
-    with contextlib.suppress(AttributeError):
-        aware: datetime = getattr(certificate, f"{name}_utc")
+def time_in(found: Any, name: str) -> datetime | None:
+    """Return a time of a certificate or revocation list, in UTC; None if it has none."""
+    if hasattr(found, f"{name}_utc"):  # since cryptography 42, where the one without a zone warns
+        aware: datetime | None = getattr(found, f"{name}_utc")
         return aware
-    naive: datetime = getattr(certificate, name)
-    return naive.replace(tzinfo=UTC)
+    from datetime import UTC
+
+    naive: datetime | None = getattr(found, name)
+    return None if naive is None else naive.replace(tzinfo=UTC)

@@ -1,126 +1,137 @@
 """
-The files of Modbus Security: certificates, keys and pins in PEM format.
+The files of Modbus Security in PEM format: certificates, keys, pins and revocation lists.
 """
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 import ssl
 from collections.abc import Iterable
 from typing import Any
 
-__all__ = ["File", "certificates_of", "digest_of", "has_key", "pins_of", "place_of", "text_of"]
+from .describing import digest_of, require_cryptography, time_in
+
+__all__ = ["File", "PemFile", "Revoked", "listed_pins", "read_pins"]
 
 File = str | os.PathLike[str]
 
-# The most characters of a PEM file: enough for five hundred authorities.
-MAX_FILE = 1_000_000
 
-CERTIFICATE = re.compile("-----BEGIN CERTIFICATE-----.+?-----END CERTIFICATE-----", re.DOTALL)
+class PemFile:
+    """A file that an argument names; ``str`` returns both, as error messages name it."""
 
-PRIVATE_KEY = re.compile("-----BEGIN [A-Z ]*PRIVATE KEY-----")
+    def __init__(self, argument: str, path: File) -> None:
+        if not isinstance(path, str | os.PathLike):
+            raise TypeError(f"{argument} must be a file, not {type(path).__name__}")
+        self._argument = argument
+        self.path: File = path
 
-# Content that would have no effect in a file of certificates, and what to do with it.
-WITHOUT_EFFECT = {
-    "-----BEGIN X509 CRL-----": "contains a revocation list, which must be given as crl",
-    "-----BEGIN TRUSTED CERTIFICATE-----": "contains a trusted certificate of OpenSSL, whose rules"
-    " would be ignored; convert it with openssl x509",
-}
+    def __str__(self) -> str:
+        return f"{self._argument} {os.fspath(self.path)!r}"
 
-FINGERPRINT = re.compile("[0-9a-f]{64}")
+    def text(self) -> str:
+        """Return the content; raise a ValueError if it cannot be read."""
+        try:
+            with open(self.path, encoding="utf-8", errors="replace") as opened:
+                return opened.read()
+        except OSError as error:
+            raise ValueError(f"{self}: {error.strerror}") from None
+        except ValueError as error:  # a name that no file can have
+            raise ValueError(f"{self}: {error}") from None
 
-# A text that was meant as a SHA-256, because no file has such a name.
-LIKE_A_FINGERPRINT = re.compile("[0-9a-f]{32,}")
+    def certificates(self) -> list[bytes]:
+        """Return the certificates in DER; raise a ValueError if there is none, or a list."""
+        text = self.text()
+        if "-----BEGIN X509 CRL-----" in text:
+            raise ValueError(f"{self} contains a revocation list, which must be given as crl")
+        try:
+            found = [ssl.PEM_cert_to_DER_cert(pem) for pem in _parts(text, "CERTIFICATE")]
+            reader = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+            for certificate in found:
+                reader.load_verify_locations(cadata=certificate)
+        except (ssl.SSLError, ValueError):
+            found = []
+        if not found:
+            raise ValueError(f"{self}: no certificate in PEM format")
+        return found
 
 
-def place_of(name: str, file: File) -> str:
-    """Return an argument and its file, for error messages."""
-    return f"{name} {os.fspath(file)!r}"
+def _parts(text: str, kind: str) -> list[str]:
+    return re.findall(f"-----BEGIN {kind}-----.+?-----END {kind}-----", text, re.DOTALL)
 
 
-def text_of(name: str, file: File) -> str:
+def listed_pins(given: Any) -> tuple[PemFile | str, ...]:
     """
-    Return the content of a file.
-
-    Args:
-        name: the argument that names the file, for errors.
+    Return the pins of an argument, one or several, each as a file or as a SHA-256.
 
     Raises:
-        TypeError, ValueError: the file cannot be read, or is too large.
-    """
-    if not isinstance(file, str | os.PathLike):
-        raise TypeError(f"{name} must be a file, not {type(file).__name__}")
-    try:
-        with open(file, encoding="utf-8", errors="replace") as opened:
-            text = opened.read(MAX_FILE + 1)
-    except OSError as error:
-        raise ValueError(f"{place_of(name, file)}: {error.strerror}") from None
-    except ValueError as error:  # a name that none can have
-        raise ValueError(f"{place_of(name, file)}: {error}") from None
-    if len(text) > MAX_FILE:
-        raise ValueError(f"{place_of(name, file)}: more than {MAX_FILE} bytes")
-    return text
-
-
-def certificates_of(name: str, file: File) -> list[bytes]:
-    """
-    Return the certificates of a PEM file in DER, at least one.
-
-    Raises:
-        TypeError, ValueError: as for `text_of`; there is no certificate, or content that would be
-            ignored.
-    """
-    text = text_of(name, file)
-    for mark, reason in WITHOUT_EFFECT.items():
-        if mark in text:
-            raise ValueError(f"{place_of(name, file)} {reason}")
-    found = CERTIFICATE.findall(text)
-    try:
-        certificates = [ssl.PEM_cert_to_DER_cert(pem) for pem in found]
-        reader = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-        for certificate in certificates:
-            reader.load_verify_locations(cadata=certificate)
-    except (ssl.SSLError, ValueError):
-        certificates = []
-    if not certificates:
-        raise ValueError(f"{place_of(name, file)}: no certificate in PEM format")
-    return certificates
-
-
-def has_key(name: str, file: File) -> bool:
-    """Return True if a PEM file contains a private key."""
-    return PRIVATE_KEY.search(text_of(name, file)) is not None
-
-
-def pins_of(given: Any) -> dict[str, bytes]:
-    """
-    Return SHA-256 -> certificate; empty bytes where only the SHA-256 is known.
-
-    Raises:
-        TypeError, ValueError: a pin is neither a file with a certificate nor a SHA-256.
+        TypeError, ValueError: a pin is neither, or there is none.
     """
     several = isinstance(given, Iterable) and not isinstance(given, str)
-    each: object
-    pins: dict[str, bytes] = {}
-    for each in given if several else [given]:
-        if not isinstance(each, str | os.PathLike):
-            raise TypeError(f"pin must be a file or a SHA-256, not {type(each).__name__}")
-        digest = os.fspath(each).replace(":", "").lower()
-        if FINGERPRINT.fullmatch(digest):
-            pins.setdefault(digest, b"")
-        elif LIKE_A_FINGERPRINT.fullmatch(digest):
-            digits = len(digest)
-            raise ValueError(f"pin {os.fspath(each)!r}: a SHA-256 has 64 digits, not {digits}")
+    pins: list[PemFile | str] = []
+    for pin in given if several else (given,):
+        if not isinstance(pin, str | os.PathLike):
+            raise TypeError(f"pin must be a file or a SHA-256, not {type(pin).__name__}")
+        digest = os.fspath(pin).replace(":", "").lower()
+        if not re.fullmatch("[0-9a-f]{32,}", digest):  # no file has such a name
+            pins.append(PemFile("pin", pin))
+        elif len(digest) == 64:
+            pins.append(digest)
         else:
-            certificate = certificates_of("pin", each)[0]
-            pins[digest_of(certificate)] = certificate
+            digits = len(digest)
+            raise ValueError(f"pin {os.fspath(pin)!r}: a SHA-256 has 64 digits, not {digits}")
     if not pins:
         raise ValueError("pin must contain at least one certificate")
-    return pins
+    return tuple(pins)
 
 
-def digest_of(certificate: bytes) -> str:
-    """Return the SHA-256 of a certificate, in hexadecimal digits."""
-    return hashlib.sha256(certificate).hexdigest()
+def read_pins(pins: Iterable[PemFile | str]) -> dict[str, bytes]:
+    """Return SHA-256 -> certificate in DER; empty bytes where only the SHA-256 is known."""
+    found: dict[str, bytes] = {}
+    for pin in pins:
+        if isinstance(pin, str):
+            found.setdefault(pin, b"")
+        else:
+            certificate = pin.certificates()[0]
+            found[digest_of(certificate)] = certificate
+    return found
+
+
+class Revoked:
+    """
+    The revocation lists of a file (RFC 5280, section 5).
+
+    OpenSSL checks them when a connection begins. They are read here, too, for connections that
+    were open before a list was changed.
+
+    Attributes:
+        ends: the earliest time at which a list ends, in seconds since 1970, after which OpenSSL
+            refuses all certificates of its authority; None if no list tells.
+    """
+
+    def __init__(self, file: PemFile) -> None:
+        require_cryptography()
+        from cryptography import x509
+
+        text = file.text()
+        if "-----BEGIN CERTIFICATE-----" in text:
+            raise ValueError(f"{file} contains a certificate, which has no effect")
+        try:
+            self._lists = [x509.load_pem_x509_crl(pem.encode()) for pem in _parts(text, "X509 CRL")]
+        except ValueError:
+            self._lists = []
+        if not self._lists:
+            raise ValueError(f"{file}: no revocation list in PEM format")
+        ends = [time_in(revoked, "next_update") for revoked in self._lists]
+        self.ends: float | None = min((end.timestamp() for end in ends if end), default=None)
+
+    def any_of(self, certificates: Iterable[bytes]) -> bool:
+        """Return True if one of the certificates, in DER, is revoked."""
+        from cryptography import x509
+
+        return any(
+            revoked.issuer == found.issuer
+            and revoked.get_revoked_certificate_by_serial_number(found.serial_number) is not None
+            for found in map(x509.load_der_x509_certificate, certificates)
+            for revoked in self._lists
+        )

@@ -21,53 +21,35 @@ MISTAKES = (ImportError, OSError, TypeError, ValueError)
 
 
 class _Reloadable(Protocol):
-    def reload(self) -> None:
-        """
-        Read the files again.
-
-        Raises:
-            ImportError, OSError, TypeError, ValueError: a file is wrong; nothing has changed.
-        """
-        ...
+    def reload(self) -> None: ...
 
 
 class Renewed(Generic[T]):
     """
     A value made of files, which `reload_all` reads again.
 
-    Args:
-        read: reads the files and returns the value.
-
-    Attributes:
-        value: the value of the last time that all files were good.
-
-    Raises:
-        ImportError, OSError, TypeError, ValueError: a file is wrong.
+    `read` returns it, or raises one of `MISTAKES`. `value` is that of the last time that all files
+    were good.
     """
 
     def __init__(self, read: Callable[[], T]) -> None:
         self._read = read
-        self._told = ""
+        self._logged = ""
         self.value: T = read()
         keep_renewed(self)
 
     def reload(self) -> None:
-        """
-        Read the files again.
-
-        Raises:
-            ImportError, OSError, TypeError, ValueError: a file is wrong; the value is the former.
-        """
+        """Read the files again; raise what `read` raises, and keep the value then."""
         self.value = self._read()
 
     def fresh(self) -> T:
         """Read the files again and return the value; log a mistake, and return the former value."""
         try:
             self.reload()
-            self._told = ""
+            self._logged = ""
         except MISTAKES as error:
-            if self._told != str(error):
-                self._told = str(error)
+            if self._logged != str(error):
+                self._logged = str(error)
                 logger.warning("the former content is used: %s", error)
         return self.value
 
@@ -84,13 +66,12 @@ def reload_all() -> list[str]:
     """
     Reload all certificates, keys and passwords of this process, as on SIGHUP.
 
-    Returns:
-        One line for each object that has a mistake in a file, and keeps the former content.
+    Returns a line for each object that has a mistake in a file, and keeps the former content.
     """
     mistakes = []
-    for each in list(_in_use):
+    for reloadable in list(_in_use):
         try:
-            each.reload()
+            reloadable.reload()
         except MISTAKES as error:
             mistakes.append(f"nothing is changed: {error}")
     return mistakes

@@ -7,21 +7,14 @@ errors: access rights depend on a role, so that all programs must read the same 
 
 from __future__ import annotations
 
-from unicodedata import category
+from .describing import require_cryptography, shown
 
-from .describing import shown
-from .extra import require_cryptography
-
+# fmt: off
 __all__ = [
-    "MAX_ROLE",
-    "ROLE_OID",
-    "RoleError",
-    "check_role",
-    "decode_role",
-    "encode_role",
-    "mentions_role",
-    "role_of",
+    "MAX_ROLE", "ROLE_OID", "RoleError", "check_role", "decode_role", "encode_role",
+    "mentions_role", "role_of",
 ]
+# fmt: on
 
 ROLE_OID = "1.3.6.1.4.1.50316.802.1"
 """The extension that holds the role."""
@@ -29,10 +22,11 @@ ROLE_OID = "1.3.6.1.4.1.50316.802.1"
 MAX_ROLE = 255
 """Bytes of UTF-8 that a role may have: the document names no bound, logs and tables need one."""
 
-_UTF8_STRING = 0x0C
+# The tag of a UTF8String in DER.
+UTF8_STRING_TAG = 0x0C
 
 # The OID as DER has it; OpenSSL takes no other form.
-_ENCODED_OID = bytes.fromhex("060b2b06010401 83890c 8622 01")
+ENCODED_OID = bytes.fromhex("060b2b06010401 83890c 8622 01")
 
 
 class RoleError(ValueError):
@@ -41,7 +35,7 @@ class RoleError(ValueError):
 
 def mentions_role(certificate: bytes) -> bool:
     """Return True if a certificate may have a role: fast, and without cryptography."""
-    return _ENCODED_OID in certificate
+    return ENCODED_OID in certificate
 
 
 def role_of(certificate: bytes) -> str | None:
@@ -84,16 +78,18 @@ def encode_role(role: str) -> bytes:
     """
     Return the DER of a role, as the extension contains it.
 
-    Args:
-        role: 1..255 bytes of UTF-8, without control characters.
-
     Raises:
-        RoleError: the text is not such a role.
+        RoleError: as for `check_role`.
     """
     check_role(role)
-    text = role.encode()
-    length = bytes([len(text)]) if len(text) < 0x80 else bytes([0x81, len(text)])
-    return bytes([_UTF8_STRING]) + length + text
+    return _string(role.encode())
+
+
+def _string(text: bytes) -> bytes:
+    """Return a UTF8String of up to 255 bytes in DER, which has one form for each length."""
+    size = len(text) & 0xFF
+    length = [size] if len(text) < 0x80 else [0x81, size]
+    return bytes([UTF8_STRING_TAG, *length]) + text
 
 
 def decode_role(value: bytes) -> str:
@@ -103,17 +99,15 @@ def decode_role(value: bytes) -> str:
     Raises:
         RoleError: the extension is not exactly one UTF8String in DER, or contains no role.
     """
-    if value[:1] != bytes([_UTF8_STRING]):
+    if value[:1] != bytes([UTF8_STRING_TAG]):
         tag = f"tag {value[0]:02X}h" if value else "no tag"
         raise RoleError(f"the role must be a UTF8String (tag 0Ch), not {tag}")
-    # One byte of length up to 127, then 81h and one: the only form that DER has for each.
-    start = 3 if value[1:2] == b"\x81" else 2
-    is_shortest = len(value) >= start and (value[start - 1] >= 0x80) == (start == 3)
-    if not is_shortest or value[start - 1] != len(value) - start:
+    text = value[3:] if value[1:2] == b"\x81" else value[2:]
+    if _string(text) != value:
         begin = value[:6].hex(" ")
         raise RoleError(f"the role's {len(value)} bytes ({begin} ...) are not one string in DER")
     try:
-        role = value[start:].decode("utf-8")
+        role = text.decode("utf-8")
     except UnicodeDecodeError as error:
         raise RoleError(f"the role is not UTF-8 from byte {error.start} on") from None
     check_role(role)
@@ -131,5 +125,5 @@ def check_role(role: str) -> None:
         raise RoleError(f"the role {shown(role)} is not all Unicode") from None
     if not 1 <= size <= MAX_ROLE:
         raise RoleError(f"the role must have 1..{MAX_ROLE} bytes of UTF-8, not {size}")
-    if any(category(character) == "Cc" for character in role):
+    if any(character < " " or "\x7f" <= character <= "\x9f" for character in role):
         raise RoleError(f"the role {shown(role)} has control characters")

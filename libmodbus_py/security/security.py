@@ -10,30 +10,25 @@ import os
 import ssl
 import time
 from collections.abc import Iterable
-from typing import Any
 
 from ..protocol.close_names import named_arguments
 from ..protocol.logs import HarmlessLogger
-from .acceptance import Acceptance
-from .files import File, place_of
-from .loaded import Loaded, SecurityFiles
+from .files import File, PemFile, listed_pins
+from .loaded import Acceptance, Loaded, SecurityFiles
 from .renewed import keep_renewed
 from .tunnel import Tunnel, expiry, name_of
 
-__all__ = ["Security"]
+__all__ = ["GivenContext", "Security"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-DAY = 86_400
+DAY_S = 86_400
 
-# A certificate that ends within this many seconds is warned about.
-WARNED_BEFORE = 30 * DAY
+# A certificate that ends within this time is warned about.
+WARNED_BEFORE_S = 30 * DAY_S
 
 # The same for a revocation list; most are renewed every day or week.
-WARNED_BEFORE_OF_CRL = 2 * DAY
-
-# The length that OpenSSL accepts.
-MAX_PASSWORD = 1024
+WARNED_BEFORE_OF_CRL_S = 2 * DAY_S
 
 
 @named_arguments
@@ -93,21 +88,29 @@ class Security:
         for name, text in (("server_name", server_name), ("password", password)):
             if text is not None and not isinstance(text, str):
                 raise TypeError(f"{name} must be a string, not {type(text).__name__}")
-        if password is not None and len(password.encode()) > MAX_PASSWORD:
-            raise ValueError(f"password must have {MAX_PASSWORD} bytes of UTF-8 at most")
-        pins = None if pin is None else _listed(pin)
-        self._files = SecurityFiles(own, key, password, trust, pins, crl)
+        self._files = SecurityFiles(
+            PemFile("certificate", own),
+            PemFile("key", own if key is None else key),
+            password,
+            None if trust is None else PemFile("trust", trust),
+            () if pin is None else listed_pins(pin),
+            None if crl is None else PemFile("crl", crl),
+        )
         self._server_name = server_name
-        self.loaded: Loaded = Loaded(self._files, for_server=False)
+        self.loaded: Loaded = Loaded(self._files)
         self._warned_at = -math.inf
         if server_name is not None:
-            self._check_server_name(server_name)
+            try:
+                self.to_server(server_name)
+            except (TypeError, ValueError, ssl.SSLError):
+                text = f"server_name must be a name or an address, not {server_name!r}"
+                raise ValueError(text) from None
         keep_renewed(self)
 
     def __repr__(self) -> str:
         trust = self._files.trust
-        whom = f"trust={os.fspath(trust)!r}" if trust is not None else "pin=..."
-        return f"Security({os.fspath(self._files.certificate)!r}, {whom})"
+        whom = "pin=..." if trust is None else f"trust={os.fspath(trust.path)!r}"
+        return f"Security({os.fspath(self._files.certificate.path)!r}, {whom})"
 
     def reload(self) -> None:
         """
@@ -120,7 +123,7 @@ class Security:
         Raises:
             TypeError, ValueError: a file is wrong; nothing has changed.
         """
-        self.loaded = Loaded(self._files, for_server=self.loaded.server is not None)
+        self.loaded = Loaded(self._files)
         self._warned_at = -math.inf
 
     @property
@@ -130,23 +133,11 @@ class Security:
 
     @property
     def ends(self) -> float | None:
-        """
-        The time at which the own certificate expires, in seconds since 1970.
-
-        None without the package cryptography.
-        """
+        """When the own certificate expires, in seconds since 1970; None without cryptography."""
         return self.loaded.ends
 
-    # --- tunnels ------------------------------------------------------------------------------
-
     def to_server(self, host: str, session: ssl.SSLSession | None = None) -> Tunnel:
-        """
-        Return the client's end of a tunnel.
-
-        Args:
-            host: the host of the server.
-            session: the session of an earlier tunnel to it, to resume.
-        """
+        """Return the client's end of a tunnel; `session` is that of an earlier one, to resume."""
         name = name_of(host if self._server_name is None else self._server_name)
         context = self.loaded.client
         if session is not None:
@@ -155,21 +146,18 @@ class Security:
                 return Tunnel(context, server_name=name, session=session)
         return Tunnel(context, server_name=name)
 
+    def to_client(self) -> Tunnel:
+        """Return the server's end of a tunnel, after `check_server`."""
+        return Tunnel(self.loaded.server)
+
     def check_server(self) -> None:
         """
-        Check that `to_client` can be called.
+        Check that a server can use the files.
 
         Raises:
-            ValueError: a pin is given without its certificate, or a file is wrong now.
+            ValueError: a pin is given without its certificate.
         """
-        if self.loaded.server is None:
-            self.loaded = Loaded(self._files, for_server=True)
-
-    def to_client(self) -> Tunnel:
-        """Return the server's end of a tunnel; see `check_server`."""
-        context = self.loaded.server
-        assert context is not None
-        return Tunnel(context)
+        _ = self.loaded.server
 
     def refusal(self, tunnel: Tunnel) -> str | None:
         """Return why a certificate is refused after a good handshake; None if it is not."""
@@ -189,35 +177,18 @@ class Security:
     def warn_of_end(self) -> None:
         """Log a warning, once a day, if the own certificate or a revocation list expires soon."""
         now = time.time()
-        if now < self._warned_at + DAY:
+        if now < self._warned_at + DAY_S:
             return
         revoked = self.loaded.revoked
-        endings = [
-            (place_of("certificate", self._files.certificate), self.ends, WARNED_BEFORE),
-            (
-                place_of("crl", self._files.crl or ""),
-                revoked.ends if revoked else None,
-                WARNED_BEFORE_OF_CRL,
-            ),
-        ]
-        for what, end, before in endings:
+        for file, end, before in (
+            (self._files.certificate, self.ends, WARNED_BEFORE_S),
+            (self._files.crl, revoked.ends if revoked else None, WARNED_BEFORE_OF_CRL_S),
+        ):
             if end is not None and end - now < before:
-                logger.warning("%s %s", what, _ending(end - now))
+                days = (end - now) / DAY_S
+                soon = f"expires in {days:.0f} days" if days > 2 else "expires within two days"
+                logger.warning("%s %s", file, soon if days >= 0 else "has expired")
         self._warned_at = now
-
-    def _check_server_name(self, name: str) -> None:
-        try:
-            self.to_server(name)
-        except (TypeError, ValueError, ssl.SSLError):
-            text = f"server_name must be a name or an address, not {name!r}"
-            raise ValueError(text) from None
-
-
-def _ending(left: float) -> str:
-    """Return what a warning says; `left`: seconds until the end."""
-    if left < 0:
-        return "has expired"
-    return f"expires in {left / DAY:.0f} days" if left > 2 * DAY else "expires within two days"
 
 
 def _either(name: str, value: File | None, other_name: str, other: File | None) -> File | None:
@@ -227,8 +198,44 @@ def _either(name: str, value: File | None, other_name: str, other: File | None) 
     return other if value is None else value
 
 
-def _listed(pin: Any) -> tuple[File, ...]:
-    """Return the pins, one or several, as they can be read again."""
-    if isinstance(pin, Iterable) and not isinstance(pin, str):
-        return tuple(pin)
-    return (pin,)
+class GivenContext:
+    """
+    A client's SSLContext used as it is, for programs that must use an existing one.
+
+    The checks of a server are those of the context, which may be none at all. Prefer `Security`,
+    which makes the checks that Modbus Security requires.
+
+    Args:
+        context: a context for clients; it may serve any number of connections.
+
+    Attributes:
+        own: empty, because a context does not tell which certificate it shows.
+
+    Raises:
+        TypeError: the argument is not an SSLContext.
+        ValueError: the context is for servers.
+    """
+
+    own: bytes = b""
+
+    def __init__(self, context: ssl.SSLContext) -> None:
+        if not isinstance(context, ssl.SSLContext):
+            raise TypeError(f"context must be an SSLContext, not {type(context).__name__}")
+        if context.protocol == ssl.PROTOCOL_TLS_SERVER:
+            raise ValueError("context must be a client's, not a server's")
+        self._context = context
+
+    def to_server(self, host: str, session: ssl.SSLSession | None = None) -> Tunnel:
+        """Return the client's end of a tunnel, as `Security.to_server` does."""
+        return Tunnel(self._context, server_name=name_of(host), session=session)
+
+    def refusal(self, tunnel: Tunnel) -> str | None:
+        """Return why a certificate is refused after a good handshake; None if it is not."""
+        return expiry(tunnel)
+
+    def acceptance(self) -> Acceptance:
+        """Return what checks later whether the certificate of a connection is still valid."""
+        return Acceptance(lambda: None)
+
+    def warn_of_end(self) -> None:
+        """Do nothing, because a context does not tell which certificate it shows."""

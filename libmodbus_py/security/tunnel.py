@@ -11,10 +11,10 @@ from collections.abc import Callable
 
 __all__ = ["EXPIRED", "READ_SIZE", "Records", "Tunnel", "expiry", "name_of"]
 
+# The reason for which a connection ends, in the words of OpenSSL.
 EXPIRED = "certificate has expired"
-"""The reason for which a connection ends, in the words of OpenSSL."""
 
-# The most bytes that a record carries.
+# The most bytes that a record carries (RFC 8446, 5.1).
 READ_SIZE = 16_384
 
 
@@ -23,17 +23,11 @@ class Tunnel:
     One end of a TLS connection.
 
     `feed` takes bytes from the wire, `outgoing` returns bytes that must go there, after every
-    call, and `send` takes bytes to encrypt.
-
-    Args:
-        context: a client's, if it gets a name, else a server's.
-        server_name: the name or address that the server is expected to have.
-        session: an earlier one to resume.
+    call, and `send` takes bytes to encrypt. With a `server_name`, which the server must have, it
+    is the client's end, which may resume an earlier `session`.
     """
 
-    # fmt: off
-    __slots__ = ("_incoming", "_outgoing", "_tls", "feed", "outgoing", "send")
-    # fmt: on
+    __slots__ = ("_incoming", "_tls", "feed", "outgoing", "send")
 
     def __init__(
         self,
@@ -43,25 +37,24 @@ class Tunnel:
         session: ssl.SSLSession | None = None,
     ) -> None:
         self._incoming = ssl.MemoryBIO()
-        self._outgoing = ssl.MemoryBIO()
+        outgoing = ssl.MemoryBIO()
         self._tls = context.wrap_bio(
             self._incoming,
-            self._outgoing,
+            outgoing,
             server_side=server_name is None,
             server_hostname=server_name,
             session=session,
         )
         # Bound once: each request passes all three.
         self.feed: Callable[[bytes], object] = self._incoming.write
-        self.outgoing: Callable[[], bytes] = self._outgoing.read
+        self.outgoing: Callable[[], bytes] = outgoing.read
         self.send: Callable[[bytes], object] = self._tls.write
 
     def handshake(self) -> bool:
         """
         Continue the handshake as far as received bytes allow; return True when it is over.
 
-        Raises:
-            ssl.SSLError: the handshake failed; `outgoing` returns the alert for the other side.
+        An ssl.SSLError means that it failed; `outgoing` returns the alert for the other side.
         """
         try:
             self._tls.do_handshake()
@@ -73,8 +66,7 @@ class Tunnel:
         """
         Return received bytes, decrypted; None if there are none, b"" at the end.
 
-        Raises:
-            ssl.SSLError: the other side refused, or sent bytes that are not TLS.
+        An ssl.SSLError means that the other side refused, or sent bytes that are not TLS.
         """
         try:
             return self._tls.read(most)
@@ -96,13 +88,8 @@ class Tunnel:
         """The other side's certificate in DER; also if refused, or if the session is resumed."""
         try:
             return self._tls.getpeercert(True) or b""
-        except ValueError:  # the handshake is not over, and will never be
-            return self._refused
-
-    @property
-    def _refused(self) -> bytes:
-        # OpenSSL 3 keeps what it refused.
-        return next(iter(self._certificates("get_unverified_chain")), b"")
+        except ValueError:  # the handshake will never be over; OpenSSL 3 keeps what it refused
+            return next(iter(self._certificates("get_unverified_chain")), b"")
 
     @property
     def chain(self) -> list[bytes]:
@@ -132,11 +119,8 @@ class Tunnel:
 
 
 def expiry(tunnel: Tunnel) -> str | None:
-    """
-    Return an error text if the peer's certificate has expired since the resumed session began.
-
-    OpenSSL checks the dates when a session begins, not when it is resumed.
-    """
+    """Return an error text if the peer's certificate has expired since a resumed session began."""
+    # OpenSSL checks the dates when a session begins, not when it is resumed.
     until = tunnel.expires if tunnel.is_resumed else None
     if until is None or ssl.cert_time_to_seconds(until) >= time.time():
         return None
@@ -152,8 +136,7 @@ class Records:
     """
     Finds the ends of the records of a stream, which OpenSSL does not report.
 
-    Attributes:
-        is_midway: True if a record has begun and not ended.
+    `is_midway` is True if a record has begun and not ended.
     """
 
     __slots__ = ("_header", "_left", "is_midway")

@@ -15,12 +15,11 @@ from typing import Protocol
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
 from ..protocol.logs import HarmlessLogger
-from ..security.acceptance import Acceptance
-from ..security.describing import CertificateHolder, describe, holder_of
+from ..security.describing import CertificateHolder, describe, holder_of, in_words
+from ..security.loaded import Acceptance
 from ..security.role import mentions_role, role_of
 from ..security.security import Security
 from ..security.tunnel import Records, Tunnel
-from ..security.words import in_words
 from .audit import Audit
 from .limits import Limits, ServerStatistics, host_of
 from .service import Channel, MakeSession, Session, SessionState

@@ -15,7 +15,7 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..security.extra import require_cryptography
+from ..security.describing import require_cryptography
 from ..security.role import ROLE_OID, encode_role
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, ModbusConnectionError, Server, TcpContext
 from libmodbus_py.client.statistics import Statistics
-from libmodbus_py.security.given import GivenContext
+from libmodbus_py.security.security import GivenContext
 from tests.support import certificates
 from tests.support.certificates import Papers, expired
 from tests.support.clients import Connect

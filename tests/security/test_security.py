@@ -56,7 +56,6 @@ NO_CERTIFICATE: dict[str, tuple[Callable[[], bytes] | None, str]] = {
         lambda: certificates.client().pem + pem("CERTIFICATE"),
         "no certificate in PEM format",
     ),
-    "huge": (lambda: bytes(2_000_000), "more than 1000000 bytes"),
 }
 
 
@@ -109,7 +108,6 @@ NO_KEY: dict[str, tuple[Callable[[], bytes] | None, str]] = {
         lambda: certificates.client(key=certificates.rsa_key()).key_pem(),
         "not the key of the certificate",
     ),
-    "huge": (lambda: bytes(2_000_000), "more than 1000000 bytes"),
 }
 
 
@@ -205,7 +203,7 @@ def test_an_encrypted_key_needs_its_password(tmp_path: Path, papers: Papers, for
             Security(cert, key, trust=papers.ca, password=password)
     with pytest.raises(ValueError, match=r"^key '.*' is encrypted, and needs its password$"):
         Security(cert, key, trust=papers.ca)
-    with pytest.raises(ValueError, match="password must have 1024 bytes"):
+    with pytest.raises(ValueError, match="password cannot be longer than 1024 bytes"):
         Security(cert, key, trust=papers.ca, password="ü" * 513)
     for wrong in (b"secret", 5):
         with pytest.raises(TypeError, match="password must be a string, not "):

@@ -26,7 +26,7 @@ from libmodbus_py import (
     TlsContext,
 )
 from libmodbus_py.ports import tls
-from libmodbus_py.security import acceptance
+from libmodbus_py.security import loaded
 from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.clients import Connect, connecting
@@ -104,7 +104,7 @@ def test_a_client_whose_certificate_has_expired_is_closed(
     ):
         plc.read_holding_registers(0, 1)
         end = certificates.end(OPERATOR().certificate).timestamp()
-        monkeypatch.setattr(acceptance, "time", SimpleNamespace(time=lambda: end + 1))
+        monkeypatch.setattr(loaded, "time", SimpleNamespace(time=lambda: end + 1))
         until(lambda: server.statistics.closed_untrusted == 1)
 
 
@@ -188,6 +188,6 @@ def test_a_client_leaves_a_server_whose_certificate_has_expired(
         assert plc.read_holding_registers(0, 1) == [0]
         later = iter([time.time() + 366 * 86_400])
         now = SimpleNamespace(time=lambda: next(later, time.time()))
-        monkeypatch.setattr(acceptance, "time", now)
+        monkeypatch.setattr(loaded, "time", now)
         plc.read_holding_registers(0, 1)
         assert server.statistics.accepted == 2

@@ -10,7 +10,7 @@ import ssl
 from collections.abc import Iterator
 from typing import Any
 
-from ...security.words import in_words
+from ...security.describing import in_words
 
 __all__ = ["EngineError", "EngineGone", "NothingThere", "explained", "what"]
 

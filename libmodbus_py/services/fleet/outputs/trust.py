@@ -7,7 +7,7 @@ from __future__ import annotations
 import ssl
 from pathlib import Path
 
-from ....security.words import in_words
+from ....security.describing import in_words
 
 __all__ = ["trust"]
 

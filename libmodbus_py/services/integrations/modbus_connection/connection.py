@@ -16,7 +16,7 @@ from ....client.reconnecting import State
 from ....client.statistics import Statistics
 from ....protocol.checks import seconds
 from ....protocol.errors import ModbusConnectionError, ModbusError
-from ....security.given import GivenContext
+from ....security.security import GivenContext
 from .causes import not_connected, told
 from .places import Params, url_of
 
