@@ -7,17 +7,21 @@ That both sides run, and give what they say, is seen where all documents run.
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from sybil import Document
 
+from libmodbus_py import ModbusError
 from tests.docs.documents import ROOT, blocks
 from tests.docs.python_blocks import comments_of, is_value
 
 OTHERS = ("mbpoll", "pymodbus-examples")
 """Pages without pairs: tables of options, and whole programs."""
+
+FLAGS = re.IGNORECASE | re.DOTALL
 
 PAGES = sorted(
     path for path in (ROOT / "docs" / "coming-from").glob("*.md") if path.stem not in OTHERS
@@ -49,3 +53,10 @@ def test_both_sides_of_ten_pairs_give_the_same(path: Path) -> None:
 
 def test_there_are_four_peers() -> None:
     assert len(PAGES) == 4
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "docs/coming-from").glob("*.md")))
+def test_each_page_names_the_kinds_of_errors(path: Path) -> None:
+    kinds = {kind.__name__ for kind in ModbusError.__subclasses__()} | {"ModbusError"}
+    (text,) = re.findall(r"every error is a `ModbusError`.*?errors\.md\)", path.read_text(), FLAGS)
+    assert kinds | {"IllegalDataAddress"} == set(re.findall(r"`(\w+)`", text))
