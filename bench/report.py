@@ -27,7 +27,7 @@ from bench.results import Results
 from bench.startup import MBPOLL
 from bench.targets import Outcome
 from bench.tls import Tls
-from libmodbus_py.binding.low_level import loaded_version
+from libmodbus_py.low_level import loaded_version
 
 DISTRIBUTIONS = ("pymodbus", "pylibmodbus", "pyModbusTCP", "uModbus", "minimalmodbus")
 TITLES = {

@@ -28,7 +28,7 @@ import pytest
 
 import libmodbus_py
 from libmodbus_py import Context, Device, Mapping, low_level, pdu
-from libmodbus_py.binding.low_level import ffi, lib, loaded_version
+from libmodbus_py.low_level import ffi, lib, loaded_version
 from libmodbus_py.ports.schemes import TRANSPORTS
 from libmodbus_py.protocol import errors
 from libmodbus_py.protocol.errors import (
@@ -176,7 +176,6 @@ class TestMap:
 SHORT_PATHS = {
     **{name: f"protocol.{name}" for name in ("errors", "framing", "pdu", "values")},
     "device_file": "tools.simulator.device_file",
-    "low_level": "binding.low_level",
 }
 
 

@@ -5,5 +5,4 @@ libmodbus: its build, its functions, and its errors as exceptions.
     answer_chunk.c      the server's short way: received bytes in, answers out, in one call
     exchange.c          the client's: look, send, wait and read, in one call
     library             the one import of the compiled module; errno as exceptions
-    low_level           all of modbus.h, with its traps
 """

@@ -42,10 +42,13 @@ _LIBRARY_ERRORS: dict[int, type[ModbusError]] = {
 
 def check(result: int) -> int:
     """
-    Pass on the result of a C call, or raise what its -1 means.
+    Return the result of a C call, or raise the error for -1.
 
-    cffi keeps errno per thread and from right after the call, so no other
-    call comes between. libmodbus never clears it, hence the 0 here.
+    cffi keeps errno per thread, as it was right after the call. It is set to 0 here, because
+    libmodbus never clears it, and some of its failures do not set it.
+
+    Raises:
+        ModbusError: the call failed; the subclass for its errno, else a ModbusConnectionError.
     """
     if result != -1:
         return result
@@ -60,7 +63,12 @@ def check(result: int) -> int:
 
 
 def make(context: Any) -> Any:
-    """Take charge of a new modbus_t: raise if it is NULL, free it when it is forgotten."""
+    """
+    Return a new modbus_t, which is freed when it is no longer referenced.
+
+    Raises:
+        ModbusError: it is NULL; as for `check`.
+    """
     if context == ffi.NULL:
         check(-1)
     return ffi.gc(context, lib.modbus_free)

@@ -14,7 +14,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from ..binding.low_level import loaded_version
+from ..binding.library import loaded_version
 from ..client.blocking import AsciiContext, Context, RtuContext, TcpContext
 from ..device.device import Device
 from ..device.mapping import Mapping

@@ -29,8 +29,8 @@ from libmodbus_py import (
     TcpContext,
     pdu,
 )
-from libmodbus_py.binding.low_level import lib, loaded_version
 from libmodbus_py.client import blocking_driver
+from libmodbus_py.low_level import lib, loaded_version
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.c_programs import compile_c
 from tests.support.cases import each

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Context, Device, Gateway, Mapping, Route, Server
-from libmodbus_py.binding.low_level import ffi, lib
+from libmodbus_py.low_level import ffi, lib
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.stage import LineEnd, Stage, Talker
