@@ -11,7 +11,7 @@ import ast
 import io
 import re
 import tokenize
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from functools import cache, cached_property
 from pathlib import Path
@@ -21,11 +21,17 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "libmodbus_py"
 
-LONGEST = 60
-"""Lines of a function."""
+LONGEST_FILE = 500
+"""Lines of a file of the package, which is one subject."""
 
-LONG_FUNCTIONS = 6
-"""Of tests and their helpers; the package has none."""
+SHORTEST_FILE = 60
+"""Lines of one that is neither public nor a table: less belongs to the file that uses it."""
+
+UNITS = ("_S", "_MS", "_NS", "_BYTES", "_BITS", "_LINES", "_CHARACTERS", "_FLAG", "_TAG")
+"""Ends of names of constants that name a unit."""
+
+EXCEPTIONS = Path(__file__).with_suffix(".txt")
+"""What broke a rule when the rule was made."""
 
 REAL_SLEEPS = 75
 """Calls of `sleep` with a number, where real seconds pass."""
@@ -192,22 +198,157 @@ def _fails(node: ast.AST) -> bool:
     return False
 
 
-def too_long(found: dict[str, Module]) -> list[str]:
-    return [
-        f"{module.path}:{function.lineno}: {function.name} has {lines} lines"
-        for module in found.values()
-        for function in module.functions
-        if (lines := (function.end_lineno or 0) - function.lineno + 1) > LONGEST
-    ]
+# --- files, public names, constants ----------------------------------------------------------
 
 
-def test_no_function_of_the_package_is_long() -> None:
-    assert too_long(modules("libmodbus_py", "bench", "packaging")) == []
+def sizes() -> Iterator[str]:
+    """Yield the files that are too short or too long for one subject."""
+    for module in modules("libmodbus_py").values():
+        lines = len((ROOT / module.path).read_text().splitlines())
+        if lines > LONGEST_FILE:
+            yield f"long {module.path}"
+        elif lines < SHORTEST_FILE and not (_is_public(module.path) or _is_table(module.tree)):
+            yield f"short {module.path}"
 
 
-def test_few_functions_of_tests_are_long() -> None:
-    found = too_long(of_tests())
-    assert len(found) <= LONG_FUNCTIONS, found
+def _is_public(path: Path) -> bool:
+    """Return True for what programs import or run, and for what describes a folder."""
+    is_at_the_top = path.parent == Path("libmodbus_py")
+    return is_at_the_top or path.name in ("__init__.py", "__main__.py") or "frozen" in path.parts
+
+
+def _is_table(tree: ast.Module) -> bool:
+    """Return True for a file that defines nothing but values."""
+    return not any(isinstance(node, Function | ast.ClassDef) for node in tree.body)
+
+
+def unused_names() -> Iterator[str]:
+    """Yield the names in ``__all__`` that no other file uses."""
+    files = [path for path in _sources() if path.suffix != ".md"]
+    used = {path: _identifiers(path) for path in files}
+    users = Counter(name for names in used.values() for name in names)
+    pages = {name for path in (ROOT / "docs").rglob("*.md") for name in _words(path)}
+    pages |= _words(ROOT / "pyproject.toml")
+    for module in modules("libmodbus_py").values():
+        if module.path.name == "__init__.py":  # the public names of a folder
+            continue
+        own = used[ROOT / module.path]
+        for name in _exported(module.tree):
+            if users[name] == (name in own) and name not in pages:
+                yield f"unused {module.path} {name}"
+
+
+def _sources() -> Iterator[Path]:
+    for folder in ("libmodbus_py", "tests", "fuzz", "bench", "packaging", "examples"):
+        yield from (ROOT / folder).rglob("*.py")
+    yield from PACKAGE.rglob("*.pyi")
+
+
+def _identifiers(path: Path) -> frozenset[str]:
+    """Return the names that a file uses, without those in its own ``__all__``."""
+    found = set()
+    for node in ast.walk(parsed(path)):
+        match node:
+            case ast.Name(id=name) | ast.Attribute(attr=name) | ast.alias(name=name):
+                found.add(name)
+            case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
+                found.add(name)
+    return frozenset(found)
+
+
+def _words(path: Path) -> set[str]:
+    return set(re.findall(r"\w+", path.read_text()))
+
+
+def _exported(tree: ast.Module) -> list[str]:
+    for node in tree.body:
+        match node:
+            case ast.Assign(targets=[ast.Name(id="__all__")], value=ast.List() as names):
+                return [str(ast.literal_eval(name)) for name in names.elts]
+    return []
+
+
+def bare_constants() -> Iterator[str]:
+    """Yield the numbers of modules that have neither a unit in their name nor a reason."""
+    for module in modules("libmodbus_py").values():
+        lines = (ROOT / module.path).read_text().splitlines()
+        for number, node in enumerate(module.tree.body):
+            name = _name_of_number(node)
+            if name is None or name.endswith(UNITS):
+                continue
+            following = module.tree.body[number + 1 :][:1]
+            has_docstring = following != [] and isinstance(following[0], ast.Expr)
+            if not has_docstring and not _has_comment(lines, node.lineno - 1):
+                yield f"bare {module.path} {name}"
+
+
+def _name_of_number(node: ast.stmt) -> str | None:
+    match node:
+        case ast.Assign(targets=[ast.Name(id=name)], value=value):
+            pass
+        case ast.AnnAssign(target=ast.Name(id=name), value=ast.expr() as value):
+            pass
+        case _:
+            return None
+    is_number = name.isupper() and any(
+        isinstance(inner, ast.Constant) and type(inner.value) in (int, float)
+        for inner in (ast.walk(value) if isinstance(value, ast.BinOp) else [value])
+    )
+    return name if is_number else None
+
+
+def _has_comment(lines: list[str], index: int) -> bool:
+    """Return True if a comment stands above a line, or above its neighbours, or behind it."""
+    if "  # " in lines[index]:
+        return True
+    while index > 0 and lines[index - 1].strip():
+        index -= 1
+        if lines[index].startswith("#"):
+            return True
+    return False
+
+
+RULES = {"short": sizes, "long": sizes, "unused": unused_names, "bare": bare_constants}
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_only_listed_places_break_a_rule_and_each_of_them_does(rule: str) -> None:
+    """`EXCEPTIONS` can only become shorter: ``python -m tests.test_house`` removes lines."""
+    listed = {line for line in EXCEPTIONS.read_text().splitlines() if line.startswith(f"{rule} ")}
+    found = {line for line in RULES[rule]() if line.startswith(f"{rule} ")}
+    assert sorted(found - listed) == [], "mend these"
+    assert sorted(listed - found) == [], "remove these lines"
+
+
+def test_the_rules_find_what_breaks_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    here = "import this_module"
+    bad = "__all__ = ['nobody_uses_it']\n\nSIZE = 5\n\n\ndef nobody_uses_it():\n    pass\n"
+    good = "__all__ = ['RATE_S']\n\n# Why.\nSIZE = 5\nOTHER = 6 * 7\n\nRATE_S = 5\n" + here
+    folder = tmp_path / "libmodbus_py" / "folder"
+    folder.mkdir(parents=True)
+    for name in ("tests", "docs"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "pyproject.toml").touch()
+    (folder / "bad.py").write_text(bad)
+    (folder / "good.py").write_text(good)
+    (folder / "long.py").write_text("from .good import RATE_S\n" + "\n" * LONGEST_FILE)
+    monkeypatch.setitem(globals(), "ROOT", tmp_path)
+    monkeypatch.setitem(globals(), "PACKAGE", tmp_path / "libmodbus_py")
+    modules.cache_clear()
+    try:
+        found = {line for rule in (sizes, unused_names, bare_constants) for line in rule()}
+    finally:
+        modules.cache_clear()
+    place = "libmodbus_py/folder/"
+    assert found == {
+        f"short {place}bad.py",
+        f"long {place}long.py",
+        f"unused {place}bad.py nobody_uses_it",
+        f"bare {place}bad.py SIZE",
+    }
+
+
+# --- imports and tests -----------------------------------------------------------------------
 
 
 def test_each_file_of_the_package_is_imported_by_another_one() -> None:
@@ -373,3 +514,14 @@ def test_docstrings_have_no_quotation_marks_of_other_texts() -> None:
         if re.search(r'"\n *" ', ast.get_docstring(node, clean=False) or "")
     ]
     assert found == []
+
+
+def main() -> None:
+    """Remove the exceptions that no longer break a rule."""
+    found = {line for rule in set(RULES.values()) for line in rule()}
+    kept = [line for line in EXCEPTIONS.read_text().splitlines() if line in found]
+    EXCEPTIONS.write_text("".join(f"{line}\n" for line in kept))
+
+
+if __name__ == "__main__":
+    main()

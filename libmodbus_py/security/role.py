@@ -11,16 +11,15 @@ from .describing import require_cryptography, shown
 
 # fmt: off
 __all__ = [
-    "MAX_ROLE", "ROLE_OID", "RoleError", "check_role", "decode_role", "encode_role",
-    "mentions_role", "role_of",
+    "ROLE_OID", "RoleError", "check_role", "decode_role", "encode_role", "mentions_role", "role_of",
 ]
 # fmt: on
 
 ROLE_OID = "1.3.6.1.4.1.50316.802.1"
 """The extension that holds the role."""
 
-MAX_ROLE = 255
-"""Bytes of UTF-8 that a role may have: the document names no bound, logs and tables need one."""
+# The length of a role in UTF-8: the document names no bound, logs and tables need one.
+MAX_ROLE_BYTES = 255
 
 # The tag of a UTF8String in DER.
 UTF8_STRING_TAG = 0x0C
@@ -123,7 +122,7 @@ def check_role(role: str) -> None:
         size = len(role.encode())
     except UnicodeEncodeError:
         raise RoleError(f"the role {shown(role)} is not all Unicode") from None
-    if not 1 <= size <= MAX_ROLE:
-        raise RoleError(f"the role must have 1..{MAX_ROLE} bytes of UTF-8, not {size}")
+    if not 1 <= size <= MAX_ROLE_BYTES:
+        raise RoleError(f"the role must have 1..{MAX_ROLE_BYTES} bytes of UTF-8, not {size}")
     if any(character < " " or "\x7f" <= character <= "\x9f" for character in role):
         raise RoleError(f"the role {shown(role)} has control characters")
