@@ -8,11 +8,10 @@ import os
 import re
 import ssl
 from collections.abc import Iterable
-from typing import Any
 
 from .describing import digest_of, require_cryptography, time_in
 
-__all__ = ["File", "PemFile", "Revoked", "listed_pins", "read_pins"]
+__all__ = ["File", "PemFile", "Revoked", "read_pins"]
 
 File = str | os.PathLike[str]
 
@@ -60,40 +59,29 @@ def _parts(text: str, kind: str) -> list[str]:
     return re.findall(f"-----BEGIN {kind}-----.+?-----END {kind}-----", text, re.DOTALL)
 
 
-def listed_pins(given: Any) -> tuple[PemFile | str, ...]:
+def read_pins(pins: Iterable[File]) -> dict[str, bytes]:
     """
-    Return the pins of an argument, one or several, each as a file or as a SHA-256.
+    Return SHA-256 -> certificate in DER; empty bytes where only the SHA-256 is given.
 
     Raises:
-        TypeError, ValueError: a pin is neither, or there is none.
+        TypeError, ValueError: a pin is neither a file with a certificate nor a SHA-256, or there
+            is none.
     """
-    several = isinstance(given, Iterable) and not isinstance(given, str)
-    pins: list[PemFile | str] = []
-    for pin in given if several else (given,):
+    found: dict[str, bytes] = {}
+    for pin in pins:
         if not isinstance(pin, str | os.PathLike):
             raise TypeError(f"pin must be a file or a SHA-256, not {type(pin).__name__}")
         digest = os.fspath(pin).replace(":", "").lower()
         if not re.fullmatch("[0-9a-f]{32,}", digest):  # no file has such a name
-            pins.append(PemFile("pin", pin))
+            certificate = PemFile("pin", pin).certificates()[0]
+            found[digest_of(certificate)] = certificate
         elif len(digest) == 64:
-            pins.append(digest)
+            found.setdefault(digest, b"")
         else:
             digits = len(digest)
             raise ValueError(f"pin {os.fspath(pin)!r}: a SHA-256 has 64 digits, not {digits}")
-    if not pins:
+    if not found:
         raise ValueError("pin must contain at least one certificate")
-    return tuple(pins)
-
-
-def read_pins(pins: Iterable[PemFile | str]) -> dict[str, bytes]:
-    """Return SHA-256 -> certificate in DER; empty bytes where only the SHA-256 is known."""
-    found: dict[str, bytes] = {}
-    for pin in pins:
-        if isinstance(pin, str):
-            found.setdefault(pin, b"")
-        else:
-            certificate = pin.certificates()[0]
-            found[digest_of(certificate)] = certificate
     return found
 
 

@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 from .describing import digest_of, end_of, in_words
-from .files import PemFile, Revoked, read_pins
+from .files import File, PemFile, Revoked, read_pins
 from .tunnel import EXPIRED, Tunnel
 
 __all__ = ["Acceptance", "Loaded", "SecurityFiles"]
@@ -39,7 +39,7 @@ class SecurityFiles(NamedTuple):
     key: PemFile
     password: str | None
     trust: PemFile | None
-    pins: tuple[PemFile | str, ...]
+    pins: tuple[File, ...]
     crl: PemFile | None
 
 
@@ -58,7 +58,7 @@ class Loaded:
         self.own: bytes = files.certificate.certificates()[0]
         if "PRIVATE KEY-----" not in files.key.text():
             raise ValueError(f"{files.key}: no key in PEM format")
-        self._pins = read_pins(files.pins)
+        self._pins = {} if files.trust is not None else read_pins(files.pins)
         self._trusted = [] if files.trust is None else files.trust.certificates()
         self._authorities = frozenset(map(digest_of, self._trusted))
         self.revoked: Revoked | None = None if files.crl is None else Revoked(files.crl)
@@ -159,7 +159,10 @@ class Loaded:
             return
         # The whole chain: an authority between may have been revoked.
         context.verify_flags |= ssl.VerifyFlags.VERIFY_CRL_CHECK_CHAIN
-        context.load_verify_locations(cafile=os.fspath(crl.path))
+        try:
+            context.load_verify_locations(cafile=os.fspath(crl.path))
+        except ssl.SSLError:  # it has more than the lists that were found
+            raise ValueError(f"{crl}: cannot be read") from None
 
 
 class Acceptance:

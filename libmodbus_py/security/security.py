@@ -10,10 +10,11 @@ import os
 import ssl
 import time
 from collections.abc import Iterable
+from typing import Any
 
 from ..protocol.close_names import named_arguments
 from ..protocol.logs import HarmlessLogger
-from .files import File, PemFile, listed_pins
+from .files import File, PemFile
 from .loaded import Acceptance, Loaded, SecurityFiles
 from .renewed import keep_renewed
 from .tunnel import Tunnel, expiry, name_of
@@ -88,12 +89,14 @@ class Security:
         for name, text in (("server_name", server_name), ("password", password)):
             if text is not None and not isinstance(text, str):
                 raise TypeError(f"{name} must be a string, not {type(text).__name__}")
+        given: Any = () if pin is None else pin
+        several = isinstance(given, Iterable) and not isinstance(given, str)
         self._files = SecurityFiles(
             PemFile("certificate", own),
             PemFile("key", own if key is None else key),
             password,
             None if trust is None else PemFile("trust", trust),
-            () if pin is None else listed_pins(pin),
+            tuple(given) if several else (given,),
             None if crl is None else PemFile("crl", crl),
         )
         self._server_name = server_name

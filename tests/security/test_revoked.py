@@ -72,6 +72,7 @@ def test_a_file_without_a_list_is_named(tmp_path: Path, papers: Papers, files: F
         (PEM % b"AAAA", "no revocation list in PEM format"),
         (PEM % b"!!!!", "no revocation list in PEM format"),
         (good + papers.ca.read_bytes(), "contains a certificate, which has no effect"),
+        (good + b"-----BEGIN X509 CRL-----\nAAAA\n", "cannot be read"),  # as OpenSSL finds
     ):
         file = saved(tmp_path / "crl", content)
         with pytest.raises(ValueError, match=f"^crl '{re.escape(str(file))}':? {reason}$"):
