@@ -4,7 +4,8 @@ The outcome of each request: its result, its error, or a repetition.
 
 from __future__ import annotations
 
-from ..ports.endpoint import Endpoint
+from typing import TYPE_CHECKING
+
 from ..protocol.errors import (
     Acknowledge,
     ExceptionResponse,
@@ -19,6 +20,9 @@ from .hints import add_hint, explain
 from .queue import Queue, Window
 from .reconnecting import Reconnecting
 from .statistics import Statistics, result_of
+
+if TYPE_CHECKING:
+    from ..ports.endpoint import Endpoint
 
 __all__ = ["Outcomes"]
 
