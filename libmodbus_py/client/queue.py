@@ -28,12 +28,15 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection, Hashable, Mapping
+from typing import TYPE_CHECKING
 
-from ..ports.endpoint import Endpoint
 from ..protocol.callbacks import log_warning
 from ..protocol.errors import ModbusError, ServerDeviceBusy
 from .call import Call, Matching, Phase
-from .statistics import Statistics
+
+if TYPE_CHECKING:
+    from ..ports.endpoint import Endpoint
+    from .statistics import Statistics
 
 __all__ = ["ONE_AT_A_TIME", "Queue", "Window"]
 
