@@ -1,5 +1,7 @@
 """
-A server under attack: what an innocent client sees before, and meanwhile.
+A server under attack: ./run python -m bench.attacks [SECONDS]
+
+What an innocent client sees before, and meanwhile.
 
 The attacks are those of tests/attacks.py. Attackers and the innocent stand for other
 machines: the server has a processor to itself (if there are two), the attackers run at the
@@ -57,7 +59,7 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="./run attacks", description=__doc__)
+    parser = argparse.ArgumentParser(prog="bench.attacks", description=__doc__)
     parser.add_argument("seconds", type=float, nargs="?", default=5.0, help="of each phase (5)")
     names = [attack.name for attack in ATTACKS]
     parser.add_argument(

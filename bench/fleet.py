@@ -1,5 +1,5 @@
 """
-A fleet on this machine: ./run fleet-bench
+A fleet on this machine: ./run python -m bench.fleet
 
 10 000 devices, ten behind each of 1 000 connections to servers of this package in two other
 processes; 20 registers of each are read every 5 s. Wanted: 99 of 100 polls begin within
@@ -84,7 +84,7 @@ def main() -> None:
 
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="./run fleet-bench",
+        prog="bench.fleet",
         description=__doc__,
         formatter_class=argparse.RawTextHelpFormatter,
     )

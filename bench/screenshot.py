@@ -1,5 +1,5 @@
 """
-Takes the picture of the live page for README.md: ``./run screenshot [FILE]``.
+Takes the picture of the live page, docs/page.png: ./run python -m bench.screenshot [FILE]
 
 The example meter and the example plant are served together, and a client talks to them.
 """
@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 WIDTH, HEIGHT = 1200, 700
 MOST_BYTES = 200_000
-EXAMPLES = ROOT / "libmodbus_py" / "tools" / "simulator" / "examples"
+EXAMPLES = ROOT / "examples"
 # The meter of the examples has none.
 FAULTS = [
     Fault("disconnect", table="input_registers", address=0, count=1, length=5, every=5),

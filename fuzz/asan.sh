@@ -1,11 +1,10 @@
 #!/bin/sh
-# fuzz/asan.sh PYTHON [pytest arguments]
+# fuzz/asan.sh [pytest arguments], after ./run test
 # The tests that cross the boundary to C, with the C module built with AddressSanitizer and
 # UndefinedBehaviorSanitizer, in a copy: the normal build stays as it is.
 set -eu
 cd "$(dirname "$0")/.."
-python=$1
-shift
+python=$PWD/.venv/bin/python
 copy=build/asan
 
 rm -rf $copy

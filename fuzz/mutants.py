@@ -1,5 +1,7 @@
 """
-./run mutants [FOLDER ...]: change one place of the package at a time, and see whether a test fails.
+Change one place of the package at a time, and see whether a test fails.
+
+    ./run python -m fuzz.mutants [FOLDER ...] [--sample N] [--seed S]
 
 Mutants are drawn at random from the files that decide, or from those named: a folder of the
 package, a file, or FILE:LINE. For each mutant those tests run that execute the changed line and
@@ -368,7 +370,7 @@ def _kill(pid: int) -> None:
 def cover(tests: list[Path], jobs: int) -> Covering:
     """Return which tests execute which lines; test files that changed run for it."""
     if importlib.util.find_spec("coverage") is None:
-        raise SystemExit("coverage is not installed: ./run mutants installs it")
+        raise SystemExit("coverage is not installed: ./run python installs it")
     BUILD.mkdir(parents=True, exist_ok=True)
     covering = Covering.read(BUILD / "covering.json")
     stale = covering.stale(tests)
@@ -446,7 +448,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="./run mutants", description=__doc__.split("\n\n")[0])
+    parser = argparse.ArgumentParser(prog="fuzz.mutants", description=__doc__.split("\n\n")[0])
     add = parser.add_argument
     add("places", metavar="FOLDER", nargs="*", help="of the package; a file, or FILE:LINE")
     add("--sample", type=int, default=200, metavar="N", help="mutants at most (200)")

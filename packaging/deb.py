@@ -1,8 +1,11 @@
 """
-Build the Debian package: python packaging/deb.py FOLDER
+Build the Debian package, and check it: python3 packaging/deb.py FOLDER
 
-`./run deb` calls it. The source is that of this clone; what Debian needs beside it is in
-packaging/debian. FOLDER gets the source package and the binary package.
+The source is that of this clone; what Debian needs beside it is in packaging/debian. FOLDER gets
+the source package and the binary package. Debian's programs for it are installed by:
+
+    apt-get build-dep ./packaging
+    apt-get install lintian
 """
 
 from __future__ import annotations
@@ -24,11 +27,14 @@ DEBIAN = ROOT / "packaging" / "debian"
 
 def main(folder: Path) -> None:
     """
-    Build the package, and print the files that were made.
+    Build the package, print the files that were made, and let lintian check them.
 
     Raises:
-        SystemExit: a step failed, or the versions differ.
+        SystemExit: a program is missing, a step failed, or lintian found an error.
     """
+    for program in ("dpkg-buildpackage", "lintian"):
+        if shutil.which(program) is None:
+            raise SystemExit(f"deb: there is no {program}: see packaging/deb.py")
     text = (DEBIAN / "changelog").read_text()
     upstream = re.findall(r"^libmodbus-py \(([^-]+)-", text)[0]
     folder.mkdir(parents=True, exist_ok=True)
@@ -46,6 +52,9 @@ def main(folder: Path) -> None:
         for each in sorted(place.glob("*libmodbus-py*_*")):
             shutil.copy(each, folder)
             print(folder / each.name)
+        changes = [str(path) for path in place.glob("*.changes")]
+        if subprocess.run(["lintian", "--fail-on", "error", *changes], check=False).returncode:
+            raise SystemExit("deb: lintian found an error")
 
 
 def _source(top: str) -> bytes:

@@ -228,4 +228,4 @@ def test_the_sdist_passes_tests_of_its_own(tmp_path: Path) -> None:
             sdist.extractall(tmp_path)
         )
     (tree,) = tmp_path.iterdir()
-    run("sh", "-c", f"cd {tree} && ./run test -q tests/protocol tests/test_package.py")
+    run("sh", "-c", f"cd {tree} && ./run test -n auto -q tests/protocol tests/test_package.py")

@@ -164,7 +164,7 @@ def test_lines(framing: Literal["rtu", "ascii"], data: st.DataObject) -> None:
     ],
 )
 def test_a_listener_names_most(framing: Framing, faults: float, least: float) -> None:
-    """./run listening does it for longer."""
+    """`fuzz.listening` does it for longer."""
     assert measure(framing, 1000, faults, 5, LATENCY).share >= least
 
 

@@ -1,7 +1,7 @@
 """
 Serial lines on which things go wrong: no wrong value, no silent loss, one failure for each fault.
 
-The long run of the same is ``./run faults``.
+The long run of the same is ``fuzz.serial_faults``.
 """
 
 from __future__ import annotations

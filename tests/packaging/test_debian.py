@@ -1,4 +1,4 @@
-"""What the Debian package consists of; ./run deb builds it."""
+"""What the Debian package consists of; packaging/deb.py builds it."""
 
 from __future__ import annotations
 

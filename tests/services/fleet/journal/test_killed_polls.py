@@ -1,6 +1,6 @@
 """
 A poll with a journal that is killed (kill -9) at any moment: what the journal has arrives, and one
-batch at most arrives twice for each kill. `./run journal-trial` does so more often, with MQTT.
+batch at most arrives twice for each kill. `fuzz.journal_trial` does so more often, with MQTT.
 """
 
 from __future__ import annotations
