@@ -11,6 +11,9 @@ import sys
 
 import pytest
 
+# Each forks a program of its own.
+pytestmark = pytest.mark.slow
+
 HEAD = """
 import asyncio, gc, os, signal, socket, sys
 from libmodbus_py import AsyncClient, Client, Device, Mapping, ModbusConnectionError

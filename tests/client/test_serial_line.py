@@ -127,6 +127,7 @@ def step(line: str) -> str:
     return "written " if re.search(r'write\(\d+, "(\\1\\3|:0103)', line) else ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mode", "expected"), [("up", "set written cleared"), ("down", "cleared written set")]
 )

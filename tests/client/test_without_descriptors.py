@@ -11,6 +11,9 @@ import pytest
 
 from tests.support.peers import answer, peer_at
 
+# Each is a program of its own.
+pytestmark = pytest.mark.slow
+
 # Every import opens a file, so a module that is first needed now cannot be had.
 PROGRAM = """
 import asyncio, errno, resource, sys

@@ -217,6 +217,7 @@ def test_many_holes_are_found_at_once(missing: Iterable[int]) -> None:
     assert lost(polls.poll()[1]) == sorted(missing)
 
 
+@pytest.mark.slow
 @each_case("count", [1, 2, 7, 20, 500, 2000])
 def test_a_device_that_refuses_everything_is_asked_once_a_run(count: int) -> None:
     polls = Polls(singles(count), Registers(range(65536)))
@@ -345,6 +346,7 @@ def test_a_shorter_request_is_tried_again_too() -> None:
     assert [polls.poll(now)[0] for now in (599, 600, 601)] == [2, 1, 1]
 
 
+@pytest.mark.slow
 @each_case(
     ("moves", "average"),
     [

@@ -10,6 +10,7 @@ import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
+import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.x509.oid import NameOID
@@ -37,6 +38,7 @@ def test_a_self_signed_one_says_so() -> None:
     assert "'CN=Test device', self-signed, valid " in describe(certificates.self_signed().der)
 
 
+@pytest.mark.slow
 def test_the_fingerprint_is_that_of_openssl(tmp_path: Path) -> None:
     files = certificates.save(tmp_path, certificates.client(), "client")
     command = ["openssl", "x509", "-in", files.cert, "-noout", "-fingerprint", "-sha256"]
