@@ -11,8 +11,6 @@ In the order in which a request goes through::
     event_log      EventLog: counters, log and silence of one line (functions 8, 11, 12)
     point_rules    access and bounds of points, before any hook
     point_index    points by the addresses of their cells
-    scaled_bounds  bounds of points that others scale, when these are written
-    values_after   the cells of points, now or after a write
     named_values   values by the names of points
     hooks          Hook: functions of the application, the accesses they are for, their duration
     access         tables and addresses that a request touches, as hooks see them

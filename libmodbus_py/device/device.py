@@ -108,10 +108,10 @@ class Device:
     points that clients can only read, and calls no hooks. Requests of clients are restricted to the
     points: they get exception 2 (illegal data address) for a cell that they may not read or write,
     and exception 3 (illegal data value) for a write that would leave a point outside its `minimum`
-    and `maximum`, even if it writes only some of its registers. A write to a scale (`scale_from`)
-    must not move the points that it scales out of their bounds. Both are checked before any hook
+    and `maximum`, even if it writes only some of its registers. Both are checked before any hook
     is called. A cell that belongs to several points may be read if one of them may be read; the
-    same applies to writes.
+    same applies to writes. A write of a scale (`scale_from`) does not check the points that it
+    scales.
 
     Hooks are called with an `Access` while the mapping is locked. They run in the server's loop, so
     they should be quick: the first call that takes 0.1 s or more is logged. If a hook raises an
@@ -294,12 +294,11 @@ class Device:
 
         Raises:
             KeyError: there is no such point.
-            TypeError, ValueError: a value does not fit its point, points share cells, or a value
-                is a scale that would move another point out of its bounds; the message names the
-                points.
+            TypeError, ValueError: a value does not fit its point, or points share cells; the
+                message names the points.
         """
         with self.mapping.lock:
-            set_values(self.mapping, self.points, values, self._rules.scaled)
+            set_values(self.mapping, self.points, values)
 
     def answer(self, pdu: bytes, caller: Caller = _UNKNOWN) -> bytes:
         """

@@ -4,7 +4,7 @@ Values of a device by the names of its points: read, and set all or none.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from collections.abc import Mapping as MappingABC
 from typing import Any
 
@@ -17,10 +17,18 @@ from ..protocol.tables import TABLES
 from .access import Access
 from .mapping import Mapping
 from .ranges import joined
-from .scaled_bounds import ScaledBounds
-from .values_after import NOTHING, Written, cells_after, source_after
 
-__all__ = ["check_points", "known_point", "set_values", "value_of", "zeros_for"]
+# fmt: off
+__all__ = [
+    "Written", "cells_after", "check_points", "known_point", "set_values", "source_after",
+    "value_of", "written_by", "zeros_for",
+]
+# fmt: on
+
+Written = MappingABC[tuple[str, int], Any]
+"""Table and address -> the value that is written there."""
+
+NOTHING: Written = {}
 
 
 def check_points(mapping: Mapping, points: object) -> None:
@@ -80,23 +88,67 @@ def value_of(mapping: Mapping, points: MappingABC[str, Point], point: Point) -> 
     return point.decode(cells_after(point, mapping), source=source_after(point, points, mapping))
 
 
+def written_by(writes: Iterable[Access]) -> Written:
+    """Return what the accesses of a request write."""
+    return {
+        (write.table, address): value
+        for write in writes
+        for address, value in enumerate(write.values, write.address)
+    }
+
+
+def cells_after(point: Point, mapping: Mapping, written: Written = NOTHING) -> list[Any]:
+    """
+    Return the cells of a point, as they will be after a write.
+
+    Raises:
+        IndexError: the mapping lacks some of them.
+    """
+    table, cells = point.table, point.cells
+    found: list[Any] = getattr(mapping, table)[cells.start : cells.stop]
+    if not written:
+        return found
+    pairs = zip(cells, found, strict=True)
+    return [written.get((table, address), value) for address, value in pairs]
+
+
+def source_after(
+    point: Point, points: MappingABC[str, Point], mapping: Mapping, written: Written = NOTHING
+) -> Any:
+    """
+    Return the value of the point that `scale_from` names, as it will be after a write.
+
+    Args:
+        points: all points of the device, by name.
+
+    Returns:
+        The value; None for no value, or without `scale_from`.
+
+    Raises:
+        IndexError: the mapping lacks cells of it.
+        KeyError: there is no such point.
+        ValueError: the cells will hold no value of its type.
+    """
+    value = None
+    for source in sources_of([point], points).values():  # each scales the next one
+        value = source.decode(cells_after(source, mapping, written), source=value)
+    return value
+
+
 def set_values(
     mapping: Mapping,
     points: MappingABC[str, Point],
     values: MappingABC[str, Any],
-    bounds: ScaledBounds,
 ) -> None:
     """
     Set values of points, all of them or none. Hold the mapping's lock.
 
     Args:
         points: all points of the device, by name.
-        bounds: the bounds of the points that other points scale.
 
     Raises:
         KeyError: there is no such point.
-        TypeError, ValueError: a value does not fit its point, points share cells, or a value is a
-            scale that would move another point out of its bounds.
+        TypeError, ValueError: a value does not fit its point, or points share cells.
     """
     if not isinstance(values, MappingABC):
         raise WrongType(
@@ -114,11 +166,6 @@ def set_values(
         if name in scales:
             written.update(_places(encoded[-1], mapping, written))
     check_overlaps(encoded)
-    if bounds.scales:
-        for change in encoded:
-            written.update(_places(change, mapping, written))
-        touched = [Access(each.table, each.address, len(each.cells)) for each in changed.values()]
-        bounds.check(touched, written, mapping)
     for change in encoded:
         cells = change.point.cells
         getattr(mapping, change.point.table)[cells.start : cells.stop] = _cells(change, mapping)

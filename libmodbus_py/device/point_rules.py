@@ -15,11 +15,10 @@ from ..protocol.errors import IllegalDataAddress, IllegalDataValue
 from ..protocol.tables import TABLES
 from .access import Access, Touched
 from .mapping import Mapping
+from .named_values import Written, cells_after, source_after, written_by
 from .point_index import Place, PointIndex, RuledCells
 from .ranges import joined, without
 from .rules import WRITABLE
-from .scaled_bounds import ScaledBounds
-from .values_after import Written, cells_after, source_after, written_by
 
 __all__ = ["PointRules"]
 
@@ -38,7 +37,6 @@ class PointRules:
     Attributes:
         reads, writes: ``{Access.table: ranges}``, the addresses for which there is something to
             check; of "file" the numbers of the files.
-        scaled: the bounds of points that others scale.
     """
 
     def __init__(
@@ -58,15 +56,10 @@ class PointRules:
             and each.point.is_writable
             and each.place[0] in TABLES
         ]
-        is_scaled = any(has_bounds(each.point) and each.point.scale_from for each in given)
-        self.scaled: ScaledBounds = ScaledBounds(points() if is_scaled else {})
         self._bounded = PointIndex(bounded)
         self.reads: dict[str, list[range]] = _by_table(self._unreadable.items())
         in_bounds = [(each.place, [each.cells]) for each in bounded]
-        scales = [(each.place, [each.cells]) for each in self.scaled.scales]
-        self.writes: dict[str, list[range]] = _by_table(
-            [*self._unwritable.items(), *in_bounds, *scales]
-        )
+        self.writes: dict[str, list[range]] = _by_table([*self._unwritable.items(), *in_bounds])
 
     def check(self, touched: Touched, mapping: Mapping) -> None:
         """
@@ -81,13 +74,12 @@ class PointRules:
         for access in touched.reads:
             _check(self._unreadable, access, "read")
         bounded = [point for each in touched.writes for point in self._bounded.touched(each)]
-        if not bounded and not self.scaled.scales:
+        if not bounded:
             return
         written = written_by(touched.writes)
         try:
             for point in bounded:
                 self._check_bounds(point, written, mapping)
-            self.scaled.check(touched.writes, written, mapping)
         except ValueError as error:
             raise IllegalDataValue(str(error)) from None
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ...device.access import ACCESSES
-from ...device.values_after import source_after
+from ...device.named_values import source_after
 from ...maps.point import Point
 from ...protocol.pdu import Request
 from .shown import ShownUnit

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ...device.values_after import cells_after
+from ...device.named_values import cells_after
 from ...maps.point import Point
 from ...maps.typed import typed_register, typed_value, typed_values
 from ...protocol.spelling import shown

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from ...device.mapping import Table
-from ...device.values_after import source_after
+from ...device.named_values import source_after
 from ...maps.point import Point
 from ...protocol.spelling import shown
 from .refreshing import Refreshing
