@@ -58,7 +58,7 @@ from .mapping import Mapping, Table
 from .named_values import check_points, known_point, set_values, value_of, zeros_for
 from .point_index import PointIndex, RuledCells
 from .point_rules import PointRules
-from .ranges import joined
+from .ranges import joined, without
 from .record_file import RecordFile
 from .reply import Answered, Watched, answer_in_c, make_tally, reply
 
@@ -230,10 +230,8 @@ class Device:
         self._watched = Watched(self.in_c, reads, writes)
 
     def _is_whole(self, table: str, ranges: tuple[range, ...]) -> bool:
-        """Return True if ranges, as of `joined`, contain all addresses that a table has."""
-        if not ranges:
-            return False
-        return tuple(joined([*ranges, *getattr(self.mapping, table).ranges])) == ranges
+        """Return True if joined ranges contain all addresses that a table has."""
+        return bool(ranges) and not without(getattr(self.mapping, table).ranges, ranges)
 
     @classmethod
     def of_map(
@@ -646,9 +644,7 @@ def _together(
     hooks: MappingABC[str, Sequence[range]], rules: MappingABC[str, Sequence[range]]
 ) -> dict[str, tuple[range, ...]]:
     """Return the addresses that concern a hook or a rule: ``{Access.table: ranges}``."""
-    return {
-        table: tuple(joined([*ranges, *rules.get(table, ())])) for table, ranges in hooks.items()
-    }
+    return {table: joined([*ranges, *rules.get(table, ())]) for table, ranges in hooks.items()}
 
 
 def _bound(

@@ -6,16 +6,15 @@ from __future__ import annotations
 
 import reprlib
 import time
-from bisect import bisect_left
 from collections.abc import Callable, Iterable
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from ..protocol.callbacks import checked_callback, finished
 from ..protocol.close_names import named_arguments
 from ..protocol.logs import HarmlessLogger
 from ..protocol.tables import TABLE_SIZE
 from .access import Access
-from .ranges import joined
+from .ranges import checked_ranges, joined, touches
 
 __all__ = ["SLOW", "Hook", "HookCall", "places", "timed"]
 
@@ -85,12 +84,11 @@ class Hook:
         }
         self.call: Callable[[Access], object] = call
         places = {
-            table: _joined(NAMES.get(table, table), addresses)
+            table: joined(checked_ranges(NAMES.get(table, table), addresses))
             for table, addresses in given.items()
             if addresses is not None
         }
         self.places: dict[str, tuple[range, ...]] | None = places or None
-        self._starts = {table: [each.start for each in found] for table, found in places.items()}
 
     def __repr__(self) -> str:
         return f"Hook({self.call!r}, places={self.places})"
@@ -105,10 +103,7 @@ class Hook:
             return True
         is_file = access.table == "file"
         first, count = (access.file, 1) if is_file else (access.address, access.count)
-        ranges = self.places.get(access.table, ())
-        # The last range that begins before the access ends.
-        at = bisect_left(self._starts.get(access.table, ()), first + count) - 1
-        return at >= 0 and first < ranges[at].stop
+        return touches(self.places.get(access.table, ()), first, count)
 
 
 class HookCall:
@@ -132,8 +127,7 @@ def places(*listeners: HookCall | None) -> dict[str, tuple[range, ...]]:
     """Return the addresses that concern any of these hooks: ``{Access.table: ranges}``."""
     hooks = [each.hook for each in listeners if each is not None]
     return {
-        table: _joined(table, [each for hook in hooks for each in hook.in_table(table)])
-        for table in TABLES
+        table: joined(each for hook in hooks for each in hook.in_table(table)) for table in TABLES
     }
 
 
@@ -170,21 +164,3 @@ def timed(name: str, call: Callable[[Given], Result]) -> Callable[[Given], Resul
                 )
 
     return measured
-
-
-def _joined(name: str, given: Any) -> tuple[range, ...]:
-    ranges = _ranges(name, given)
-    for each in ranges:
-        if each.step != 1 or each.start < 0 or (each and each[-1] >= TABLE_SIZE):
-            raise ValueError(f"{name} must be within 0..{TABLE_SIZE - 1}, step 1, not {each}")
-    return tuple(joined(ranges))
-
-
-def _ranges(name: str, given: Any) -> list[range]:
-    several = isinstance(given, Iterable) and not isinstance(given, range)
-    found: list[Any] = list(given) if several else [given]
-    if all(isinstance(each, range) for each in found):
-        return found
-    raise TypeError(
-        f"{name} must be a range of addresses or a list of ranges, not {reprlib.repr(given)}"
-    )

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import mmap
 import os
-import reprlib
 import threading
 import weakref
 from abc import ABC, abstractmethod
 from array import array
-from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Mapping as MappingABC
+from itertools import pairwise
 from operator import index
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Self, TypeVar, Unpack, overload
 
@@ -26,7 +25,7 @@ from ..protocol.close_names import named_arguments
 from ..protocol.tables import TABLE_SIZE
 from ..protocol.values import Layout, TypeName, value_type
 from ..system import call_in_children
-from .ranges import joined
+from .ranges import checked_ranges, contains, joined, without
 
 if TYPE_CHECKING:
     from .state_lines import Run
@@ -75,11 +74,10 @@ class Table(ABC, Generic[Cell]):
         given = _values(name, contents) if isinstance(contents, MappingABC) else {}
         if isinstance(contents, MappingABC):
             contents = [range(at, at + len(values)) for at, values in given.items()]
-        self.ranges: tuple[range, ...] = _joined(name, _ranges(name, contents))
+        self.ranges: tuple[range, ...] = _ranges(name, contents)
         self.addresses: range = range(0)
         if self.ranges:
             self.addresses = range(self.ranges[0].start, self.ranges[-1].stop)
-        self._starts = [each.start for each in self.ranges]
         self._lock = lock
         size = len(self.addresses) * array(self.typecode).itemsize
         # An empty table has memory too, because mmap makes none of 0 bytes. Private: by
@@ -108,8 +106,7 @@ class Table(ABC, Generic[Cell]):
 
     def has(self, address: int, count: int = 1) -> bool:
         """Return True if `count` addresses, starting at `address`, all exist."""
-        at = bisect_right(self._starts, address) - 1
-        return at >= 0 and address + count <= self.ranges[at].stop
+        return contains(self.ranges, address, count)
 
     def __len__(self) -> int:
         return sum(map(len, self.ranges))
@@ -161,16 +158,13 @@ class Table(ABC, Generic[Cell]):
             if not (first <= start <= stop <= end and step >= 1):
                 raise IndexError(f"no addresses {start}:{stop}:{step} in {self!r}")
             if len(self.ranges) > 1 and start < stop and not self.has(start, stop - start):
-                raise IndexError(f"no address {self._hole_from(start)} in {self!r}")
+                (hole, *_) = without([range(start, stop)], self.ranges)
+                raise IndexError(f"no address {hole.start} in {self!r}")
             return slice(start - first, stop - first, step)
         address = self._address(key)
         if not self.has(address):
             raise IndexError(f"no address {address} in {self!r}")
         return slice(address - first, address - first + 1)
-
-    def _hole_from(self, address: int) -> int:
-        """Return the first address from this one on that does not exist."""
-        return max(address, self.ranges[bisect_right(self._starts, address) - 1].stop)
 
     def _address(self, value: object) -> int:
         try:
@@ -467,26 +461,14 @@ def _values(name: str, given: MappingABC[Any, Any]) -> dict[int, list[Any]]:
     return values
 
 
-def _ranges(name: str, given: Any) -> list[range]:
+def _ranges(name: str, given: Any) -> tuple[range, ...]:
+    """Return the addresses that an argument stands for."""
     if isinstance(given, int) and not isinstance(given, bool):
         if not 0 <= given <= TABLE_SIZE:
             raise ValueError(f"{name} must be in 0..{TABLE_SIZE}, not {given}")
-        return [range(given)]
-    several = isinstance(given, Iterable) and not isinstance(given, range)
-    found: list[Any] = list(given) if several else [given]  # pyright: ignore[reportArgumentType]
-    if all(isinstance(each, range) for each in found):
-        return found
-    wanted = "a count, ranges of addresses or {address: values}"
-    raise TypeError(f"{name} must be {wanted}, not {reprlib.repr(given)}")
-
-
-def _joined(name: str, ranges: Iterable[range]) -> tuple[range, ...]:
-    before = range(0)
-    found = sorted(ranges, key=lambda each: each.start)
-    for each in found:
-        if each.step != 1 or each.start < 0 or (each and each[-1] >= TABLE_SIZE):
-            raise ValueError(f"{name} must be within 0..{TABLE_SIZE - 1}, step 1, not {each}")
-        if each and before and each.start < before.stop:
+        given = range(given)
+    ranges = checked_ranges(name, given, "a count, ranges of addresses or {address: values}")
+    for before, each in pairwise(filter(None, ranges)):
+        if each.start < before.stop:
             raise ValueError(f"{name}: {_span(each)} overlaps {_span(before)}")
-        before = each or before
-    return tuple(joined(found))
+    return joined(ranges)

@@ -4,9 +4,8 @@ Rules of points for the requests of clients: what may be read, written, and with
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from collections.abc import Mapping as MappingABC
 
 from ..maps.bounds import check_cells, has_bounds
@@ -17,10 +16,12 @@ from .access import Access, Touched
 from .mapping import Mapping
 from .named_values import Written, cells_after, source_after, written_by
 from .point_index import Place, PointIndex, RuledCells
-from .ranges import joined, without
+from .ranges import joined, touches, without
 from .rules import WRITABLE
 
 __all__ = ["PointRules"]
+
+Ranges = tuple[range, ...]
 
 
 class PointRules:
@@ -57,9 +58,9 @@ class PointRules:
             and each.place[0] in TABLES
         ]
         self._bounded = PointIndex(bounded)
-        self.reads: dict[str, list[range]] = _by_table(self._unreadable.items())
-        in_bounds = [(each.place, [each.cells]) for each in bounded]
-        self.writes: dict[str, list[range]] = _by_table([*self._unwritable.items(), *in_bounds])
+        self.reads: dict[str, Ranges] = _by_table(self._unreadable.items())
+        in_bounds = [(each.place, (each.cells,)) for each in bounded]
+        self.writes: dict[str, Ranges] = _by_table([*self._unwritable.items(), *in_bounds])
 
     def check(self, touched: Touched, mapping: Mapping) -> None:
         """
@@ -89,19 +90,16 @@ class PointRules:
         check_cells(point, cells_after(point, mapping, written), source=source)
 
 
-def _check(refused: dict[Place, list[range]], access: Access, what: str) -> None:
-    ranges = refused.get((access.table, access.file), [])
-    stop = access.address + access.count
-    # The last that begins before the access ends.
-    at = bisect_left(ranges, stop, key=lambda each: each.start) - 1
-    if at >= 0 and access.address < ranges[at].stop:
-        span = f"{access.table} {access.address}..{stop - 1}"
-        raise IllegalDataAddress(f"{span} cannot all be {what}")
+def _check(refused: dict[Place, Ranges], access: Access, verb: str) -> None:
+    ranges = refused.get((access.table, access.file), ())
+    if touches(ranges, access.address, access.count):
+        span = f"{access.table} {access.address}..{access.address + access.count - 1}"
+        raise IllegalDataAddress(f"{span} cannot all be {verb}")
 
 
 def _refused(
     ruled: Iterable[RuledCells], refusing: str, concerns: Callable[[Place], bool]
-) -> dict[Place, list[range]]:
+) -> dict[Place, Ranges]:
     """Return the cells whose points all have one access, by place."""
     refused: defaultdict[Place, list[range]] = defaultdict(list)
     others: defaultdict[Place, list[range]] = defaultdict(list)
@@ -115,16 +113,9 @@ def _refused(
     }
 
 
-def _by_table(found: Iterable[tuple[Place, list[range]]]) -> dict[str, list[range]]:
+def _by_table(found: Iterable[tuple[Place, Ranges]]) -> dict[str, Ranges]:
+    """Return the cells by table; of "file" the numbers of the files."""
     tables: defaultdict[str, list[range]] = defaultdict(list)
-    for table, each in _in_tables(found):
-        tables[table].append(each)
-    return {table: joined(ranges) for table, ranges in tables.items()}
-
-
-def _in_tables(found: Iterable[tuple[Place, list[range]]]) -> Iterator[tuple[str, range]]:
     for (table, file), ranges in found:
-        if table in TABLES:
-            yield from ((table, each) for each in ranges)
-        else:
-            yield table, range(file, file + 1)
+        tables[table] += ranges if table in TABLES else [range(file, file + 1)]
+    return {table: joined(ranges) for table, ranges in tables.items()}

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import re
 import reprlib
-from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -21,7 +20,7 @@ from ..protocol.tables import TABLE_SIZE
 from ..security.role import check_role
 from .access import ACCESSES, Access
 from .authorization import Asked
-from .ranges import joined
+from .ranges import contains, joined
 
 __all__ = ["READABLE", "WRITABLE", "Allow", "Rules"]
 
@@ -158,8 +157,6 @@ class _Places:
 
     def __init__(self, name: str, given: Iterable[Any], sizes: Mapping[str, int]) -> None:
         self._whole: set[str] = set()
-        # (table, file) -> the first addresses of runs, and their ends; no two runs touch.
-        self._runs: dict[tuple[str, int], tuple[list[int], list[int]]] = {}
         runs: defaultdict[tuple[str, int], list[range]] = defaultdict(list)
         for at, each in enumerate(given):
             if isinstance(each, str):
@@ -168,10 +165,7 @@ class _Places:
             else:
                 table, file, run = _run((name, at), each, sizes)
                 runs[table, file].append(run)
-        for place, found in runs.items():
-            together = joined(found)
-            starts, stops = [each.start for each in together], [each.stop for each in together]
-            self._runs[place] = starts, stops
+        self._runs = {place: joined(found) for place, found in runs.items()}
 
     def __bool__(self) -> bool:
         return bool(self._whole or self._runs)
@@ -180,9 +174,8 @@ class _Places:
         """Return True if the ranges contain the whole access."""
         if access.table in self._whole:
             return True
-        firsts, stops = self._runs.get((access.table, access.file), ((), ()))
-        at = bisect_right(firsts, access.address) - 1
-        return at >= 0 and access.address + access.count <= stops[at]
+        ranges = self._runs.get((access.table, access.file), ())
+        return contains(ranges, access.address, access.count)
 
 
 def _listed(name: str, given: object, everything: Iterable[str]) -> tuple[Any, ...]:

@@ -9,7 +9,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from libmodbus_py.device.ranges import joined, without
+from libmodbus_py.device.ranges import contains, joined, touches, without
 from tests.support.cases import each_case
 
 
@@ -25,7 +25,7 @@ from tests.support.cases import each_case
     ],
 )
 def test_ranges_are_joined(ranges: list[range], together: list[range]) -> None:
-    assert joined(ranges) == together
+    assert joined(ranges) == tuple(together)
 
 
 @given(st.lists(st.tuples(st.integers(0, 50), st.integers(0, 9))))
@@ -49,3 +49,12 @@ def test_ranges_without_others(
     expected = {at for each in kept for at in each} - {at for each in taken for at in each}
     assert [at for each in left for at in each] == sorted(expected)
     assert all(left)
+
+
+@given(Spans, st.integers(0, 60), st.integers(1, 9))
+def test_searched_ranges(found: list[tuple[int, int]], address: int, count: int) -> None:
+    ranges = joined(range(at, at + size) for at, size in found)
+    all_of_it = {at for each in ranges for at in each}
+    asked = set(range(address, address + count))
+    assert contains(ranges, address, count) == (asked <= all_of_it)
+    assert touches(ranges, address, count) == bool(asked & all_of_it)
