@@ -16,10 +16,7 @@ In the order in which a request goes through::
     access         tables and addresses that a request touches, as hooks see them
     reply          Replier: libmodbus's modbus_reply in memory, by the chunk
     mapping        Mapping: the four tables of a device, with their holes
-    state_lines    values of devices as lines of JSON, and back
-    kept_values    the values of a device that a file keeps
-    written        the values that differ from the first ones
-    writing_aside  replaces a file in one step
+    state          the values of devices in a file, and back
     ranges         ranges of addresses, joined
     record_file    RecordFile: the records of functions 20 and 21
 """

@@ -8,6 +8,7 @@ nothing.
 
 from __future__ import annotations
 
+import os
 import reprlib
 from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Mapping as MappingABC
@@ -61,6 +62,7 @@ from .point_rules import PointRules
 from .ranges import joined, without
 from .record_file import RecordFile
 from .reply import Answered, Watched, answer_in_c, make_tally, reply
+from .state import load_state, read_text, replace_file, state_text
 
 __all__ = ["Device", "DeviceOptions"]
 
@@ -198,7 +200,7 @@ class Device:
         self._before_read = _listener("before_read", before_read)
         if points is not NO_POINTS:
             check_points(mapping, points)
-            self.points = points
+        self._points = points
         self._log = EventLog(is_serial=False)
         self._tally = make_tally()
         self._failed: set[int] = set()
@@ -257,10 +259,10 @@ class Device:
         device.update(values or {})
         return device
 
-    @cached_property
+    @property
     def points(self) -> RegisterMap:
         """The points by name; empty if none were given."""
-        return NO_POINTS
+        return self._points
 
     def __getitem__(self, name: str) -> Any:
         """
@@ -297,6 +299,37 @@ class Device:
         """
         with self.mapping.lock:
             set_values(self.mapping, self.points, values)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """
+        Write all values to a file, so that they survive a restart of the program.
+
+        These are the values of the tables and the records of files. The file is replaced
+        atomically: if this fails, the previous file is unchanged. A new file is readable by its
+        owner only.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        replace_file(path, state_text({None: self}))
+
+    def load(self, path: str | os.PathLike[str]) -> None:
+        """
+        Set all values to those of a file that `save` wrote, either all of them or none.
+
+        Values that the file does not contain are set to 0. No hook is called.
+
+        Raises:
+            OSError: the file cannot be read.
+            ValueError: the file is cut off or damaged, was written by a newer version, or contains
+                values for addresses, records or points that do not exist here; the message names
+                the file and the key.
+        """
+        load_state(os.fspath(path), read_text(path), {None: self})
+
+    def first_values(self) -> Iterable[Access]:
+        """Return the first values that are not 0, which `save` leaves out: none."""
+        return ()
 
     def answer(self, pdu: bytes, caller: Caller = _UNKNOWN) -> bytes:
         """

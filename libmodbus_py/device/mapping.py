@@ -8,7 +8,6 @@ never written take no memory.
 from __future__ import annotations
 
 import mmap
-import os
 import threading
 import weakref
 from abc import ABC, abstractmethod
@@ -17,7 +16,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Mapping as MappingABC
 from itertools import pairwise
 from operator import index
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Self, TypeVar, Unpack, overload
+from typing import Any, ClassVar, Generic, Literal, Self, TypeVar, Unpack, overload
 
 from ..binding.library import ffi, lib
 from ..protocol.checks import integer
@@ -26,9 +25,6 @@ from ..protocol.tables import TABLE_SIZE
 from ..protocol.values import Layout, TypeName, value_type
 from ..system import call_in_children
 from .ranges import checked_ranges, contains, joined, without
-
-if TYPE_CHECKING:
-    from .state_lines import Run
 
 __all__ = ["TABLE_NUMBERS", "BitTable", "Mapping", "RegisterTable", "Table", "runs"]
 
@@ -319,62 +315,6 @@ class Mapping:
     def __exit__(self, *_: object) -> None:
         self.lock.release()
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """
-        Write all values to a file, so that they survive a restart of the program.
-
-        The values are written to a temporary file, forced to the disk, which then replaces the
-        previous file: if this fails, the previous file is unchanged. A new file is readable by its
-        owner only.
-
-        Raises:
-            OSError: the file cannot be written.
-        """
-        from .state_lines import UnitValues, text_of
-        from .writing_aside import write_aside
-
-        write_aside(path, text_of({None: UnitValues({}, self._runs())}))
-
-    def load(self, path: str | os.PathLike[str]) -> None:
-        """
-        Set all values to those of a file that `save` wrote, either all of them or none.
-
-        Raises:
-            OSError: the file cannot be read.
-            ValueError: the file is damaged, was written by a newer version, or contains values for
-                addresses that do not exist here; the message names file, line and key.
-        """
-        from .state_lines import parsed, read_text
-
-        found = parsed(os.fspath(path), read_text(path), {None: _MappingAlone(self)})
-        with self:
-            for run in self._runs():
-                table = getattr(self, run.table)
-                table[run.address : run.address + len(run.values)] = [0] * len(run.values)
-            for _, run in found:
-                table = getattr(self, run.table)
-                table[run.address : run.address + len(run.values)] = run.values
-
-    def _snapshot(self) -> list[tuple[str, int, int, array[int]]]:
-        """
-        Return copies of the tables, of one moment.
-
-        Returns:
-            For each table its name, 0, its first address, and its cells, holes included.
-        """
-        with self:
-            return [
-                (name, 0, table.addresses.start, array(table.typecode, bytes(table.view)))
-                for name in TABLE_NUMBERS
-                for table in [getattr(self, name)]
-            ]
-
-    def _runs(self) -> list[Run]:
-        """Return all values that are not 0."""
-        from .written import changes
-
-        return [run for each in self._snapshot() for run in changes(*each)]
-
     def __repr__(self) -> str:
         tables = (self.coils, self.discrete_inputs, self.holding_registers, self.input_registers)
         return f"Mapping({', '.join(repr(table) for table in tables)})"
@@ -413,20 +353,6 @@ class Mapping:
             struct.ranges[TABLE_NUMBERS[table.name]] = (len(table.ranges), edges)
             self._pointers += [pointer, edges]
         return struct
-
-
-class _MappingAlone:
-    """A mapping alone, which takes values from a file."""
-
-    def __init__(self, mapping: Mapping) -> None:
-        self._mapping = mapping
-
-    def has(self, run: Run) -> bool:
-        table = getattr(self._mapping, run.table, None)
-        return table is not None and bool(table.has(run.address, len(run.values)))
-
-    def meaning(self, name: str) -> list[Any] | None:
-        return None
 
 
 _mappings: weakref.WeakSet[Mapping] = weakref.WeakSet()

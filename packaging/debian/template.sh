@@ -4,7 +4,7 @@ set -eu
 file=/etc/libmodbus-py/%i.toml
 state='--log info --audit ${STATE_DIRECTORY}/audit.json'
 case $1 in
-serve) start="serve \${URL} --device $file $state" ;;
+serve) start="serve \${URL} --device $file --state \${STATE_DIRECTORY}/state.json $state" ;;
 gateway) start="gateway --config $file $state" ;;
 poll) start="poll $file --log info" ;;
 esac

@@ -88,4 +88,6 @@ def test_a_command_of_the_templates_takes_its_words(tmp_path: Path) -> None:
         (start,) = re.findall("^ExecStart=(.*)$", template(command), re.MULTILINE)
         _, *words = start.replace("${URL}", "tcp://0.0.0.0:502").split()
         words = [word.replace("%i", "plant").replace("${STATE_DIRECTORY}", "/s") for word in words]
-        assert parsed(words).log == "info"
+        given = parsed(words)
+        assert given.log == "info"
+        assert getattr(given, "state", "/s/state.json") == "/s/state.json"

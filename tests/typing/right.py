@@ -135,8 +135,8 @@ def named_values() -> None:
     assert_type(device["setpoint"], Any)
     assert_type(device.points["setpoint"], Point)
     Device(Mapping(coils=8), points=map)
-    device.mapping.save("meter.state")
-    device.mapping.load(Path("meter.state"))
+    device.save("meter.state")
+    device.load(Path("meter.state"))
 
 
 def classes(plc: TcpContext) -> None:

@@ -10,12 +10,12 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 from ...device.access import Access
+from ...device.auditing import values_at
 from ...device.device import Device
 from ...device.hooks import Hook
 from ...device.mapping import Mapping as Tables
 from ...device.named_values import known_point
 from ...device.point_index import RuledCells
-from ...device.written import FirstValues
 from ...maps.bounds import has_bounds
 from ...maps.point import Point
 from ...maps.point_plan import sources_of
@@ -60,7 +60,7 @@ class SimulatedDevice(Device):
         self._clockwork = clockwork
         self._first_fifos = {address: tuple(queue) for address, queue in self.fifos.items()}
 
-    @cached_property
+    @property
     def points(self) -> RegisterMap:
         """
         The points of the tables, by name: those of its register maps, and its own.
@@ -68,6 +68,10 @@ class SimulatedDevice(Device):
         Points without a name are named after their table and address, such as
         "holding_registers_100".
         """
+        return self._all_points
+
+    @cached_property
+    def _all_points(self) -> RegisterMap:
         points = dict(self._mapped)
         own = [each for each in self._contents if each.table in TABLES and not each.is_mapped]
         for each in sorted(own, key=lambda each: not each.is_named):
@@ -127,12 +131,19 @@ class SimulatedDevice(Device):
             if has_bounds(point) and id(point) not in whole:
                 yield RuledCells.of(point)._replace(access=None)
 
-    def first_values(self) -> Iterator[FirstValues]:
-        """Yield the first values that are not 0, and those that the device computes."""
+    def first_values(self) -> Iterator[Access]:
+        """
+        Yield the first values that are not 0; the present ones of those that the device computes,
+        because nobody wrote them. Hold the mapping's lock.
+        """
         for each in self._contents:
             if each.behaviour is not None or any(each.cells):
-                is_computed = each.behaviour is not None
-                yield FirstValues(each.table, each.file, each.first, each.all_cells, is_computed)
+                count = each.stop - each.first
+                access = Access(each.table, each.first, count, tuple(each.all_cells), each.file)
+                if each.behaviour is not None:
+                    present = values_at(access, self.mapping, self.files)
+                    access = replace(access, values=present or ())
+                yield access
 
     def is_as(self, other: SimulatedDevice) -> bool:
         """Return True if the file describes both devices alike."""

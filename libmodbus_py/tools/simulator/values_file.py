@@ -10,12 +10,16 @@ import threading
 from collections.abc import Callable, Mapping
 
 from ...device.device import Device
-from ...device.kept_values import KeptValues
-from ...device.state_lines import UnitValues, parsed, read_text, text_of
-from ...device.writing_aside import remove_leftovers, write_aside
+from ...device.state import (
+    fingerprint,
+    load_state,
+    read_text,
+    remove_leftovers,
+    replace_file,
+    state_text,
+)
 from ...ports.port import abandoned_in_children
 from ...system import lock_file
-from .simulated import SimulatedDevice
 
 __all__ = ["ValuesFile"]
 
@@ -30,7 +34,7 @@ Devices = Device | Mapping[int, Device]
 
 class ValuesFile:
     """
-    Keeps the values of devices in a file: written aside, at most once a second and at the end.
+    Keeps the values of devices in a file, which is replaced at most once a second and at the end.
 
     While it exists, no other program can use the file: a second file, with the ending ".lock",
     is locked. If the file cannot be written, that is said once, and said again when it can.
@@ -123,24 +127,20 @@ class ValuesFile:
             return
         except OSError as error:
             raise ValueError(f"{self._path}: {error.strerror}") from None
-        units = {unit: KeptValues(device) for unit, device in self._units().items()}
-        for unit, run in parsed(self._path, text, units):
-            units[unit].put(run)
+        load_state(self._path, text, self._units())
         self._text = text
 
     def _write(self) -> None:
         """Write the file if a value has changed. Never raises an Exception."""
         try:
             devices = self._units()
-            seen = [
-                (unit, id(each), KeptValues(each).fingerprint()) for unit, each in devices.items()
-            ]
+            seen = [(unit, id(each), fingerprint(each)) for unit, each in devices.items()]
             if seen == self._seen and not self._is_failing:
                 return
-            text = text_of({unit: _written(each) for unit, each in devices.items()})
+            text = state_text(devices)
             if text != self._text or self._is_failing:
                 self._take_lock()
-                write_aside(self._path, text)
+                replace_file(self._path, text)
                 self._text = text
             self._seen = seen
         except Exception as error:
@@ -161,8 +161,3 @@ class ValuesFile:
         if isinstance(devices, Device):
             return {None: devices}
         return {unit: device for unit, device in devices.items()}  # noqa: C416 (its type)
-
-
-def _written(device: Device) -> UnitValues:
-    first = device.first_values() if isinstance(device, SimulatedDevice) else ()
-    return KeptValues(device).written(first)

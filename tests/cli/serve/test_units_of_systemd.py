@@ -35,7 +35,11 @@ def test_the_command_of_a_unit_is_one_of_ours(unit: Path) -> None:
     program, *arguments = shlex.split(service["ExecStart"])
     assert program.endswith("/libmodbus-py")
     assert arguments[0] == unit.stem.removeprefix("libmodbus-py-")
-    assert parsed(arguments).run is not None
+    command = parsed(arguments)
+    assert command.run is not None
+    assert getattr(command, "state", "${STATE_DIRECTORY}/state.json") == (
+        "${STATE_DIRECTORY}/state.json"
+    )
     assert (service["Type"], service["Restart"]) == ("notify", "always")
     assert service["ExecReload"] == "/bin/kill -HUP $MAINPID"
 

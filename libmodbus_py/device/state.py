@@ -1,0 +1,393 @@
+"""
+The values of devices in a file, so that they survive a restart.
+
+The file is one JSON object::
+
+    {"libmodbus-py": "state", "version": 1, "units": {
+    "1": {"points": {"setpoint": ["holding_registers", 0, 1, "uint16", "ABCD"]},
+          "holding_registers": {"0": [215]}, "files": {"4": {"7": [1711, 1214]}}},
+    "2": {"coils": {"5": [1]}}
+    }}
+
+The name of a unit is its number, or "every" for a device that answers every unit. ``{"7": [1711,
+1214]}`` stands for values from address (or record) 7 on. Only values that differ from the first
+values of the device are in the file, so that a new device file may give others new first values.
+`points` are those that have one of the values: a file is not taken for that of another device.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+import hashlib
+import json
+import os
+import stat
+import tempfile
+from array import array
+from collections.abc import Iterable, Iterator
+from collections.abc import Mapping as MappingABC
+from itertools import pairwise
+from typing import Any, Protocol
+
+from ..maps.point import Point
+from ..maps.register_map import RegisterMap
+from ..protocol.checks import integer, shown
+from ..protocol.json_text import JSON, each_once
+from ..protocol.mistakes import Path, WrongType, WrongValue, inside
+from ..protocol.tables import TABLE_SIZE, TABLES
+from .access import Access
+from .auditing import values_at
+from .mapping import Mapping
+from .ranges import joined, touches
+from .record_file import RecordFile
+
+__all__ = [
+    "fingerprint",
+    "load_state",
+    "read_text",
+    "remove_leftovers",
+    "replace_file",
+    "state_text",
+]
+
+KIND, VERSION = "state", 1
+
+EVERY = "every"
+"""The name of the unit of a device that answers every unit."""
+
+# Cells that are compared at once: most of them are equal.
+BLOCK_CELLS = 64
+
+# The end of the name of a temporary file.
+TEMPORARY = ".new"
+
+# A table, or "file", and the number of the file.
+Place = tuple[str, int]
+
+
+class Device(Protocol):
+    """The part of a device whose values are kept."""
+
+    mapping: Mapping
+    files: dict[int, RecordFile]
+
+    @property
+    def points(self) -> RegisterMap:
+        """The points by name."""
+        ...
+
+    def first_values(self) -> Iterable[Access]:
+        """Return the first values that are not 0. Hold the mapping's lock."""
+        ...
+
+
+Devices = MappingABC[int | None, Device]
+"""Unit -> device; None stands for every unit."""
+
+
+# --- the values of a device -------------------------------------------------------------------
+
+
+def fingerprint(device: Device) -> bytes:
+    """Return a digest that is another one when a value has changed."""
+    found = hashlib.blake2b(digest_size=16, usedforsecurity=False)
+    with device.mapping as mapping:
+        for table in TABLES:
+            found.update(getattr(mapping, table).view)
+        for file in device.files.values():
+            found.update(file.view)
+    return found.digest()
+
+
+def _cells(device: Device) -> dict[Place, tuple[int, array[int]]]:
+    """Return the first address and a copy of the cells of each table and file."""
+    found: dict[Place, tuple[int, array[int]]] = {}
+    for name in TABLES:
+        table = getattr(device.mapping, name)
+        found[name, 0] = table.addresses.start, array(table.typecode, bytes(table.view))
+    for number, file in device.files.items():
+        found["file", number] = 0, array("H", bytes(file.view))
+    return found
+
+
+def _first_cells(
+    device: Device, cells: MappingABC[Place, tuple[int, array[int]]]
+) -> dict[Place, array[int]]:
+    """Return the first values of the same cells."""
+    found = {
+        place: array(own.typecode, bytes(len(own) * own.itemsize))
+        for place, (_, own) in cells.items()
+    }
+    for each in device.first_values():
+        _put(found[each.table, each.file], cells[each.table, each.file][0], each)
+    return found
+
+
+def _put(cells: array[int], start: int, values: Access) -> None:
+    at = values.address - start
+    cells[at : at + values.count] = array(cells.typecode, values.values)
+
+
+def _differences(
+    place: Place, start: int, cells: array[int], others: array[int]
+) -> Iterator[Access]:
+    """Yield the runs of cells that differ from others."""
+    run: list[int] = []
+    for block in range(0, len(cells) + 1, BLOCK_CELLS):
+        stop = min(block + BLOCK_CELLS, len(cells))
+        if not run and cells[block:stop] == others[block:stop]:
+            continue
+        for at in range(block, stop):
+            if cells[at] != others[at]:
+                run.append(cells[at])
+            elif run:
+                yield _access(place, start + at - len(run), run)
+                run = []
+    if run:
+        yield _access(place, start + len(cells) - len(run), run)
+
+
+def _access(place: Place, address: int, values: Iterable[int]) -> Access:
+    found = tuple(values)
+    return Access(place[0], address, len(found), found, place[1])
+
+
+def _written(device: Device) -> list[Access]:
+    """Return the values that are not the first ones, of one moment."""
+    with device.mapping:
+        cells = _cells(device)
+        first = _first_cells(device, cells)
+    return [
+        run
+        for place, (start, own) in cells.items()
+        for run in _differences(place, start, own, first[place])
+    ]
+
+
+def _set_values(device: Device, values: Iterable[Access]) -> None:
+    """Set these values, and all others to the first ones."""
+    with device.mapping:
+        cells = _cells(device)
+        wanted = _first_cells(device, cells)
+        for each in values:
+            place = each.table, each.file
+            _put(wanted[place], cells[place][0], each)
+        # Equal cells are not written, because untouched pages of zeros take no memory.
+        for place, (start, own) in cells.items():
+            for run in _differences(place, start, wanted[place], own):
+                if run.table == "file":
+                    device.files[run.file].write(run.address, run.values)
+                else:
+                    table = getattr(device.mapping, run.table)
+                    table[run.address : run.address + run.count] = run.values
+
+
+# --- to text ----------------------------------------------------------------------------------
+
+
+def state_text(devices: Devices) -> str:
+    """Return the text of a file; units without values are left out."""
+    units = []
+    for unit, device in devices.items():
+        if values := _written(device):
+            name = EVERY if unit is None else str(unit)
+            units.append(f"{JSON.encode(name)}: {JSON.encode(_unit_object(device, values))}")
+    body = ",\n".join(units)
+    return f'{{"libmodbus-py": "{KIND}", "version": {VERSION}, "units": {{\n{body}\n}}}}\n'
+
+
+def _unit_object(device: Device, values: Iterable[Access]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    cells: dict[str, list[range]] = {}
+    for each in values:
+        cells.setdefault(each.table, []).append(range(each.address, each.address + each.count))
+        runs = found.setdefault("files" if each.table == "file" else each.table, {})
+        if each.table == "file":
+            runs = runs.setdefault(str(each.file), {})
+        runs[str(each.address)] = each.values
+    changed = {table: joined(ranges) for table, ranges in cells.items()}
+    points = {
+        name: _meaning(point)
+        for name, point in sorted(device.points.items())
+        if touches(changed.get(point.table, ()), point.address, len(point.cells))
+    }
+    return {"points": points, **found} if points else found
+
+
+def _meaning(point: Point) -> list[Any]:
+    """Return what the cells of a point mean, apart from scale, bounds and texts."""
+    return [point.table, point.address, point.count, point.type, point.order]
+
+
+# --- from text --------------------------------------------------------------------------------
+
+
+def load_state(file: str, text: str, devices: Devices) -> None:
+    """
+    Set the values of devices to those of a text, either all of them or none.
+
+    Args:
+        file: the name of the file, for errors.
+
+    Raises:
+        ValueError: the text is cut off or damaged, of a newer version or of other devices; the
+            message names the file and the key.
+    """
+    try:
+        units = _checked_units(_parsed(text), devices)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{file}: {error}") from None
+    for unit, device in devices.items():
+        _set_values(device, units.get(unit, ()))
+
+
+def _parsed(text: str) -> object:
+    try:
+        return json.loads(text, object_pairs_hook=each_once)
+    except json.JSONDecodeError as error:
+        reason = "the file is cut off" if _is_cut(text, error) else f"not JSON: {error.msg}"
+        raise WrongValue((), f"line {error.lineno}, column {error.colno}: {reason}") from None
+    except RecursionError:
+        raise WrongValue((), "not JSON: too deep") from None
+
+
+def _is_cut(text: str, error: json.JSONDecodeError) -> bool:
+    """Return True if a text that is not JSON is the beginning of a file of values."""
+    found = text.rstrip()
+    is_ours = found.startswith('{"libmodbus-py"') and error.msg != "Extra data"
+    return is_ours and (error.pos >= len(found) or not found.endswith("}"))
+
+
+def _checked_units(found: object, devices: Devices) -> dict[int | None, list[Access]]:
+    head = _object((), found)
+    if head.get("libmodbus-py") != KIND:
+        raise WrongValue("libmodbus-py", f'must be "{KIND}": this is not a file of values')
+    version = integer("version", head.get("version"), 1, 1 << 31)
+    if version > VERSION:
+        reason = f"must be {VERSION}, not {version}: the file was written by a newer libmodbus-py"
+        raise WrongValue("version", reason)
+    _object((), head, ("libmodbus-py", "version", "units"))
+    names = {EVERY if unit is None else str(unit): unit for unit in devices}
+    units: dict[int | None, list[Access]] = {}
+    for name, unit in _object(("units",), head.get("units")).items():
+        if name not in names:
+            reason = f"no such unit is served, only {', '.join(names) or 'none'}"
+            raise WrongValue.about(("units", name), reason)
+        with inside("units", name):
+            units[names[name]] = list(_checked_unit(unit, devices[names[name]]))
+    return units
+
+
+def _checked_unit(unit: object, device: Device) -> Iterator[Access]:
+    keys = _object((), unit, ("points", *TABLES, "files"))
+    for name, meaning in _object(("points",), keys.pop("points", {})).items():
+        point = device.points.get(name)
+        if point is None:
+            raise WrongValue.about(("points", name), "the device has no such point")
+        if meaning != _meaning(point):
+            expected = f"must be {shown(_meaning(point))}, as in the device"
+            raise WrongValue(("points", name), f"{expected}, not {shown(meaning)}")
+    for number, records in _object(("files",), keys.pop("files", {})).items():
+        file = _number(("files", number), number)
+        yield from _checked_runs(("files", number), records, ("file", file), device)
+    for table, runs in keys.items():
+        yield from _checked_runs((table,), runs, (table, 0), device)
+
+
+def _checked_runs(path: Path, found: object, place: Place, device: Device) -> list[Access]:
+    most = 1 if place[0] in TABLES and TABLES[place[0]].is_bits else 0xFFFF
+    runs = []
+    for key, values in _object(path, found).items():
+        address = _number((*path, key), key)
+        if not isinstance(values, list) or not values:
+            raise WrongType((*path, key), "must be a list that is not empty")
+        for at, value in enumerate(values):
+            integer((*path, key, at), value, 0, most)
+        run = _access(place, address, values)
+        if values_at(run, device.mapping, device.files) is None:
+            name = f"file {run.file}" if run.file else run.table
+            reason = f"the device lacks {name} {address}..{address + run.count - 1}"
+            raise WrongValue.about((*path, key), reason)
+        runs.append(run)
+    runs.sort(key=lambda run: run.address)
+    for before, run in pairwise(runs):
+        if run.address < before.address + before.count:
+            raise WrongValue.about(path, f"{run.address} has two values")
+    return runs
+
+
+def _object(path: Path, found: object, keys: Iterable[str] | None = None) -> dict[str, Any]:
+    """Return an object of JSON; if `keys` are passed, it may have no others."""
+    if not isinstance(found, dict):
+        raise WrongType(path, f"must be an object, not {shown(found)}")
+    for key in found:
+        if keys is not None and key not in keys:
+            raise WrongValue.about((*path, key), f"no such key; allowed are {', '.join(keys)}")
+    return found
+
+
+def _number(path: Path, key: str) -> int:
+    if not (key.isascii() and key.isdecimal() and len(key) <= len(str(TABLE_SIZE))):
+        raise WrongValue(path, f"must be a number in 0..{TABLE_SIZE - 1}")
+    return integer(path, int(key), 0, TABLE_SIZE - 1)
+
+
+# --- files ------------------------------------------------------------------------------------
+
+
+def read_text(path: str | os.PathLike[str]) -> str:
+    """
+    Return the text of a file.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is not a regular file, or not UTF-8.
+    """
+    if not stat.S_ISREG(os.stat(path).st_mode):  # a named pipe would wait for a writer
+        raise ValueError(f"{os.fspath(path)}: not a regular file")
+    with open(path, "rb") as file:
+        data = file.read()
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{os.fspath(path)}: not UTF-8 at byte {error.start}") from None
+
+
+def replace_file(path: str | os.PathLike[str], text: str) -> None:
+    """
+    Replace a file atomically: write a temporary file beside it, then rename it.
+
+    The text is forced to the disk. A new file is readable by its owner only; one that is replaced
+    keeps its permissions, and a symbolic link stays one.
+
+    Raises:
+        OSError: the file cannot be written; it is unchanged, and no temporary file is left.
+    """
+    target = os.path.realpath(path)
+    folder, name = os.path.split(target)
+    descriptor, temporary = tempfile.mkstemp(TEMPORARY, f"{name}.", folder)
+    try:
+        with open(descriptor, "w", encoding="utf-8", newline="") as file:
+            with contextlib.suppress(FileNotFoundError):
+                os.fchmod(descriptor, stat.S_IMODE(os.stat(target).st_mode))
+            file.write(text)
+            file.flush()
+            os.fsync(descriptor)
+        os.replace(temporary, target)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.unlink(temporary)
+        raise
+    folder_descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(folder_descriptor)  # forces the new name to the disk
+    finally:
+        os.close(folder_descriptor)
+
+
+def remove_leftovers(path: str | os.PathLike[str]) -> None:
+    """Remove the temporary files of a process that was killed. No other may write the file now."""
+    for temporary in glob.glob(f"{glob.escape(os.path.realpath(path))}.????????{TEMPORARY}"):
+        with contextlib.suppress(OSError):
+            os.unlink(temporary)

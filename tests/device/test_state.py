@@ -1,0 +1,274 @@
+"""
+Values of devices in files: saved, loaded again, and refused with the key that is wrong.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import stat
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from libmodbus_py import Device, Mapping, Point, RegisterMap
+from tests.support.cases import each_case
+
+
+def plant() -> Device:
+    mapping = Mapping(
+        coils=range(3, 20),
+        discrete_inputs=4,
+        holding_registers=[range(10), range(1000, 1600)],
+        input_registers={7: [1, 2]},
+    )
+    return Device(mapping, files={4: {3: 1, 4: 2, 9: 3}, 65535: [0] * 10_000})
+
+
+def contents(device: Device) -> list[list[int]]:
+    mapping = device.mapping
+    tables = (
+        mapping.coils,
+        mapping.discrete_inputs,
+        mapping.holding_registers,
+        mapping.input_registers,
+        *device.files.values(),
+    )
+    return [list(map(int, table)) for table in tables]
+
+
+def test_values_come_back(tmp_path: Path) -> None:
+    path = tmp_path / "values"
+    saved = plant()
+    saved.mapping.coils[5] = True
+    saved.mapping.discrete_inputs[3] = True
+    saved.mapping.holding_registers[9] = 65535
+    saved.mapping.holding_registers[1000:1600] = range(600)
+    saved.mapping.input_registers[8] = 0
+    saved.files[4][3] = 0
+    saved.files[65535][9999] = 65535
+    saved.save(path)
+    loaded = plant()
+    loaded.mapping.holding_registers[3] = 4  # which the file does not have
+    loaded.load(path)
+    assert contents(loaded) == contents(saved)
+    saved.load(path)
+    assert contents(loaded) == contents(saved)
+    assert stat.S_IMODE(os.stat(path).st_mode) == 0o600
+    assert os.listdir(tmp_path) == ["values"]
+
+
+def test_the_text_of_a_file(tmp_path: Path) -> None:
+    points = RegisterMap(
+        [
+            Point("setpoint", "holding_registers", 107, type="int32"),
+            Point("limit", "holding_registers", 109),
+        ]
+    )
+    mapping = Mapping(coils=4, holding_registers=range(100, 110))
+    device = Device(mapping, files={4: [0, 0, 1711]}, points=points)
+    mapping.coils[1:3] = [True, True]
+    mapping.holding_registers[107:109] = [1, 65535]
+    device.save(tmp_path / "values")
+    assert (tmp_path / "values").read_text() == (
+        '{"libmodbus-py": "state", "version": 1, "units": {\n'
+        '"every": {"points": {"setpoint": ["holding_registers", 107, 1, "int32", "ABCD"]},'
+        ' "coils": {"1": [1, 1]}, "holding_registers": {"107": [1, 65535]},'
+        ' "files": {"4": {"2": [1711]}}}\n'
+        "}}\n"
+    )
+
+
+@given(st.dictionaries(st.integers(0, 599), st.integers(0, 65535)))
+def test_any_values_come_back(values: dict[int, int]) -> None:
+    saved, loaded = (Device(Mapping(holding_registers=600), files={1: [0] * 600}) for _ in "12")
+    for address, value in values.items():
+        saved.mapping.holding_registers[address] = value
+        saved.files[1][599 - address] = value
+    path = Path("/dev/shm") / f"libmodbus-py-{os.getpid()}"
+    try:
+        saved.save(path)
+        loaded.load(path)
+    finally:
+        path.unlink(missing_ok=True)
+    assert contents(loaded) == contents(saved)
+
+
+def test_no_hook_is_called(tmp_path: Path) -> None:
+    device = Device(Mapping(coils=1), before_write=pytest.fail, after_write=pytest.fail)
+    device.mapping.coils[0] = True
+    device.save(tmp_path / "values")
+    device.mapping.coils[0] = False
+    device.load(tmp_path / "values")
+    assert device.mapping.coils[0] is True
+
+
+def text_of(units: Any, **head: Any) -> str:
+    return json.dumps({"libmodbus-py": "state", "version": 1, "units": units} | head)
+
+
+UNIT = {"holding_registers": {"0": [1]}}
+
+DAMAGED = [
+    ("", "line 1, column 1: not JSON"),
+    ("\n", "line 2, column 1: not JSON"),
+    ("meter = 1\n", "line 1, column 1: not JSON"),
+    ("{}", 'libmodbus-py must be "state": this is not a file of values'),
+    ("[]", r"must be an object, not \[\]"),
+    ('{"unit": 3}', 'libmodbus-py must be "state"'),
+    (text_of({"every": UNIT})[:-1], "line 1, column [0-9]+: the file is cut off"),
+    (text_of({"every": UNIT}) + "x", "line 1, column [0-9]+: not JSON: Extra data"),
+    ("{" * 100_000, "not JSON: "),
+    ("[" * 100_000, "not JSON: too deep"),
+    (text_of({}, version=2), "version must be 1, not 2: the file was written by a newer"),
+    (text_of({}, version=True), "version must be"),
+    (text_of({}, version="1"), "version must be"),
+    (text_of({}, more=1), "more: no such key; allowed are libmodbus-py, version, units"),
+    (text_of(3), "units must be an object, not 3"),
+    ('{"libmodbus-py": "state", "version": 1}', "units must be an object, not None"),
+    ('{"libmodbus-py": "state", "version": 1, "version": 1}', "version: occurs twice"),
+    (text_of({"1": UNIT}), "units.1: no such unit is served, only every"),
+    (text_of({"every": [1]}), r"units.every must be an object, not \[1\]"),
+    (text_of({"every": {"0": [1]}}), "units.every.0: no such key; allowed are points, coils, "),
+    (
+        text_of({"every": {"points": {"a": ["coils", 3, 1, None, "ABCD"]}}}),
+        "units.every.points.a: the device has no such point",
+    ),
+]
+
+
+@each_case(("text", "message"), DAMAGED)
+def test_damaged_files_are_refused(text: str, message: str, tmp_path: Path) -> None:
+    refused(tmp_path, text, message)
+
+
+H = "holding_registers"
+
+RUNS: list[tuple[dict[str, Any], str]] = [
+    ({"holding": {"0": [1]}}, "holding: no such key"),
+    ({H: [1]}, r"holding_registers must be an object, not \[1\]"),
+    ({H: {"-1": [1]}}, "holding_registers.-1 must be a number in 0..65535"),
+    ({H: {"1.0": [1]}}, "holding_registers.1.0 must be a number"),
+    ({H: {"": [1]}}, "holding_registers. must be a number"),
+    ({H: {"٣": [1]}}, "must be a number"),
+    ({H: {"65536": [1]}}, "holding_registers.65536 must be in 0..65535, not 65536"),
+    ({H: {"9": [1, 2]}}, "holding_registers.9: the device lacks holding_registers 9..10"),
+    ({H: {"999": [1]}}, "holding_registers.999: the device lacks holding_registers 999..999"),
+    ({H: {"65535": [1, 2]}}, "the device lacks holding_registers 65535..65536"),
+    ({H: {"0": []}}, "holding_registers.0 must be a list that is not empty"),
+    ({H: {"0": 3}}, "holding_registers.0 must be a list"),
+    ({H: {"0": [1, 65536]}}, r"holding_registers.0\[1\] must be in 0\.\.65535, not 65536"),
+    ({H: {"0": [True]}}, r"holding_registers.0\[0\] must be"),
+    ({H: {"0": [1.5]}}, r"holding_registers.0\[0\] must be"),
+    ({H: {"0": [float("nan")]}}, r"holding_registers.0\[0\] must be"),
+    ({H: {"0": [None]}}, r"holding_registers.0\[0\] must be"),
+    ({H: {"0": [1, 2, 3], "2": [1]}}, "holding_registers: 2 has two values"),
+    ({H: {"7": [1], "07": [1]}}, "holding_registers: 7 has two values"),
+    ({"coils": {"3": [2]}}, r"coils.3\[0\] must be in 0\.\.1"),
+    ({"files": {"5": {"0": [1]}}}, "files.5.0: the device lacks file 5 0..0"),
+    ({"files": {"4": {"4": [1, 2]}}}, "files.4.4: the device lacks file 4 4..5"),
+    ({"files": {"4": [1]}}, "files.4 must be an object"),
+    ({"files": {"0": {"0": [1]}}}, "files.0.0: the device lacks file 0..0"),
+    ({"files": {"x": {"0": [1]}}}, "files.x must be a number"),
+]
+
+
+@each_case(("unit", "message"), RUNS)
+def test_wrong_values_are_refused(unit: dict[str, Any], message: str, tmp_path: Path) -> None:
+    """Although there are good ones before them, no value is set."""
+    good = {"input_registers": {"7": [9]}}
+    refused(tmp_path, text_of({"every": good | unit}), f"(units.every.)?{message}")
+
+
+def refused(folder: Path, text: str, message: str) -> None:
+    path = folder / "values"
+    path.write_text(text)
+    device = plant()
+    device.mapping.holding_registers[3] = 4
+    before = contents(device)
+    with pytest.raises(ValueError, match=message) as caught:
+        device.load(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+    assert contents(device) == before
+
+
+def test_a_file_in_another_layout_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "values"
+    path.write_text(json.dumps(json.loads(text_of({"every": UNIT})), indent=4))
+    device = plant()
+    device.load(path)
+    assert device.mapping.holding_registers[0] == 1
+    assert device.mapping.input_registers[7] == 0
+
+
+def test_every_cut_and_every_changed_byte_is_refused(tmp_path: Path) -> None:
+    saved = plant()
+    saved.mapping.holding_registers[1000:1003] = [500, 0, 7]
+    saved.mapping.coils[4] = True
+    path = tmp_path / "values"
+    saved.save(path)
+    data = path.read_bytes()
+    for length in range(len(data) - 1):  # without the last line feed it is whole
+        path.write_bytes(data[:length])
+        device = plant()
+        with pytest.raises(ValueError, match="cut off" if length > 14 else "not JSON"):
+            device.load(path)
+        assert contents(device) == contents(plant())
+    for at in range(len(data)):
+        path.write_bytes(data[:at] + b"\xff" + data[at + 1 :])
+        with pytest.raises(ValueError, match=rf"values: not UTF-8 at byte {at}$"):
+            plant().load(path)
+
+
+# --- files --------------------------------------------------------------------------------
+
+
+def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", tmp_path, Path("/dev/zero")):
+        with pytest.raises(ValueError, match=f"{path}: not a regular file"):
+            plant().load(path)
+    with pytest.raises(FileNotFoundError):
+        plant().load(tmp_path / "missing")
+    with pytest.raises(FileNotFoundError):
+        plant().save(tmp_path / "missing" / "values")
+
+
+def test_links_and_permissions_stay(tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    target, link = tmp_path / "other" / "values", tmp_path / "link"
+    link.symlink_to(target)
+    plant().save(link)
+    target.chmod(0o640)
+    plant().save(link)
+    assert link.is_symlink()
+    assert stat.S_IMODE(target.stat().st_mode) == 0o640
+    assert os.listdir(tmp_path / "other") == ["values"]
+
+
+@each_case("step", ["fsync", "replace", "fchmod"])
+def test_what_fails_leaves_the_file_as_it_was(
+    step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / step
+    device = plant()
+    device.save(path)
+    before = path.read_bytes()
+
+    def fail(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    device.mapping.coils[4] = True
+    with monkeypatch.context() as patched:
+        patched.setattr(os, step, fail)
+        with pytest.raises(OSError, match="No space left"):
+            device.save(path)
+    assert path.read_bytes() == before
+    assert not list(tmp_path.glob("*.new"))
+    device.save(path)
+    assert path.read_bytes() != before
