@@ -7,9 +7,9 @@ from .device.authorization import Asked as Asked
 from .device.caller import Caller as Caller
 from .device.caller import ValueChange as ValueChange
 from .device.device import Device as Device
+from .device.functions import RecordFile as RecordFile
 from .device.hooks import Hook as Hook
 from .device.mapping import Mapping as Mapping
-from .device.record_file import RecordFile as RecordFile
 from .device.rules import Allow as Allow
 from .device.rules import Rules as Rules
 from .server.audit import Audit as Audit

@@ -9,9 +9,15 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from ..protocol import pdu
+from ..protocol.tables import TABLE_SIZE
 from .mapping import Mapping
 
-__all__ = ["ACCESSES", "Access", "TouchRule", "Touched", "Who", "touched", "touched_by"]
+# fmt: off
+__all__ = [
+    "ACCESSES", "READABLE", "WRITABLE", "Access", "TouchRule", "Touched", "Who", "touched",
+    "touched_by",
+]
+# fmt: on
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,14 +155,36 @@ ACCESSES: dict[type[pdu.Request[Any]], TouchRule] = {
 }
 """Request class -> the rule for the accesses of its requests."""
 
-# The result of a masked write is not known without the device.
-_NOWHERE = Mapping()
+READABLE: dict[str, int] = {
+    "coils": TABLE_SIZE,
+    "discrete_inputs": TABLE_SIZE,
+    "holding_registers": TABLE_SIZE,
+    "input_registers": TABLE_SIZE,
+    "fifo": TABLE_SIZE,
+    "file": pdu.RECORDS_PER_FILE,
+}
+"""`Access.table` -> the number of its items; for "file", of each file. All can be read."""
+
+WRITABLE: dict[str, int] = {
+    kind.writes: READABLE[kind.writes] for kind in ACCESSES.values() if kind.writes
+}
+"""The tables of `READABLE` that can be written."""
+
+# A device without addresses: there, the register of a masked write is 0.
+_NOTHING = Mapping()
 
 
-def touched(request: pdu.Request[Any] | None, who: Who = (0, "", None)) -> Touched:
-    """Return the accesses of a request; empty for None."""
+def touched(
+    request: pdu.Request[Any] | None, who: Who = (0, "", None), mapping: Mapping | None = None
+) -> Touched:
+    """
+    Return the accesses of a request; empty for None.
+
+    Args:
+        mapping: the tables of the device, on which the result of a masked write depends.
+    """
     kind = ACCESSES.get(type(request))  # type: ignore[arg-type]
-    return Touched() if kind is None else kind.find(request, _NOWHERE, who)
+    return Touched() if kind is None else kind.find(request, mapping or _NOTHING, who)
 
 
 def touched_by(data: bytes) -> Touched:

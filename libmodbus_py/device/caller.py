@@ -1,17 +1,32 @@
 """
-The origin of a request, and who records what became of it.
+The origin of a request, and the audit of requests that change a device.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from collections.abc import Mapping as MappingABC
+from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
+from ..protocol.errors import IllegalFunction, ServerDeviceFailure
+from ..protocol.pdu import MaskWriteRegister, Request, decode_request
 from ..security.describing import CertificateHolder
-from .access import Access
+from .access import Access, touched
 from .event_log import EventLog
+from .functions import RecordFile
+from .mapping import Mapping
 
-__all__ = ["Auditor", "Caller", "Executed", "ValueChange"]
+__all__ = [
+    "Auditor",
+    "Caller",
+    "Executed",
+    "ValueChange",
+    "answer_audited",
+    "changes_of",
+    "values_at",
+]
 
 
 class Caller(NamedTuple):
@@ -38,6 +53,11 @@ class Caller(NamedTuple):
     on_unauthorized: Callable[[], object] | None = None
     holder: CertificateHolder | None = None
     auditor: Auditor | None = None
+
+    @property
+    def who(self) -> tuple[int, str, str | None]:
+        """Unit, peer and role of an `Access`."""
+        return self.unit, self.peer, self.role
 
 
 class ValueChange(NamedTuple):
@@ -81,3 +101,69 @@ class Auditor(Protocol):
 
     def note(self, executed: Executed) -> None:
         """Record a request. Never raises."""
+
+
+def answer_audited(
+    pdu: bytes,
+    caller: Caller,
+    auditor: Auditor,
+    mapping: Mapping,
+    files: MappingABC[int, RecordFile],
+    respond: Callable[[], bytes],
+    *,
+    has_rules: bool,
+) -> bytes:
+    """
+    Execute a request, and record it if it changes the device or is not allowed.
+
+    Args:
+        respond: executes the request and returns the response PDU.
+        has_rules: True if exception 1 may mean that the client has no right.
+    """
+    try:
+        request = decode_request(pdu)
+    except Exception:
+        request = None
+    changes = request is not None and request.changes
+    with mapping.lock:
+        found = changes_of(request, caller, mapping, files) if changes else ()
+        if changes and not auditor.may_change():
+            response = bytes([pdu[0] | 0x80, ServerDeviceFailure.code])
+        else:
+            response = respond()
+    is_refused = has_rules and response[1:] == bytes([IllegalFunction.code])
+    if changes or is_refused:
+        auditor.note(Executed(caller, pdu, response, found, changes))
+    return response
+
+
+def changes_of(
+    request: Request[Any] | None,
+    caller: Caller,
+    mapping: Mapping | None = None,
+    files: MappingABC[int, RecordFile] = MappingProxyType({}),
+) -> tuple[ValueChange, ...]:
+    """
+    Return the values that a request writes, and those before.
+
+    Args:
+        mapping, files: those of the device; None for another machine's, whose values are not known.
+    """
+    writes = touched(request, caller.who, mapping).writes
+    if mapping is not None:
+        return tuple(ValueChange(each, values_at(each, mapping, files)) for each in writes)
+    if isinstance(request, MaskWriteRegister):  # its result depends on the value before
+        writes = tuple(replace(each, values=()) for each in writes)
+    return tuple(ValueChange(each, None) for each in writes)
+
+
+def values_at(
+    access: Access, mapping: Mapping, files: MappingABC[int, RecordFile]
+) -> tuple[Any, ...] | None:
+    """Return the present values; None if an address does not exist."""
+    first, count = access.address, access.count
+    if access.table == "file":
+        file = files.get(access.file)
+        return tuple(file.read(first, count)) if file and file.has(first, count) else None
+    table = getattr(mapping, access.table)
+    return tuple(table[first : first + count]) if table.has(first, count) else None

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Mapping as MappingABC
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import Any, ClassVar, Self, TypedDict, Unpack
+from typing import Any, Self, TypedDict, Unpack
 
 from ..maps.register_map import RegisterMap
 from ..protocol.callbacks import checked_callback
@@ -23,44 +23,29 @@ from ..protocol.close_names import named_arguments
 from ..protocol.errors import (
     ExceptionResponse,
     IllegalDataAddress,
-    IllegalDataValue,
     IllegalFunction,
     ServerDeviceFailure,
 )
-from ..protocol.framing import delimiter_after
 from ..protocol.logs import HarmlessLogger
 from ..protocol.pdu import (
     MAX_PDU,
     REQUESTS,
     Diagnostics,
-    EncapsulatedTransport,
-    IdentificationPage,
-    ReadCommEventCounter,
-    ReadCommEventLog,
-    ReadDeviceIdentification,
-    ReadExceptionStatus,
-    ReadFifoQueue,
-    ReadFileRecords,
-    ReportServerId,
     Request,
     ServerId,
     SubFunction,
-    WriteFileRecords,
     decode_request,
 )
-from ..protocol.pdu.interface import OBJECT_NAMES, ReadDeviceIdCode, pages
-from .access import ACCESSES, Access, Touched
-from .auditing import answer_audited, values_at
+from .access import ACCESSES, Access, Touched, touched
 from .authorization import Asked, Authorization, Authorize, UnauthorizedError
-from .caller import Auditor, Caller
+from .caller import Auditor, Caller, answer_audited, values_at
 from .event_log import EventLog
+from .functions import DEFAULT_SERVER_ID, PythonFunctions
 from .hooks import Hook, HookCall, places, timed
 from .mapping import Mapping, Table
 from .named_values import check_points, known_point, set_values, value_of, zeros_for
-from .point_index import PointIndex, RuledCells
-from .point_rules import PointRules
+from .point_rules import PointIndex, PointRules, RuledCells
 from .ranges import joined, without
-from .record_file import RecordFile
 from .reply import Answered, Watched, answer_in_c, make_tally, reply
 from .state import load_state, read_text, replace_file, state_text
 
@@ -70,14 +55,7 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 
 HookLike = Hook | Callable[[Access], object]
 
-DEFAULT_SERVER_ID = ServerId(b"\x01", True, b"libmodbus-py")
-
-DEFAULT_IDENTIFICATION: dict[str | int, str | bytes] = {
-    "VendorName": "libmodbus-py",
-    "ProductCode": "Device",
-    "MajorMinorRevision": "0.1",
-}
-
+_RESTART = Diagnostics(SubFunction.RESTART_COMMUNICATIONS).encode()[:3]
 
 _UNKNOWN = Caller()
 
@@ -101,7 +79,7 @@ class DeviceOptions(TypedDict, total=False):
 
 
 @named_arguments
-class Device:
+class Device(PythonFunctions):
     """
     A device that answers the requests of one unit. It may be used from any thread.
 
@@ -180,19 +158,7 @@ class Device:
         if not isinstance(mapping, Mapping):
             raise TypeError(f"mapping must be a Mapping, not {type(mapping).__name__}")
         self.mapping = mapping
-        self.files: dict[int, RecordFile] = {
-            integer("file", number, 1, 0xFFFF): RecordFile(records)
-            for number, records in (files or {}).items()
-        }
-        self.fifos: dict[int, list[int]] = {
-            integer("fifo", address, 0, 0xFFFF): list(queue)
-            for address, queue in (fifos or {}).items()
-        }
-        self.server_id = server_id
-        self.exception_status: int = integer("exception_status", exception_status, 0, 0xFF)
-        self.diagnostic_register: int = 0
-        self._identification = _checked_identification(identification or {})
-        self._canopen = None if canopen is None else timed("canopen", canopen)
+        super().__init__(files, fifos, identification, server_id, exception_status, canopen)
         self._handlers = {**self._own, **_bound(handlers or {})}
         self._guard = None if authorize is None else Authorization(authorize)
         self._before_write = _listener("before_write", before_write)
@@ -470,10 +436,8 @@ class Device:
     def _authorize(self, function: int, request: Request[Any] | None, caller: Caller) -> None:
         if self._guard is None:
             return
-        kind = ACCESSES.get(type(request))  # type: ignore[arg-type]
-        who = (caller.unit, caller.peer, caller.role)
-        touched = Touched() if kind is None else kind.find(request, self.mapping, who)
-        asked = Asked(caller.role, caller.unit, caller.peer, function, request, *touched)
+        found = touched(request, caller.who, self.mapping)
+        asked = Asked(caller.role, caller.unit, caller.peer, function, request, *found)
         try:
             self._guard.check(asked)
         except UnauthorizedError:
@@ -550,118 +514,6 @@ class Device:
             if not table.has(access.address, access.count):
                 raise IllegalDataAddress(f"{table} lacks {access.address}+{access.count}")
 
-    # --- what libmodbus lacks --------------------------------------------------------------
-
-    def _file(self, number: int, record: int, length: int) -> RecordFile:
-        file = self.files.get(number)
-        if file is None or not file.has(record, length):
-            raise IllegalDataAddress(f"file {number} lacks records {record}+{length}")
-        return file
-
-    def _read_file_records(self, request: ReadFileRecords, _: EventLog) -> list[list[int]]:
-        return [
-            self._file(number, record, length).read(record, length)
-            for number, record, length in request.records
-        ]
-
-    def _write_file_records(self, request: WriteFileRecords, _: EventLog) -> None:
-        # All pieces are found before the first is written: all or nothing.
-        places = [self._file(file, at, len(values)) for file, at, values in request.records]
-        for file, (_number, record, values) in zip(places, request.records, strict=True):
-            file.write(record, values)
-
-    def _fifo(self, address: int) -> list[int]:
-        if address not in self.fifos:
-            raise IllegalDataAddress(f"no queue at {address}")
-        return self.fifos[address]
-
-    def _read_fifo_queue(self, request: ReadFifoQueue, _: EventLog) -> list[int]:
-        queue = list(self._fifo(request.address))
-        if len(queue) > request.max_count:
-            raise IllegalDataValue(f"{len(queue)} registers in the queue")
-        return queue
-
-    def _encapsulated_transport(self, request: EncapsulatedTransport, _: EventLog) -> bytes:
-        if self._canopen is None:
-            raise IllegalFunction(function=request.function)
-        return self._canopen(request.data)
-
-    def _read_device_identification(
-        self, request: ReadDeviceIdentification, _: EventLog
-    ) -> IdentificationPage:
-        objects = self._identification
-        highest = max(objects)
-        conformity = 0x80 | (1 if highest <= 2 else 2 if highest <= 6 else 3)
-        if request.code != ReadDeviceIdCode.INDIVIDUAL:
-            return pages(request, objects)._replace(conformity=conformity)
-        if request.object_id not in objects:
-            raise IllegalDataAddress(f"no object {request.object_id}")
-        wanted = {request.object_id: objects[request.object_id]}
-        return IdentificationPage(conformity, None, wanted)
-
-    def _diagnostics(self, request: Diagnostics, log: EventLog) -> bytes:
-        try:
-            sub_function = SubFunction(request.sub_function)
-        except ValueError:
-            raise IllegalFunction(f"no sub-function {request.sub_function}") from None
-        if sub_function in _SILENCING and not log.is_serial:
-            raise IllegalFunction("one client must not silence the device for all")
-        allowed = _DATA.get(sub_function, (b"\0\0",))
-        if allowed is not None and request.data not in allowed:
-            raise IllegalDataValue(f"data {request.data.hex()}")
-        if sub_function in _ACTIONS:
-            _ACTIONS[sub_function](self, request, log)
-            return request.data
-        if sub_function is SubFunction.RETURN_DIAGNOSTIC_REGISTER:
-            return self.diagnostic_register.to_bytes(2, "big")
-        return log.counter(sub_function).to_bytes(2, "big")
-
-    def _clear_counters(self, _: Diagnostics, log: EventLog) -> None:
-        log.clear_counters()
-        self.diagnostic_register = 0
-
-    def _change_delimiter(self, request: Diagnostics, log: EventLog) -> None:
-        delimiter = delimiter_after(request.encode(), log.delimiter)
-        if delimiter != request.data[0] or request.data[1]:
-            raise IllegalDataValue(f"delimiter {request.data.hex()}")
-        log.delimiter = delimiter
-
-    # Request class -> the method that answers it; libmodbus answers all others.
-    _own: ClassVar[dict[type[Request[Any]], Callable[..., Any]]] = {
-        ReadFileRecords: _read_file_records,
-        WriteFileRecords: _write_file_records,
-        ReadFifoQueue: _read_fifo_queue,
-        ReadExceptionStatus: lambda device, request, log: device.exception_status,
-        ReportServerId: lambda device, request, log: device.server_id,
-        ReadCommEventCounter: lambda device, request, log: log.read_event_counter(),
-        ReadCommEventLog: lambda device, request, log: log.read_event_log(),
-        Diagnostics: _diagnostics,
-        EncapsulatedTransport: _encapsulated_transport,
-        ReadDeviceIdentification: _read_device_identification,
-    }
-
-
-_RESTART = Diagnostics(SubFunction.RESTART_COMMUNICATIONS).encode()[:3]
-
-_SILENCING = (SubFunction.RESTART_COMMUNICATIONS, SubFunction.FORCE_LISTEN_ONLY)
-
-# Sub-function -> the data that it accepts; None for any. All others accept 0000.
-_DATA: dict[SubFunction, tuple[bytes, ...] | None] = {
-    SubFunction.RETURN_QUERY_DATA: None,
-    SubFunction.CHANGE_ASCII_DELIMITER: None,
-    SubFunction.RESTART_COMMUNICATIONS: (b"\0\0", b"\xff\0"),
-}
-
-# Sub-functions that echo their data, and their effects; a restart comes after its echo.
-_ACTIONS: dict[SubFunction, Callable[[Device, Diagnostics, EventLog], None]] = {
-    SubFunction.RETURN_QUERY_DATA: lambda device, request, log: None,
-    SubFunction.RESTART_COMMUNICATIONS: lambda device, request, log: None,
-    SubFunction.CHANGE_ASCII_DELIMITER: Device._change_delimiter,
-    SubFunction.FORCE_LISTEN_ONLY: lambda device, request, log: log.enter_listen_only(),
-    SubFunction.CLEAR_COUNTERS: Device._clear_counters,
-    SubFunction.CLEAR_OVERRUN: lambda device, request, log: log.clear_overrun(),
-}
-
 
 def _is_write(function: int) -> bool:
     """Return True if a broadcast with this function is executed."""
@@ -697,22 +549,3 @@ def _handler(
 ) -> Callable[[Device, Any, EventLog], Any]:
     measured = timed(f"the handler of {request.__name__}", handle)
     return lambda device, request, log: measured(request)
-
-
-def _checked_identification(given: MappingABC[Any, str | bytes]) -> dict[int, bytes]:
-    """Return object id -> value, in ascending order."""
-    numbers = {name: number for number, name in OBJECT_NAMES.items()}
-    objects: dict[int, bytes] = {}
-    for key, value in [*DEFAULT_IDENTIFICATION.items(), *given.items()]:
-        if isinstance(key, str) and key not in numbers:
-            raise ValueError(f"identification: {key!r} must be one of {', '.join(numbers)}")
-        number = numbers[key] if isinstance(key, str) else integer("object id", key, 0, 0xFF)
-        if 7 <= number < 0x80:
-            raise ValueError(f"identification: object ids 7..127 are reserved, such as {number}")
-        if not isinstance(value, str | bytes):
-            raise TypeError(f"identification[{key!r}] must be text or bytes, not {value!r}")
-        data = value.encode("ascii") if isinstance(value, str) else value
-        if len(data) > 244:
-            raise ValueError(f"identification[{key!r}] takes {len(data)} bytes, more than 244")
-        objects[number] = data
-    return dict(sorted(objects.items()))

@@ -13,7 +13,7 @@ from ..protocol.callbacks import checked_callback, finished
 from ..protocol.close_names import named_arguments
 from ..protocol.logs import HarmlessLogger
 from ..protocol.tables import TABLE_SIZE
-from .access import Access
+from .access import READABLE, Access
 from .ranges import checked_ranges, joined, touches
 
 __all__ = ["SLOW", "Hook", "HookCall", "places", "timed"]
@@ -33,8 +33,6 @@ EVERYTHING = (range(TABLE_SIZE),)
 
 # `Access.table` -> the argument of `Hook`, where they differ.
 NAMES = {"file": "files", "fifo": "fifos"}
-
-TABLES = ("coils", "discrete_inputs", "holding_registers", "input_registers", *NAMES)
 
 
 @named_arguments
@@ -127,7 +125,7 @@ def places(*listeners: HookCall | None) -> dict[str, tuple[range, ...]]:
     """Return the addresses that concern any of these hooks: ``{Access.table: ranges}``."""
     hooks = [each.hook for each in listeners if each is not None]
     return {
-        table: joined(each for hook in hooks for each in hook.in_table(table)) for table in TABLES
+        table: joined(each for hook in hooks for each in hook.in_table(table)) for table in READABLE
     }
 
 

@@ -16,25 +16,12 @@ from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.close_names import named_arguments
 from ..protocol.mistakes import Path, WrongType, WrongValue
-from ..protocol.tables import TABLE_SIZE
 from ..security.role import check_role
-from .access import ACCESSES, Access
+from .access import ACCESSES, READABLE, WRITABLE, Access
 from .authorization import Asked
 from .ranges import contains, joined
 
-__all__ = ["READABLE", "WRITABLE", "Allow", "Rules"]
-
-READABLE = {
-    "coils": TABLE_SIZE,
-    "discrete_inputs": TABLE_SIZE,
-    "holding_registers": TABLE_SIZE,
-    "input_registers": TABLE_SIZE,
-    "fifo": TABLE_SIZE,
-    "file": pdu.RECORDS_PER_FILE,
-}
-"""Table -> the number of its items; for "file", of each file."""
-
-WRITABLE = {table: READABLE[table] for table in ("coils", "holding_registers", "file")}
+__all__ = ["Allow", "Rules"]
 
 # The highest sub-function and MEI type.
 SUB_FUNCTIONS = {pdu.Diagnostics.function: 0xFFFF, pdu.EncapsulatedTransport.function: 0xFF}
@@ -105,9 +92,10 @@ class Allow:
         )
 
     def _allows_some(self, function: int) -> bool:
-        request = pdu.REQUESTS.get(function)
-        if request in ACCESSES:
-            return bool(self._writes if request.is_write else self._reads)
+        kind = ACCESSES.get(pdu.REQUESTS.get(function))  # type: ignore[arg-type]
+        if kind is not None:
+            reads, writes = self._reads.has_table(kind.reads), self._writes.has_table(kind.writes)
+            return (reads or not kind.reads) and (writes or not kind.writes)
         return self._codes is None or any(code == function for code, _ in self._codes)
 
 
@@ -167,8 +155,9 @@ class _Places:
                 runs[table, file].append(run)
         self._runs = {place: joined(found) for place, found in runs.items()}
 
-    def __bool__(self) -> bool:
-        return bool(self._whole or self._runs)
+    def has_table(self, table: str) -> bool:
+        """Return True if any item of a table is among them."""
+        return table in self._whole or any(table == each for each, _ in self._runs)
 
     def cover(self, access: Access) -> bool:
         """Return True if the ranges contain the whole access."""

@@ -37,10 +37,10 @@ from ..protocol.json_text import JSON, each_once
 from ..protocol.mistakes import Path, WrongType, WrongValue, inside
 from ..protocol.tables import TABLE_SIZE, TABLES
 from .access import Access
-from .auditing import values_at
+from .caller import values_at
+from .functions import RecordFile
 from .mapping import Mapping
 from .ranges import joined, touches
-from .record_file import RecordFile
 
 __all__ = [
     "fingerprint",

@@ -181,10 +181,16 @@ def test_sub_functions_and_mei_types(functions: list[str], data: bytes, expected
 @each_case(
     ("allow", "data", "expected"),
     [
-        (Allow(read=["coils"]), b"\x03\x00", 3),  # may read something: is told what is wrong
-        (Allow(read=["coils"]), b"\x06\x00", 1),
-        (Allow(write=["coils"]), b"\x06\x00", 3),
-        (Allow(write=["coils"]), b"\x03\x00", 1),
+        (Allow(read=["coils"]), b"\x01\x00", 3),  # may read some: is told what is wrong
+        (Allow(read=[Access("coils", 9, 1)]), b"\x01\x00", 3),
+        (Allow(read=["coils"]), b"\x03\x00", 1),  # may send no request of the function
+        (Allow(read=["coils"]), b"\x05\x00", 1),
+        (Allow(write=["coils"]), b"\x05\x00", 3),
+        (Allow(write=["coils"]), b"\x06\x00", 1),
+        (Allow(write=["coils"]), b"\x01\x00", 1),
+        (Allow(read=["holding_registers"]), b"\x17\x00", 1),
+        (Allow(write=["holding_registers"]), b"\x17\x00", 1),
+        (Allow(["holding_registers"], ["holding_registers"]), b"\x17\x00", 3),
         (Allow(functions=[17]), b"\x03\x00", 1),
         (Allow(functions=[17]), b"\x11\x00", 3),
         (Allow("all", "all"), b"\x11\x00", 1),

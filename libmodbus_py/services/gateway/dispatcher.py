@@ -8,9 +8,8 @@ import asyncio
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 
-from ...device.auditing import changes_of
 from ...device.authorization import Asked, Authorization, Authorize, UnauthorizedError
-from ...device.caller import Auditor, Caller, Executed
+from ...device.caller import Auditor, Caller, Executed, changes_of
 from ...device.device import Device
 from ...device.rules import Allow
 from ...ports.endpoint import Endpoint

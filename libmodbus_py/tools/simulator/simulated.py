@@ -10,12 +10,12 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 from ...device.access import Access
-from ...device.auditing import values_at
+from ...device.caller import values_at
 from ...device.device import Device
 from ...device.hooks import Hook
 from ...device.mapping import Mapping as Tables
 from ...device.named_values import known_point
-from ...device.point_index import RuledCells
+from ...device.point_rules import RuledCells
 from ...maps.bounds import has_bounds
 from ...maps.point import Point
 from ...maps.point_plan import sources_of

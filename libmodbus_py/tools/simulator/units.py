@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterator, Mapping
 from itertools import groupby
 from typing import Any
 
-from ...device.device import DEFAULT_SERVER_ID
+from ...device.functions import DEFAULT_SERVER_ID, RecordFile
 from ...device.mapping import Mapping as Tables
-from ...device.record_file import RecordFile
 from ...maps.point import Point
 from ...maps.point_plan import scale_mistakes
 from ...protocol.checks import integer
