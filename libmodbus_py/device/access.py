@@ -32,7 +32,10 @@ class Access:
             "fifo" or "file".
         address: the address of the first item, 0-based; the first record of a file.
         count: the number of items.
-        values: the values to write, or written; empty for reads.
+        values: the values to write, or written; empty for reads. They are the contents of the
+            cells: registers 0..65535 as on the wire, neither decoded nor scaled, also for points.
+            For points, ``device[name]`` is the value in `after_write`, and `Point.decode` decodes
+            registers.
         file: the number of the file; 0 for other tables.
         unit: the unit of the request.
         peer: the client: "192.0.2.7:51234", or the serial port.

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Mapping as MappingABC
 from dataclasses import replace
 from functools import cached_property, partial
+from importlib import import_module
 from typing import Any, Self, TypedDict, Unpack
 
 from ..maps.register_map import RegisterMap
@@ -40,7 +41,7 @@ from .access import ACCESSES, Access, Touched, touched
 from .authorization import Asked, Authorization, Authorize, UnauthorizedError
 from .caller import Auditor, Caller, answer_audited, values_at
 from .event_log import EventLog
-from .functions import DEFAULT_SERVER_ID, PythonFunctions
+from .functions import DEFAULT_SERVER_ID, PythonFunctions, Records
 from .hooks import Hook, HookCall, places, timed
 from .mapping import Mapping, Table
 from .named_values import check_points, known_point, set_values, value_of, zeros_for
@@ -65,7 +66,7 @@ NO_POINTS = RegisterMap(())
 class DeviceOptions(TypedDict, total=False):
     """The arguments of a `Device` besides its tables and points."""
 
-    files: MappingABC[int, Iterable[int] | MappingABC[int, int]] | None
+    files: MappingABC[int, Records] | None
     fifos: MappingABC[int, Sequence[int]] | None
     identification: MappingABC[str | int, str | bytes] | None
     server_id: ServerId
@@ -107,7 +108,8 @@ class Device(PythonFunctions):
 
     Args:
         mapping: the four tables.
-        files: ``{file number 1..65535: records}``, records as for `RecordFile`.
+        files: ``{file number 1..65535: records}``, records as for `RecordFile`, such as
+            ``{4: 100}`` for the records 0..99 of file 4, all 0.
         fifos: ``{pointer address 0..65535: registers}``, up to 31 in each.
         identification: ``{object: value}``; objects are names such as
             "VendorName" or ids 0..6, 128..255, values up to 244 bytes or ASCII
@@ -142,7 +144,7 @@ class Device(PythonFunctions):
         self,
         mapping: Mapping,
         *,
-        files: MappingABC[int, Iterable[int] | MappingABC[int, int]] | None = None,
+        files: MappingABC[int, Records] | None = None,
         fifos: MappingABC[int, Sequence[int]] | None = None,
         identification: MappingABC[str | int, str | bytes] | None = None,
         server_id: ServerId = DEFAULT_SERVER_ID,
@@ -204,7 +206,7 @@ class Device(PythonFunctions):
     @classmethod
     def of_map(
         cls,
-        map: RegisterMap,
+        map: RegisterMap | str | os.PathLike[str],
         values: MappingABC[str, Any] | None = None,
         **options: Unpack[DeviceOptions],
     ) -> Self:
@@ -212,7 +214,7 @@ class Device(PythonFunctions):
         Return a device that has the cells of all points of a map, and no others.
 
         Args:
-            map: the points, such as `load_map` returns.
+            map: the points, or the path of their file, which `load_map` reads.
             values: initial values by name, such as ``{"setpoint": 21.5}``; the cells of all other
                 points are 0.
             options: the other arguments of `Device`.
@@ -220,8 +222,13 @@ class Device(PythonFunctions):
         Raises:
             KeyError: the map has no such point.
             TypeError, ValueError: a value does not fit its point, or an argument is wrong.
+            FileError: a ValueError: the file cannot be read, or contains a mistake.
         """
-        device = cls(zeros_for(map), points=map, **options)
+        points: Any = map
+        if isinstance(map, str | os.PathLike):
+            # Files are read on a floor above, which a device needs for nothing else.
+            points = import_module("..tools.files.maps.map_file", __package__).load_map(map)
+        device = cls(zeros_for(points), points=points, **options)
         device.update(values or {})
         return device
 

@@ -4,6 +4,7 @@ The functions of a device that libmodbus lacks: files, queues, identification an
 
 from __future__ import annotations
 
+import reprlib
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from collections.abc import Mapping as MappingABC
@@ -14,6 +15,7 @@ from typing import Any, ClassVar
 from ..protocol.checks import integer
 from ..protocol.errors import IllegalDataAddress, IllegalDataValue, IllegalFunction
 from ..protocol.framing import delimiter_after
+from ..protocol.mistakes import WrongType, inside
 from ..protocol.pdu import (
     RECORDS_PER_FILE,
     Diagnostics,
@@ -46,6 +48,10 @@ DEFAULT_IDENTIFICATION: dict[str | int, str | bytes] = {
 }
 
 
+Records = int | Iterable[int] | MappingABC[int, int]
+"""The number of records, or their values."""
+
+
 class RecordFile:
     """
     One file: registers with record numbers 0..9999, not all of which need to exist.
@@ -54,14 +60,20 @@ class RecordFile:
     the records that exist, in ascending order.
 
     Args:
-        records: the values, 0..65535, from record 0 on, or ``{record: value}``.
+        records: the number of records, 0..10000, all 0; or the values, 0..65535, from record 0 on;
+            or ``{record: value}``.
 
     Raises:
         TypeError, ValueError: a record or value is out of range.
         IndexError: a record does not exist.
     """
 
-    def __init__(self, records: Iterable[int] | MappingABC[int, int]) -> None:
+    def __init__(self, records: Records) -> None:
+        if isinstance(records, int) and not isinstance(records, bool):
+            records = [0] * integer("records", records, 0, RECORDS_PER_FILE)
+        if not isinstance(records, Iterable) or isinstance(records, str):
+            expected = "a number of records, a list of values or {record: value}"
+            raise WrongType("records", f"must be {expected}, not {reprlib.repr(records)}")
         if not isinstance(records, MappingABC):
             records = dict(enumerate(records))
         numbers = [integer("record", record, 0, RECORDS_PER_FILE - 1) for record in records]
@@ -116,21 +128,23 @@ class PythonFunctions:
 
     def __init__(
         self,
-        files: MappingABC[int, Iterable[int] | MappingABC[int, int]] | None,
+        files: MappingABC[int, Records] | None,
         fifos: MappingABC[int, Sequence[int]] | None,
         identification: MappingABC[str | int, str | bytes] | None,
         server_id: ServerId,
         exception_status: int,
         canopen: Callable[[bytes], bytes] | None,
     ) -> None:
-        self.files: dict[int, RecordFile] = {
-            integer("file", number, 1, 0xFFFF): RecordFile(records)
-            for number, records in (files or {}).items()
-        }
-        self.fifos: dict[int, list[int]] = {
-            integer("fifo", address, 0, 0xFFFF): list(queue)
-            for address, queue in (fifos or {}).items()
-        }
+        self.files: dict[int, RecordFile] = {}
+        for number, records in _items("files", "{file number: records}", files):
+            with inside("files", number):
+                self.files[integer((), number, 1, 0xFFFF)] = RecordFile(records)
+        self.fifos: dict[int, list[int]] = {}
+        for address, queue in _items("fifos", "{pointer address: registers}", fifos):
+            if not isinstance(queue, Iterable):
+                expected = f"must be a list of registers, not {reprlib.repr(queue)}"
+                raise WrongType(("fifos", address), expected)
+            self.fifos[integer("fifo", address, 0, 0xFFFF)] = list(queue)
         self.server_id = server_id
         self.exception_status: int = integer("exception_status", exception_status, 0, 0xFF)
         self.diagnostic_register: int = 0
@@ -244,6 +258,12 @@ _ACTIONS: dict[SubFunction, Callable[[PythonFunctions, Diagnostics, EventLog], N
     SubFunction.CLEAR_COUNTERS: PythonFunctions._clear_counters,
     SubFunction.CLEAR_OVERRUN: lambda device, request, log: log.clear_overrun(),
 }
+
+
+def _items(name: str, expected: str, given: Any) -> Iterable[tuple[Any, Any]]:
+    if given is not None and not isinstance(given, MappingABC):
+        raise WrongType(name, f"must be {expected}, not {reprlib.repr(given)}")
+    return (given or {}).items()
 
 
 def _checked_identification(given: MappingABC[Any, str | bytes]) -> dict[int, bytes]:

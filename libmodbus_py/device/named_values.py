@@ -56,7 +56,7 @@ def zeros_for(map: object) -> Mapping:
         TypeError: the argument is not a RegisterMap.
     """
     if not isinstance(map, RegisterMap):
-        raise WrongType("map", f"must be a RegisterMap, not {type(map).__name__}")
+        raise WrongType("map", f"must be a RegisterMap or a path, not {type(map).__name__}")
     places: dict[str, list[range]] = {table: [] for table in TABLES}
     for point in map.values():
         places[point.table].append(point.cells)

@@ -5,6 +5,7 @@ Names of points on a device: values read and set by name, all of them or none.
 from __future__ import annotations
 
 import threading
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -106,7 +107,6 @@ def test_points_beside_a_mapping_of_the_program() -> None:
     "make",
     [
         lambda: Device.of_map({"mode": MAP["mode"]}),  # type: ignore[arg-type]
-        lambda: Device.of_map("meter.csv"),  # type: ignore[arg-type]
         lambda: Device(Mapping(coils=8), points=[MAP["run"]]),  # type: ignore[arg-type]
         lambda: Device.of_map(MAP, [("mode", 1)]),  # type: ignore[arg-type]
     ],
@@ -176,3 +176,18 @@ def test_other_threads_see_all_changes_of_an_update_or_none() -> None:
     is_done.set()
     thread.join()
     assert torn == []
+
+
+def test_a_device_of_the_path_of_a_map(tmp_path: Path) -> None:
+    path = tmp_path / "boiler.csv"
+    path.write_text("name,table,address,scale\nsetpoint,holding,3,0.1\n")
+    for given in (path, str(path)):
+        device = Device.of_map(given, {"setpoint": 21.5})
+        assert device.mapping.holding_registers[3] == 215
+        assert device.mapping.holding_registers.ranges == (range(3, 4),)
+    path.write_text("name,table\n")
+    with pytest.raises(ValueError, match=r"boiler.csv, line 1: "):
+        Device.of_map(path)
+    for wrong in (5, b"boiler.csv", None):
+        with pytest.raises(TypeError, match="map must be a RegisterMap or a path, not "):
+            Device.of_map(wrong)  # type: ignore[arg-type]

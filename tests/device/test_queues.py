@@ -67,3 +67,12 @@ class TestQueues:
         device = Device(Mapping(), fifos={0: given})
         given.append(2)
         assert device.fifos[0] == [1]
+
+
+@each_case(
+    ("fifos", "message"),
+    [({1: 5}, r"fifos\[1\] must be a list of registers, not 5"), ([1], "fifos must be {pointer ")],
+)
+def test_wrong_queues_are_refused_in_words(fifos: Any, message: str) -> None:
+    with pytest.raises(TypeError, match=message):
+        Device(Mapping(), fifos=fifos)

@@ -84,28 +84,6 @@ class TestFiles:
         assert list(RecordFile([5, 6])) == [5, 6]
         assert list(RecordFile([])) == list(RecordFile({})) == []
 
-    @each_case(
-        ("files", "error", "name"),
-        [
-            ({0: []}, ValueError, "file"),
-            ({65536: []}, ValueError, "file"),
-            ({"1": []}, TypeError, "file"),
-            ({1: {-1: 0}}, ValueError, "record"),
-            ({1: {10_000: 0}}, ValueError, "record"),
-            ({1: {"1": 0}}, TypeError, "record"),
-            ({1: [0] * 10_001}, ValueError, "record"),
-            ({1: [65536]}, ValueError, "value"),
-            ({1: [-1]}, ValueError, "value"),
-            ({1: [None]}, TypeError, "value"),
-        ],
-        ids=lambda value: str(value)[:30],
-    )
-    def test_bad_files_are_refused_by_name(
-        self, files: Any, error: type[Exception], name: str
-    ) -> None:
-        with pytest.raises(error, match=f"^{name} must be "):
-            Device(Mapping(), files=files)
-
     def test_mapping_must_be_one(self) -> None:
         for bad in (None, {}, 5):
             with pytest.raises(TypeError, match="mapping must be a Mapping"):
@@ -115,3 +93,37 @@ class TestFiles:
         mapping = Mapping(holding_registers=1)
         Device(mapping).answer(b"\x06" + words(0, 5))
         assert Device(mapping).answer(b"\x03" + words(0, 1)) == b"\x03\2\0\5"
+
+
+@each_case(
+    ("files", "error", "message"),
+    [
+        ({0: []}, ValueError, r"files\[0\] must be in 1..65535, not 0"),
+        ({65536: []}, ValueError, r"files\[65536\] must be in 1..65535"),
+        ({"1": []}, TypeError, "files.1 must be an integer in 1..65535, not str"),
+        ({1: {-1: 0}}, ValueError, r"files\[1\].record must be in 0..9999, not -1"),
+        ({1: {10_000: 0}}, ValueError, r"files\[1\].record must be in 0..9999, not 10000"),
+        ({1: {"1": 0}}, TypeError, r"files\[1\].record must be"),
+        ({1: [0] * 10_001}, ValueError, r"files\[1\].record must be in 0..9999, not 10000"),
+        ({1: [65536]}, ValueError, r"files\[1\].value must be in 0..65535, not 65536"),
+        ({1: [-1]}, ValueError, r"files\[1\].value must be in"),
+        ({1: [None]}, TypeError, r"files\[1\].value must be"),
+        ({1: 10_001}, ValueError, r"files\[1\].records must be in 0..10000, not 10001"),
+        ({1: -1}, ValueError, r"files\[1\].records must be in 0..10000, not -1"),
+        ({1: True}, TypeError, r"files\[1\].records must be a number of records, .*, not True"),
+        ({1: 1.5}, TypeError, r"files\[1\].records must be a number of records, .*, not 1.5"),
+        ({1: "12"}, TypeError, r"files\[1\].records must be a number of records, .*, not '12'"),
+        ([1], TypeError, r"files must be {file number: records}, not \[1\]"),
+    ],
+    ids=lambda value: str(value)[:30],
+)
+def test_wrong_files_are_refused_in_words(files: Any, error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=f"^{message}"):
+        Device(Mapping(), files=files)
+
+
+def test_a_number_of_records() -> None:
+    device = Device(Mapping(), files={4: 100, 5: 0})
+    assert list(device.files[4]) == [0] * 100
+    assert not device.files[4].has(100, 1)
+    assert list(device.files[5]) == []
