@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable
 from collections.abc import Mapping as MappingABC
 from typing import NamedTuple
 
-from ..maps.bounds import check_cells, has_bounds
 from ..maps.point import Point
+from ..maps.writing import check_cells, has_bounds
 from ..protocol.errors import IllegalDataAddress, IllegalDataValue
 from ..protocol.tables import TABLES
 from .access import WRITABLE, Access, Touched

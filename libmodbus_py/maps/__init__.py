@@ -8,7 +8,6 @@ The registers of a device, by name, and the requests that read and write them. N
     point_checks   the checks of its arguments
     meaning        cells to values and back: no value, states, bits, parts: Meaning, Judged, NoValue
     scaling        conversion of raw numbers to scaled ones, and back
-    bounds         minimum and maximum of values that a client wrote
     plan           few requests of many reads: Plan, Read
     point_plan     the same for points, and for points that scale them: PointPlan
     holes          the items that a device refuses, found by halving

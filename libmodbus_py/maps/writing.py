@@ -4,15 +4,21 @@ Few requests that write values to points; all values are checked before the firs
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import contextlib
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from ..protocol import pdu
+from ..protocol.mistakes import WrongValue
 from ..protocol.tables import TABLES
 from .point import Point
 
-__all__ = ["Encoded", "check_overlaps", "encoded_change", "write_requests"]
+# fmt: off
+__all__ = [
+    "Encoded", "check_cells", "check_overlaps", "encoded_change", "has_bounds", "write_requests",
+]
+# fmt: on
 
 # Table -> the requests that write one cell, and several.
 _WRITES: dict[str, tuple[Any, Any]] = {
@@ -165,3 +171,52 @@ def check_overlaps(encoded: Iterable[Encoded]) -> None:
                     f"{first} and {point.name} share {point.table} {address}: write one of them"
                 )
             taken[point.table, address] = before | mask, first
+
+
+def has_bounds(point: Point) -> bool:
+    """Return True if a point has a minimum or a maximum."""
+    return point.minimum is not None or point.maximum is not None
+
+
+def check_cells(point: Point, cells: Sequence[Any], *, source: Any = None) -> None:
+    """
+    Check the values in the cells of a point, which someone else has encoded, against its bounds.
+
+    The nearest value to a bound that the type has is within it: 0.1 as a float32 is not above 0.1.
+
+    Args:
+        source: the value of the point that scales this one.
+
+    Raises:
+        ValueError: a value is outside, is not a number, or the cells hold none; the message names
+            the point and the bounds. Or `source` is not a scale.
+    """
+    if not has_bounds(point):
+        return
+    scaling = point.scaling_for(source)
+    try:
+        for value in point.values_in(cells, scaling):
+            if value is None:
+                raise WrongValue("value", "must not be the raw value that means no value")
+            _check_value(point, value)
+    except ValueError as error:
+        raise WrongValue.about(point.name, str(error)) from None
+
+
+def _check_value(point: Point, value: Any) -> None:
+    try:
+        point.check_bounds(value)
+    except ValueError:
+        # Integers hold a bound, or it lies between two of them; so do those that another point
+        # scales.
+        if point.step or point.scale_from is not None or not _is_bound(point, value):
+            raise
+
+
+def _is_bound(point: Point, value: Any) -> bool:
+    """Return True if cells with a bound hold this value."""
+    for bound in (point.minimum, point.maximum):
+        with contextlib.suppress(ValueError):  # cells cannot hold every bound
+            if bound is not None and value in point.values_in(point.cells_for([bound])):
+                return True
+    return False

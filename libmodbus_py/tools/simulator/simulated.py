@@ -16,10 +16,10 @@ from ...device.hooks import Hook
 from ...device.mapping import Mapping as Tables
 from ...device.named_values import known_point
 from ...device.point_rules import RuledCells
-from ...maps.bounds import has_bounds
 from ...maps.point import Point
 from ...maps.point_plan import sources_of
 from ...maps.register_map import RegisterMap
+from ...maps.writing import has_bounds
 from ...protocol.mistakes import WrongValue
 from ...protocol.tables import TABLES
 from ..faults.fault import Fault
