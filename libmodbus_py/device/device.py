@@ -39,12 +39,19 @@ from ..protocol.pdu import (
 )
 from .access import ACCESSES, Access, Touched, touched
 from .authorization import Asked, Authorization, Authorize, UnauthorizedError
-from .caller import Auditor, Caller, answer_audited, values_at
+from .caller import Caller, answer_audited, values_at
 from .event_log import EventLog
 from .functions import DEFAULT_SERVER_ID, PythonFunctions, Records
 from .hooks import Hook, HookCall, places, timed
 from .mapping import Mapping, Table
-from .named_values import check_points, known_point, set_values, value_of, zeros_for
+from .named_values import (
+    cells_after,
+    check_points,
+    known_point,
+    set_values,
+    source_after,
+    zeros_for,
+)
 from .point_rules import PointIndex, PointRules, RuledCells
 from .ranges import joined, without
 from .reply import Answered, Watched, answer_in_c, make_tally, reply
@@ -247,7 +254,8 @@ class Device(PythonFunctions):
         """
         point = known_point(self.points, name)
         with self.mapping.lock:
-            return value_of(self.mapping, self.points, point)
+            source = source_after(point, self.points, self.mapping)
+            return point.decode(cells_after(point, self.mapping), source=source)
 
     def __setitem__(self, name: str, value: Any) -> None:
         """
@@ -329,12 +337,7 @@ class Device(PythonFunctions):
         listening = log.listen_only
         restart = pdu[:3] == _RESTART and not caller.is_broadcast
         ignored = (listening and not restart) or (caller.is_broadcast and not _is_write(function))
-        if ignored:
-            response = b""
-        elif caller.auditor is None:
-            response = self._respond(pdu, log, caller)
-        else:
-            response = self._respond_audited(pdu, log, caller, caller.auditor)
+        response = b"" if ignored else self._respond_audited(pdu, log, caller)
         silent = caller.is_broadcast or listening or log.listen_only
         log.note_response(pdu, response, silent=silent)
         if restart and response[:1] == pdu[:1]:
@@ -407,13 +410,18 @@ class Device(PythonFunctions):
                 tally.requests = tally.refused = 0
         return self._log
 
-    def _respond_audited(
-        self, pdu: bytes, log: EventLog, caller: Caller, auditor: Auditor
-    ) -> bytes:
+    def _respond_audited(self, pdu: bytes, log: EventLog, caller: Caller) -> bytes:
         respond = partial(self._respond, pdu, log, caller)
-        has_rules = self._guard is not None
+        if caller.auditor is None:
+            return respond()
         return answer_audited(
-            pdu, caller, auditor, self.mapping, self.files, respond, has_rules=has_rules
+            pdu,
+            caller,
+            caller.auditor,
+            self.mapping,
+            self.files,
+            respond,
+            has_rules=self._guard is not None,
         )
 
     def _respond(self, pdu: bytes, log: EventLog, caller: Caller) -> bytes:

@@ -4,7 +4,6 @@ Values of a device by the names of its points: read, and set all or none.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from collections.abc import Mapping as MappingABC
 from typing import Any
 
@@ -14,14 +13,13 @@ from ..maps.register_map import RegisterMap, close_to
 from ..maps.writing import Encoded, check_overlaps, encoded_change
 from ..protocol.mistakes import WrongType, WrongValue
 from ..protocol.tables import TABLES
-from .access import Access
 from .mapping import Mapping
 from .ranges import joined
 
 # fmt: off
 __all__ = [
     "Written", "cells_after", "check_points", "known_point", "set_values", "source_after",
-    "value_of", "written_by", "zeros_for",
+    "zeros_for",
 ]
 # fmt: on
 
@@ -73,28 +71,6 @@ def known_point(points: MappingABC[str, Point], name: object) -> Point:
     if isinstance(name, str) and name in points:
         return points[name]
     raise KeyError(f"the device has no point {name!r}{close_to(name, points)}")
-
-
-def value_of(mapping: Mapping, points: MappingABC[str, Point], point: Point) -> Any:
-    """
-    Return the value of a point; None for no value.
-
-    Args:
-        points: all points of the device, by name, with those that scale others.
-
-    Raises:
-        ValueError: its cells hold no value of its type.
-    """
-    return point.decode(cells_after(point, mapping), source=source_after(point, points, mapping))
-
-
-def written_by(writes: Iterable[Access]) -> Written:
-    """Return what the accesses of a request write."""
-    return {
-        (write.table, address): value
-        for write in writes
-        for address, value in enumerate(write.values, write.address)
-    }
 
 
 def cells_after(point: Point, mapping: Mapping, written: Written = NOTHING) -> list[Any]:
@@ -161,30 +137,15 @@ def set_values(
     written: dict[tuple[str, int], Any] = {}
     for name in dict.fromkeys([*scales, *changed]):
         point = changed[name]
-        source = source_after(point, points, mapping, written)
-        encoded.append(encoded_change(point, values[name], source))
-        if name in scales:
-            written.update(_places(encoded[-1], mapping, written))
+        change = encoded_change(point, values[name], source_after(point, points, mapping, written))
+        encoded.append(change)
+        cells = change.cells
+        if change.masks is not None:  # all other bits stay as they are
+            before = cells_after(point, mapping, written)
+            parts = zip(before, change.masks, cells, strict=True)
+            cells = [old & ~mask | bits for old, mask, bits in parts]
+        written |= {(point.table, at): cell for at, cell in zip(point.cells, cells, strict=True)}
     check_overlaps(encoded)
-    for change in encoded:
-        cells = change.point.cells
-        getattr(mapping, change.point.table)[cells.start : cells.stop] = _cells(change, mapping)
-
-
-def _cells(change: Encoded, mapping: Mapping, written: Written = NOTHING) -> list[Any]:
-    """Return all cells of a point with a new value, with the bits that it leaves alone."""
-    point, cells, masks = change
-    if masks is None:
-        return cells
-    before = cells_after(point, mapping, written)
-    pairs = zip(before, masks, strict=True)
-    return [kept & ~mask | bits for (kept, mask), bits in zip(pairs, cells, strict=True)]
-
-
-def _places(
-    change: Encoded, mapping: Mapping, written: Written
-) -> Iterator[tuple[tuple[str, int], Any]]:
-    """Yield the places that the new value of a point takes, with their contents."""
-    cells = _cells(change, mapping, written)
-    for address, cell in zip(change.point.cells, cells, strict=True):
-        yield (change.point.table, address), cell
+    for point in changed.values():
+        table, cells = getattr(mapping, point.table), cells_after(point, mapping, written)
+        table[point.cells.start : point.cells.stop] = cells

@@ -16,7 +16,7 @@ from ..protocol.errors import IllegalDataAddress, IllegalDataValue
 from ..protocol.tables import TABLES
 from .access import WRITABLE, Access, Touched
 from .mapping import Mapping
-from .named_values import Written, cells_after, source_after, written_by
+from .named_values import cells_after, source_after
 from .ranges import joined, touches, without
 
 __all__ = ["PointIndex", "PointRules", "RuledCells"]
@@ -129,17 +129,18 @@ class PointRules:
         bounded = [point for each in touched.writes for point in self._bounded.touched(each)]
         if not bounded:
             return
-        written = written_by(touched.writes)
+        # A request may write only some of the cells of a point.
+        written = {
+            (write.table, address): value
+            for write in touched.writes
+            for address, value in enumerate(write.values, write.address)
+        }
         try:
             for point in bounded:
-                self._check_bounds(point, written, mapping)
+                source = source_after(point, self._points(), mapping, written)
+                check_cells(point, cells_after(point, mapping, written), source=source)
         except ValueError as error:
             raise IllegalDataValue(str(error)) from None
-
-    def _check_bounds(self, point: Point, written: Written, mapping: Mapping) -> None:
-        """Check the value that a point will have; a request may write only some of its cells."""
-        source = source_after(point, self._points(), mapping, written)
-        check_cells(point, cells_after(point, mapping, written), source=source)
 
 
 def _check(refused: dict[Place, Ranges], access: Access, verb: str) -> None:

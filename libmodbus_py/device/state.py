@@ -57,7 +57,7 @@ EVERY = "every"
 """The name of the unit of a device that answers every unit."""
 
 # Cells that are compared at once: most of them are equal.
-BLOCK_CELLS = 64
+BLOCK_CELLS = 256
 
 # The end of the name of a temporary file.
 TEMPORARY = ".new"
@@ -90,11 +90,11 @@ Devices = MappingABC[int | None, Device]
 
 
 def fingerprint(device: Device) -> bytes:
-    """Return a digest that is another one when a value has changed."""
+    """Return a digest of all values, so that only changed ones are encoded."""
     found = hashlib.blake2b(digest_size=16, usedforsecurity=False)
     with device.mapping as mapping:
-        for table in TABLES:
-            found.update(getattr(mapping, table).view)
+        for view in [getattr(mapping, table).view for table in TABLES]:
+            found.update(view)
         for file in device.files.values():
             found.update(file.view)
     return found.digest()
