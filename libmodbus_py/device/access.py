@@ -4,7 +4,7 @@ Accesses: the tables, addresses and values that a request reads and writes, for 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -73,88 +73,62 @@ class TouchRule(NamedTuple):
     The accesses of the requests of one class.
 
     Attributes:
-        find: returns the accesses of a request.
         reads, writes: the table (`Access.table`) that they read or write; "" for none.
+        read: returns file, address and count of each range that a request reads.
+        written: returns file, address and values of each range that a request writes.
     """
 
-    find: Callable[[Any, Mapping, Who], Touched]
     reads: str = ""
     writes: str = ""
+    read: Callable[[Any], Iterable[tuple[int, int, int]]] = lambda request: [
+        (0, request.address, request.count)
+    ]
+    written: Callable[[Any, Mapping], Iterable[tuple[int, int, tuple[Any, ...]]]] = (
+        lambda request, mapping: [(0, request.address, request.values)]
+    )
+
+    def find(self, request: Any, mapping: Mapping, who: Who) -> Touched:
+        """Return the accesses of a request, with this unit, peer and role."""
+        written = self.written(request, mapping) if self.writes else ()
+        read = self.read(request) if self.reads else ()
+        return Touched(
+            tuple(Access(self.writes, at, len(new), new, file, *who) for file, at, new in written),
+            tuple(Access(self.reads, at, count, (), file, *who) for file, at, count in read),
+        )
 
 
-def _reads(table: str) -> TouchRule:
-    def find(request: Any, _: Mapping, who: Who) -> Touched:
-        return Touched((), (Access(table, request.address, request.count, (), 0, *who),))
-
-    return TouchRule(find, reads=table)
+def _one_written(request: Any, _: Mapping) -> list[tuple[int, int, tuple[Any, ...]]]:
+    return [(0, request.address, (request.value,))]
 
 
-def _write(table: str) -> TouchRule:
-    def find(request: Any, _: Mapping, who: Who) -> Touched:
-        return Touched((Access(table, request.address, 1, (request.value,), 0, *who),))
-
-    return TouchRule(find, writes=table)
-
-
-def _writes(table: str) -> TouchRule:
-    def find(request: Any, _: Mapping, who: Who) -> Touched:
-        values = request.values
-        return Touched((Access(table, request.address, len(values), values, 0, *who),))
-
-    return TouchRule(find, writes=table)
-
-
-def _mask_write(request: pdu.MaskWriteRegister, mapping: Mapping, who: Who) -> Touched:
+def _masked(
+    request: pdu.MaskWriteRegister, mapping: Mapping
+) -> list[tuple[int, int, tuple[Any, ...]]]:
     registers = mapping.holding_registers
     current = registers[request.address] if registers.has(request.address) else 0
     value = current & request.and_mask | request.or_mask & ~request.and_mask & 0xFFFF
-    return Touched((Access("holding_registers", request.address, 1, (value,), 0, *who),))
-
-
-def _read_write(request: pdu.ReadWriteRegisters, _: Mapping, who: Who) -> Touched:
-    table, values = "holding_registers", request.values
-    return Touched(
-        (Access(table, request.write_address, len(values), values, 0, *who),),
-        (Access(table, request.read_address, request.read_count, (), 0, *who),),
-    )
-
-
-def _read_files(request: pdu.ReadFileRecords, _: Mapping, who: Who) -> Touched:
-    return Touched(
-        reads=tuple(
-            Access("file", record, length, (), file, *who)
-            for file, record, length in request.records
-        )
-    )
-
-
-def _write_files(request: pdu.WriteFileRecords, _: Mapping, who: Who) -> Touched:
-    return Touched(
-        tuple(
-            Access("file", record, len(values), values, file, *who)
-            for file, record, values in request.records
-        )
-    )
-
-
-def _read_fifo(request: pdu.ReadFifoQueue, _: Mapping, who: Who) -> Touched:
-    return Touched(reads=(Access("fifo", request.address, 1, (), 0, *who),))
+    return [(0, request.address, (value,))]
 
 
 ACCESSES: dict[type[pdu.Request[Any]], TouchRule] = {
-    pdu.ReadCoils: _reads("coils"),
-    pdu.ReadDiscreteInputs: _reads("discrete_inputs"),
-    pdu.ReadHoldingRegisters: _reads("holding_registers"),
-    pdu.ReadInputRegisters: _reads("input_registers"),
-    pdu.WriteCoil: _write("coils"),
-    pdu.WriteRegister: _write("holding_registers"),
-    pdu.WriteCoils: _writes("coils"),
-    pdu.WriteRegisters: _writes("holding_registers"),
-    pdu.MaskWriteRegister: TouchRule(_mask_write, writes="holding_registers"),
-    pdu.ReadWriteRegisters: TouchRule(_read_write, "holding_registers", "holding_registers"),
-    pdu.ReadFileRecords: TouchRule(_read_files, reads="file"),
-    pdu.WriteFileRecords: TouchRule(_write_files, writes="file"),
-    pdu.ReadFifoQueue: TouchRule(_read_fifo, reads="fifo"),
+    pdu.ReadCoils: TouchRule("coils"),
+    pdu.ReadDiscreteInputs: TouchRule("discrete_inputs"),
+    pdu.ReadHoldingRegisters: TouchRule("holding_registers"),
+    pdu.ReadInputRegisters: TouchRule("input_registers"),
+    pdu.WriteCoil: TouchRule(writes="coils", written=_one_written),
+    pdu.WriteRegister: TouchRule(writes="holding_registers", written=_one_written),
+    pdu.WriteCoils: TouchRule(writes="coils"),
+    pdu.WriteRegisters: TouchRule(writes="holding_registers"),
+    pdu.MaskWriteRegister: TouchRule(writes="holding_registers", written=_masked),
+    pdu.ReadWriteRegisters: TouchRule(
+        "holding_registers",
+        "holding_registers",
+        lambda request: [(0, request.read_address, request.read_count)],
+        lambda request, mapping: [(0, request.write_address, request.values)],
+    ),
+    pdu.ReadFileRecords: TouchRule("file", read=lambda request: request.records),
+    pdu.WriteFileRecords: TouchRule(writes="file", written=lambda request, _: request.records),
+    pdu.ReadFifoQueue: TouchRule("fifo", read=lambda request: [(0, request.address, 1)]),
 }
 """Request class -> the rule for the accesses of its requests."""
 

@@ -106,7 +106,6 @@ class Auditor(Protocol):
 def answer_audited(
     pdu: bytes,
     caller: Caller,
-    auditor: Auditor,
     mapping: Mapping,
     files: MappingABC[int, RecordFile],
     respond: Callable[[], bytes],
@@ -117,9 +116,12 @@ def answer_audited(
     Execute a request, and record it if it changes the device or is not allowed.
 
     Args:
+        caller: the origin of the request, with an auditor.
         respond: executes the request and returns the response PDU.
         has_rules: True if exception 1 may mean that the client has no right.
     """
+    auditor = caller.auditor
+    assert auditor is not None
     try:
         request = decode_request(pdu)
     except Exception:

@@ -411,18 +411,10 @@ class Device(PythonFunctions):
         return self._log
 
     def _respond_audited(self, pdu: bytes, log: EventLog, caller: Caller) -> bytes:
-        respond = partial(self._respond, pdu, log, caller)
         if caller.auditor is None:
-            return respond()
-        return answer_audited(
-            pdu,
-            caller,
-            caller.auditor,
-            self.mapping,
-            self.files,
-            respond,
-            has_rules=self._guard is not None,
-        )
+            return self._respond(pdu, log, caller)
+        respond, has_rules = partial(self._respond, pdu, log, caller), self._guard is not None
+        return answer_audited(pdu, caller, self.mapping, self.files, respond, has_rules=has_rules)
 
     def _respond(self, pdu: bytes, log: EventLog, caller: Caller) -> bytes:
         try:
@@ -468,7 +460,7 @@ class Device(PythonFunctions):
             if self._guard is not None:
                 self._authorize(request.function, request, caller)
             if find is not None:
-                touched = find(request, self.mapping, (caller.unit, caller.peer, caller.role))
+                touched = find(request, self.mapping, caller.who)
                 for access in touched.writes + touched.reads:
                     self._check_exists(access)
                 if self._has_rules:

@@ -113,15 +113,6 @@ class EventLog:
         own._events, own._counters = self._events, self._counters
         return own
 
-    @property
-    def event_count(self) -> int:
-        """Exchanges completed, 0..65535 (function 11)."""
-        return self._counters[EVENT_COUNT]
-
-    @event_count.setter
-    def event_count(self, value: int) -> None:
-        self._counters[EVENT_COUNT] = value
-
     # --- what happens on the line --------------------------------------------------------
 
     def note_frame(self) -> None:
@@ -221,9 +212,9 @@ class EventLog:
 
     def read_event_counter(self) -> CommEventCounter:
         """Answer function 11; no program command ever runs here, so the status is 0."""
-        return CommEventCounter(0, self.event_count)
+        return CommEventCounter(0, self._counters[EVENT_COUNT])
 
     def read_event_log(self) -> CommEventLog:
         """Function 12."""
         messages = self._counters[SubFunction.BUS_MESSAGE_COUNT]
-        return CommEventLog(0, self.event_count, messages, bytes(self._events))
+        return CommEventLog(0, self._counters[EVENT_COUNT], messages, bytes(self._events))

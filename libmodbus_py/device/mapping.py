@@ -305,6 +305,10 @@ class Mapping:
         self.discrete_inputs = BitTable("discrete_inputs", discrete_inputs, self.lock)
         self.holding_registers = RegisterTable("holding_registers", holding_registers, self.lock)
         self.input_registers = RegisterTable("input_registers", input_registers, self.lock)
+        self._tables: tuple[Table[Any], ...] = (
+            *(self.coils, self.discrete_inputs),
+            *(self.holding_registers, self.input_registers),
+        )
         self._struct = self._make_struct()
         _mappings.add(self)
 
@@ -316,8 +320,7 @@ class Mapping:
         self.lock.release()
 
     def __repr__(self) -> str:
-        tables = (self.coils, self.discrete_inputs, self.holding_registers, self.input_registers)
-        return f"Mapping({', '.join(repr(table) for table in tables)})"
+        return f"Mapping({', '.join(map(repr, self._tables))})"
 
     def _renew_lock(self) -> None:
         """Free the lock in a forked child, where a thread that held it does not exist."""
@@ -325,12 +328,7 @@ class Mapping:
             self.lock.release()
             return
         self.lock = threading.RLock()
-        for table in (
-            self.coils,
-            self.discrete_inputs,
-            self.holding_registers,
-            self.input_registers,
-        ):
+        for table in self._tables:
             table._lock = self.lock
 
     def _make_struct(self) -> Any:

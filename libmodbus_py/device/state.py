@@ -28,7 +28,7 @@ from array import array
 from collections.abc import Iterable, Iterator
 from collections.abc import Mapping as MappingABC
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from ..maps.point import Point
 from ..maps.register_map import RegisterMap
@@ -42,14 +42,11 @@ from .functions import RecordFile
 from .mapping import Mapping
 from .ranges import joined, touches
 
+# fmt: off
 __all__ = [
-    "fingerprint",
-    "load_state",
-    "read_text",
-    "remove_leftovers",
-    "replace_file",
-    "state_text",
+    "fingerprint", "load_state", "read_text", "remove_leftovers", "replace_file", "state_text",
 ]
+# fmt: on
 
 KIND, VERSION = "state", 1
 
@@ -100,27 +97,28 @@ def fingerprint(device: Device) -> bytes:
     return found.digest()
 
 
-def _cells(device: Device) -> dict[Place, tuple[int, array[int]]]:
-    """Return the first address and a copy of the cells of each table and file."""
-    found: dict[Place, tuple[int, array[int]]] = {}
-    for name in TABLES:
-        table = getattr(device.mapping, name)
-        found[name, 0] = table.addresses.start, array(table.typecode, bytes(table.view))
-    for number, file in device.files.items():
-        found["file", number] = 0, array("H", bytes(file.view))
-    return found
+class _Cells(NamedTuple):
+    """The present and the first values of a table or file, and the first address."""
+
+    start: int
+    present: array[int]
+    first: array[int]
 
 
-def _first_cells(
-    device: Device, cells: MappingABC[Place, tuple[int, array[int]]]
-) -> dict[Place, array[int]]:
-    """Return the first values of the same cells."""
+def _cells(device: Device) -> dict[Place, _Cells]:
+    """Return copies of all values. Hold the mapping's lock."""
+    tables = {(name, 0): getattr(device.mapping, name) for name in TABLES}
+    copies = {place: (each.addresses.start, each.view) for place, each in tables.items()}
+    copies |= {("file", number): (0, file.view) for number, file in device.files.items()}
     found = {
-        place: array(own.typecode, bytes(len(own) * own.itemsize))
-        for place, (_, own) in cells.items()
+        place: _Cells(
+            start, array(view.format, bytes(view)), array(view.format, bytes(view.nbytes))
+        )
+        for place, (start, view) in copies.items()
     }
     for each in device.first_values():
-        _put(found[each.table, each.file], cells[each.table, each.file][0], each)
+        start, _, first = found[each.table, each.file]
+        _put(first, start, each)
     return found
 
 
@@ -157,11 +155,10 @@ def _written(device: Device) -> list[Access]:
     """Return the values that are not the first ones, of one moment."""
     with device.mapping:
         cells = _cells(device)
-        first = _first_cells(device, cells)
     return [
         run
-        for place, (start, own) in cells.items()
-        for run in _differences(place, start, own, first[place])
+        for place, (start, present, first) in cells.items()
+        for run in _differences(place, start, present, first)
     ]
 
 
@@ -169,13 +166,12 @@ def _set_values(device: Device, values: Iterable[Access]) -> None:
     """Set these values, and all others to the first ones."""
     with device.mapping:
         cells = _cells(device)
-        wanted = _first_cells(device, cells)
         for each in values:
-            place = each.table, each.file
-            _put(wanted[place], cells[place][0], each)
+            start, _, wanted = cells[each.table, each.file]
+            _put(wanted, start, each)
         # Equal cells are not written, because untouched pages of zeros take no memory.
-        for place, (start, own) in cells.items():
-            for run in _differences(place, start, wanted[place], own):
+        for place, (start, present, wanted) in cells.items():
+            for run in _differences(place, start, wanted, present):
                 if run.table == "file":
                     device.files[run.file].write(run.address, run.values)
                 else:
