@@ -18,7 +18,6 @@ from importlib import import_module
 from typing import Any, Self, TypedDict, Unpack
 
 from ..maps.register_map import RegisterMap
-from ..protocol.callbacks import checked_callback
 from ..protocol.checks import integer
 from ..protocol.close_names import named_arguments
 from ..protocol.errors import (
@@ -41,8 +40,8 @@ from .access import ACCESSES, Access, Touched, touched
 from .authorization import Asked, Authorization, Authorize, UnauthorizedError
 from .caller import Caller, answer_audited, values_at
 from .event_log import EventLog
-from .functions import DEFAULT_SERVER_ID, PythonFunctions, Records
-from .hooks import Hook, HookCall, places, timed
+from .functions import DEFAULT_SERVER_ID, Handlers, PythonFunctions, Records
+from .hooks import HookLike, Hooks
 from .mapping import Mapping, Table
 from .named_values import (
     cells_after,
@@ -61,8 +60,6 @@ __all__ = ["Device", "DeviceOptions"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-HookLike = Hook | Callable[[Access], object]
-
 _RESTART = Diagnostics(SubFunction.RESTART_COMMUNICATIONS).encode()[:3]
 
 _UNKNOWN = Caller()
@@ -79,7 +76,7 @@ class DeviceOptions(TypedDict, total=False):
     server_id: ServerId
     exception_status: int
     canopen: Callable[[bytes], bytes] | None
-    handlers: MappingABC[type[Request[Any]], Callable[[Any], Any]] | None
+    handlers: Handlers | None
     before_write: HookLike | None
     after_write: HookLike | None
     before_read: HookLike | None
@@ -157,7 +154,7 @@ class Device(PythonFunctions):
         server_id: ServerId = DEFAULT_SERVER_ID,
         exception_status: int = 0,
         canopen: Callable[[bytes], bytes] | None = None,
-        handlers: MappingABC[type[Request[Any]], Callable[[Any], Any]] | None = None,
+        handlers: Handlers | None = None,
         before_write: HookLike | None = None,
         after_write: HookLike | None = None,
         before_read: HookLike | None = None,
@@ -167,12 +164,11 @@ class Device(PythonFunctions):
         if not isinstance(mapping, Mapping):
             raise TypeError(f"mapping must be a Mapping, not {type(mapping).__name__}")
         self.mapping = mapping
-        super().__init__(files, fifos, identification, server_id, exception_status, canopen)
-        self._handlers = {**self._own, **_bound(handlers or {})}
+        super().__init__(
+            files, fifos, identification, server_id, exception_status, canopen, handlers
+        )
         self._guard = None if authorize is None else Authorization(authorize)
-        self._before_write = _listener("before_write", before_write)
-        self._after_write = _listener("after_write", after_write)
-        self._before_read = _listener("before_read", before_read)
+        self._hooks = Hooks(before_write, after_write, before_read)
         if points is not NO_POINTS:
             check_points(mapping, points)
         self._points = points
@@ -185,11 +181,9 @@ class Device(PythonFunctions):
         """Decide which requests rules, hooks and handlers want; C may answer all others."""
         self._rules = PointRules(self._ruled_cells(), lambda: self.points)
         self._has_rules = bool(self._rules.reads or self._rules.writes)
-        hooks = (self._before_write, self._after_write, self._before_read)
-        self._has_hooks = any(each is not None for each in hooks)
         # Request class -> the rule that finds the accesses for rules and hooks.
-        reads = _together(places(self._before_read), self._rules.reads)
-        writes = _together(places(self._before_write, self._after_write), self._rules.writes)
+        reads = _together(self._hooks.reads, self._rules.reads)
+        writes = _together(self._hooks.writes, self._rules.writes)
         self._finds = {
             request: kind.find
             for request, kind in ACCESSES.items()
@@ -395,9 +389,8 @@ class Device(PythonFunctions):
             Exception: whatever `before_read` raises, such as an ExceptionResponse if clients may
                 not read there.
         """
-        if self._before_read is not None:
-            with self.mapping.lock:
-                self._before_read.tell((Access(table, address, count),))
+        with self.mapping.lock:
+            self._hooks.before(Touched(reads=(Access(table, address, count),)))
 
     def _own_log(self) -> EventLog:
         """Return the notes about TCP, including those made in C."""
@@ -465,8 +458,10 @@ class Device(PythonFunctions):
                     self._check_exists(access)
                 if self._has_rules:
                     self._rules.check(touched, self.mapping)
-                if self._has_hooks:
-                    touched = self._call_hooks_before(touched)
+                if not self._hooks.is_empty:
+                    if touched.writes or self.points is not NO_POINTS:
+                        touched = Touched(*(tuple(map(self._described, each)) for each in touched))
+                    self._hooks.before(touched)
             if handle is not None:
                 response = request.encode_response(handle(self, request, log))
                 if not isinstance(response, bytes) or not 1 <= len(response) <= MAX_PDU:
@@ -475,8 +470,8 @@ class Device(PythonFunctions):
                 response = reply(pdu, self.mapping)
             else:
                 raise IllegalFunction(function=request.function)
-            if touched is not None and self._after_write is not None:
-                self._after_write.tell(touched.writes)
+            if touched is not None:
+                self._hooks.after(touched)
         return response
 
     def _log_failure(self, pdu: bytes) -> None:
@@ -485,19 +480,7 @@ class Device(PythonFunctions):
             self._failed.add(pdu[0])
             logger.exception("request %s failed; answered with exception 4", pdu.hex(" "))
 
-    # --- hooks ---------------------------------------------------------------------------
-
-    def _call_hooks_before(self, touched: Touched) -> Touched:
-        """Call the hooks, and return the accesses with what only hooks are told."""
-        if touched.writes or self.points is not NO_POINTS:
-            touched = Touched(*(tuple(map(self._told, each)) for each in touched))
-        if self._before_write is not None:
-            self._before_write.tell(touched.writes)
-        if self._before_read is not None:
-            self._before_read.tell(touched.reads)
-        return touched
-
-    def _told(self, access: Access) -> Access:
+    def _described(self, access: Access) -> Access:
         """Return an access with the names of its points and the values before."""
         names = tuple(point.name for point in self._index.touched(access))
         before = values_at(access, self.mapping, self.files) if access.values else None
@@ -528,31 +511,8 @@ def _is_write(function: int) -> bool:
     return request is not None and request.is_write
 
 
-def _listener(name: str, hook: HookLike | None) -> HookCall | None:
-    return None if hook is None else HookCall(name, hook)
-
-
 def _together(
     hooks: MappingABC[str, Sequence[range]], rules: MappingABC[str, Sequence[range]]
 ) -> dict[str, tuple[range, ...]]:
     """Return the addresses that concern a hook or a rule: ``{Access.table: ranges}``."""
     return {table: joined([*ranges, *rules.get(table, ())]) for table, ranges in hooks.items()}
-
-
-def _bound(
-    handlers: MappingABC[type[Request[Any]], Callable[[Any], Any]],
-) -> dict[type[Request[Any]], Callable[..., Any]]:
-    bound: dict[type[Request[Any]], Callable[..., Any]] = {}
-    for request, handle in handlers.items():
-        if not (isinstance(request, type) and issubclass(request, Request)):
-            raise TypeError(f"handlers must be {{request class: function}}, not {request!r}")
-        checked_callback(("handlers", request.__name__), handle)
-        bound[request] = _handler(request, handle)
-    return bound
-
-
-def _handler(
-    request: type[Request[Any]], handle: Callable[[Any], Any]
-) -> Callable[[Device, Any, EventLog], Any]:
-    measured = timed(f"the handler of {request.__name__}", handle)
-    return lambda device, request, log: measured(request)

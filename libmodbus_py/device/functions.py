@@ -12,6 +12,7 @@ from itertools import compress
 from operator import index
 from typing import Any, ClassVar
 
+from ..protocol.callbacks import checked_callback
 from ..protocol.checks import integer
 from ..protocol.errors import IllegalDataAddress, IllegalDataValue, IllegalFunction
 from ..protocol.framing import delimiter_after
@@ -119,6 +120,10 @@ class RecordFile:
         return number
 
 
+Handlers = MappingABC[type[Request[Any]], Callable[[Any], Any]]
+"""Request class -> the function of the application that answers its requests."""
+
+
 class PythonFunctions:
     """
     The part of a `Device` that answers the functions which libmodbus lacks.
@@ -134,6 +139,7 @@ class PythonFunctions:
         server_id: ServerId,
         exception_status: int,
         canopen: Callable[[bytes], bytes] | None,
+        handlers: Handlers | None,
     ) -> None:
         self.files: dict[int, RecordFile] = {}
         for number, records in _items("files", "{file number: records}", files):
@@ -150,6 +156,7 @@ class PythonFunctions:
         self.diagnostic_register: int = 0
         self._identification = _checked_identification(identification or {})
         self._canopen = None if canopen is None else timed("canopen", canopen)
+        self._handlers = {**self._own, **_bound(handlers or {})}
 
     def _file(self, number: int, record: int, length: int) -> RecordFile:
         file = self.files.get(number)
@@ -258,6 +265,23 @@ _ACTIONS: dict[SubFunction, Callable[[PythonFunctions, Diagnostics, EventLog], N
     SubFunction.CLEAR_COUNTERS: PythonFunctions._clear_counters,
     SubFunction.CLEAR_OVERRUN: lambda device, request, log: log.clear_overrun(),
 }
+
+
+def _bound(handlers: Handlers) -> dict[type[Request[Any]], Callable[..., Any]]:
+    bound: dict[type[Request[Any]], Callable[..., Any]] = {}
+    for request, handle in handlers.items():
+        if not (isinstance(request, type) and issubclass(request, Request)):
+            raise TypeError(f"handlers must be {{request class: function}}, not {request!r}")
+        checked_callback(("handlers", request.__name__), handle)
+        bound[request] = _handler(request, handle)
+    return bound
+
+
+def _handler(
+    request: type[Request[Any]], handle: Callable[[Any], Any]
+) -> Callable[[PythonFunctions, Any, EventLog], Any]:
+    measured = timed(f"the handler of {request.__name__}", handle)
+    return lambda device, request, log: measured(request)
 
 
 def _items(name: str, expected: str, given: Any) -> Iterable[tuple[Any, Any]]:

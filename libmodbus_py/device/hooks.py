@@ -13,10 +13,10 @@ from ..protocol.callbacks import checked_callback, finished
 from ..protocol.close_names import named_arguments
 from ..protocol.logs import HarmlessLogger
 from ..protocol.tables import TABLE_SIZE
-from .access import READABLE, Access
+from .access import READABLE, Access, Touched
 from .ranges import checked_ranges, joined, touches
 
-__all__ = ["SLOW", "Hook", "HookCall", "places", "timed"]
+__all__ = ["SLOW", "Hook", "HookLike", "Hooks", "timed"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -104,28 +104,68 @@ class Hook:
         return touches(self.places.get(access.table, ()), first, count)
 
 
-class HookCall:
-    """A hook of one device, whose argument has this name."""
+HookLike = Hook | Callable[[Access], object]
 
-    def __init__(self, name: str, hook: Hook | Callable[[Access], object]) -> None:
-        if not isinstance(hook, Hook) and not callable(hook):
-            raise TypeError(f"{name} must be a function or a Hook, not {reprlib.repr(hook)}")
-        self.hook: Hook = hook if isinstance(hook, Hook) else Hook(hook)
-        self._hears_all = self.hook.places is None
-        self._call = timed(name, self.hook.call)
+# A hook, and its function, whose duration is measured.
+Called = tuple[Hook, Callable[[Access], object]]
 
-    def tell(self, accesses: tuple[Access, ...]) -> None:
-        """Call the hook for those accesses that concern it."""
+
+class Hooks:
+    """
+    The hooks of one device; None for no hook.
+
+    Attributes:
+        reads, writes: the addresses for which a hook is called: ``{Access.table: ranges}``.
+        is_empty: True without any hook.
+
+    Raises:
+        TypeError: a hook is neither a function nor a `Hook`.
+    """
+
+    def __init__(
+        self,
+        before_write: HookLike | None,
+        after_write: HookLike | None,
+        before_read: HookLike | None,
+    ) -> None:
+        self._before_write = _hook("before_write", before_write)
+        self._after_write = _hook("after_write", after_write)
+        self._before_read = _hook("before_read", before_read)
+        self.reads: dict[str, tuple[range, ...]] = _places(self._before_read)
+        self.writes: dict[str, tuple[range, ...]] = _places(self._before_write, self._after_write)
+        self.is_empty: bool = before_write is after_write is before_read is None
+
+    def before(self, touched: Touched) -> None:
+        """Call the hooks that may refuse accesses."""
+        _call(self._before_write, touched.writes)
+        _call(self._before_read, touched.reads)
+
+    def after(self, touched: Touched) -> None:
+        """Call the hook for accesses that were carried out."""
+        _call(self._after_write, touched.writes)
+
+
+def _hook(name: str, hook: HookLike | None) -> Called | None:
+    if hook is None:
+        return None
+    if not isinstance(hook, Hook) and not callable(hook):
+        raise TypeError(f"{name} must be a function or a Hook, not {reprlib.repr(hook)}")
+    found = hook if isinstance(hook, Hook) else Hook(hook)
+    return found, timed(name, found.call)
+
+
+def _call(hook: Called | None, accesses: tuple[Access, ...]) -> None:
+    if hook is not None:
+        wants, call = hook[0].wants, hook[1]
         for access in accesses:
-            if self._hears_all or self.hook.wants(access):
-                self._call(access)
+            if wants(access):
+                call(access)
 
 
-def places(*listeners: HookCall | None) -> dict[str, tuple[range, ...]]:
-    """Return the addresses that concern any of these hooks: ``{Access.table: ranges}``."""
-    hooks = [each.hook for each in listeners if each is not None]
+def _places(*hooks: Called | None) -> dict[str, tuple[range, ...]]:
+    found = [each[0] for each in hooks if each is not None]
     return {
-        table: joined(each for hook in hooks for each in hook.in_table(table)) for table in READABLE
+        table: joined(each for hook in found for each in hook.in_table(table)) for table in READABLE
     }
 
 

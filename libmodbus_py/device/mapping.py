@@ -306,8 +306,10 @@ class Mapping:
         self.holding_registers = RegisterTable("holding_registers", holding_registers, self.lock)
         self.input_registers = RegisterTable("input_registers", input_registers, self.lock)
         self._tables: tuple[Table[Any], ...] = (
-            *(self.coils, self.discrete_inputs),
-            *(self.holding_registers, self.input_registers),
+            self.coils,
+            self.discrete_inputs,
+            self.holding_registers,
+            self.input_registers,
         )
         self._struct = self._make_struct()
         _mappings.add(self)
