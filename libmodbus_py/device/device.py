@@ -44,11 +44,8 @@ from .functions import DEFAULT_SERVER_ID, Handlers, PythonFunctions, Records
 from .hooks import HookLike, Hooks
 from .mapping import Mapping, Table
 from .named_values import (
-    cells_after,
-    check_points,
-    known_point,
-    set_values,
-    source_after,
+    NO_POINTS,
+    NamedValues,
     zeros_for,
 )
 from .point_rules import PointIndex, PointRules, RuledCells
@@ -63,8 +60,6 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 _RESTART = Diagnostics(SubFunction.RESTART_COMMUNICATIONS).encode()[:3]
 
 _UNKNOWN = Caller()
-
-NO_POINTS = RegisterMap(())
 
 
 class DeviceOptions(TypedDict, total=False):
@@ -84,7 +79,7 @@ class DeviceOptions(TypedDict, total=False):
 
 
 @named_arguments
-class Device(PythonFunctions):
+class Device(NamedValues, PythonFunctions):
     """
     A device that answers the requests of one unit. It may be used from any thread.
 
@@ -161,17 +156,12 @@ class Device(PythonFunctions):
         authorize: Authorize | None = None,
         points: RegisterMap = NO_POINTS,
     ) -> None:
-        if not isinstance(mapping, Mapping):
-            raise TypeError(f"mapping must be a Mapping, not {type(mapping).__name__}")
-        self.mapping = mapping
-        super().__init__(
-            files, fifos, identification, server_id, exception_status, canopen, handlers
+        NamedValues.__init__(self, mapping, points)
+        PythonFunctions.__init__(
+            self, files, fifos, identification, server_id, exception_status, canopen, handlers
         )
         self._guard = None if authorize is None else Authorization(authorize)
         self._hooks = Hooks(before_write, after_write, before_read)
-        if points is not NO_POINTS:
-            check_points(mapping, points)
-        self._points = points
         self._log = EventLog(is_serial=False)
         self._tally = make_tally()
         self._failed: set[int] = set()
@@ -233,48 +223,6 @@ class Device(PythonFunctions):
         device.update(values or {})
         return device
 
-    @property
-    def points(self) -> RegisterMap:
-        """The points by name; empty if none were given."""
-        return self._points
-
-    def __getitem__(self, name: str) -> Any:
-        """
-        Return the value of a point, without calling `before_read`; None if it has none.
-
-        Raises:
-            KeyError: there is no such point.
-            ValueError: its cells hold no value of its type.
-        """
-        point = known_point(self.points, name)
-        with self.mapping.lock:
-            source = source_after(point, self.points, self.mapping)
-            return point.decode(cells_after(point, self.mapping), source=source)
-
-    def __setitem__(self, name: str, value: Any) -> None:
-        """
-        Set the value of a point; no hook is called.
-
-        Raises:
-            KeyError: there is no such point.
-            TypeError, ValueError: as of `Point.encode`; the message names the point.
-        """
-        self.update({name: value})
-
-    def update(self, values: MappingABC[str, Any]) -> None:
-        """
-        Set values of points by name, all of them or none. No hook is called.
-
-        No request is answered while the values are set.
-
-        Raises:
-            KeyError: there is no such point.
-            TypeError, ValueError: a value does not fit its point, or points share cells; the
-                message names the points.
-        """
-        with self.mapping.lock:
-            set_values(self.mapping, self.points, values)
-
     def save(self, path: str | os.PathLike[str]) -> None:
         """
         Write all values to a file, so that they survive a restart of the program.
@@ -330,7 +278,8 @@ class Device(PythonFunctions):
         log.note_request(broadcast=caller.is_broadcast)
         listening = log.listen_only
         restart = pdu[:3] == _RESTART and not caller.is_broadcast
-        ignored = (listening and not restart) or (caller.is_broadcast and not _is_write(function))
+        is_write = getattr(REQUESTS.get(function), "is_write", False)
+        ignored = (listening and not restart) or (caller.is_broadcast and not is_write)
         response = b"" if ignored else self._respond_audited(pdu, log, caller)
         silent = caller.is_broadcast or listening or log.listen_only
         log.note_response(pdu, response, silent=silent)
@@ -503,12 +452,6 @@ class Device(PythonFunctions):
             table: Table[Any] = getattr(self.mapping, access.table)
             if not table.has(access.address, access.count):
                 raise IllegalDataAddress(f"{table} lacks {access.address}+{access.count}")
-
-
-def _is_write(function: int) -> bool:
-    """Return True if a broadcast with this function is executed."""
-    request = REQUESTS.get(function)
-    return request is not None and request.is_write
 
 
 def _together(
