@@ -43,11 +43,7 @@ from .event_log import EventLog
 from .functions import DEFAULT_SERVER_ID, Handlers, PythonFunctions, Records
 from .hooks import HookLike, Hooks
 from .mapping import Mapping, Table
-from .named_values import (
-    NO_POINTS,
-    NamedValues,
-    zeros_for,
-)
+from .named_values import NO_POINTS, NamedValues, zeros_for
 from .point_rules import PointIndex, PointRules, RuledCells
 from .ranges import joined, without
 from .reply import Answered, Watched, answer_in_c, make_tally, reply
