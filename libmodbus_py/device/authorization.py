@@ -19,9 +19,9 @@ __all__ = ["Asked", "Authorization", "Authorize", "UnauthorizedError"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-MINUTE = 60.0
+MINUTE_S = 60.0
 
-MOST_LINES = 20
+LINES_PER_MINUTE = 20
 """The most lines of log in a minute; 1 for each role on each host."""
 
 
@@ -59,7 +59,7 @@ class UnauthorizedError(IllegalFunction):
 
 class Authorization:
     """
-    Decides about each request, and logs refusals, but at most `MOST_LINES` times a minute, so
+    Decides about each request, and logs refusals, but at most `LINES_PER_MINUTE` times a minute, so
     that a client cannot fill the log.
 
     Args:
@@ -72,9 +72,9 @@ class Authorization:
     ) -> None:
         self._authorize = timed("authorize", authorize)
         self._clock = clock
-        self._minute = -MINUTE
-        self._told: set[tuple[str, str | None]] = set()
-        self._untold = 0
+        self._minute = -MINUTE_S
+        self._logged: set[tuple[str, str | None]] = set()
+        self._not_logged = 0
 
     def check(self, asked: Asked) -> None:
         """
@@ -91,29 +91,29 @@ class Authorization:
             # A truthy value may be a mistake, and a mistake must not allow access.
             given = type(allowed).__name__
             raise TypeError(f"authorize must return True or False, not {given}")
-        self._tell(asked)
+        self._log(asked)
         raise UnauthorizedError("not allowed", function=asked.function)
 
-    def _tell(self, asked: Asked) -> None:
+    def _log(self, asked: Asked) -> None:
         now = self._clock()
-        if now - self._minute >= MINUTE:
-            if self._untold:
-                logger.warning("%d more requests were refused like this", self._untold)
-            self._minute, self._untold = now, 0
-            self._told.clear()
+        if now - self._minute >= MINUTE_S:
+            if self._not_logged:
+                logger.warning("%d more requests were refused like this", self._not_logged)
+            self._minute, self._not_logged = now, 0
+            self._logged.clear()
         # A client can use any number of ports, so only the host counts.
         who = asked.peer.rpartition(":")[0] or asked.peer, asked.role
-        if who in self._told or len(self._told) >= MOST_LINES:
-            self._untold += 1
+        if who in self._logged or len(self._logged) >= LINES_PER_MINUTE:
+            self._not_logged += 1
             return
-        self._told.add(who)
+        self._logged.add(who)
         role = "without a role" if asked.role is None else f"with the role {asked.role!r}"
-        touched = [f"write {_place(each)}" for each in asked.writes[:1]]
-        touched += [f"read {_place(each)}" for each in asked.reads[:1]]
+        touched = [f"write {_range_text(each)}" for each in asked.writes[:1]]
+        touched += [f"read {_range_text(each)}" for each in asked.reads[:1]]
         what = ", ".join([f"function {asked.function} of unit {asked.unit}", *touched])
         logger.warning("%s, %s, may not use %s", asked.peer or "a caller", role, what)
 
 
-def _place(access: Access) -> str:
+def _range_text(access: Access) -> str:
     table = f"file {access.file}" if access.table == "file" else access.table
     return f"{table} {access.address}..{access.address + access.count - 1}"

@@ -14,7 +14,7 @@ from ..maps.point import Point
 from ..maps.writing import check_cells, has_bounds
 from ..protocol.errors import IllegalDataAddress, IllegalDataValue
 from ..protocol.tables import TABLES
-from .access import WRITABLE, Access, Touched
+from .access import Access, Touched
 from .mapping import Mapping
 from .named_values import cells_after, source_after
 from .ranges import joined, touches, without
@@ -99,8 +99,8 @@ class PointRules:
     ) -> None:
         given = list(ruled)
         self._points = points
-        self._unreadable = _refused(given, "write", lambda place: True)
-        self._unwritable = _refused(given, "read", lambda place: place[0] in WRITABLE)
+        self._unreadable = _refused(given, "write")
+        self._unwritable = _refused(given, "read")
         bounded = [
             each
             for each in given
@@ -150,14 +150,12 @@ def _check(refused: dict[Place, Ranges], access: Access, verb: str) -> None:
         raise IllegalDataAddress(f"{span} cannot all be {verb}")
 
 
-def _refused(
-    ruled: Iterable[RuledCells], refusing: str, concerns: Callable[[Place], bool]
-) -> dict[Place, Ranges]:
+def _refused(ruled: Iterable[RuledCells], refusing: str) -> dict[Place, Ranges]:
     """Return the cells whose points all have one access, by place."""
     refused: defaultdict[Place, list[range]] = defaultdict(list)
     others: defaultdict[Place, list[range]] = defaultdict(list)
     for each in ruled:
-        if each.access is not None and concerns(each.place):
+        if each.access is not None:
             (refused if each.access == refusing else others)[each.place].append(each.cells)
     return {
         place: left

@@ -56,8 +56,8 @@ EVERY = "every"
 # Cells that are compared at once: most of them are equal.
 BLOCK_CELLS = 256
 
-# Characters of an error about a file.
-MOST_REASON = 500
+# The most characters of an error about a file, whose keys may be any text.
+REASON_CHARACTERS = 500
 
 # The end of the name of a temporary file.
 TEMPORARY = ".new"
@@ -236,9 +236,9 @@ def load_state(file: str, text: str, devices: Devices) -> None:
     try:
         units = _checked_units(_parsed(text), devices)
     except (TypeError, ValueError) as error:
-        reason = str(error)  # with keys of the file, which may be any text
+        reason = str(error)
         reason = reason if reason.isprintable() else ascii(reason)[1:-1]
-        raise ValueError(f"{file}: {reason[:MOST_REASON]}") from None
+        raise ValueError(f"{file}: {reason[:REASON_CHARACTERS]}") from None
     for unit, device in devices.items():
         _set_values(device, units.get(unit, ()))
 
