@@ -19,7 +19,6 @@ PACKAGE = Path(__file__).parents[2] / "libmodbus_py"
 OTHERS = {
     "protocol/shown_time.py",
     *("protocol/plain.py", "protocol/spelling.py", "protocol/times.py"),  # values of registers
-    "services/fleet/outputs/rotation.py",  # names of files
     "services/fleet/journal/journal_file.py",  # SQL
 }
 

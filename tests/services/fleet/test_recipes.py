@@ -6,6 +6,7 @@ compared with what their configuration expects.
 from __future__ import annotations
 
 import configparser
+import csv
 import json
 import re
 import shlex
@@ -258,6 +259,41 @@ def test_home_assistant_reads_topics_that_there_are(plant: Path, broker: Broker)
     _, _, *rows = block("", "csv").splitlines()
     (limits,) = [row.split(",")[-2:] for row in rows]
     assert re.findall(r"(?:min|max): (\d+)", text) == limits
+
+
+# --- files ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("hangs_up", [False, True])
+def test_a_file_that_logrotate_renames_is_begun_anew(plant: Path, hangs_up: bool) -> None:
+    section = "Rotate files of readings"
+    path = plant.parent / "readings.csv"
+    (named,) = re.findall(r'path = "(.*)"', block(section, "toml"))
+    settings = block(section, "text")
+    assert settings.startswith(f"{named} {{")
+    # Renames, leaves no file behind, and compresses what was renamed the time before.
+    assert {"nocreate", "delaycompress"} <= set(settings.split())
+    assert not {"copytruncate", "create"} & set(settings.split())
+    add(plant, block(section, "toml").replace(named, path.name) + "[output.json]\n")
+    with Started("poll", plant) as started:
+        printed = [started.stdout.readline() for _ in range(4)]
+        old = path.rename(path.with_suffix(".csv.1"))
+        if hangs_up:
+            started.send_signal(signal.SIGHUP)
+        deadline = time.monotonic() + LONGEST
+        while not path.exists() and time.monotonic() < deadline:
+            printed.append(started.stdout.readline())
+        started.send_signal(signal.SIGTERM)
+        printed += started.stdout.readlines()
+        assert started.wait() == 0
+    found = []
+    for each in (old, path):
+        with each.open(newline="") as file:
+            header, *rows = csv.reader(file, strict=True)
+        assert header[:3] == ["time", "device", "name"]
+        assert rows
+        found += [(row[0], row[2]) for row in rows]
+    assert found == [(line["time"], line["name"]) for line in map(json.loads, printed)]
 
 
 # --- where it runs --------------------------------------------------------------------------

@@ -23,6 +23,5 @@ Each output is one file, which imports its libraries when the output is opened, 
     trust          the certificate authorities that are trusted
     secret_file    a password in a file, which is read again
     text_file      a file or the standard output
-    rotation       renames a full file, and deletes old ones
     writer_thread  a thread that writes, so that nothing else waits for a disk
 """

@@ -26,26 +26,23 @@ class CsvOutput(TextFile):
     Appends readings to a file; the first line of a new file contains the names of the columns.
 
     Args:
-        path, buffer, rotate, keep: as for `JsonOutput`.
+        path, buffer: as for `JsonOutput`.
         labels: names of labels of devices, each of which is a column behind the others; empty
             for devices that lack the label.
 
     Raises:
-        TypeError, ValueError: an argument of the wrong type or range, or `rotate` for the
-            standard output.
+        TypeError, ValueError: an argument of the wrong type or range.
     """
 
     def __init__(
         self,
         path: str = "-",
         buffer: int = MOST_KEPT,
-        rotate: str | None = None,
-        keep: int | None = None,
         labels: Sequence[str] = (),
     ) -> None:
         columns = _columns(labels)
         header = csv_rows([(*COLUMNS, *columns)]).encode() if columns else HEADER
-        super().__init__("csv", path, self._rows, header, buffer, rotate, keep, quote=b'"')
+        super().__init__("csv", path, self._rows, header, buffer, quote=b'"')
         self._empty = ("",) * len(columns)
         self._labels = Labels(lambda device, each: tuple(each.get(key, "") for key in columns))
 

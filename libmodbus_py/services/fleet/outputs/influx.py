@@ -50,7 +50,6 @@ class Influx:
             unless given. It is read again when it changes.
         measurement: the name of the measurement.
         buffer: the most readings that wait; the oldest are dropped beyond.
-        rotate, keep: of the file, as for `JsonOutput`.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range, or two that exclude each
@@ -73,8 +72,6 @@ class Influx:
         ca: str | None = None,
         measurement: str = "modbus",
         buffer: int = MOST_KEPT,
-        rotate: str | None = None,
-        keep: int | None = None,
     ) -> None:
         self._protocol = LineProtocol(measurement)
         self.buffer: int = buffer
@@ -89,9 +86,8 @@ class Influx:
         }
         self._sink: _Sink
         if url is not None:
-            for key, value in {"path": path, "rotate": rotate, "keep": keep}.items():
-                if value is not None:
-                    raise WrongValue(key, "cannot be used with url")
+            if path is not None:
+                raise WrongValue("path", "cannot be used with url")
             self._sink = InfluxServer(self._protocol.lines, url, **of_servers)  # type: ignore[arg-type]
             place = "/".join(each for each in (organization, bucket, database) if each)
             used = f"the measurement {measurement!r} in {place!r} of {self.name}"
@@ -102,9 +98,7 @@ class Influx:
         if needless:
             raise WrongValue(needless[0], "can only be used with url")
         self.path: str = "-" if path is None else path
-        self._sink = file = TextFile(
-            "influx", self.path, self._protocol.lines, b"", buffer, rotate, keep
-        )
+        self._sink = file = TextFile("influx", self.path, self._protocol.lines, b"", buffer)
         self.exclusive = file.exclusive
         self.identity = file.identity
 

@@ -25,24 +25,17 @@ class JsonOutput(TextFile):
         path: the path of the file; "-" for the standard output. The fleet ends when the standard
             output is closed.
         buffer: the most readings that wait for the file; the oldest are dropped beyond.
-        rotate: "daily" (at midnight, UTC), or a size such as "100 MB", "1 kB" to "1 TB": the file
-            is renamed then, and the time of its last reading is added to its name:
-            ``readings.csv.20260131T235959Z``. None for never.
-        keep: how many renamed files are kept, 0..100000; None for all.
 
     Raises:
-        TypeError, ValueError: an argument of the wrong type or range, or `rotate` for the
-            standard output.
+        TypeError, ValueError: an argument of the wrong type or range.
     """
 
     def __init__(
         self,
         path: str = "-",
         buffer: int = MOST_KEPT,
-        rotate: str | None = None,
-        keep: int | None = None,
     ) -> None:
-        super().__init__("json", path, self._lines, b"", buffer, rotate, keep)
+        super().__init__("json", path, self._lines, b"", buffer)
         self._labels = Labels(lambda device, labels: labels_text(labels))
 
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:

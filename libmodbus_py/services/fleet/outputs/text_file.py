@@ -9,7 +9,6 @@ import contextlib
 import os
 import select
 import stat
-import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import BinaryIO
 
@@ -20,7 +19,6 @@ from ..buffer import MOST_KEPT
 from ..readings import Reading
 from .exclusive import file_at
 from .output import OutputError
-from .rotation import Rotation
 from .writer_thread import WriterThread
 
 __all__ = ["TextFile"]
@@ -45,12 +43,10 @@ class TextFile:
         form: returns readings as bytes.
         header: the first bytes of an empty file.
         buffer: how many readings may wait.
-        rotate, keep: when the file is renamed, and how many old ones are kept; see `Rotation`.
         quote: what encloses text within which a line does not end; empty if there is none.
 
     Raises:
-        TypeError, ValueError: an argument of the wrong type or range, or `rotate` for the
-            standard output.
+        TypeError, ValueError: an argument of the wrong type or range.
     """
 
     def __init__(
@@ -60,8 +56,6 @@ class TextFile:
         form: Callable[[Sequence[Reading]], bytes],
         header: bytes = b"",
         buffer: int = MOST_KEPT,
-        rotate: str | None = None,
-        keep: int | None = None,
         *,
         quote: bytes = b"",
     ) -> None:
@@ -73,11 +67,6 @@ class TextFile:
         self.exclusive: tuple[str, ...] = (_thing(self.path),)
         self.buffer: int = buffer
         self._name = name
-        self._rotation = Rotation(rotate, keep)
-        if self.path == "-" and self._rotation.is_on:
-            raise WrongValue("rotate", "needs the path of a file")
-        if keep is not None and not self._rotation.is_on:
-            raise WrongValue("keep", "can only be used with rotate")
         self._form = form
         self._header = header
         self._quote = quote
@@ -130,22 +119,12 @@ class TextFile:
         with self._named():
             if self._is_terminal:
                 data = without_controls(data.decode()).encode()
-            self._rotate(len(data))
             if self._is_replaced():
                 self._close()
                 self._open()
             elif self._size == 0:
                 self._put_whole(self._header)
             self._put_whole(data)
-
-    def _rotate(self, more: int) -> None:
-        """Rename the file if this is due; it is opened anew then, as if others had renamed it."""
-        if not self._rotation.is_on or self._is_replaced():
-            return
-        state = os.fstat(self._descriptor)
-        has_readings = stat.S_ISREG(state.st_mode) and state.st_size > len(self._header)
-        if has_readings and self._rotation.is_due(state, more, time.time()):
-            self._rotation.rename(self.path, state)
 
     def _is_replaced(self) -> bool:
         """True if the path leads to another file than the open one, or to none."""
