@@ -13,7 +13,6 @@ from libmodbus_py.services.engine.connection import parse_servers
 from libmodbus_py.services.fleet.outputs.exclusive import shared
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from libmodbus_py.services.fleet.outputs.nats import Nats
 from libmodbus_py.services.server_url import ServerUrl, server_url
 from tests.support.cases import each_case
 
@@ -28,7 +27,6 @@ TAKEN: list[tuple[str, Callable[[str], Any]]] = [
     ("mqtt", Mqtt),
     ("http", influx),
     ("nats", parse_servers),
-    ("nats", Nats),
 ]
 """A scheme, and what takes a URL with it."""
 
@@ -78,10 +76,10 @@ def test_a_wrong_url_is_refused_before_anything_is_sent(
         take(f"{scheme}://{rest}")
 
 
-@each_case("make", [Mqtt, influx, Nats])
+@each_case("make", [Mqtt, influx])
 @each_case(("one", "other"), [("h.example", "H.Example"), ("[2001:db8::a]", "[2001:DB8::A]")])
 def test_two_spellings_of_a_host_are_one_server(
     make: Callable[[str], Any], one: str, other: str
 ) -> None:
-    scheme = {Mqtt: "mqtt", influx: "http", Nats: "nats"}[make]
+    scheme = {Mqtt: "mqtt", influx: "http"}[make]
     assert shared([make(f"{scheme}://{one}"), make(f"{scheme}://{other}")]) is not None

@@ -25,7 +25,7 @@ from .file_text import FileText
 if TYPE_CHECKING:
     from nats.aio.client import Client
 
-__all__ = ["OLDEST", "connected", "disconnect", "parse_servers", "places", "shown"]
+__all__ = ["OLDEST", "connected", "disconnect", "parse_servers", "shown"]
 
 OLDEST = (2, 9)
 """The oldest version of nats-server with the features that watches need."""
@@ -80,11 +80,6 @@ def _check(server: str) -> None:
         )
     if not found.port:
         raise ValueError(f"engine: {_bare(server)!r}: the port must be in 1..65535")
-
-
-def places(servers: list[str]) -> list[str]:
-    """Return host and port of each server, the same for all spellings of them."""
-    return [found.place for each in servers if (found := server_url(each, PORTS)) is not None]
 
 
 def shown(servers: list[str]) -> str:

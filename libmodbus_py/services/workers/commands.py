@@ -11,8 +11,8 @@ import re
 from typing import TYPE_CHECKING
 
 from ..fleet.commands import Commands, encoded, wanted_of
-from ..fleet.outputs.subjects import WRITE, asked_about, written
 from ..tasks import end_tasks
+from .stream import WRITE, asked_about, written
 
 if TYPE_CHECKING:
     from nats.aio.client import Client

@@ -21,12 +21,12 @@ from ..fleet.config import DeviceConfig, checked, devices_from_json
 from ..fleet.fleet import Fleet
 from ..fleet.journal.journal import Journal
 from ..fleet.outputs.output import Output
-from ..fleet.outputs.stream import Stream
 from ..tasks import end_tasks
 from .commands import CommandService
 from .lease import OWN_PART
 from .locations import Locations
 from .records import Connection, FleetSettings
+from .stream import Stream
 from .unserved import Unserved
 from .view import Entry
 from .worker import Put, Worker

@@ -13,9 +13,7 @@ Each output is one file, which imports its libraries when the output is opened, 
     line_protocol  for influx: readings in the line protocol
     mqtt_messages  for mqtt: messages, and the last values that the broker retains
     topics         for mqtt: topics with names and labels
-    stream         for nats, and for workers on several machines: the stream of messages
-    subjects       for nats: the subjects of messages
-    poll_messages  for nats and mqtt: messages with the readings of a poll
+    poll_messages  messages with the readings of a poll, for mqtt and for workers
     device_states  the devices that answer, as their readings show
     last_values    the last reading of each point, for metrics
     forms          readings as JSON and CSV

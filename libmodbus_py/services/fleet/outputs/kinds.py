@@ -34,7 +34,6 @@ KINDS: dict[str, OutputKind] = {
     "csv": OutputKind("csv_output", "CsvOutput", "CSV"),
     "influx": OutputKind("influx", "Influx", "line protocol of InfluxDB"),
     "mqtt": OutputKind("mqtt", "Mqtt"),
-    "nats": OutputKind("nats", "Nats"),
 }
 """Name in fleet files and of options -> the kind."""
 

@@ -8,8 +8,8 @@ import json
 
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.forms import COLUMNS, as_csv, as_json, payload
-from libmodbus_py.services.fleet.outputs.stream import _messages
 from libmodbus_py.services.fleet.poller import Poller, Reads
+from libmodbus_py.services.workers.stream import _messages
 from tests.services.fleet.fleets import meter
 
 NUMBERED = Reading(100.0, "a", "voltage", 230.5, "V", "good", "", 17)

@@ -10,7 +10,6 @@ from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.device_states import DeviceStates
 from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
 from libmodbus_py.services.fleet.outputs.last_values import LastValues
-from libmodbus_py.services.fleet.outputs.nats import Nats
 from tests.services.fleet.fleets import meter
 
 
@@ -79,9 +78,3 @@ def test_only_the_standard_output_wants_no_earlier_readings() -> None:
     assert JsonOutput("-").is_live is True
     assert JsonOutput("readings.json").is_live is False
     assert LastValues().is_live is True
-
-
-def test_a_stream_keeps_a_day_and_a_gibibyte_unless_it_is_told_otherwise() -> None:
-    assert Nats("nats://192.0.2.1")._limits == {"max_age": 86_400.0, "max_bytes": 1 << 30}
-    limits = Nats("nats://192.0.2.1", max_age=60, max_bytes=1 << 20)._limits
-    assert limits == {"max_age": 60.0, "max_bytes": 1 << 20}

@@ -19,7 +19,7 @@ from libmodbus_py.services.fleet.outputs.csv_output import CsvOutput
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from libmodbus_py.services.fleet.outputs.stream import Stream, _messages
+from libmodbus_py.services.workers.stream import Stream, _messages
 from tests.services.fleet.fleets import meter, simulated
 from tests.support.cases import each_case
 

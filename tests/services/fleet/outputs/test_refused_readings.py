@@ -14,7 +14,7 @@ import pytest
 
 from libmodbus_py.fleet import OutputStatistics, Reading
 from libmodbus_py.services.fleet.outputs.pump import Pump
-from libmodbus_py.services.fleet.outputs.stream import Stream
+from libmodbus_py.services.workers.stream import Stream
 from tests.services.fleet.fleets import simulated_run
 from tests.services.fleet.outputs.test_unwritable_readings import reading
 from tests.simulation.engine import Engine

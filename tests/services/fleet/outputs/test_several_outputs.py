@@ -14,10 +14,8 @@ from libmodbus_py import Fleet
 from libmodbus_py.fleet import Journal
 from libmodbus_py.services.fleet.files import FleetFileError, load
 from libmodbus_py.services.fleet.outputs.csv_output import CsvOutput
-from libmodbus_py.services.fleet.outputs.exclusive import shared
 from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from libmodbus_py.services.fleet.outputs.nats import Nats
 from libmodbus_py.services.fleet.outputs.output import Output
 from tests.services.fleet.fleets import meter, simulated_run
 from tests.support.cases import each_case
@@ -45,12 +43,11 @@ def test_a_file_may_have_several_outputs_of_each_kind(tmp_path: Path) -> None:
             '[[output.json]]\npath = "a.jsonl"\n[[output.json]]\npath = "-"\n'
             f'{BROKER}topic = "x/{{device}}/{{name}}"\n{BROKER}topic = "y/{{device}}/{{name}}"\n'
             '[[output.mqtt]]\nurl = "mqtt://other"\n'
-            '[[output.nats]]\nurl = "nats://h"\n[[output.nats]]\nurl = "nats://other"\n'
             f'{SERVER}database = "a"\n{SERVER}database = "b"\n'
             f'{SERVER}database = "a"\nmeasurement = "raw"\n[[output.influx]]\npath = "a.lines"\n',
         )
     )
-    assert len(Fleet(file.devices, outputs=file.made_outputs())._outputs) == 13
+    assert len(Fleet(file.devices, outputs=file.made_outputs())._outputs) == 11
 
 
 @each_case(
@@ -80,11 +77,6 @@ def test_a_file_may_have_several_outputs_of_each_kind(tmp_path: Path) -> None:
             f'{BROKER}client_id = "x"\n{BROKER}client_id = "x"\ntopic = "x/{{name}}/{{device}}"\n',
             8,
             "output.mqtt[1]: uses the client_id 'x' at mqtt h:1883, as output.mqtt[0] does",
-        ),
-        (
-            '[[output.nats]]\nurl = "nats://h"\n[[output.nats]]\nurl = "nats://h"\n',
-            7,
-            "output.nats[1]: uses the stream modbus-readings of h:4222, as",
         ),
         (
             f'{SERVER}database = "a"\n{SERVER}database = "a"\n',
@@ -120,15 +112,13 @@ def test_a_link_leads_to_the_same_file(tmp_path: Path) -> None:
     [
         (lambda: JsonOutput(), lambda: CsvOutput()),
         (lambda: Mqtt("mqtt://h"), lambda: Mqtt("mqtt://h:1883", user="x")),
-        (lambda: Nats("nats://a:b@h"), lambda: Nats("tls://g,nats://H:4222")),
     ],
 )
 def test_a_program_with_two_outputs_to_one_place(
     one: Callable[[], Output], other: Callable[[], Output]
 ) -> None:
-    with pytest.raises(ValueError, match=r"^two outputs use ") as caught:
+    with pytest.raises(ValueError, match=r"^two outputs use "):
         Fleet([], outputs=[one(), other()])
-    assert "a:b" not in str(caught.value)
 
 
 class Plain:
@@ -147,11 +137,6 @@ def test_one_output_given_twice_is_refused() -> None:
     output = Plain()
     with pytest.raises(ValueError, match="two outputs use the same plain"):
         Fleet([], outputs=[output, output])
-
-
-def test_a_server_may_stand_twice_in_one_output() -> None:
-    output = Nats("nats://h,nats://h:4222")
-    assert shared([output, Nats("nats://other")]) is None
 
 
 def test_two_outputs_of_a_program_with_one_name_are_counted_apart() -> None:

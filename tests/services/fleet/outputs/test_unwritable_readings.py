@@ -19,10 +19,9 @@ from libmodbus_py import Fleet
 from libmodbus_py.fleet import OutputStatistics, Reading
 from libmodbus_py.services.fleet.buffer import Buffer
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from libmodbus_py.services.fleet.outputs.nats import Nats
 from libmodbus_py.services.fleet.outputs.output import Output
 from libmodbus_py.services.fleet.outputs.pump import Pump
-from libmodbus_py.services.fleet.outputs.stream import Stream
+from libmodbus_py.services.workers.stream import Stream
 from tests.services.fleet.fleets import Peer, meter, simulated_run, until
 from tests.simulation.engine import Engine
 from tests.simulation.network import Network
@@ -214,18 +213,6 @@ def test_authorities_that_are_away_for_a_moment_end_nothing(tmp_path: Path) -> N
             path.write_text(content)
         with pytest.raises(OSError, match=r"ca: "):
             asyncio.run(Mqtt("mqtts://127.0.0.1:1", ca=str(path)).open())
-
-
-def test_wrong_credentials_of_nats_end_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    from libmodbus_py.services.engine.errors import EngineError
-    from libmodbus_py.services.fleet.outputs import nats
-
-    async def refused(*_: object, **__: object) -> None:
-        raise EngineError("nats://127.0.0.1: the server refuses the credentials")
-
-    monkeypatch.setattr(nats, "connected", refused)
-    with pytest.raises(OSError, match="refuses the credentials"):
-        asyncio.run(Nats("nats://127.0.0.1:1").open())
 
 
 def test_other_outputs_get_everything() -> None:

@@ -1,5 +1,13 @@
 """
-An output to a stream of JetStream, which keeps the readings for later consumers.
+The stream of JetStream that keeps the readings for later consumers, and the subjects of messages.
+
+For an MQTT client of the NATS server the subjects are topics, with / in place of each dot.
+
+::
+
+    modbus.readings.DEVICE              the readings of a device
+    modbus.write.DEVICE.POINT           a value to write; the reply contains the outcome
+    modbus.written.DEVICE.POINT         the outcome, for clients that cannot receive replies
 """
 
 from __future__ import annotations
@@ -9,21 +17,28 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
-from ...engine.buckets import TIMEOUT, keep_stream
-from ...engine.errors import EngineError, explained
-from ..config import DeviceConfig
-from ..readings import Reading
-from .forms import NO_LABELS
-from .labels import Labels
-from .poll_messages import poll_messages
-from .subjects import READINGS, readings_of
+from ..engine.buckets import TIMEOUT, keep_stream
+from ..engine.errors import EngineError, explained
+from ..fleet.config import DeviceConfig
+from ..fleet.levels import Levels
+from ..fleet.outputs.forms import NO_LABELS
+from ..fleet.outputs.labels import Labels
+from ..fleet.outputs.poll_messages import poll_messages
+from ..fleet.readings import Reading
 
 if TYPE_CHECKING:
     from nats.aio.client import Client
 
-__all__ = ["LIMITS", "STREAM", "Stream"]
+__all__ = ["LIMITS", "STREAM", "WRITE", "Stream", "asked_about", "written"]
 
 STREAM = "modbus-readings"
+
+READINGS = "modbus.readings"
+WRITE = "modbus.write"
+WRITTEN = "modbus.written"
+
+# Characters that have a meaning in subjects or topics, or are not allowed there.
+_LEVELS = Levels(r"[\s.*>%/+#$\0]")
 
 LIMITS: dict[str, Any] = {"max_age": 86_400.0, "max_bytes": 1 << 30}
 """Limits of the stream unless the fleet file sets them, in seconds and bytes."""
@@ -41,11 +56,11 @@ class Stream:
     ``"part": 1, "parts": 3``.
 
     Args:
-        client: a connected client; None if a subclass connects before `open`.
+        client: a connected client.
         limits: the limits of the stream; missing ones are taken from `LIMITS`.
     """
 
-    def __init__(self, client: Client | None, limits: Mapping[str, Any]) -> None:
+    def __init__(self, client: Client, limits: Mapping[str, Any]) -> None:
         self.name: str = "nats"
         self._client = client
         self._limits = {**LIMITS, **limits}
@@ -56,7 +71,6 @@ class Stream:
         self._labels.set(devices)
 
     async def open(self) -> None:
-        assert self._client is not None
         try:
             await keep_stream(self._client, STREAM, f"{READINGS}.>", self._limits)
         except EngineError as error:
@@ -65,7 +79,7 @@ class Stream:
 
     async def write(self, readings: Sequence[Reading]) -> None:
         client = self._client
-        if not readings or client is None:
+        if not readings:
             return
         messages = list(_messages(readings, client.max_payload, self._labels.by_device))
         try:
@@ -106,3 +120,20 @@ def _messages(
         room = largest - OVERHEAD - len(subject.encode())
         for names, data in poll_messages(device, group, room, labels.get(device, NO_LABELS)):
             yield subject, f"{time} {len(names)} {names[0]}", data
+
+
+def readings_of(device: str) -> str:
+    """Return the subject of the readings of a device."""
+    return f"{READINGS}.{_LEVELS.spell(device)}"
+
+
+def asked_about(subject: str) -> tuple[str, str] | None:
+    """Return the device and the point of the subject of a write; None unless both are names."""
+    device, _, point = subject.removeprefix(f"{WRITE}.").partition(".")
+    names = _LEVELS.read(device), _LEVELS.read(point)
+    return None if names[0] is None or names[1] is None else (names[0], names[1])
+
+
+def written(device: str, point: str) -> str:
+    """Return the subject of the outcomes of writes to a point."""
+    return f"{WRITTEN}.{_LEVELS.spell(device)}.{_LEVELS.spell(point)}"

@@ -10,8 +10,8 @@ from typing import Any, cast
 
 import pytest
 
-from libmodbus_py.services.fleet.outputs.stream import Stream
 from libmodbus_py.services.fleet.readings import Reading
+from libmodbus_py.services.workers.stream import Stream
 from tests.simulation.engine import Engine
 from tests.simulation.network import Network
 
