@@ -27,7 +27,7 @@ from .line import FleetLine, MayAsk
 from .outputs.exclusive import check_exclusive
 from .outputs.output import Commanded, Described, Output
 from .outputs.pump import Pump
-from .poller import DeviceState, Poller, Reads
+from .poller import DeviceState, Poller, Reads, offline
 from .readings import Reading
 from .schedule import Timetable, first_time, next_time
 from .statistics import FleetStatistics
@@ -212,8 +212,6 @@ class Fleet:
         for output in self._outputs:
             if isinstance(output, Described):
                 output.describe(devices)
-        if self._journal is not None:
-            self._journal.describe({name: each.labels for name, each in devices.items()})
 
     async def _stop(self) -> None:
         if self._timer is not None:
@@ -311,9 +309,7 @@ class Fleet:
         now = time.time()
         for device in devices:
             points = [(name, device.map[name].units) for name in device.names]
-            self._tell(
-                [Reading(now, device.name, name, None, units, "offline") for name, units in points]
-            )
+            self._tell(offline(device, points, now))
 
     def _withdrawn(
         self,

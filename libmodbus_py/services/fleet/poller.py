@@ -4,7 +4,7 @@ One device while it is polled: the state of its poll, and of the device.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from enum import Enum
 from typing import Any
 
@@ -16,7 +16,7 @@ from ...maps.watched import PointIntervals, Totals
 from ...protocol.errors import ModbusError
 from ..waiting_room import rest_after
 from .config import DeviceConfig
-from .readings import Changes, Reading, is_down, judged
+from .readings import NO_LABELS, Changes, Reading, is_down, judged
 
 __all__ = ["LONGEST_REST", "DeviceState", "Poller", "Reads"]
 
@@ -273,6 +273,7 @@ class Poller:
             first: the id of the first reading; the others have the next ones. 0 for no ids.
         """
         device, names, units = self.name, self.reads.names, self.reads.units
+        labels = self.config.labels or NO_LABELS
         found = self._plan.results(self._answers, return_exceptions=True)
         values = list(found.values())
         if self._pace is not None:
@@ -293,18 +294,15 @@ class Poller:
             if at in fell:
                 reason = "Fell"
             name, unit, key = names[at], units[at], number if first else 0
-            readings.append(Reading(time, device, name, value, unit, quality, reason, key))
+            readings.append(Reading(time, device, name, value, unit, quality, reason, key, labels))
         return readings
 
     def withdrawn(self, time: float, still_read: Collection[str] = ()) -> list[Reading]:
         """Return readings that take back those that were reported, without the points named."""
         if self.state is DeviceState.NEW:
             return []
-        return [
-            Reading(time, self.name, name, None, unit, "offline")
-            for name, unit in zip(self.reads.names, self.reads.units, strict=True)
-            if name not in still_read
-        ]
+        units = zip(self.reads.names, self.reads.units, strict=True)
+        return offline(self.config, [each for each in units if each[0] not in still_read], time)
 
     def forget(self) -> None:
         """Forget the state of the device, and what was reported of it."""
@@ -344,3 +342,12 @@ def _changes(config: DeviceConfig, reads: Reads) -> Changes:
 
 def _totals(config: DeviceConfig, reads: Reads) -> Totals:
     return Totals(at for at, name in enumerate(reads.names) if config.map[name].never_falls)
+
+
+def offline(device: DeviceConfig, points: Iterable[tuple[str, str]], time: float) -> list[Reading]:
+    """Return readings that take back points of a device, given by their names and units."""
+    labels = device.labels or NO_LABELS
+    return [
+        Reading(time, device.name, name, None, unit, "offline", "", 0, labels)
+        for name, unit in points
+    ]

@@ -5,7 +5,8 @@ Readings, and the choice of those that are reported.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 from ...maps.meaning import NoValue
@@ -17,7 +18,9 @@ from ...protocol.errors import (
     ModbusError,
 )
 
-__all__ = ["Changes", "Quality", "Reading", "is_down", "judged"]
+__all__ = ["NO_LABELS", "Changes", "Quality", "Reading", "is_down", "judged"]
+
+NO_LABELS: Mapping[str, str] = MappingProxyType({})
 
 Quality = Literal["good", "bad", "down", "offline"]
 
@@ -42,6 +45,7 @@ class Reading(NamedTuple):
             "good" or "offline".
         id: the number of the reading in the journal of the fleet, by which consumers drop
             repeats: each reading has a greater one than all before it; 0 without a journal.
+        labels: the labels that the device had when it was polled.
     """
 
     time: float
@@ -52,6 +56,7 @@ class Reading(NamedTuple):
     quality: Quality
     reason: str = ""
     id: int = 0
+    labels: Mapping[str, str] = NO_LABELS
 
     @property
     def poll(self) -> tuple[str, float]:

@@ -19,10 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..engine.buckets import TIMEOUT, keep_stream
 from ..engine.errors import EngineError, explained
-from ..fleet.config import DeviceConfig
 from ..fleet.levels import Levels
-from ..fleet.outputs.forms import NO_LABELS
-from ..fleet.outputs.labels import Labels
 from ..fleet.outputs.poll_messages import poll_messages
 from ..fleet.readings import Reading
 
@@ -64,11 +61,6 @@ class Stream:
         self.name: str = "nats"
         self._client = client
         self._limits = {**LIMITS, **limits}
-        self._labels = Labels(lambda device, labels: dict(labels))
-
-    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
-        """Set the devices of the readings."""
-        self._labels.set(devices)
 
     async def open(self) -> None:
         try:
@@ -81,7 +73,7 @@ class Stream:
         client = self._client
         if not readings:
             return
-        messages = list(_messages(readings, client.max_payload, self._labels.by_device))
+        messages = list(_messages(readings, client.max_payload))
         try:
             with explained(STREAM):
                 async with asyncio.timeout(TIMEOUT):
@@ -100,17 +92,12 @@ class Stream:
         pass
 
 
-def _messages(
-    readings: Sequence[Reading],
-    largest: int,
-    labels: Mapping[str, Mapping[str, str]] = NO_LABELS,
-) -> Iterator[tuple[str, str, bytes]]:
+def _messages(readings: Sequence[Reading], largest: int) -> Iterator[tuple[str, str, bytes]]:
     """
     Yield the subject, a mark that no other message has, and the data of each message.
 
     Args:
         largest: the bytes that a message may have, with its headers.
-        labels: of devices, by their names.
 
     Raises:
         ReadingsRefused: a single reading has more bytes.
@@ -118,7 +105,7 @@ def _messages(
     for (device, time), group in groupby(readings, lambda each: each.poll):
         subject = readings_of(device)
         room = largest - OVERHEAD - len(subject.encode())
-        for names, data in poll_messages(device, group, room, labels.get(device, NO_LABELS)):
+        for names, data in poll_messages(list(group), room):
             yield subject, f"{time} {len(names)} {names[0]}", data
 
 

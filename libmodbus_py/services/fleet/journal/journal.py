@@ -7,7 +7,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import chain
 from os import PathLike, fspath
 
@@ -104,7 +104,6 @@ class Journal:
         self._forcing_thread = WriterThread(self.path)
         self._reader = JournalReader(self.path)
         self._places: list[JournalPlace] = []
-        self._labels: Mapping[str, Mapping[str, str]] | None = None
         self._unused = Unused()
         self._tail = Tail(MOST_IN_MEMORY, 0)
         self._queue: deque[JournalPoll] = deque()
@@ -238,10 +237,6 @@ class Journal:
         """The id of the next reading."""
         return self.last + 1
 
-    def describe(self, labels: Mapping[str, Mapping[str, str]]) -> None:
-        """Set the labels of devices, by the names of the devices."""
-        self._labels = dict(labels)
-
     def put(self, readings: Iterable[Reading]) -> list[Reading]:
         """Add readings, and return them with their ids. This never blocks."""
         if self._task is None:
@@ -349,17 +344,11 @@ class Journal:
             JournalError: nothing was written; the polls are written the next time.
         """
         self._take_batch()
-        labels, self._labels = self._labels, None
         noting, self._noting = self._noting, None
         places = {each.name: each.confirmed for each in self._places}
         confirmed = min(places.values(), default=self.last)
         try:
-            written = await self._writing.call(
-                self._file.write, self._batch, places, confirmed, labels
-            )
-        except JournalError:
-            self._labels = labels if self._labels is None else self._labels
-            raise
+            written = await self._writing.call(self._file.write, self._batch, places, confirmed)
         finally:
             if noting is not None and not noting.done():
                 noting.set_result(None)  # outputs do not wait for a disk that takes nothing

@@ -3,7 +3,7 @@ The file of a journal: an SQLite database. Its methods block; one thread calls t
 
 ::
 
-    device (id, name, labels)               labels in JSON
+    device (id, name, labels)               labels in JSON; a row for each set of labels
     point  (id, points, device, name, unit) `points` is the id of the first point of its list
     poll   (id, readings, time, device, points, chosen, data, trouble)       see `polls.Row`
     place  (output, confirmed)              the last reading that each output has confirmed
@@ -65,8 +65,9 @@ WITH_IDENTITY = ("", "-wal")
 SCHEMA = """
 CREATE TABLE device (
     id INTEGER PRIMARY KEY,
-    name TEXT NOT NULL UNIQUE,
-    labels TEXT NOT NULL DEFAULT '{}'
+    name TEXT NOT NULL,
+    labels TEXT NOT NULL DEFAULT '{}',
+    UNIQUE (name, labels)
 );
 CREATE TABLE point (
     id INTEGER PRIMARY KEY,
@@ -168,9 +169,8 @@ class JournalFile:
         self._lock = -1
         self._was_used = False
         self._database: sqlite3.Connection | None = None
-        self._devices: dict[str, int] = {}
-        self._points: dict[str, Points] = {}
-        self._labels: dict[str, str] = {}
+        # Device -> its labels and points in the last poll.
+        self._points: dict[str, tuple[Mapping[str, str], Points]] = {}
         self._to_delete = 0.0
         self._identity: list[Identity] = []
 
@@ -268,7 +268,6 @@ class JournalFile:
             [[last]] = database.execute("SELECT max(id + readings - 1) FROM poll")
             [[begun]] = database.execute("SELECT max(first) FROM run")
             known = max(last or 0, (begun or 1) - 1)
-            is_continued = bool(first)
             first = first or first_id(time.time(), known)
             database.execute(
                 "INSERT OR REPLACE INTO run VALUES (?, ?)",
@@ -282,8 +281,7 @@ class JournalFile:
                 else [(name, first - 1) for name in outputs],
             )
             _forget_runs(database)
-            if not is_continued:  # in which labels of devices are not written again
-                _forget_devices(database)
+            _forget_devices(database)
             runs = database.execute("SELECT first, unused FROM run ORDER BY first").fetchall()
             places = dict(database.execute("SELECT output, confirmed FROM place"))
         return Begun(first, runs, {name: places[name] for name in outputs})
@@ -331,7 +329,7 @@ class JournalFile:
 
     def _forget(self) -> None:
         """Forget what a transaction that failed may have changed."""
-        self._devices, self._points, self._labels = {}, {}, {}
+        self._points = {}
 
     @contextlib.contextmanager
     def _transaction(self) -> Iterator[None]:
@@ -354,7 +352,6 @@ class JournalFile:
         polls: Sequence[JournalPoll],
         places: Mapping[str, int],
         confirmed: int,
-        labels: Mapping[str, Mapping[str, str]] | None = None,
     ) -> JournalState:
         """
         Write polls and the places of outputs in one transaction, and delete what is too old.
@@ -363,7 +360,6 @@ class JournalFile:
             polls: in the order of their ids.
             places: output -> the last id that it confirmed.
             confirmed: the last id that all outputs confirmed.
-            labels: the labels of the devices, if these have changed.
 
         Raises:
             JournalTrouble: nothing was written; it may be possible later.
@@ -372,10 +368,7 @@ class JournalFile:
         """
         with raised(self.path):
             self._check_identity()
-            if labels is not None:
-                self._forget()  # the points of devices may have changed too
             with self._transaction():
-                self._put_labels(labels or {})
                 rows = [row for poll in polls if (row := self._row(poll)) is not None]
                 self._used.executemany(INSERT_POLL, rows)
                 self._used.executemany(SET_PLACE, places.items())
@@ -395,29 +388,28 @@ class JournalFile:
             return False
 
     def _row(self, poll: JournalPoll) -> Row | None:
-        name = poll.readings[0].device
-        points = self._points.get(name)
+        name, labels = poll.readings[0].device, poll.readings[0].labels
+        known = self._points.get(name)
         try:
-            if points is not None:
+            if known is not None and known[0] == labels:
                 with contextlib.suppress(KeyError):
-                    return encoded(poll, points)
-            points = self._points[name] = self._points_of(name, poll)
+                    return encoded(poll, known[1])
+            points = self._points_of(name, labels, poll)
+            self._points[name] = labels, points
             return encoded(poll, points)
         except (TypeError, ValueError, RecursionError) as error:
             logger.error("%s: a poll of %s is not written: %s", self.path, name, error)
             return None
 
-    def _device(self, name: str) -> int:
-        found = self._devices.get(name)
-        if found is None:
-            self._used.execute("INSERT OR IGNORE INTO device (name) VALUES (?)", (_stored(name),))
-            [[found]] = self._used.execute("SELECT id FROM device WHERE name = ?", (_stored(name),))
-            self._devices[name] = found
-        return found
+    def _device(self, name: str, labels: Mapping[str, str]) -> int:
+        row = _stored(name), SORTED_JSON.encode(dict(labels))
+        self._used.execute("INSERT OR IGNORE INTO device (name, labels) VALUES (?, ?)", row)
+        [[found]] = self._used.execute("SELECT id FROM device WHERE (name, labels) = (?, ?)", row)
+        return int(found)
 
-    def _points_of(self, name: str, poll: JournalPoll) -> Points:
+    def _points_of(self, name: str, labels: Mapping[str, str], poll: JournalPoll) -> Points:
         """Return the list of the points of a poll, which is added if the device has none such."""
-        device = self._device(name)
+        device = self._device(name, labels)
         wanted = [(each.name, each.unit) for each in poll.readings]
         stored = [(_stored(name), _stored(unit)) for name, unit in wanted]
         known: dict[int, list[tuple[str, str]]] = {}
@@ -435,13 +427,6 @@ class JournalFile:
             )
         names, units = zip(*wanted, strict=True)
         return Points(number, device, names, units)
-
-    def _put_labels(self, labels: Mapping[str, Mapping[str, str]]) -> None:
-        for name, each in labels.items():
-            self._used.execute(
-                "UPDATE device SET labels = ? WHERE id = ?",
-                (SORTED_JSON.encode(dict(each)), self._device(name)),
-            )
 
     # --- deleting ---------------------------------------------------------------------------
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import json
 import sqlite3
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from heapq import merge
 from itertools import chain, groupby, islice
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 from ....protocol.checks import integer
 from ....protocol.logs import HarmlessLogger
+from ..readings import NO_LABELS
 from .errors import raised
 from .polls import JournalPoll, Points, Row, decoded
 
@@ -83,7 +84,7 @@ class JournalReader:
     def __init__(self, path: str) -> None:
         self._path = path
         self._database: sqlite3.Connection | None = None
-        self._points: dict[int, tuple[str, Points]] = {}
+        self._points: dict[int, tuple[str, Mapping[str, str], Points]] = {}
 
     def read(self, after: int, most: int) -> list[JournalPoll]:
         """
@@ -117,13 +118,14 @@ class JournalReader:
             logger.error("%s: poll %s cannot be read: %s", self._path, row.id, error)
             return None
 
-    def _points_of(self, number: int) -> tuple[str, Points]:
+    def _points_of(self, number: int) -> tuple[str, Mapping[str, str], Points]:
         assert self._database is not None
         points = self._database.execute(POINTS, (number,)).fetchall()
         device = points[0][0]
-        [[name]] = self._database.execute("SELECT name FROM device WHERE id = ?", (device,))
+        query = "SELECT name, labels FROM device WHERE id = ?"
+        [[name, labels]] = self._database.execute(query, (device,))
         _, names, units = zip(*points, strict=True)
-        return name, Points(number, device, names, units)
+        return name, json.loads(labels) or NO_LABELS, Points(number, device, names, units)
 
     def close(self) -> None:
         """Close the file, until `read` is called again."""

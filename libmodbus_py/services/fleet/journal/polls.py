@@ -6,7 +6,7 @@ four times the space, and six times the processor time with the index that histo
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import Any, NamedTuple
 
@@ -94,11 +94,12 @@ def encoded(poll: JournalPoll, points: Points) -> Row:
         TypeError, ValueError: a value that JSON cannot contain.
     """
     readings = poll.readings
-    names = tuple(each.name for each in readings)
+    named = [(each.name, each.unit) for each in readings]
+    known = [*zip(points.names, points.units, strict=True)]
     chosen = None
-    if names != points.names:
-        positions = {name: at for at, name in enumerate(points.names)}
-        chosen = COMPACT_JSON.encode([positions[name] for name in names])
+    if named != known:
+        positions = {each: at for at, each in enumerate(known)}
+        chosen = COMPACT_JSON.encode([positions[each] for each in named])
     values = [each.value for each in readings]
     if not _SIMPLE.issuperset(map(type, values)):
         values = [plain(value) for value in values]
@@ -126,7 +127,7 @@ def _json_of(values: list[Any]) -> str:
         return COMPACT_JSON.encode(plain(values))
 
 
-def decoded(row: Row, device: str, points: Points) -> JournalPoll:
+def decoded(row: Row, device: str, labels: Mapping[str, str], points: Points) -> JournalPoll:
     """
     Return a row as a poll.
 
@@ -140,7 +141,7 @@ def decoded(row: Row, device: str, points: Points) -> JournalPoll:
         names, units = tuple(names[at] for at in chosen), tuple(units[at] for at in chosen)
     trouble = json.loads(row.trouble) if row.trouble else {}
     readings = [
-        Reading(row.time, device, name, value, unit, "good", "", row.id + at)
+        Reading(row.time, device, name, value, unit, "good", "", row.id + at, labels)
         for at, (name, value, unit) in enumerate(zip(names, values, units, strict=True))
     ]
     for at, (quality, reason) in trouble.items():

@@ -17,7 +17,6 @@ Each output is one file, which imports its libraries when the output is opened, 
     device_states  the devices that answer, as their readings show
     last_values    the last reading of each point, for metrics
     forms          readings as JSON and CSV
-    labels         the labels of devices, as an output needs them
     trust          the certificate authorities that are trusted
     secret_file    a password in a file, which is read again
     text_file      a file or the standard output

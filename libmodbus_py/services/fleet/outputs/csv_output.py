@@ -4,15 +4,13 @@ A row of CSV for each reading.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from ....protocol.mistakes import WrongType, WrongValue
 from ....tools.files.csv_text import csv_rows
 from ..buffer import MOST_KEPT
-from ..config import DeviceConfig
 from ..readings import Reading
 from .forms import COLUMNS, as_csv
-from .labels import Labels
 from .text_file import TextFile
 
 __all__ = ["CsvOutput"]
@@ -43,15 +41,10 @@ class CsvOutput(TextFile):
         columns = _columns(labels)
         header = csv_rows([(*COLUMNS, *columns)]).encode() if columns else HEADER
         super().__init__("csv", path, self._rows, header, buffer, quote=b'"')
-        self._empty = ("",) * len(columns)
-        self._labels = Labels(lambda device, each: tuple(each.get(key, "") for key in columns))
-
-    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
-        """Set the devices of the readings."""
-        self._labels.set(devices)
+        self._columns = columns
 
     def _rows(self, readings: Sequence[Reading]) -> bytes:
-        return as_csv(readings, self._labels.by_device, self._empty)
+        return as_csv(readings, self._columns)
 
 
 def _columns(labels: object) -> list[str]:

@@ -6,10 +6,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from math import isfinite
-from types import MappingProxyType
 from typing import Any
 
 from ....protocol.json_text import JSON, json_text
@@ -18,12 +17,10 @@ from ....protocol.shown_time import time_text
 from ....tools.files.csv_text import csv_rows
 from ..readings import Reading
 
-__all__ = ["COLUMNS", "as_csv", "as_json", "labels_text", "payload", "payload_text"]
+__all__ = ["COLUMNS", "as_csv", "as_json", "payload", "payload_text"]
 
-COLUMNS: tuple[str, ...] = tuple(name for name in Reading._fields if name != "id")
-"""The columns of CSV."""
-
-NO_LABELS: Mapping[str, Any] = MappingProxyType({})
+COLUMNS: tuple[str, ...] = Reading._fields[:-2]
+"""The columns of CSV: what a reading has, but for its id and its labels."""
 
 _encode = JSON.encode
 
@@ -34,13 +31,8 @@ _quoted = json.encoder.encode_basestring
 _time_text = lru_cache(maxsize=64)(time_text)  # all readings of a poll have the same time
 
 
-def payload(reading: Reading, labels: Mapping[str, str] = NO_LABELS) -> dict[str, Any]:
-    """
-    Return a reading as an object for JSON, without the names of the device and the point.
-
-    Args:
-        labels: of the device.
-    """
+def payload(reading: Reading) -> dict[str, Any]:
+    """Return a reading as an object for JSON, without the names of the device and the point."""
     told = {
         "time": time_text(reading.time),
         "value": plain(reading.value),
@@ -51,14 +43,14 @@ def payload(reading: Reading, labels: Mapping[str, str] = NO_LABELS) -> dict[str
         told["reason"] = reading.reason
     if reading.id:
         told["id"] = reading.id
-    if labels:
-        told["labels"] = dict(labels)
+    if reading.labels:
+        told["labels"] = dict(reading.labels)
     return told
 
 
 def payload_text(reading: Reading) -> str:
     """Return what `payload` returns for a reading, without labels, as JSON."""
-    time, _, _, value, unit, quality, reason, number = reading
+    time, _, _, value, unit, quality, reason, number, _ = reading
     # Formatted directly, because dictionaries are too slow for 40000 readings a second.
     return (
         f'{{"time": "{_time_text(time)}", "value": {_number(value)}, "unit": {_quoted(unit)},'
@@ -68,30 +60,20 @@ def payload_text(reading: Reading) -> str:
     )
 
 
-def as_json(readings: Iterable[Reading], labels: Mapping[str, str] = NO_LABELS) -> bytes:
-    """
-    Return a line of JSON for each reading.
-
-    Args:
-        labels: device -> the text with its labels, as `labels_text` returns it.
-    """
+def as_json(readings: Iterable[Reading]) -> bytes:
+    """Return a line of JSON for each reading."""
     # Formatted directly, because dictionaries are too slow for 40000 readings a second.
     lines = [
         f'{{"device": {_quoted(device)}, "name": {_quoted(name)}, "time": "{_time_text(time)}",'
         f' "value": {_number(value)}, "unit": {_quoted(unit)}, "quality": "{quality}"'
         + (f', "reason": {_quoted(reason)}' if reason else "")
         + (f', "id": {number}' if number else "")
-        + labels.get(device, "}\n")
-        for time, device, name, value, unit, quality, reason, number in readings
+        + (f', "labels": {_encode(dict(labels))}}}\n' if labels else "}\n")
+        for time, device, name, value, unit, quality, reason, number, labels in readings
     ]
     text = "".join(lines)
     # The encoder escapes the other control characters.
     return (_C1.sub(_escaped, text) if _C1.search(text) else text).encode()
-
-
-def labels_text(labels: Mapping[str, str]) -> str:
-    """Return the end of each line of JSON about a device with these labels."""
-    return f', "labels": {_encode(dict(labels))}}}\n' if labels else "}\n"
 
 
 def _escaped(found: re.Match[str]) -> str:
@@ -111,17 +93,13 @@ def _cell(value: Any) -> Any:
     return plain(value) if value is not None else None
 
 
-def as_csv(
-    readings: Iterable[Reading],
-    labels: Mapping[str, tuple[str, ...]] = NO_LABELS,
-    none: tuple[str, ...] = (),
-) -> bytes:
+def as_csv(readings: Iterable[Reading], labels: Sequence[str] = ()) -> bytes:
     """
     Return a row of CSV for each reading, with the fields of `Reading` in `COLUMNS`.
 
     Args:
-        labels: device -> the cells behind these.
-        none: the cells behind these for other devices.
+        labels: names of labels, the values of which are the cells behind these; empty without
+            the label.
     """
     rows = [
         (
@@ -130,8 +108,8 @@ def as_csv(
             name,
             _cell(value),
             *others,
-            *labels.get(device, none),
+            *[held.get(key, "") for key in labels],
         )
-        for time, device, name, value, *others, _ in readings
+        for time, device, name, value, *others, _, held in readings
     ]
     return csv_rows(rows).encode()

@@ -4,13 +4,8 @@ A line of JSON for each reading.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 from ..buffer import MOST_KEPT
-from ..config import DeviceConfig
-from ..readings import Reading
-from .forms import as_json, labels_text
-from .labels import Labels
+from .forms import as_json
 from .text_file import TextFile
 
 __all__ = ["JsonOutput"]
@@ -35,12 +30,4 @@ class JsonOutput(TextFile):
         path: str = "-",
         buffer: int = MOST_KEPT,
     ) -> None:
-        super().__init__("json", path, self._lines, b"", buffer)
-        self._labels = Labels(lambda device, labels: labels_text(labels))
-
-    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
-        """Set the devices of the readings."""
-        self._labels.set(devices)
-
-    def _lines(self, readings: Sequence[Reading]) -> bytes:
-        return as_json(readings, self._labels.by_device)
+        super().__init__("json", path, as_json, b"", buffer)

@@ -14,7 +14,6 @@ from ....protocol.mistakes import WrongType, WrongValue
 from ....protocol.plain import plain, without_controls
 from ..config import DeviceConfig
 from ..readings import Reading
-from .labels import Labels
 
 __all__ = ["LineProtocol"]
 
@@ -52,15 +51,12 @@ class LineProtocol:
 
     def __init__(self, measurement: str) -> None:
         self._measurement = _MEASUREMENT.sub(r"\\\1", _name("measurement", measurement))
-        # The beginnings of lines, up to the fields.
-        self._heads = Labels(self._head)
-        # device -> its points whose values are text.
+        # Device -> its points whose values are text, also of devices that were removed.
         self._texts: dict[str, frozenset[str]] = {}
 
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Set the devices of the readings, by their names."""
-        self._heads.set(devices)
-        self._texts = {
+        self._texts |= {
             name: frozenset(point for point in each.map if each.map[point].states is not None)
             for name, each in devices.items()
         }
@@ -68,14 +64,11 @@ class LineProtocol:
     def lines(self, readings: Iterable[Reading]) -> bytes:
         """Return the lines of readings, in UTF-8; times are in nanoseconds."""
         return "".join(
-            f"{self._head_of(device)} {','.join(fields)} {_nanoseconds(time)}\n"
-            for (device, time), group in groupby(readings, lambda each: each.poll)
-            if (fields := [field for each in group for field in self._fields(each)])
+            f"{self._head(poll[0].device, poll[0].labels)} {','.join(fields)}"
+            f" {_nanoseconds(poll[0].time)}\n"
+            for poll in [list(group) for _, group in groupby(readings, lambda each: each.poll)]
+            if (fields := [field for each in poll for field in self._fields(each)])
         ).encode()
-
-    def _head_of(self, device: str) -> str:
-        head = self._heads.by_device.get(device)
-        return self._head(device, {}) if head is None else head
 
     def _head(self, device: str, labels: Mapping[str, str]) -> str:
         tags = {"device": device, **labels}

@@ -27,7 +27,6 @@ from ..commands import Commands, encoded, wanted_of
 from ..config import DeviceConfig
 from ..readings import Reading
 from .device_states import DeviceStates
-from .labels import Labels
 from .mqtt_messages import Message, Messages, PointMessages, PollMessages
 from .output import OutputError
 from .secret_file import SecretFile, text_of
@@ -150,7 +149,7 @@ class Mqtt:
             raise WrongValue("status", f"must not be the topic of a reading: {status!r}")
         self._device_status = _of_devices(device_status, self._topic, self._point, self._status)
         self._states = DeviceStates()
-        self._labels = Labels(lambda device, labels: dict(labels))
+        self._labels: dict[str, Mapping[str, str]] = {}
         self._retain = retain
         self._messages = self._messages_of(retain, max_message)
         self._qos = integer("qos", qos, 0, 1)
@@ -165,6 +164,7 @@ class Mqtt:
         self._client: aiomqtt.Client | None = None
         # The topics at which the broker retains the states of devices.
         self._state_topics: dict[str, str] = {}
+        self._state_labels: dict[str, Mapping[str, str]] = {}
         # Connections in a row that were lost while these were published again; the one that was
         # being published alone; and how often the connection was lost at each.
         self._lost_again = 0
@@ -181,8 +181,8 @@ class Mqtt:
             if is_of_points or retain:
                 raise WrongValue(key, "needs a topic without {name}, and retain = false")
         if is_of_points:
-            return PointMessages(self._topic, self._labels)
-        return PollMessages(self._topic, self._labels, is_retained=retain, largest=most or LARGEST)
+            return PointMessages(self._topic)
+        return PollMessages(self._topic, is_retained=retain, largest=most or LARGEST)
 
     @property
     def identity(self) -> str:
@@ -198,7 +198,7 @@ class Mqtt:
         """
         for topic in filter(None, (self._topic, self._device_status)):
             topic.check(devices)
-        self._labels.set(devices)
+        self._labels = {name: each.labels for name, each in devices.items()}
 
     def attach(self, commands: Commands) -> None:
         """Set the object that carries out commands."""
@@ -258,7 +258,7 @@ class Mqtt:
             await self._while_connected(self._publish_states(client, changed))
         self._states.note(changed, readings)
         for name in self._state_topics.keys() - self._states.told.keys():
-            del self._state_topics[name]
+            del self._state_topics[name], self._state_labels[name]
         if self._retain:
             self._messages.note(readings)
 
@@ -310,6 +310,7 @@ class Mqtt:
         if self._device_status is None:
             return {}
         changed = self._states.changed(readings)
+        self._state_labels |= {each.device: each.labels for each in readings}
         for name in {each.device for each in readings} & self._states.told.keys():
             if self._state_topic(name) != self._state_topics.get(name):
                 changed.setdefault(name, self._states.told[name])
@@ -317,7 +318,7 @@ class Mqtt:
 
     def _state_topic(self, device: str) -> str:
         assert self._device_status is not None
-        return self._device_status.of(self._labels.by_device.get(device, {}), device=device)
+        return self._device_status.of(self._state_labels.get(device, {}), device=device)
 
     async def _publish_states(self, client: aiomqtt.Client, states: Mapping[str, bool]) -> None:
         for name, answers in list(states.items()):
@@ -388,10 +389,7 @@ class Mqtt:
         names = self._point.read(asked)
         data = message.payload if isinstance(message.payload, bytes) else b""
         # A rule of the broker that goes by a label must hold: only the own topic of a point counts.
-        if (
-            names is None
-            or self._point.of(self._labels.by_device.get(names["device"], {}), **names) != asked
-        ):
+        if names is None or self._point.of(self._labels.get(names["device"], {}), **names) != asked:
             return
         device, name = names["device"], names["name"]
         outcome = await commands.answer(device, name, wanted_of(data))

@@ -11,8 +11,7 @@ from typing import Protocol
 from ....protocol.json_text import JSON
 from ..readings import Reading
 from .forms import payload
-from .labels import Labels
-from .poll_messages import poll_messages
+from .poll_messages import newest, poll_messages
 from .topics import Topic
 
 __all__ = ["Message", "Messages", "PointMessages", "PollMessages"]
@@ -63,17 +62,15 @@ class PointMessages:
 
     Args:
         topic: of a point.
-        labels: of devices.
     """
 
-    def __init__(self, topic: Topic, labels: Labels[dict[str, str]]) -> None:
+    def __init__(self, topic: Topic) -> None:
         self._topic = topic
-        self._labels = labels
         self._kept: dict[Hashable, Reading] = {}
         self._topics: dict[Hashable, str] = {}
 
     def of(self, readings: Sequence[Reading]) -> Iterator[Message]:
-        return (self._message(self._topic_of(each), each) for each in readings)
+        return (_message(self._topic_of(each), each) for each in readings)
 
     def left(self, readings: Sequence[Reading]) -> Iterator[Message]:
         if not self._topic.labels:  # which may have changed
@@ -82,7 +79,7 @@ class PointMessages:
             key, topic = _point(each), self._topic_of(each)
             former = self._topics.get(key, topic)
             if former != topic:
-                yield self._message(former, _gone(each))
+                yield _message(former, _gone(each))
             self._topics[key] = topic
 
     def note(self, readings: Sequence[Reading]) -> None:
@@ -110,12 +107,7 @@ class PointMessages:
         return f"{reading.name} of {reading.device}" if reading is not None else ""
 
     def _topic_of(self, reading: Reading) -> str:
-        labels = self._labels.by_device.get(reading.device, {})
-        return self._topic.of(labels, device=reading.device, name=reading.name)
-
-    def _message(self, topic: str, reading: Reading) -> Message:
-        labels = self._labels.by_device.get(reading.device, {})
-        return topic, JSON.encode(payload(reading, labels)).encode()
+        return self._topic.of(reading.labels, device=reading.device, name=reading.name)
 
 
 class PollMessages:
@@ -124,17 +116,13 @@ class PollMessages:
 
     Args:
         topic: of a device.
-        labels: of devices.
         is_retained: True to send the last values of the other points of the device, too: the
             broker retains one message of a topic.
         largest: the bytes that a message may have.
     """
 
-    def __init__(
-        self, topic: Topic, labels: Labels[dict[str, str]], *, is_retained: bool, largest: int
-    ) -> None:
+    def __init__(self, topic: Topic, *, is_retained: bool, largest: int) -> None:
         self._topic = topic
-        self._labels = labels
         self._is_retained = is_retained
         self._largest = largest
         # The last reading of each point of a device.
@@ -148,20 +136,18 @@ class PollMessages:
             if self._is_retained:
                 told = {**ahead.get(device, self._kept.get(device, {})), **told}
                 ahead[device] = _staying(told)
-            yield from self._messages(self._topic_of(device), told)
+            last = list(told.values())
+            yield from self._messages(self._topic_of(last), last)
 
     def left(self, readings: Sequence[Reading]) -> Iterator[Message]:
         if not self._topic.labels:  # which may have changed
             return
-        for device in dict.fromkeys(each.device for each in readings):
-            topic = self._topic_of(device)
+        for (device, _), group in groupby(readings, lambda each: each.poll):
+            told = {**self._kept.get(device, {}), **{each.name: each for each in group}}
+            topic = self._topic_of(list(told.values()))
             former = self._topics.get(device, topic)
             if former != topic:
-                told = dict(self._kept.get(device, {}))
-                told |= {each.name: each for each in readings if each.device == device}
-                yield from self._messages(
-                    former, {name: _gone(each) for name, each in told.items()}
-                )
+                yield from self._messages(former, [_gone(each) for each in told.values()])
             self._topics[device] = topic
 
     def note(self, readings: Sequence[Reading]) -> None:
@@ -177,8 +163,9 @@ class PollMessages:
         return {key: list(each.values()) for key, each in self._kept.items()}
 
     def again(self, readings: Sequence[Reading]) -> Iterator[Message]:
-        for device, group in groupby(readings, lambda each: each.device):
-            yield from self._messages(self._topic_of(device), {each.name: each for each in group})
+        for _, group in groupby(readings, lambda each: each.device):
+            last = list(group)
+            yield from self._messages(self._topic_of(last), last)
 
     def put_last(self, key: Hashable) -> bool:
         kept = self._kept.pop(key, None)
@@ -191,14 +178,17 @@ class PollMessages:
         self._topics.pop(key, None)
         return f"the device {key!r}"
 
-    def _topic_of(self, device: str) -> str:
-        return self._topic.of(self._labels.by_device.get(device, {}), device=device)
+    def _topic_of(self, readings: Sequence[Reading]) -> str:
+        last = newest(readings)
+        return self._topic.of(last.labels, device=last.device)
 
-    def _messages(self, topic: str, told: Mapping[str, Reading]) -> Iterator[Message]:
-        device = next(iter(told.values())).device
-        labels = self._labels.by_device.get(device, {})
-        for _, data in poll_messages(device, told.values(), self._largest, labels):
+    def _messages(self, topic: str, readings: Sequence[Reading]) -> Iterator[Message]:
+        for _, data in poll_messages(readings, self._largest):
             yield topic, data
+
+
+def _message(topic: str, reading: Reading) -> Message:
+    return topic, JSON.encode(payload(reading)).encode()
 
 
 def _point(reading: Reading) -> tuple[str, str]:

@@ -4,14 +4,14 @@ Messages in JSON with the readings of a device: ``{"device": ..., "values": {NAM
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from ....protocol.json_text import JSON
 from ..readings import Reading
 from .forms import payload_text
 from .output import ReadingsRefused
 
-__all__ = ["poll_messages"]
+__all__ = ["newest", "poll_messages"]
 
 FRAME = 70
 """More than the bytes of the keys of a message, and of the numbers of parts."""
@@ -19,21 +19,20 @@ FRAME = 70
 _json = JSON.encode
 
 
-def poll_messages(
-    device: str, readings: Iterable[Reading], largest: int, labels: Mapping[str, str]
-) -> Iterator[tuple[list[str], bytes]]:
+def poll_messages(readings: Sequence[Reading], largest: int) -> Iterator[tuple[list[str], bytes]]:
     """
     Yield the names in each message with these readings of a device, and its data.
 
     Several messages also have ``"part": 1, "parts": 3``.
 
     Args:
+        readings: of one device, at least one; the newest one has its labels.
         largest: the bytes that the data of a message may have.
-        labels: of the device.
 
     Raises:
         ReadingsRefused: a single reading has more bytes.
     """
+    device, labels = readings[0].device, newest(readings).labels
     values = {each.name: f"{_json(each.name)}: {payload_text(each)}" for each in readings}
     begin = f'{{"device": {_json(device)}, '
     if labels:
@@ -44,6 +43,11 @@ def poll_messages(
         part = f'"part": {at + 1}, "parts": {len(parts)}, ' if len(parts) > 1 else ""
         told = ", ".join([values[name] for name in names])
         yield names, f'{begin}{part}"values": {{{told}}}}}'.encode()
+
+
+def newest(readings: Sequence[Reading]) -> Reading:
+    """Return the reading with the greatest time."""
+    return max(readings, key=lambda each: each.time)
 
 
 def _parts(values: Mapping[str, str], room: int) -> Iterator[list[str]]:

@@ -133,7 +133,7 @@ def test_labels_of_devices_are_written_beside_their_readings(path: str, inline: 
     database = sqlite3.connect(path)
     found = database.execute("SELECT DISTINCT device, labels FROM reading").fetchall()
     database.close()
-    assert found == [("a", '{"site":"there"}')]
+    assert found == [("a", '{"site":"here"}'), ("a", '{"site":"there"}')]
 
 
 def test_an_output_goes_on_in_the_next_run(path: str, inline: None) -> None:

@@ -91,13 +91,15 @@ def test_a_poll_that_is_written_again_is_there_once(file: JournalFile) -> None:
 def test_a_person_sees_names_units_and_labels(file: JournalFile) -> None:
     hostile = "'; DROP TABLE poll; --"
     told = [
-        Reading(0.5, hostile, 'a"b', 230.5, "V", "good"),
-        Reading(0.5, hostile, "$.x[0]", None, "", "bad", "IllegalDataAddress"),
-        Reading(0.5, hostile, "on", True, "", "good"),
-        Reading(0.5, hostile, "list", [1, 2], "", "good"),
+        Reading(0.5, hostile, 'a"b', 230.5, "V", "good", labels={"site": "north"}),
+        Reading(
+            0.5, hostile, "$.x[0]", None, "", "bad", "IllegalDataAddress", labels={"site": "north"}
+        ),
+        Reading(0.5, hostile, "on", True, "", "good", labels={"site": "north"}),
+        Reading(0.5, hostile, "list", [1, 2], "", "good", labels={"site": "north"}),
     ]
     later = [told[2]._replace(time=1.5, value=False), told[0]._replace(time=1.5, value="x")]
-    file.write([*numbered(told, 10), *numbered(later, 20)], {}, 0, {hostile: {"site": "north"}})
+    file.write([*numbered(told, 10), *numbered(later, 20)], {}, 0)
     columns = "id, time, device, name, value, unit, quality, reason, labels, seconds"
     at, labels = "1970-01-01T00:00:00.500Z", '{"site":"north"}'
     assert asked(file.path, f"SELECT {columns} FROM reading ORDER BY id") == [
@@ -125,7 +127,7 @@ def test_points_keep_their_rows_in_other_runs(path: str) -> None:
         file.close()
     file = opened(path)
     changed = [each._replace(unit="mV") for each in readings()]
-    file.write(list(numbered(changed, 200)), {}, 0, {"a": {}})
+    file.write(list(numbered(changed, 200)), {}, 0)
     file.close()
     assert asked(path, "SELECT id, points, unit FROM point") == [
         (1, 1, "V"),
@@ -134,6 +136,13 @@ def test_points_keep_their_rows_in_other_runs(path: str) -> None:
         (4, 3, "mV"),
     ]
     assert {unit for (unit,) in asked(path, "SELECT unit FROM reading WHERE id < 200")} == {"V"}
+
+
+def test_a_unit_that_changes_in_a_run_holds_for_later_readings(file: JournalFile) -> None:
+    file.write(polls(1, 1), {}, 0)
+    file.write(list(numbered([each._replace(unit="mV") for each in readings()], 200)), {}, 0)
+    units = asked(file.path, "SELECT DISTINCT id < 200, unit FROM reading ORDER BY id")
+    assert units == [(1, "V"), (0, "mV")]
 
 
 def test_a_poll_that_cannot_be_written_delays_no_other(

@@ -71,13 +71,14 @@ def test_devices_whose_readings_wait_are_kept(path: str) -> None:
     file.close()
 
 
-def test_a_run_that_goes_on_with_the_file_keeps_labels(path: str) -> None:
+def test_readings_keep_the_labels_of_their_time(path: str) -> None:
     file, first = opened(path)
-    file.write([], {}, 0, {"slow": {"site": "x"}})
-    file.close()
-    file, _ = opened(path, first)
-    file.write([poll("slow", first)], {}, 0)
-    database = sqlite3.connect(path)
-    assert database.execute("SELECT DISTINCT labels FROM reading").fetchall() == [('{"site":"x"}',)]
-    database.close()
+    for at, site in enumerate(["x", "y", "x"]):
+        given = poll("slow", first + 2 * at)
+        labelled = [each._replace(labels={"site": site}) for each in given.readings]
+        file.write([given._replace(readings=labelled)], {}, 0)
+    with contextlib.closing(JournalReader(path)) as reader:
+        read = [each.readings[0].labels["site"] for each in reader.read(0, 99)]
+    assert read == ["x", "y", "x"]
+    assert len(history(path, "slow", "p1", 0, 1e12)) == 3
     file.close()

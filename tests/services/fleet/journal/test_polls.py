@@ -44,7 +44,7 @@ def test_a_row_gives_back_what_was_put_into_it(readings: Sequence[tuple[str, obj
     [poll] = numbered(whole, 20)
     row = encoded(poll, POINTS)
     assert (row.id, row.readings, row.time, row.device, row.points) == (20, len(whole), 1.25, 3, 5)
-    assert decoded(row, "a", POINTS) == poll
+    assert decoded(row, "a", {}, POINTS) == poll
     if len(whole) == 3:
         assert row.chosen is None
 

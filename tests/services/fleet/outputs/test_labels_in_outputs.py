@@ -19,7 +19,7 @@ from libmodbus_py.services.fleet.outputs.csv_output import CsvOutput
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from libmodbus_py.services.workers.stream import Stream, _messages
+from libmodbus_py.services.workers.stream import _messages
 from tests.services.fleet.fleets import meter, simulated
 from tests.support.cases import each_case
 
@@ -30,23 +30,22 @@ LABELS: Mapping[str, Mapping[str, str]] = {"north": ODD, "south": {}}
 POINTS = RegisterMap([Point("level", "holding_registers", 0)])
 
 
-def reading(device: str) -> Reading:
-    return Reading(100.0, device, "level", 7, "m", "good")
+def reading(device: str, labels: Mapping[str, str] | None = None) -> Reading:
+    labels = LABELS.get(device, {}) if labels is None else labels
+    return Reading(100.0, device, "level", 7, "m", "good", labels=labels)
 
 
-def label(output: Any, labels: Mapping[str, Mapping[str, str]]) -> None:
-    output.describe(
-        {
-            name: DeviceConfig(name, "tcp://127.0.0.1", POINTS, labels=each)
-            for name, each in labels.items()
-        }
-    )
+def described(**labels: Mapping[str, str]) -> dict[str, DeviceConfig]:
+    return {
+        name: DeviceConfig(name, "tcp://127.0.0.1", POINTS, labels=each)
+        for name, each in labels.items()
+    }
 
 
-def written(output: Any, path: Path, *devices: str) -> str:
+def written(output: Any, path: Path, *devices: str | Reading) -> str:
     async def go() -> None:
         await output.open()
-        await output.write([reading(each) for each in devices])
+        await output.write([reading(each) if isinstance(each, str) else each for each in devices])
         await output.close()
 
     asyncio.run(go())
@@ -56,7 +55,6 @@ def written(output: Any, path: Path, *devices: str) -> str:
 def test_json_holds_them(tmp_path: Path) -> None:
     path = tmp_path / "lines"
     output = JsonOutput(str(path))
-    label(output, LABELS)
     north, south, other = map(json.loads, written(output, path, *LABELS, "other").splitlines())
     assert north["labels"] == ODD
     assert "labels" not in south
@@ -66,7 +64,6 @@ def test_json_holds_them(tmp_path: Path) -> None:
 def test_csv_has_a_column_for_each_that_is_named(tmp_path: Path) -> None:
     path = tmp_path / "rows"
     output = CsvOutput(str(path), labels=["line", "place", "site"])
-    label(output, LABELS)
     head, *rows = csv.reader(written(output, path, *LABELS, "other").splitlines(), strict=True)
     assert head[-4:] == ["reason", "line", "place", "site"]
     assert [row[-3:] for row in rows] == [["ü", "", ODD["site"]], ["", "", ""], ["", "", ""]]
@@ -74,12 +71,8 @@ def test_csv_has_a_column_for_each_that_is_named(tmp_path: Path) -> None:
 
 
 def test_a_message_of_nats_holds_them_once() -> None:
-    output = Stream(None, {})
-    label(output, LABELS)
     two = [reading("north"), reading("north")._replace(name="flow"), reading("south")]
-    north, south = (
-        json.loads(data) for _, _, data in _messages(two, 10_000, output._labels.by_device)
-    )
+    north, south = (json.loads(data) for _, _, data in _messages(two, 10_000))
     assert north["labels"] == ODD
     assert "labels" not in south
     assert "labels" not in north["values"]["level"]
@@ -88,8 +81,7 @@ def test_a_message_of_nats_holds_them_once() -> None:
 @pytest.mark.parametrize("payload", ["point", "poll"])
 def test_a_message_of_mqtt_holds_them(payload: str) -> None:
     topic = "plant/{device}/{name}" if payload == "point" else "plant/{device}"
-    output = Mqtt("mqtt://127.0.0.1", topic=topic)
-    label(output, LABELS)
+    output = Mqtt("mqtt://127.0.0.1", topic=topic, status="")
     messages = output._messages.of([reading(each) for each in (*LABELS, "other")])
     north, south, other = (json.loads(data) for _, data in messages)
     assert north["labels"] == ODD
@@ -98,9 +90,9 @@ def test_a_message_of_mqtt_holds_them(payload: str) -> None:
 
 
 def test_a_message_of_nats_stays_within_its_size() -> None:
-    labels = {"north": {"site": "x" * 500}}
-    many = [reading("north")._replace(name=f"p{number}") for number in range(100)]
-    messages = list(_messages(many, 2000, labels))
+    one = reading("north", {"site": "x" * 500})
+    many = [one._replace(name=f"p{number}") for number in range(100)]
+    messages = list(_messages(many, 2000))
     assert max(len(data) for _, _, data in messages) <= 2000
     assert sum(len(json.loads(data)["values"]) for _, _, data in messages) == 100
 
@@ -113,15 +105,35 @@ KINDS: dict[str, Callable[[str], Any]] = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_last_readings_of_a_removed_device_have_them(kind: str, tmp_path: Path) -> None:
+def test_readings_that_waited_have_the_labels_of_their_time(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "readings"
     output = KINDS[kind](str(path))
-    label(output, {"north": {"site": "Halle"}})
-    label(output, {"south": {"site": "Hof"}})
-    assert "Halle" in written(output, path, "north")
-    label(output, {"south": {"site": "Tor"}})
-    assert "Halle" not in written(output, path, "north").splitlines()[-1]
-    assert "Tor" in written(output, path, "south").splitlines()[-1]
+    if isinstance(output, Influx):
+        output.describe(described(north={"site": "Halle"}))
+        output.describe(described(north={"site": "Hof"}))
+        output.describe({})
+    waited = [reading("north", {"site": "Halle"}), reading("north", {"site": "Hof"})]
+    lines = written(output, path, *[waited[0], waited[1]._replace(time=101.0)]).splitlines()
+    assert "Halle" in lines[-2]
+    assert "Hof" in lines[-1]
+
+
+@pytest.mark.parametrize("topic", ["{label.site}/{device}/{name}", "{label.site}/{device}"])
+def test_topics_have_the_labels_of_the_time_of_a_reading(topic: str) -> None:
+    output = Mqtt("mqtt://127.0.0.1", topic=topic, status="")
+    output.describe(described(north={"site": "Hof"}))
+    output.describe({})
+    topics = [at for at, _ in output._messages.of([reading("north", {"site": "Halle"})])]
+    assert topics[0].startswith("Halle/north")
+
+
+def test_points_with_states_stay_text_when_their_device_is_removed(tmp_path: Path) -> None:
+    path = tmp_path / "lines"
+    output = Influx(str(path))
+    states = RegisterMap([Point("level", "holding_registers", 0, states={1: "open"})])
+    output.describe({"north": DeviceConfig("north", "tcp://127.0.0.1", states)})
+    output.describe({})
+    assert 'level="7"' in written(output, path, "north")
 
 
 @each_case(

@@ -32,14 +32,14 @@ def reading(
     return Reading(TIME, "north", name, value, "m", quality, reason)
 
 
-def protocol(measurement: str = "modbus", name: str = "north", **labels: str) -> LineProtocol:
+def protocol(measurement: str = "modbus", name: str = "north") -> LineProtocol:
     made = LineProtocol(measurement)
-    made.describe({name: DeviceConfig(name, "tcp://127.0.0.1", MAP, labels=labels)})
+    made.describe({name: DeviceConfig(name, "tcp://127.0.0.1", MAP)})
     return made
 
 
 def lines(*readings: Reading, **labels: str) -> str:
-    return protocol(**labels).lines(readings).decode()
+    return protocol().lines([each._replace(labels=labels) for each in readings]).decode()
 
 
 @each_case(

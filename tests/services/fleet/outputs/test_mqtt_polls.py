@@ -128,7 +128,7 @@ def test_a_device_that_is_refused_after_a_restart_is_forgotten_alone(
 def test_no_message_is_larger_than_asked_for() -> None:
     readings = poll("a", 0, **{f"p{at}": at for at in range(100)})
     for largest in range(1024, 1300):
-        messages = list(poll_messages("a", readings, largest, {}))
+        messages = list(poll_messages(readings, largest))
         assert max(len(data) for _, data in messages) <= largest
         assert sum(len(names) for names, _ in messages) == 100
 
