@@ -16,7 +16,7 @@ import pytest
 
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.engine.buckets import Watch
-from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
+from libmodbus_py.services.fleet.outputs.file_outputs import JsonOutput
 from libmodbus_py.services.fleet.outputs.pump import LAST_WORDS, Pump
 from libmodbus_py.services.tasks import AGAIN, end_tasks, finish
 from tests.services.fleet.outputs.test_unwritable_readings import Picky, reading

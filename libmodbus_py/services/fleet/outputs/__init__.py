@@ -19,6 +19,6 @@ Each output is one file, which imports its libraries when the output is opened, 
     forms          readings as JSON and CSV
     trust          the certificate authorities that are trusted
     secret_file    a password in a file, which is read again
-    text_file      a file or the standard output
+    line_file      lines in a file or on the standard output
     writer_thread  a thread that writes, so that nothing else waits for a disk
 """

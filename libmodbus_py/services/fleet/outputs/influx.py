@@ -12,9 +12,9 @@ from ..buffer import MOST_KEPT
 from ..config import DeviceConfig
 from ..readings import Reading
 from .influx_server import InfluxServer
+from .line_file import LineFile
 from .line_protocol import LineProtocol
 from .secret_file import SecretFile
-from .text_file import TextFile
 
 __all__ = ["Influx"]
 
@@ -98,7 +98,7 @@ class Influx:
         if needless:
             raise WrongValue(needless[0], "can only be used with url")
         self.path: str = "-" if path is None else path
-        self._sink = file = TextFile("influx", self.path, self._protocol.lines, b"", buffer)
+        self._sink = file = LineFile(self.path, self._protocol.format, buffer)
         self.exclusive = file.exclusive
         self.identity = file.identity
 

@@ -30,8 +30,8 @@ class OutputKind(NamedTuple):
 
 
 KINDS: dict[str, OutputKind] = {
-    "json": OutputKind("json_output", "JsonOutput", "lines of JSON"),
-    "csv": OutputKind("csv_output", "CsvOutput", "CSV"),
+    "json": OutputKind("file_outputs", "JsonOutput", "lines of JSON"),
+    "csv": OutputKind("file_outputs", "CsvOutput", "CSV"),
     "influx": OutputKind("influx", "Influx", "line protocol of InfluxDB"),
     "mqtt": OutputKind("mqtt", "Mqtt"),
 }

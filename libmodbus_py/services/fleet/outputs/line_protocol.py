@@ -14,6 +14,7 @@ from ....protocol.mistakes import WrongType, WrongValue
 from ....protocol.plain import plain, without_controls
 from ..config import DeviceConfig
 from ..readings import Reading
+from .line_file import Format
 
 __all__ = ["LineProtocol"]
 
@@ -53,6 +54,11 @@ class LineProtocol:
         self._measurement = _MEASUREMENT.sub(r"\\\1", _name("measurement", measurement))
         # Device -> its points whose values are text, also of devices that were removed.
         self._texts: dict[str, frozenset[str]] = {}
+
+    @property
+    def format(self) -> Format:
+        """The format of a file with these lines."""
+        return Format("influx", self.lines, f"{self._measurement},".encode())
 
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Set the devices of the readings, by their names."""

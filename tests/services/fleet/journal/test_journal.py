@@ -22,7 +22,7 @@ from libmodbus_py.services.fleet.journal.errors import JournalDamaged, JournalTr
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.journal_reader import JournalReader
 from libmodbus_py.services.fleet.outputs import pump as pumps
-from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
+from libmodbus_py.services.fleet.outputs.file_outputs import JsonOutput
 from tests.services.fleet.fleets import LONGEST, Peer, meter, simulated_run, until
 from tests.services.fleet.journal.journals import Inline, readings
 from tests.simulation.network import Network

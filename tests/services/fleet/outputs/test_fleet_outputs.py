@@ -20,10 +20,9 @@ import pytest
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.files import load
+from libmodbus_py.services.fleet.outputs import line_file
 from libmodbus_py.services.fleet.outputs import pump as pumps
-from libmodbus_py.services.fleet.outputs import text_file
-from libmodbus_py.services.fleet.outputs.csv_output import CsvOutput
-from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
+from libmodbus_py.services.fleet.outputs.file_outputs import CsvOutput, JsonOutput
 from libmodbus_py.services.fleet.outputs.output import Output, OutputError
 from tests.services.fleet.fleets import LONGEST, Peer, RealPeer, meter, simulated_run, until
 
@@ -33,7 +32,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Outputs are tried again sooner."""
     monkeypatch.setattr(pumps, "FIRST_PAUSE", 0.02)
     monkeypatch.setattr(pumps, "LAST_WORDS", 0.2)
-    monkeypatch.setattr(text_file, "LAST_WAIT", 0.2)
+    monkeypatch.setattr(line_file, "LAST_WAIT", 0.2)
 
 
 def run(test: Any) -> Any:

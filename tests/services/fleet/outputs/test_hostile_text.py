@@ -21,9 +21,8 @@ import pytest
 from libmodbus_py import Device, Mapping
 from libmodbus_py.fleet import Reading
 from libmodbus_py.protocol.plain import without_controls
-from libmodbus_py.services.fleet.outputs.csv_output import CsvOutput
-from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
-from libmodbus_py.services.fleet.outputs.text_file import TextFile
+from libmodbus_py.services.fleet.outputs.file_outputs import CsvOutput, JsonOutput
+from libmodbus_py.services.fleet.outputs.line_file import LineFile
 from libmodbus_py.tools.files.csv_text import csv_rows
 from libmodbus_py.tools.testing.recording import ServerMaker
 from tests.support.cases import each_case
@@ -47,7 +46,7 @@ def reading(value: str) -> Reading:
     return Reading(100.0, "a", "name", value, "m", "good")
 
 
-def written(output: TextFile, *readings: Reading) -> None:
+def written(output: LineFile, *readings: Reading) -> None:
     async def go() -> None:
         await output.open()
         await output.write(readings)

@@ -276,16 +276,16 @@ def test_a_file_of_lines(tmp_path: Path) -> None:
 
 
 def test_fleets_describe_their_devices(tmp_path: Path) -> None:
-    """Labels are tags, also those of devices that were added later."""
+    """Points with states are text, also those of devices that were added later."""
 
     async def go() -> None:
-        points = RegisterMap([Point("level", "holding_registers", 0)])
+        points = RegisterMap([Point("level", "holding_registers", 0, states={1: "open"})])
         output = Influx(str(tmp_path / "lines"))
-        first = DeviceConfig("a", "tcp://127.0.0.1:1", points, labels={"site": "x"}, interval=60)
+        first = DeviceConfig("a", "tcp://127.0.0.1:1", points, interval=60)
         async with Fleet([first], outputs=[output]) as fleet:
-            fleet.add([DeviceConfig("b", "tcp://127.0.0.1:1", points, labels={"site": "y"})])
-            lines = output._protocol.lines([READING._replace(device="b")])
-        assert lines.startswith(b"modbus,device=b,site=y ")
+            fleet.add([DeviceConfig("b", "tcp://127.0.0.1:1", points)])
+            lines = output._protocol.lines([READING._replace(device="b", name="level", value=7)])
+        assert lines.startswith(b'modbus,device=b level="7" ')
 
     asyncio.run(go())
 

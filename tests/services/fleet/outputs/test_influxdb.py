@@ -39,12 +39,10 @@ def write(database: Database, *readings: Reading, **labels: str) -> None:
     async def go() -> None:
         output = Influx(url=database.url, database="plant")
         names = {each.device for each in readings}
-        output.describe(
-            {each: DeviceConfig(each, "tcp://127.0.0.1", points, labels=labels) for each in names}
-        )
+        output.describe({each: DeviceConfig(each, "tcp://127.0.0.1", points) for each in names})
         await output.open()
         try:
-            await output.write(readings)
+            await output.write([each._replace(labels=labels) for each in readings])
         finally:
             await output.close()
 

@@ -8,7 +8,7 @@ import asyncio
 
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.device_states import DeviceStates
-from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
+from libmodbus_py.services.fleet.outputs.file_outputs import JsonOutput
 from libmodbus_py.services.fleet.outputs.last_values import LastValues
 from tests.services.fleet.fleets import meter
 

@@ -13,8 +13,7 @@ import pytest
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import Journal
 from libmodbus_py.services.fleet.files import FleetFileError, load
-from libmodbus_py.services.fleet.outputs.csv_output import CsvOutput
-from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
+from libmodbus_py.services.fleet.outputs.file_outputs import CsvOutput, JsonOutput
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.output import Output
 from tests.services.fleet.fleets import meter, simulated_run

@@ -1,25 +1,40 @@
 """
-A row of CSV for each reading.
+Outputs to files: lines of JSON, and rows of CSV.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from ....protocol.mistakes import WrongType, WrongValue
 from ....tools.files.csv_text import csv_rows
 from ..buffer import MOST_KEPT
-from ..readings import Reading
-from .forms import COLUMNS, as_csv
-from .text_file import TextFile
+from .forms import COLUMNS, as_csv, as_json
+from .line_file import Format, LineFile
 
-__all__ = ["CsvOutput"]
-
-HEADER = f"{','.join(COLUMNS)}\n".encode()
-"""The first line without labels."""
+__all__ = ["CsvOutput", "JsonOutput"]
 
 
-class CsvOutput(TextFile):
+class JsonOutput(LineFile):
+    """
+    Appends readings to a file: device, name, time (ISO 8601, UTC), value, unit, quality, and
+    the reason if there is no value, and the labels of the device if it has any.
+
+    Args:
+        path: the path of the file; "-" for the standard output. The fleet ends when the standard
+            output is closed.
+        buffer: the most readings that wait for the file; the oldest are dropped beyond.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range.
+    """
+
+    def __init__(self, path: str = "-", buffer: int = MOST_KEPT) -> None:
+        super().__init__(path, Format("json", as_json, b'{"device": '), buffer)
+
+
+class CsvOutput(LineFile):
     """
     Appends readings to a file; the first line of a new file contains the names of the columns.
 
@@ -33,18 +48,12 @@ class CsvOutput(TextFile):
     """
 
     def __init__(
-        self,
-        path: str = "-",
-        buffer: int = MOST_KEPT,
-        labels: Sequence[str] = (),
+        self, path: str = "-", buffer: int = MOST_KEPT, labels: Sequence[str] = ()
     ) -> None:
         columns = _columns(labels)
-        header = csv_rows([(*COLUMNS, *columns)]).encode() if columns else HEADER
-        super().__init__("csv", path, self._rows, header, buffer, quote=b'"')
-        self._columns = columns
-
-    def _rows(self, readings: Sequence[Reading]) -> bytes:
-        return as_csv(readings, self._columns)
+        header = csv_rows([(*COLUMNS, *columns)]).encode()
+        lines = partial(as_csv, labels=columns)
+        super().__init__(path, Format("csv", lines, header, has_header=True, quote=b'"'), buffer)
 
 
 def _columns(labels: object) -> list[str]:

@@ -1,16 +1,17 @@
 """
-A file, or the standard output, written to by a thread, so that a slow disk or reader delays
-nothing else.
+Lines of readings in a file or on the standard output, written by a thread, so that a slow disk or
+reader delays nothing else.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import select
 import stat
 from collections.abc import Callable, Iterator, Sequence
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 from ....protocol.mistakes import WrongType, WrongValue
 from ....protocol.plain import without_controls
@@ -21,29 +22,53 @@ from .exclusive import file_at
 from .output import OutputError
 from .writer_thread import WriterThread
 
-__all__ = ["TextFile"]
+__all__ = ["Format", "LineFile"]
 
 # Seconds that the last write may take: a reader may have stopped reading.
 LAST_WAIT = 1.0
 
+# Bytes that are read at once from a file whose last line was not ended.
 PIECE = 1 << 20
 
 
-class TextFile:
+class Format(NamedTuple):
+    """
+    A format of lines.
+
+    Attributes:
+        name: of outputs with this format, such as "csv".
+        lines: returns readings as lines.
+        begin: the first bytes of each file.
+        has_header: True if `begin` is a header, which is written to an empty file; False if it is
+            the beginning of each line.
+        quote: what encloses text within which a line does not end; empty if there is none.
+    """
+
+    name: str
+    lines: Callable[[Sequence[Reading]], bytes]
+    begin: bytes
+    has_header: bool = False
+    quote: bytes = b""
+
+    @property
+    def header(self) -> bytes:
+        """The header of a file; empty if it has none."""
+        return self.begin if self.has_header else b""
+
+
+class LineFile:
     """
     An output that appends readings to a file.
 
-    A file that was renamed or deleted is opened anew by its path, as after logrotate; one that was
-    emptied gets the header again. If a program or a machine stopped in the midst of a line, that
-    line is ended first.
+    A file that does not begin as the format demands is left as it is: its content is not readings,
+    or readings with other columns. A file that was renamed or deleted is opened anew by its path,
+    as after logrotate; one that was emptied gets the header again. If a program or a machine
+    stopped in the midst of a line, that line is ended first.
 
     Args:
-        name: of the output.
         path: of the file; "-" for the standard output.
-        form: returns readings as bytes.
-        header: the first bytes of an empty file.
+        form: the format of the lines.
         buffer: how many readings may wait.
-        quote: what encloses text within which a line does not end; empty if there is none.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -51,13 +76,9 @@ class TextFile:
 
     def __init__(
         self,
-        name: str,
         path: str,
-        form: Callable[[Sequence[Reading]], bytes],
-        header: bytes = b"",
+        form: Format,
         buffer: int = MOST_KEPT,
-        *,
-        quote: bytes = b"",
     ) -> None:
         if not isinstance(path, str | os.PathLike) or not os.fspath(path):
             raise WrongType("path", f"must be text, not {path!r}")
@@ -66,10 +87,7 @@ class TextFile:
         self.path: str = os.fspath(path)
         self.exclusive: tuple[str, ...] = (_thing(self.path),)
         self.buffer: int = buffer
-        self._name = name
         self._form = form
-        self._header = header
-        self._quote = quote
         self._descriptor = -1
         self._is_terminal = False
         self._thread = WriterThread(self.path)
@@ -82,18 +100,18 @@ class TextFile:
     @property
     def identity(self) -> str:
         """The name of its place in a journal, the same in whatever folder the program starts."""
-        return f"{self._name} {os.path.abspath(self.path)}"
+        return f"{self._form.name} {os.path.abspath(self.path)}"
 
     @property
     def name(self) -> str:
-        return self._name if self.path == "-" else f"{self._name} {self.path}"
+        return self._form.name if self.path == "-" else f"{self._form.name} {self.path}"
 
     async def open(self) -> None:
         self._thread.start()
         await self._thread.call(self._open)
 
     async def write(self, readings: Sequence[Reading]) -> None:
-        await self._thread.call(self._write, self._form(readings))
+        await self._thread.call(self._write, self._form.lines(readings))
 
     async def close(self) -> None:
         if not self._thread.is_running:
@@ -123,7 +141,7 @@ class TextFile:
                 self._close()
                 self._open()
             elif self._size == 0:
-                self._put_whole(self._header)
+                self._put_whole(self._form.header)
             self._put_whole(data)
 
     def _is_replaced(self) -> bool:
@@ -138,21 +156,38 @@ class TextFile:
     def _begin(self) -> bytes:
         """Return what must stand before the first reading."""
         if not self._size:
-            return self._header
+            return self._form.header
         if self.path == "-":
             return b""
-        with contextlib.suppress(OSError), open(self.path, "rb") as file:  # it may be unreadable
+        try:
+            file = open(self.path, "rb")  # noqa: SIM115
+        except OSError:  # it may only be written
+            return b""
+        with file:
+            begin = file.read(len(self._form.begin))
+            if begin != self._form.begin:
+                return self._begin_anew(begin)
             file.seek(-1, os.SEEK_END)
             if file.read(1) != b"\n":
                 return self._end_of_quotation(file) + b"\n"
         return b""
 
+    def _begin_anew(self, begin: bytes) -> bytes:
+        """Empty a file that ends in the midst of its beginning; refuse all others."""
+        if not self._form.begin.startswith(begin):
+            wanted = self._form.begin.decode().strip()
+            told = f"does not begin with {wanted!r}, so nothing is written; rename the file"
+            raise OSError(errno.EEXIST, told)
+        os.ftruncate(self._descriptor, 0)
+        return self._form.header
+
     def _end_of_quotation(self, file: BinaryIO) -> bytes:
-        if not self._quote:
+        quote = self._form.quote
+        if not quote:
             return b""
         file.seek(0)
-        count = sum(piece.count(self._quote) for piece in iter(lambda: file.read(PIECE), b""))
-        return self._quote if count % 2 else b""
+        count = sum(piece.count(quote) for piece in iter(lambda: file.read(PIECE), b""))
+        return quote if count % 2 else b""
 
     def _put_whole(self, data: bytes) -> None:
         """Write all of the data, or nothing to a file that has no room."""

@@ -18,24 +18,26 @@ from typing import Any
 import pytest
 
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.outputs.csv_output import HEADER, CsvOutput
-from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
-from libmodbus_py.services.fleet.outputs.text_file import TextFile
+from libmodbus_py.services.fleet.outputs.file_outputs import CsvOutput, JsonOutput
+from libmodbus_py.services.fleet.outputs.kinds import made
+from libmodbus_py.services.fleet.outputs.line_file import LineFile
 from tests.support.cases import each_case
 
-KINDS: dict[str, Callable[[str], TextFile]] = {"json": JsonOutput, "csv": CsvOutput}
+HEADER = b"time,device,name,value,unit,quality,reason\n"
+
+KINDS: dict[str, Callable[[str], LineFile]] = {"json": JsonOutput, "csv": CsvOutput}
 
 
 def reading(value: Any) -> Reading:
     return Reading(100.0, "a", "level", value, "m", "good")
 
 
-def written(output: TextFile, *steps: Reading | Callable[[], object]) -> None:
+def written(output: Any, *steps: Reading | Callable[[], object]) -> None:
     """Open an output, write readings and do what stands between them, and close it."""
 
     async def go() -> None:
-        await output.open()
         try:
+            await output.open()
             for step in steps:
                 if isinstance(step, Reading):
                     await output.write([step])
@@ -143,6 +145,52 @@ def test_half_a_line_of_a_file_that_cannot_be_read_is_left(tmp_path: Path) -> No
     with contextlib.closing(os.fdopen(reader, "rb")) as pipe:
         written(JsonOutput(str(path)), reading(1))
         assert json.loads(pipe.read())["value"] == 1
+
+
+# --- files of others ----------------------------------------------------------------------------
+
+KEY = b"-----BEGIN PRIVATE KEY-----\nMC4CAQAwBQYDK2Vw\n"
+
+
+@each_case("kind", ["json", "csv", "influx"])
+@each_case("content", [KEY, b"#!/bin/sh\nexit 0\n", b"\n", b"secret", b"\xef\xbb\xbf" + HEADER])
+def test_a_file_that_holds_no_readings_is_left_as_it_is(
+    tmp_path: Path, kind: str, content: bytes
+) -> None:
+    path = tmp_path / "theirs"
+    path.write_bytes(content)
+    with pytest.raises(OSError, match=r"does not begin with .* rename the file") as caught:
+        written(made(kind, {"path": str(path)}), reading(1))
+    assert path.read_bytes() == content
+    assert b"BEGIN" not in str(caught.value).encode()
+
+
+def test_one_that_takes_the_place_of_ours_is_left_as_it_is(tmp_path: Path) -> None:
+    path, theirs = tmp_path / "now", tmp_path / "theirs"
+    theirs.write_bytes(KEY)
+    with pytest.raises(OSError, match="does not begin"):
+        written(CsvOutput(str(path)), reading(1), lambda: theirs.replace(path), reading(2))
+    assert path.read_bytes() == KEY
+
+
+def test_a_file_with_other_columns_is_not_continued(tmp_path: Path) -> None:
+    path = tmp_path / "now"
+    written(CsvOutput(str(path)), reading(1))
+    before = path.read_bytes()
+    with pytest.raises(OSError, match=r"does not begin with 'time,.*,reason,site'"):
+        written(CsvOutput(str(path), labels=["site"]), reading(2))
+    assert path.read_bytes() == before
+
+
+@each_case("kind", ["json", "csv", "influx"])
+def test_a_file_that_ends_in_its_beginning_is_begun_anew(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / kind
+    written(made(kind, {"path": str(path)}), reading(1))
+    whole = path.read_bytes()
+    for cut in range(1, 5):
+        path.write_bytes(whole[:cut])
+        written(made(kind, {"path": str(path)}), reading(1))
+        assert path.read_bytes() == whole
 
 
 # --- the standard output ------------------------------------------------------------------------
