@@ -85,7 +85,13 @@ def url_without_login(
     if found is not None and found.has_login:
         raise WrongValue("url", "must not contain a user or password: write them as separate keys")
     if found is None:
-        raise WrongValue("url", f'must be a URL such as "{example}", not {given!r}')
+        raise WrongValue("url", f'must be a URL such as "{example}", not {_without_login(given)!r}')
     if not found.port:
-        raise WrongValue.about("url", f"the port must be in 1..65535: {given!r}")
+        raise WrongValue.about("url", f"the port must be in 1..65535: {_without_login(given)!r}")
     return found
+
+
+def _without_login(text: str) -> str:
+    """Return a text that is no valid URL without what may be a user and a password."""
+    scheme, mark, rest = text.rpartition("://")
+    return f"{scheme}{mark}***@{rest.rpartition('@')[2]}" if "@" in rest else text

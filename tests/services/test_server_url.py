@@ -83,3 +83,13 @@ def test_two_spellings_of_a_host_are_one_server(
 ) -> None:
     scheme = {Mqtt: "mqtt", influx: "http"}[make]
     assert shared([make(f"{scheme}://{one}"), make(f"{scheme}://{other}")]) is not None
+
+
+@each_case(
+    "text",
+    ["http://me:secret@h:0x", "http:/me:secret@h", "x://me:p@secret@h", "http://me:secret@h:x"],
+)
+def test_a_wrong_url_is_not_shown_with_its_login(text: str) -> None:
+    with pytest.raises(ValueError, match="must") as caught:
+        influx(text)
+    assert "secret" not in str(caught.value)

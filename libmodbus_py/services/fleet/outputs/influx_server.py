@@ -5,6 +5,7 @@ A server of InfluxDB, which takes lines by HTTP. It needs httpx (the extra ``inf
 from __future__ import annotations
 
 import asyncio
+import base64
 import contextlib
 import ssl
 import time
@@ -129,7 +130,9 @@ class InfluxServer:
             raise TimeoutError(f"the server did not answer in {TIMEOUT:g} s") from None
         if status == ACCEPTED:
             return
-        told = f"{status} {_shown(answer, secret)}".rstrip()
+        told = f"{status} {_shown(answer, self._user, secret)}".rstrip()
+        if status < 300:
+            told = f"the server answered {status} to a write, InfluxDB 204: is this its URL?"
         if status in REFUSED:
             raise ReadingsRefused(told)
         if status in BUSY:
@@ -183,9 +186,13 @@ def _reason(error: Exception) -> str:
     return without_controls(str(error))[:LONGEST_SHOWN] or type(error).__name__
 
 
-def _shown(answer: bytes, secret: str | None) -> str:
-    text = " ".join(without_controls(answer.decode(errors="replace")).split())
-    return (text.replace(secret, "***") if secret else text)[:LONGEST_SHOWN]
+def _shown(answer: bytes, user: str | None, secret: str | None) -> str:
+    """Return the text of an answer without credentials that the server repeats."""
+    text = answer.decode(errors="replace")
+    if secret:
+        basic = base64.b64encode(f"{user}:{secret}".encode()).decode()
+        text = text.replace(basic, "***").replace(secret, "***")
+    return " ".join(without_controls(text).split())[:LONGEST_SHOWN]
 
 
 def _seconds(demand: str | None) -> float:

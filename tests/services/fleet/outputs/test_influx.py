@@ -19,6 +19,7 @@ from libmodbus_py.fleet import DeviceConfig, FleetFileError, Reading
 from libmodbus_py.services.fleet.files import load
 from libmodbus_py.services.fleet.outputs import influx_server, pump
 from libmodbus_py.services.fleet.outputs.influx import Influx
+from libmodbus_py.services.fleet.outputs.influx_server import _shown
 from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.services.fleet.outputs.secret_file import SecretFile
 from tests.services.fleet.outputs.http_server import (
@@ -112,7 +113,11 @@ def test_an_empty_write_asks_nothing() -> None:
         (answered("500 Broken"), OSError, "500"),
         (answered("503 Busy"), OSError, "503"),
         # Servers that lie, and other programs at this port.
-        (answered("200 OK", b"<html>welcome</html>"), OSError, "200 <html>welcome"),
+        (
+            answered("200 OK", b"<html>welcome</html>"),
+            OSError,
+            "answered 200 to a write, InfluxDB 204",
+        ),
         (answered("302 Found", b"", "Location: http://192.0.2.9/"), OSError, "302"),
         (answered("400 Bad", b"\x1b[2Jred"), ValueError, r"400 \\x1b\[2Jred"),
         (answered("999 What"), OSError, "999"),
@@ -144,7 +149,7 @@ def test_secrets_are_not_shown() -> None:
     ],
 )
 def test_an_answer_without_end_is_not_read_to_the_end(answer: Answer) -> None:
-    with pytest.raises(OSError, match=r"(200|500) x{200}$"):
+    with pytest.raises(OSError, match=r"(InfluxDB 204: is this its URL.|500 x{200})$"):
         write(answer)
 
 
@@ -295,3 +300,14 @@ def test_without_httpx_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) 
     output = Influx(url="http://192.0.2.1:8086", database="plant")
     with pytest.raises(OutputError, match=r"pip install 'libmodbus-py\[influx\]'"):
         asyncio.run(output.open())
+
+
+@pytest.mark.parametrize(
+    ("user", "secret", "repeated"),
+    [(None, "a  b", "a  b"), ("me", "pw", base64.b64encode(b"me:pw").decode()), ("me", "pw", "pw")],
+)
+def test_credentials_that_a_server_repeats_are_not_shown(
+    user: str | None, secret: str, repeated: str
+) -> None:
+    answer = f"unauthorized: {repeated}".encode()
+    assert _shown(answer, user, secret) == "unauthorized: ***"
