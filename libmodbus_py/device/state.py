@@ -66,7 +66,7 @@ TEMPORARY = ".new"
 Place = tuple[str, int]
 
 
-class Device(Protocol):
+class Stateful(Protocol):
     """The part of a device whose values are kept."""
 
     mapping: Mapping
@@ -82,14 +82,14 @@ class Device(Protocol):
         ...
 
 
-Devices = MappingABC[int | None, Device]
+Devices = MappingABC[int | None, Stateful]
 """Unit -> device; None stands for every unit."""
 
 
 # --- the values of a device -------------------------------------------------------------------
 
 
-def fingerprint(device: Device) -> bytes:
+def fingerprint(device: Stateful) -> bytes:
     """Return a digest of all values, so that only changed ones are encoded."""
     found = hashlib.blake2b(digest_size=16, usedforsecurity=False)
     with device.mapping as mapping:
@@ -108,7 +108,7 @@ class _Cells(NamedTuple):
     first: array[int]
 
 
-def _cells(device: Device) -> dict[Place, _Cells]:
+def _cells(device: Stateful) -> dict[Place, _Cells]:
     """Return copies of all values. Hold the mapping's lock."""
     tables = {(name, 0): getattr(device.mapping, name) for name in TABLES}
     copies = {place: (each.addresses.start, each.view) for place, each in tables.items()}
@@ -154,7 +154,7 @@ def _access(place: Place, address: int, values: Iterable[int]) -> Access:
     return Access(place[0], address, len(found), found, place[1])
 
 
-def _written(device: Device) -> list[Access]:
+def _written(device: Stateful) -> list[Access]:
     """Return the values that are not the first ones, of one moment."""
     with device.mapping:
         cells = _cells(device)
@@ -165,7 +165,7 @@ def _written(device: Device) -> list[Access]:
     ]
 
 
-def _set_values(device: Device, values: Iterable[Access]) -> None:
+def _set_values(device: Stateful, values: Iterable[Access]) -> None:
     """Set these values, and all others to the first ones."""
     with device.mapping:
         cells = _cells(device)
@@ -196,7 +196,7 @@ def state_text(devices: Devices) -> str:
     return f'{{"libmodbus-py": "{KIND}", "version": {VERSION}, "units": {{\n{body}\n}}}}\n'
 
 
-def _unit_object(device: Device, values: Iterable[Access]) -> dict[str, Any]:
+def _unit_object(device: Stateful, values: Iterable[Access]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     cells: dict[str, list[range]] = {}
     for each in values:
@@ -280,7 +280,7 @@ def _checked_units(found: object, devices: Devices) -> dict[int | None, list[Acc
     return units
 
 
-def _checked_unit(unit: object, device: Device) -> Iterator[Access]:
+def _checked_unit(unit: object, device: Stateful) -> Iterator[Access]:
     keys = _object((), unit, ("points", *TABLES, "files"))
     for name, meaning in _object(("points",), keys.pop("points", {})).items():
         point = device.points.get(name)
@@ -296,7 +296,7 @@ def _checked_unit(unit: object, device: Device) -> Iterator[Access]:
         yield from _checked_runs((table,), runs, (table, 0), device)
 
 
-def _checked_runs(path: Path, found: object, place: Place, device: Device) -> list[Access]:
+def _checked_runs(path: Path, found: object, place: Place, device: Stateful) -> list[Access]:
     most = 1 if place[0] in TABLES and TABLES[place[0]].is_bits else 0xFFFF
     runs = []
     for key, values in _object(path, found).items():

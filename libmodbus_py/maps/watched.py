@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from .point_plan import PointPlan
     from .register_map import RegisterMap
 
-__all__ = ["Falls", "PointIntervals", "PolledValues", "Totals", "WatchedPoints"]
+__all__ = ["PointIntervals", "PolledValues", "Totals", "WatchedPoints"]
 
 TOLERANCE = 0.001
 """The part of the time between two polls that sums of times may be inexact by."""

@@ -55,6 +55,7 @@ IN6_PKTINFO = struct.Struct("=16si")
 
 ROOM = socket.CMSG_SPACE(max(IN_PKTINFO.size, IN6_PKTINFO.size))
 
+# The index of no interface: any may be taken.
 ANYWHERE = 0
 
 

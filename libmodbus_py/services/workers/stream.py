@@ -26,7 +26,7 @@ from ..fleet.readings import Reading
 if TYPE_CHECKING:
     from nats.aio.client import Client
 
-__all__ = ["LIMITS", "STREAM", "WRITE", "Stream", "asked_about", "written"]
+__all__ = ["LIMITS", "WRITE", "Stream", "asked_about", "written"]
 
 STREAM = "modbus-readings"
 

@@ -15,7 +15,7 @@ from ...server.service import Intercepted
 from .delivery import Delivery, fragments
 from .fault import Fault
 
-__all__ = ["Faults", "FaultyAnswers"]
+__all__ = ["Faults"]
 
 
 NO_ALIASES: dict[int, int] = {}

@@ -133,8 +133,9 @@ class SimulatedDevice(Device):
 
     def first_values(self) -> Iterator[Access]:
         """
-        Yield the first values that are not 0; the present ones of those that the device computes,
-        because nobody wrote them. Hold the mapping's lock.
+        Yield the first values that are not 0, and the values that behaviours compute now.
+
+        Hold the mapping's lock.
         """
         for each in self._contents:
             if each.behaviour is not None or any(each.cells):
