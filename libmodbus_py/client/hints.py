@@ -9,7 +9,7 @@ import re
 
 from ..ports.schemes import SCHEMES
 from ..protocol.errors import MAX_RECEIVED, ModbusError, ModbusTimeoutError, in_hex
-from ..protocol.framing import crc16
+from ..protocol.framing import crc16, is_one_frame
 
 __all__ = ["MAX_KEPT", "add_hint", "explain", "explain_end", "no_answer"]
 
@@ -91,17 +91,11 @@ def _looks_ascii(data: bytes) -> bool:
     return re.search(ASCII_FRAME, data) is not None
 
 
-def _looks_tcp(data: bytes) -> bool:
-    """Return True if bytes begin with an MBAP header whose length is right."""
-    length = int.from_bytes(data[4:6], "big")
-    return data[2:4] == b"\0\0" and 2 <= length <= 254 and len(data) == 6 + length
-
-
 def _looks_rtu(data: bytes) -> bool:
     return any(crc16(data[:end]) == 0 for end in range(5, min(len(data), 256) + 1))
 
 
-_LOOKS = {_looks_ascii: "ascii", _looks_tcp: "tcp", _looks_rtu: "rtu"}
+_LOOKS = {_looks_ascii: "ascii", is_one_frame: "tcp", _looks_rtu: "rtu"}
 
 
 def _has_start(sent: bytes, received: bytes) -> bool:

@@ -11,10 +11,10 @@ Bottom up:
     pdu        one class for each function: encode and decode, request and response
     scan       the CRC, and where RTU frames begin and end; in C (scan.c)
     pauses     the silence between frames on a serial line
-    hearing_requests  requests on a line where other units answer, too
+    rtu        where RTU frames begin and end, for clients, servers and listeners
+    frames     frames, and the base of framers
     framing    unit and PDU as bytes on TCP, UDP, RTU and ASCII lines, and back
-    echo       the local echo of a line among received bytes (returned: for the client)
-    either_way  frames on a line that may be requests or responses, for listeners
+    echo       the local echo of a line among received bytes
     words      the words of tables, types and orders, as vendors write them
     close_names  names that are close to one that is not known
     tables     the four tables: what they hold, and how much of it a request may carry

@@ -20,184 +20,26 @@ from __future__ import annotations
 import contextlib
 import re
 import struct
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from typing import Any, Literal, NamedTuple
+from typing import Literal
 
-from . import pdu
 from .errors import MAX_RECEIVED, FrameError
-from .hearing_requests import RequestSearch
+from .frames import Frame, Framer, Overheard, add_error, checked_frame
 from .pauses import ALLOWANCE
-from .pdu.fields import IN_C, MAX_PDU
-from .scan import AT_END, GOES_ON, SILENT, FrameScanner, crc16, lib
+from .rtu import RtuCutter
+from .scan import MAX_PDU, crc16, lib
 
 # fmt: off
 __all__ = [
     "LINE_FEED", "AsciiFramer", "Frame", "Framer", "Framing", "Overheard", "RtuFramer", "TcpFramer",
     "UdpFramer", "crc16", "cut", "delimiter_after", "is_delimiter", "is_one_frame", "lrc",
-    "make_framer", "pdu_of", "scanner", "split", "transaction_of",
+    "make_framer", "pdu_of", "split", "transaction_of",
 ]
 # fmt: on
 
 Role = Literal["client", "server"]
 Framing = Literal["tcp", "rtu", "ascii", "udp"]
 """The bytes around a PDU."""
-
-# In a row, in one scan: a flood of bytes must not cause a flood of errors.
-MOST_ERRORS = 8
-
-
-class Frame(NamedTuple):
-    """
-    A request or response with its unit.
-
-    Attributes:
-        unit: 0..255; on serial lines 0 is a broadcast, and units are 1..247.
-        pdu: the function code and the data, 1..253 bytes.
-        transaction: the transaction id, 0..65535, on TCP and UDP; 0 elsewhere.
-    """
-
-    unit: int
-    pdu: bytes
-    transaction: int = 0
-
-
-class Overheard(Frame):
-    """
-    A response of another unit on the line, which a server hears.
-
-    `scan` and `scan_silence` return it among the frames; `feed` and `silence` do not.
-    """
-
-    __slots__ = ()
-
-
-def lrc(data: bytes) -> int:
-    """
-    Compute the LRC of an ASCII frame: two's complement of the sum of its bytes.
-
-    The bytes are the decoded ones, not the characters (serial line, 2.5.2.2).
-    """
-    return -sum(data) & 0xFF
-
-
-def _check(frame: Frame) -> Frame:
-    unit, pdu, transaction = frame
-    if not 0 <= unit <= 0xFF:
-        raise ValueError(f"unit must be in 0..255, not {unit}")
-    if not 0 <= transaction <= 0xFFFF:
-        raise ValueError(f"transaction must be in 0..65535, not {transaction}")
-    if not 1 <= len(pdu) <= MAX_PDU:
-        raise ValueError(f"pdu must hold 1..{MAX_PDU} bytes, not {len(pdu)}")
-    return frame
-
-
-class Framer(ABC):
-    """
-    The base of all framers, which keeps frames and errors in the order of their bytes.
-
-    Attributes:
-        rest: the bytes that wait for the rest of their frame.
-    """
-
-    # True if unit 0 addresses every unit, as on a serial line.
-    has_broadcast = True
-    # Seconds without a byte after which `silence` should be called; None for never.
-    quiet: float | None = None
-    # False once the stream cannot be understood any more and must be closed.
-    in_step = True
-
-    def __init__(self) -> None:
-        self.rest: bytearray = bytearray()
-        self._found: list[Frame | FrameError] = []
-        self._held: FrameError | None = None
-
-    @property
-    def pending(self) -> int:
-        """The number of bytes that wait for the rest of their frame."""
-        return len(self.rest)
-
-    def end(self) -> bytes:
-        """Return the bytes of an incomplete frame whose rest will not come, and forget them."""
-        rest = bytes(self.rest)
-        self.rest.clear()
-        return rest
-
-    def feed(self, data: bytes) -> list[Frame]:
-        """
-        Take received bytes, and return the frames that they complete.
-
-        Raises:
-            FrameError: bytes are not a frame, and there is no frame to return before that.
-        """
-        return self._frames(self.scan(data))
-
-    def silence(self) -> list[Frame]:
-        """
-        Note that the line has been quiet for `quiet` seconds.
-
-        Raises:
-            FrameError: as in `feed`.
-        """
-        return self._frames(self.scan_silence())
-
-    def scan(self, data: bytes) -> list[Frame | FrameError]:
-        """Take received bytes; return frames and errors, in the order of the bytes."""
-        self.rest += data
-        self._scan()
-        found, self._found = self._found, []
-        return found
-
-    def scan_silence(self) -> list[Frame | FrameError]:
-        """As `scan`, for silence."""
-        self._scan_silence()
-        return self._give()
-
-    @abstractmethod
-    def encode(self, frame: Frame) -> bytes:
-        """
-        Return the bytes of a frame: its PDU, with the header and check bytes of the framing.
-
-        Raises:
-            ValueError: unit, transaction or length out of range.
-        """
-
-    @abstractmethod
-    def _scan(self) -> None: ...
-
-    @abstractmethod
-    def _scan_silence(self) -> None: ...
-
-    def _report(self, why: str, received: bytes | bytearray, *, overrun: bool = False) -> None:
-        error = FrameError(why, received=bytes(received[:MAX_RECEIVED]))
-        error.overrun = overrun
-        _note(self._found, error)
-
-    def _reject(self, why: str, count: int, *, overrun: bool = False) -> None:
-        """Drop the first bytes."""
-        self._report(why, self.rest[:count], overrun=overrun)
-        del self.rest[:count]
-
-    def _give(self) -> list[Frame | FrameError]:
-        found, self._found = self._found, []
-        return found
-
-    def _frames(self, found: list[Frame | FrameError]) -> list[Frame]:
-        frames = [each for each in found if type(each) is Frame]
-        errors = [each for each in found if isinstance(each, FrameError)]
-        self._held = self._held or (errors[0] if errors else None)
-        if not frames and self._held is not None:
-            error, self._held = self._held, None
-            raise error
-        return frames
-
-
-def _note(found: list[Frame | FrameError], error: FrameError) -> None:
-    """Keep an error, unless it is one of many in a row: the first few are enough."""
-    last = found[-MOST_ERRORS:]
-    if len(last) < MOST_ERRORS or set(map(type, last)) != {FrameError}:
-        found.append(error)
-
 
 TRANSACTION, UNIT, FUNCTION = slice(0, 2), 6, 7
 """The positions of transaction id, unit and function code in a frame with an MBAP header."""
@@ -216,19 +58,6 @@ def rtu(_transaction: int, unit: int, pdu: bytes) -> bytes:
     """Return a PDU between a unit and a CRC; nothing is checked."""
     body = bytes([unit]) + pdu
     return body + _CRC.pack(lib.crc16(body, len(body)))
-
-
-def pdu_with_header(data: bytes, unit: int, transaction: int) -> bytes:
-    """Return the PDU of one whole frame with an MBAP header that names both; else nothing."""
-    pdu = data[_PREFIX.size :]
-    fits = 0 < len(pdu) <= MAX_PDU and data == mbap(transaction, unit, pdu)
-    return pdu if fits else b""
-
-
-def pdu_with_crc(data: bytes, unit: int, _transaction: int = 0) -> bytes:
-    """Return the PDU of one whole RTU frame of this unit; nothing if the bytes are none."""
-    size = len(data)
-    return data[1:-2] if size > 4 and data[0] == unit and not lib.crc16(data, size) else b""
 
 
 def cut(data: bytes | bytearray, start: int, found: list[Frame | FrameError], most: int) -> int:
@@ -258,7 +87,9 @@ def cut(data: bytes | bytearray, start: int, found: list[Frame | FrameError], mo
             break
         if protocol != 0:
             received = bytes(data[start:end])
-            _note(found, FrameError(f"header with protocol {protocol}, not 0", received=received))
+            add_error(
+                found, FrameError(f"header with protocol {protocol}, not 0", received=received)
+            )
         else:
             unit, pdu = data[start + 6], bytes(data[start + 7 : end])
             # As Frame(unit, pdu, transaction), in half the time: bulk reads do little else.
@@ -269,7 +100,7 @@ def cut(data: bytes | bytearray, start: int, found: list[Frame | FrameError], mo
 
 
 def is_one_frame(data: bytes) -> bool:
-    """True if `data` is one whole frame with an MBAP header, as `cut` says, and nothing else."""
+    """Return True if the bytes are one whole frame with an MBAP header, and nothing else."""
     size = len(data)
     return (
         8 <= size <= _PREFIX.size + MAX_PDU
@@ -299,7 +130,7 @@ class TcpFramer(Framer):
     max_size = MAX_PDU + 7
 
     def encode(self, frame: Frame) -> bytes:
-        unit, pdu, transaction = _check(frame)
+        unit, pdu, transaction = checked_frame(frame)
         return _PREFIX.pack(transaction, 0, 1 + len(pdu), unit) + pdu
 
     def scan(self, data: bytes) -> list[Frame | FrameError]:
@@ -318,7 +149,7 @@ class TcpFramer(Framer):
             del self.rest[: cut(self.rest, 0, self._found, len(self.rest))]
         except FrameError as error:
             self.in_step = False
-            _note(self._found, error)
+            add_error(self._found, error)
             self.rest.clear()
 
     def _scan_silence(self) -> None:
@@ -348,14 +179,8 @@ class RtuFramer(Framer):
     """
     The framer of RTU: unit, PDU, CRC.
 
-    The ends of an RTU frame are marked only by silence, which PCs cannot measure because of their
-    buffers. So the length of a frame is found by the length rules of `pdu`, and confirmed by the
-    CRC. A frame of a function without a length rule ends where silence follows and the CRC fits; it
-    must begin right after silence or a valid frame.
-
-    After garbage, a client tries every byte as the start of a frame. A server also receives the
-    responses of other units, which must not be taken for requests: see `hearing_requests`. After
-    garbage, it accepts a request only if silence follows.
+    `rtu` has the rules by which it finds frames. A server also receives the responses of other
+    units, which are not taken for requests.
 
     Args:
         role: "server" if it receives requests, "client" if it receives responses.
@@ -375,122 +200,47 @@ class RtuFramer(Framer):
             raise ValueError(f'role must be "client" or "server", not {role!r}')
         super().__init__()
         self.quiet = pause + ALLOWANCE
-        self._scanner = scanner("client")
-        self._search = None
-        if role == "server":
-            self._search = RequestSearch(scanner("server"), self._scanner)
+        self._cutter = RtuCutter(role)
+        self._usual = "request" if role == "server" else "response"
         self._in_run = False  # True if the bytes before the buffer were no frame
 
     @property
     def is_ours(self) -> Callable[[int], bool]:
-        return _every_unit if self._search is None else self._search.is_ours
+        return self._cutter.is_ours
 
     @is_ours.setter
     def is_ours(self, is_ours: Callable[[int], bool]) -> None:
-        if self._search is not None:
-            self._search.is_ours = is_ours
+        if self._usual == "request":
+            self._cutter.is_ours = is_ours
 
     def encode(self, frame: Frame) -> bytes:
-        unit, pdu, number = _check(frame)
+        unit, pdu, number = checked_frame(frame)
         return rtu(number, unit, pdu)
 
     def _scan(self) -> None:
-        if self._search is None:
-            self._scan_answers(GOES_ON)
-        else:
-            self._scan_requests(self._search, is_silent=False)
-
-    def _scan_silence(self) -> None:
-        if self._search is None:
-            self._scan_answers_in_silence()
-        else:
-            self._scan_requests(self._search, is_silent=True)
-            self._in_run = False
-
-    def _scan_requests(self, search: RequestSearch, *, is_silent: bool) -> None:
         data = bytes(self.rest)
-        if search.is_one_request(data):
+        if self._cutter.is_one_frame(data):
             self._found.append(tuple.__new__(Frame, (data[0], data[1:-2], 0)))
             self._in_run = False
             self.rest.clear()
-            return
-        pieces, count = search.search(data, is_silent=is_silent)
+        else:
+            self._cut(data, is_silent=False)
+
+    def _scan_silence(self) -> None:
+        self._cut(bytes(self.rest), is_silent=True)
+        if not self.rest:  # else it belongs to the damage before
+            self._in_run = False
+
+    def _cut(self, data: bytes, *, is_silent: bool) -> None:
+        pieces, count = self._cutter.cut(data, is_silent=is_silent)
         for start, end, kind in pieces:
-            if kind == "damage":
-                if not self._in_run:
-                    self._report(NO_FIT, data[start:end])
-            else:
-                unit, pdu = data[start], data[start + 1 : end - 2]
-                made = Frame(unit, pdu) if kind == "request" else Overheard(unit, pdu)
-                self._found.append(made)
+            if kind != "damage":
+                made = Frame if kind == self._usual else Overheard
+                self._found.append(made(data[start], data[start + 1 : end - 2]))
+            elif not self._in_run:
+                self._report("bytes without a fitting CRC", data[start:end])
             self._in_run = kind == "damage"
         del self.rest[:count]
-
-    def _scan_answers(self, state: int) -> None:
-        data, scan, begin = bytes(self.rest), self._scanner, 0
-        while begin < len(data):
-            end = scan.next(data, begin, state)
-            self._skip(data, begin, start := scan.start)
-            if end < 0:
-                begin = start
-                break
-            self._found.append(Frame(data[start], data[start + 1 : end - 2]))
-            begin = scan.fresh = end
-            self._in_run = False
-        self._forget(begin)
-
-    def _scan_answers_in_silence(self) -> None:
-        """
-        Look past an incomplete frame at the front for one that ends here.
-
-        What is found puts an end to the wait for the front; if nothing is
-        found, the front may still be completed.
-        """
-        self._scan_answers(SILENT)
-        data, scan = bytes(self.rest), self._scanner
-        if scan.next(data, 0, AT_END) > 0:
-            self._skip(data, 0, scan.start)
-            self._forget(scan.start)
-            self._scan_answers(SILENT)
-        else:
-            scan.fresh = len(data)
-
-    def _skip(self, data: bytes, begin: int, end: int) -> None:
-        """Skip bytes that are not a frame; a run of them is one error, in any number of pieces."""
-        fresh = self._scanner.fresh
-        if begin < fresh < end:
-            self._skip(data, begin, fresh)
-            begin = fresh
-        if begin < end:
-            if not self._in_run:
-                self._report(NO_FIT, data[begin:end])
-            self._in_run = end != fresh  # silence ends a run
-
-    def _forget(self, count: int) -> None:
-        del self.rest[:count]
-        self._scanner.fresh = max(self._scanner.fresh - count, -1)
-
-
-NO_FIT = "bytes without a fitting CRC"
-
-
-def _every_unit(unit: int) -> bool:
-    return True
-
-
-def scanner(role: Role) -> FrameScanner:
-    """Return a scanner, which finds the RTU frames of one direction by the rules of `pdu`."""
-    is_client = role == "client"
-    return FrameScanner(
-        is_client,
-        {code: _in_c(request, is_client) for code, request in pdu.REQUESTS.items()},
-        pdu.response_length if is_client else pdu.request_length,
-    )
-
-
-def _in_c(request: type[pdu.Request[Any]], is_client: bool) -> tuple[int, int, int]:
-    rule = request.response_length if is_client else request.request_length
-    return IN_C.get(rule, (lib.BY_PYTHON, 0, 0))
 
 
 LINE_FEED = 0x0A
@@ -521,6 +271,15 @@ def delimiter_after(pdu: bytes, delimiter: int) -> int:
     if pdu[:3] == _CHANGE_DELIMITER and pdu[4:] == b"\0" and is_delimiter(pdu[3]):
         return pdu[3]
     return delimiter
+
+
+def lrc(data: bytes) -> int:
+    """
+    Compute the LRC of an ASCII frame: two's complement of the sum of its bytes.
+
+    The bytes are the decoded ones, not the characters (serial line, 2.5.2.2).
+    """
+    return -sum(data) & 0xFF
 
 
 class AsciiFramer(Framer):
@@ -557,7 +316,7 @@ class AsciiFramer(Framer):
         self._delimiter = value
 
     def encode(self, frame: Frame) -> bytes:
-        unit, pdu, _ = _check(frame)
+        unit, pdu, _ = checked_frame(frame)
         body = bytes([unit]) + pdu
         digits = (body + bytes([lrc(body)])).hex().upper()
         return b":%s\r%c" % (digits.encode(), self._delimiter)

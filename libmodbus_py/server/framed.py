@@ -10,10 +10,10 @@ from collections.abc import Callable, Collection, Iterable
 
 from ..ports.endpoint import Endpoint
 from ..protocol.echo import Echo
-from ..protocol.either_way import may_be
 from ..protocol.errors import FrameError
 from ..protocol.framing import Frame, Framing, Overheard, RtuFramer, make_framer, pdu_of
 from ..protocol.logs import HarmlessLogger
+from ..protocol.rtu import may_be
 from .limits import ServerStatistics
 from .service import Channel, SessionState
 

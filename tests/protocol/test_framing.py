@@ -28,8 +28,8 @@ from libmodbus_py.protocol.framing import (
     is_delimiter,
     lrc,
     make_framer,
-    scanner,
 )
+from libmodbus_py.protocol.rtu import scanner
 from tests.support.cases import each_case
 from tests.support.vectors import (
     CHECKSUMS,
@@ -1124,6 +1124,6 @@ class TestWhateverComes:
 def test_a_scanner_looks_at_no_byte_before_the_data(start: int) -> None:
     data = bytes.fromhex("11 03 02 0001") * 5
     with pytest.raises(ValueError, match="start must be 0 or more, not -"):
-        scanner("client").at(data, start, 0)
+        scanner(is_client=True).at(data, start, 0)
     with pytest.raises(ValueError, match="start must be 0 or more, not -"):
-        scanner("client").next(data, start)
+        scanner(is_client=True).next(data, start)

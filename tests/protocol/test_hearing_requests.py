@@ -152,6 +152,7 @@ def test_a_gap_in_an_answer_ends_nothing() -> None:
 def test_a_request_in_damage_counts_only_in_front_of_the_silence() -> None:
     for noise in (b"\0", b"\xff\xff", b"\1\3", bytes(range(40))):
         assert requests(heard(noise + READ)) == [ASKED], noise
+        assert requests(heard(noise + READ + WRITE)) == [ASKED, WRITTEN], noise
         assert requests(heard(noise + READ + b"\0")) == [], noise
     # What may be the beginning of another unit's answer lasts until the next burst.
     begun = b"\2\3\x10\xff"

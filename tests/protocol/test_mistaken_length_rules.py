@@ -22,8 +22,8 @@ from libmodbus_py import (
     listen,
     pdu,
 )
-from libmodbus_py.protocol.either_way import EitherWay, RtuEitherWay, may_be
 from libmodbus_py.protocol.framing import Frame, FrameError, RtuFramer
+from libmodbus_py.protocol.rtu import RtuCutter, may_be
 from tests.simulation.stage import LineEnd, Stage
 from tests.support.cases import each_case
 from tests.support.talk import rtu
@@ -75,17 +75,12 @@ def test_the_frames_behind_are_found(role: Any, rule: Callable[[bytes], Any]) ->
 @each_case("rule", RULES.values(), ids=RULES)
 def test_a_listener_hears_what_is_behind(rule: Callable[[bytes], Any]) -> None:
     with registered(rule):
-        frames = RtuEitherWay()
+        cutter, found = RtuCutter("listener"), []
         for data in (OWN, READ, ANSWER):
-            frames.feed(data)
-            frames.silence(is_long=True)
-        found = []
-        while (each := frames.take(lambda unit, function: False)) is not None:
-            found.append(each)
-        assert [each.frame.pdu for each in found if isinstance(each, EitherWay)] == [
-            READ[1:-2],
-            ANSWER[1:-2],
-        ]
+            pieces, count = cutter.cut(data, is_silent=True, is_over=True)
+            assert count == len(data)
+            found += [data[start:end] for start, end, kind in pieces if kind != "damage"]
+        assert found == [READ, ANSWER]
         assert may_be(OWN[1:-2]) == (False, False)
 
 

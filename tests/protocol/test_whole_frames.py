@@ -6,7 +6,7 @@ framer.
 from __future__ import annotations
 
 from libmodbus_py.protocol.errors import FrameError
-from libmodbus_py.protocol.framing import Frame, cut, is_one_frame, pdu_with_header, split
+from libmodbus_py.protocol.framing import Frame, cut, is_one_frame, split
 
 
 def mbap(length: int, body: bytes, protocol: int = 0, transaction: int = 7) -> bytes:
@@ -44,19 +44,3 @@ def test_as_many_frames_are_cut_out_as_are_wanted() -> None:
         count = min(most, 5)
         assert found == [Frame(17, bytes([3, at]), at) for at in range(count)]
         assert end == 1 + 9 * count
-
-
-def test_the_pdu_behind_a_header_is_that_of_the_unit_and_transaction() -> None:
-    answer = bytes.fromhex("03 02 1234")
-    good = mbap(5, b"\x11" + answer)
-    assert pdu_with_header(good, 17, 7) == answer
-    for other in (
-        *(pdu_with_header(good, 16, 7), pdu_with_header(good, 17, 8)),
-        *(pdu_with_header(good + b"\0", 17, 7), pdu_with_header(good[:-1], 17, 7)),
-        *(pdu_with_header(mbap(1, b"\x11"), 17, 7), pdu_with_header(good[:6], 17, 7)),
-        pdu_with_header(mbap(5, b"\x11" + answer, protocol=1), 17, 7),
-    ):
-        assert other == b""
-    for size, fits in ((253, True), (254, False)):
-        pdu = b"\x03" * size
-        assert pdu_with_header(mbap(1 + size, b"\x11" + pdu), 17, 7) == (pdu if fits else b"")

@@ -9,7 +9,6 @@ import pytest
 from libmodbus_py import AsyncClient, Context, Device, Gateway, Mapping, Route, Server, listen
 from libmodbus_py.pdu import Diagnostics
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.protocol.either_way import RtuEitherWay
 from libmodbus_py.protocol.framing import make_framer
 from libmodbus_py.protocol.pauses import pause_between_frames
 from tests.simulation.stage import LineEnd, Stage
@@ -48,7 +47,6 @@ def test_everything_that_cuts_frames_waits_for_it() -> None:
         assert make_framer("rtu", role).quiet == pytest.approx(0.02)  # type: ignore[arg-type]
         made = make_framer("rtu", role, pause)  # type: ignore[arg-type]
         assert made.quiet == pytest.approx(pause + 0.02)
-    assert RtuEitherWay(pause).quiet == pytest.approx(pause + 0.02)
     assert listen.Separator("rtu", pause=pause).quiet == pytest.approx(pause + 0.02)
     assert listen.Separator("rtu").quiet == pytest.approx(0.02)
 

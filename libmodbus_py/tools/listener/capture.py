@@ -16,8 +16,7 @@ import struct
 from collections.abc import Iterator
 from typing import BinaryIO, NamedTuple, Self
 
-from ...protocol.framing import Frame, mbap
-from ...protocol.pdu import MAX_PDU
+from ...protocol.framing import Frame, is_one_frame, mbap
 from .hearing import Candidate, Damage
 from .transaction import Heard
 
@@ -294,7 +293,7 @@ class CaptureReader:
         return Recorded(link, Candidate(at, at, frame, asks, not asks))
 
     def _frame(self, adu: bytes) -> Frame:
-        if not 8 <= len(adu) <= 7 + MAX_PDU or adu[2:4] != b"\0\0":
+        if not is_one_frame(adu):
             raise self._error("a packet that is not a frame of Modbus/TCP")
         return Frame(adu[6], adu[7:])
 

@@ -8,13 +8,12 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from typing import NamedTuple, Protocol
 
-from ...protocol.either_way import EitherWay, RtuEitherWay, may_be
 from ...protocol.errors import MAX_RECEIVED, FrameError
 from ...protocol.framing import Frame, Framer, Overheard
+from ...protocol.pauses import ALLOWANCE
+from ...protocol.rtu import RtuCutter, may_be
 
 __all__ = ["Candidate", "Damage", "FramerHearing", "Hearing", "RtuHearing"]
-
-IsAwaited = Callable[[int, int], bool]
 
 
 class Candidate(NamedTuple):
@@ -40,13 +39,11 @@ class Hearing(Protocol):
 
     quiet: float
 
-    def hear(self, data: bytes, at: float, is_awaited: IsAwaited) -> Iterator[Candidate | Damage]:
+    def hear(self, data: bytes, at: float) -> Iterator[Candidate | Damage]:
         """Take bytes and the time of their arrival in seconds; yield frames and damage in order."""
         ...
 
-    def silence(
-        self, is_awaited: IsAwaited, *, is_long: bool = False
-    ) -> Iterator[Candidate | Damage]:
+    def silence(self, *, is_long: bool = False) -> Iterator[Candidate | Damage]:
         """Note that the line is quiet; if `is_long`, for too long to complete a pending frame."""
         ...
 
@@ -55,36 +52,39 @@ class RtuHearing:
     """Cuts requests and responses in one stream, as on a line; each frame has its own time."""
 
     def __init__(self, pause: float = 0.0) -> None:
-        self._frames = RtuEitherWay(pause)
-        self.quiet: float = self._frames.quiet
+        self.quiet: float = pause + ALLOWANCE
+        self._cutter = RtuCutter("listener")
+        self._data = b""
+        self._start = 0  # where these data begin in the stream
         self._offsets: list[int] = []  # where in the stream each piece begins
         self._times: list[float] = []  # when each piece arrived
         self._damage: Damage | None = None
 
-    def hear(self, data: bytes, at: float, is_awaited: IsAwaited) -> Iterator[Candidate | Damage]:
+    def hear(self, data: bytes, at: float) -> Iterator[Candidate | Damage]:
         # At most one for each byte that waits for the rest of its frame.
-        self._offsets.append(self._frames.end)
+        self._offsets.append(self._start + len(self._data))
         self._times.append(at)
-        self._frames.feed(data)
-        yield from self._take(is_awaited)
+        self._data += data
+        yield from self._take(is_silent=False)
 
-    def silence(
-        self, is_awaited: IsAwaited, *, is_long: bool = False
-    ) -> Iterator[Candidate | Damage]:
-        self._frames.silence(is_long=is_long)
-        yield from self._take(is_awaited)
+    def silence(self, *, is_long: bool = False) -> Iterator[Candidate | Damage]:
+        yield from self._take(is_silent=True, is_over=is_long)
         # Bytes that still wait may belong to the same damage.
-        if self._frames.end == self._frames.offset:
+        if not self._data:
             yield from self._flush()
 
-    def _take(self, is_awaited: IsAwaited) -> Iterator[Candidate | Damage]:
-        while (found := self._frames.take(is_awaited)) is not None:
-            began, ended = self._time(found.start), self._time(found.end - 1)
-            if isinstance(found, EitherWay):
-                yield from self._flush()
-                yield Candidate(began, ended, found.frame, found.may_ask, found.may_answer)
+    def _take(self, *, is_silent: bool, is_over: bool = False) -> Iterator[Candidate | Damage]:
+        data, offset = self._data, self._start
+        pieces, count = self._cutter.cut(data, is_silent=is_silent, is_over=is_over)
+        self._data, self._start = data[count:], offset + count
+        for start, end, kind in pieces:
+            began, ended = self._time(offset + start), self._time(offset + end - 1)
+            if kind == "damage":
+                yield from self._add(Damage(began, ended, data[start:end]))
             else:
-                yield from self._add(Damage(began, ended, found.data))
+                yield from self._flush()
+                frame = Frame(data[start], data[start + 1 : end - 2])
+                yield Candidate(began, ended, frame, *may_be(frame.pdu))
         self._forget()
 
     def _add(self, damage: Damage) -> Iterator[Damage]:
@@ -108,7 +108,7 @@ class RtuHearing:
         return self._times[bisect_right(self._offsets, offset) - 1]
 
     def _forget(self) -> None:
-        done = max(bisect_right(self._offsets, self._frames.offset) - 1, 0)
+        done = max(bisect_right(self._offsets, self._start) - 1, 0)
         del self._offsets[:done]
         del self._times[:done]
 
@@ -132,7 +132,7 @@ class FramerHearing:
         self._at = 0.0
         self.quiet: float = self._framer.quiet or 0.0
 
-    def hear(self, data: bytes, at: float, is_awaited: IsAwaited) -> Iterator[Candidate | Damage]:
+    def hear(self, data: bytes, at: float) -> Iterator[Candidate | Damage]:
         self._at = at
         began = at if self._began is None else self._began
         found = self._framer.scan(data)
@@ -148,9 +148,7 @@ class FramerHearing:
         elif self._began is None or found:
             self._began = at
 
-    def silence(
-        self, is_awaited: IsAwaited, *, is_long: bool = False
-    ) -> Iterator[Candidate | Damage]:
+    def silence(self, *, is_long: bool = False) -> Iterator[Candidate | Damage]:
         began = self._at if self._began is None else self._began
         for each in self._framer.scan_silence():
             yield self._heard(each, began)

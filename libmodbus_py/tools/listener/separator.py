@@ -77,7 +77,7 @@ class Separator:
         if data:
             self._last[direction] = at
             self._is_quiet.discard(direction)
-            found = self._hearing(direction).hear(data, at, self._naming.is_awaited)
+            found = self._hearing(direction).hear(data, at)
             self._take(found)
         return self._given()
 
@@ -90,7 +90,7 @@ class Separator:
     def end(self) -> list[Transaction]:
         """Note that no more bytes will arrive; otherwise like `feed`."""
         for hearing in self._hearings.values():
-            self._take(hearing.silence(self._naming.is_awaited, is_long=True))
+            self._take(hearing.silence(is_long=True))
         self._last.clear()
         self._naming.end()
         return self._given()
@@ -106,7 +106,7 @@ class Separator:
             is_long = at - last >= LONGEST_GAP
             if is_long or (at - last >= hearing.quiet and direction not in self._is_quiet):
                 self._is_quiet.add(direction)
-                self._take(hearing.silence(self._naming.is_awaited, is_long=is_long))
+                self._take(hearing.silence(is_long=is_long))
             if is_long:
                 del self._last[direction]
 

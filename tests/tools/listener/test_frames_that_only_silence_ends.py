@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import pytest
 
-from libmodbus_py.protocol.either_way import RtuEitherWay
 from libmodbus_py.tools.listener.separator import LineFraming, Separator
 from tests.server.test_functions_without_a_request import BODIES, MADE
 from tests.support.talk import rtu
@@ -35,31 +34,3 @@ def test_a_wrong_crc_is_damage() -> None:
     separator = Separator("rtu")
     done = separator.feed(rtu("02 83 02 00")[:-1] + b"\x00", 0.0)
     assert [each.kind for each in done + separator.end()] == ["damaged"]
-
-
-LOOPBACK = "08 0000 7F2B"
-
-
-@pytest.mark.parametrize("behind", ["4E 03 0000 0001", f"4E {LOOPBACK}", "4E 2B 0E 01 00"])
-def test_a_request_that_comes_before_a_silence_is_told_from_a_loopback(behind: str) -> None:
-    """A loopback ends where its CRC fits, and it may fit at several places."""
-    frames = RtuEitherWay()
-    frames.feed(rtu(f"4D {LOOPBACK}") + rtu(behind))
-    frames.silence()
-    found = [frames.take(lambda unit, function: False) for _ in range(3)]
-    assert [each and (each.start, each.end) for each in found[:2]] == [
-        (0, 8),
-        (8, 8 + len(rtu(behind))),
-    ]
-    assert found[2] is None
-
-
-def test_a_loopback_whose_data_are_a_frame_is_one_frame() -> None:
-    """Up to the silence its CRC fits, and nothing that does is behind the frame in it."""
-    frames = RtuEitherWay()
-    whole = rtu("4D 08 0000" + rtu("01 06 0001 0003").hex())
-    frames.feed(whole)
-    frames.silence()
-    found = frames.take(lambda unit, function: False)
-    assert found is not None
-    assert (found.start, found.end) == (0, len(whole))

@@ -1,0 +1,159 @@
+"""
+Frames, and the base of the framers that find them in received bytes.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import NamedTuple
+
+from .errors import MAX_RECEIVED, FrameError
+from .scan import MAX_PDU
+
+__all__ = ["Frame", "Framer", "Overheard", "add_error", "checked_frame"]
+
+# In a row, in one scan: a flood of bytes must not cause a flood of errors.
+MOST_ERRORS = 8
+
+
+class Frame(NamedTuple):
+    """
+    A request or response with its unit.
+
+    Attributes:
+        unit: 0..255; on serial lines 0 is a broadcast, and units are 1..247.
+        pdu: the function code and the data, 1..253 bytes.
+        transaction: the transaction id, 0..65535, on TCP and UDP; 0 elsewhere.
+    """
+
+    unit: int
+    pdu: bytes
+    transaction: int = 0
+
+
+class Overheard(Frame):
+    """
+    A response of another unit on the line, which a server hears.
+
+    `scan` and `scan_silence` return it among the frames; `feed` and `silence` do not.
+    """
+
+    __slots__ = ()
+
+
+def checked_frame(frame: Frame) -> Frame:
+    unit, pdu, transaction = frame
+    if not 0 <= unit <= 0xFF:
+        raise ValueError(f"unit must be in 0..255, not {unit}")
+    if not 0 <= transaction <= 0xFFFF:
+        raise ValueError(f"transaction must be in 0..65535, not {transaction}")
+    if not 1 <= len(pdu) <= MAX_PDU:
+        raise ValueError(f"pdu must hold 1..{MAX_PDU} bytes, not {len(pdu)}")
+    return frame
+
+
+class Framer(ABC):
+    """
+    The base of all framers, which keeps frames and errors in the order of their bytes.
+
+    Attributes:
+        rest: the bytes that wait for the rest of their frame.
+    """
+
+    # True if unit 0 addresses every unit, as on a serial line.
+    has_broadcast = True
+    # Seconds without a byte after which `silence` should be called; None for never.
+    quiet: float | None = None
+    # False once the stream cannot be understood any more and must be closed.
+    in_step = True
+
+    def __init__(self) -> None:
+        self.rest: bytearray = bytearray()
+        self._found: list[Frame | FrameError] = []
+        self._held: FrameError | None = None
+
+    @property
+    def pending(self) -> int:
+        """The number of bytes that wait for the rest of their frame."""
+        return len(self.rest)
+
+    def end(self) -> bytes:
+        """Return the bytes of an incomplete frame whose rest will not come, and forget them."""
+        rest = bytes(self.rest)
+        self.rest.clear()
+        return rest
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """
+        Take received bytes, and return the frames that they complete.
+
+        Raises:
+            FrameError: bytes are not a frame, and there is no frame to return before that.
+        """
+        return self._frames(self.scan(data))
+
+    def silence(self) -> list[Frame]:
+        """
+        Note that the line has been quiet for `quiet` seconds.
+
+        Raises:
+            FrameError: as in `feed`.
+        """
+        return self._frames(self.scan_silence())
+
+    def scan(self, data: bytes) -> list[Frame | FrameError]:
+        """Take received bytes; return frames and errors, in the order of the bytes."""
+        self.rest += data
+        self._scan()
+        found, self._found = self._found, []
+        return found
+
+    def scan_silence(self) -> list[Frame | FrameError]:
+        """As `scan`, for silence."""
+        self._scan_silence()
+        return self._give()
+
+    @abstractmethod
+    def encode(self, frame: Frame) -> bytes:
+        """
+        Return the bytes of a frame: its PDU, with the header and check bytes of the framing.
+
+        Raises:
+            ValueError: unit, transaction or length out of range.
+        """
+
+    @abstractmethod
+    def _scan(self) -> None: ...
+
+    @abstractmethod
+    def _scan_silence(self) -> None: ...
+
+    def _report(self, why: str, received: bytes | bytearray, *, overrun: bool = False) -> None:
+        error = FrameError(why, received=bytes(received[:MAX_RECEIVED]))
+        error.overrun = overrun
+        add_error(self._found, error)
+
+    def _reject(self, why: str, count: int, *, overrun: bool = False) -> None:
+        """Drop the first bytes."""
+        self._report(why, self.rest[:count], overrun=overrun)
+        del self.rest[:count]
+
+    def _give(self) -> list[Frame | FrameError]:
+        found, self._found = self._found, []
+        return found
+
+    def _frames(self, found: list[Frame | FrameError]) -> list[Frame]:
+        frames = [each for each in found if type(each) is Frame]
+        errors = [each for each in found if isinstance(each, FrameError)]
+        self._held = self._held or (errors[0] if errors else None)
+        if not frames and self._held is not None:
+            error, self._held = self._held, None
+            raise error
+        return frames
+
+
+def add_error(found: list[Frame | FrameError], error: FrameError) -> None:
+    """Keep an error, unless it is one of many in a row: the first few are enough."""
+    last = found[-MOST_ERRORS:]
+    if len(last) < MOST_ERRORS or set(map(type, last)) != {FrameError}:
+        found.append(error)

@@ -1,0 +1,284 @@
+"""
+RTU frames in a stream of bytes: requests, responses, or both on a shared line.
+
+Bytes only; no clock. The ends of an RTU frame are marked only by silence, which PCs cannot measure
+because of their buffers. So `RtuCutter` cuts by these rules, with the CRC as the judge:
+
+* A frame begins with the first byte, behind a silence, or right behind another frame. It ends where
+  the length rule of its function says (`pdu`), or with silence if there is no such rule.
+* An unfinished frame is waited for, also beyond a silence. It is given up if, from a later byte,
+  frames without a gap go to a silence.
+* What begins no frame is damage. Behind it, a client and a listener take every byte for a possible
+  start. A server, which must not carry out what is within the frames of others, accepts only what
+  begins behind a silence, or goes without a gap to the next one.
+* A server and a listener hear requests and responses, and ask the length rules of both. A response
+  is awaited if the frame before was a request to this unit and function, which is not answered
+  here; it counts at once. So does a request; but a server waits, before it accepts one to
+  another unit, until no rule can find a longer frame.
+* No request has a function of 80h or more. A frame with one that ends with the silence is a
+  response of another unit, whatever its length.
+* Where the CRC of a frame without a length rule fits at several bytes, a client and a listener take
+  the first from which frames without a gap go to the silence. A server accepts it only if the last
+  is at the silence, and else drops all up to there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, Literal, NamedTuple
+
+from .pdu import REQUESTS, Request, request_length, response_length
+from .pdu.fields import IN_C
+from .scan import (
+    AT_END,
+    GOES_ON,
+    MAX_ADU,
+    MIN_ADU,
+    NO_FRAME,
+    SILENT,
+    UNFINISHED,
+    FrameScanner,
+    crc16,
+    is_one_adu,
+    lib,
+)
+
+__all__ = ["Piece", "RtuCutter", "may_be", "scanner"]
+
+Kind = Literal["request", "response", "damage"]
+
+
+class Piece(NamedTuple):
+    """A part of the bytes on a line, and what it is."""
+
+    start: int
+    end: int
+    kind: Kind
+
+
+def scanner(*, is_client: bool) -> FrameScanner:
+    """Return a scanner for responses if `is_client`, else for requests, by the rules of `pdu`."""
+    return FrameScanner(
+        is_client,
+        {code: _in_c(request, is_client) for code, request in REQUESTS.items()},
+        response_length if is_client else request_length,
+    )
+
+
+def _in_c(request: type[Request[Any]], is_client: bool) -> tuple[int, int, int]:
+    rule = request.response_length if is_client else request.request_length
+    return IN_C.get(rule, (lib.BY_PYTHON, 0, 0))
+
+
+def may_be(pdu: bytes) -> tuple[bool, bool]:
+    """Return two bools by length: the PDU can be a request, and it can be a response."""
+    size = len(pdu)
+    can_ask = pdu[0] < 0x80 and request_length(pdu) in (size, 0)
+    return can_ask, response_length(pdu) in (size, 0)
+
+
+class RtuCutter:
+    """
+    Cuts the bytes of one line into requests, responses and damage.
+
+    Args:
+        role: "client" if responses come in; "server" if requests do, and responses of other units;
+            "listener" if it answers none of them.
+
+    Attributes:
+        is_ours: for a server, returns True for a unit that it answers itself.
+    """
+
+    def __init__(self, role: Literal["client", "server", "listener"]) -> None:
+        self.is_ours: Callable[[int], bool] = lambda unit: True
+        self._role = role
+        self._is_server = role == "server"
+        self._requests = None if role == "client" else scanner(is_client=False)
+        self._responses = scanner(is_client=True)
+        self._scanners = [each for each in (self._requests, self._responses) if each]
+        self._is_fresh = True  # a frame should begin with the first byte
+        self._later: list[int] = []  # where frames should begin behind an unfinished one
+        self._is_lost = False  # nothing up to the next silence can be cut
+        self._awaited: tuple[int, int] | None = None  # unit and function of a response
+
+    def is_one_frame(self, data: bytes) -> bool:
+        """Return True if the data are one frame that is answered or awaited here, as most are."""
+        if not self._is_fresh or self._scanners[0].at(data, 0, 0) != len(data):
+            return False
+        if data[0] and not self.is_ours(data[0]):
+            return False
+        self._later.clear()
+        self._awaited = None
+        return True
+
+    def cut(
+        self, data: bytes, *, is_silent: bool, is_over: bool = False
+    ) -> tuple[list[Piece], int]:
+        """
+        Return the pieces that are certain, and the number of bytes in them.
+
+        Args:
+            data: the bytes behind the last piece that was returned, with those that came since.
+            is_silent: True if silence followed them.
+            is_over: True if this silence ends unfinished frames, too.
+        """
+        pieces: list[Piece] = []
+        at, size = 0, len(data)
+        while at < size:
+            was_fresh = self._is_fresh
+            end, kind = self._front(data, at, is_silent)
+            if end == NO_FRAME:
+                end = self._next_start(data, at)
+            elif end == UNFINISHED:
+                end = self._given_up(data, at, is_silent, is_over)
+            else:
+                self._is_fresh = True
+            if end > at:
+                pieces.append(Piece(at, end, kind))
+                at = end
+            elif self._is_fresh == was_fresh:
+                break
+        self._forget(at, size, is_silent)
+        return pieces, at
+
+    # --- where a frame may begin ------------------------------------------------------------
+
+    def _front(self, data: bytes, at: int, is_silent: bool) -> tuple[int, Kind]:
+        """Return the end and the kind of the frame that begins here, or why there is none."""
+        if self._is_server and not self._is_fresh:
+            return UNFINISHED, "damage"
+        asks = self._end(self._requests, data, at, is_silent)
+        if asks > 0 and self._is_answered_here(data[at]):
+            return self._request(data, at, asks)
+        answers = self._end(self._responses, data, at, is_silent)
+        is_awaited = self._is_awaited(data, at)
+        is_open = UNFINISHED in (asks, answers)
+        if answers > 0 and is_awaited:
+            return self._response(answers)
+        if asks > 0 and not (is_awaited or self._is_server):
+            return self._request(data, at, asks)
+        if self._is_lost or (is_open and not is_silent):
+            return UNFINISHED, "damage"
+        if answers > max(asks, 0):
+            return self._response(answers)
+        if asks > 0:
+            return self._request(data, at, asks)
+        if self._requests and self._is_fresh and data[at + 1 : at + 2] >= b"\x80":
+            if not is_silent and len(data) - at <= MAX_ADU:
+                return UNFINISHED, "damage"
+            if is_silent and is_one_adu(data[at:]):
+                return self._response(len(data))
+        return UNFINISHED if is_open else NO_FRAME, "damage"
+
+    def _is_answered_here(self, unit: int) -> bool:
+        return self._is_server and (unit == 0 or self.is_ours(unit))
+
+    def _is_awaited(self, data: bytes, at: int) -> bool:
+        return len(data) > at + 1 and self._awaited == (data[at], data[at + 1] & 0x7F)
+
+    def _request(self, data: bytes, at: int, end: int) -> tuple[int, Kind]:
+        unit, function = data[at], data[at + 1]
+        self._awaited = None if self._is_answered_here(unit) else (unit, function)
+        return end, "request"
+
+    def _response(self, end: int) -> tuple[int, Kind]:
+        self._awaited = None
+        return end, "response"
+
+    def _end(self, scanner: FrameScanner | None, data: bytes, at: int, is_silent: bool) -> int:
+        if scanner is None:
+            return NO_FRAME
+        fresh = at if self._is_fresh else -1
+        end = scanner.at(data, at, fresh, SILENT if is_silent else GOES_ON)
+        if end <= 0 or scanner.fits < 2:
+            return end
+        if self._is_server:
+            self._is_lost = end < len(data)
+            self._is_fresh = not self._is_lost
+            return NO_FRAME if self._is_lost else end
+        return next((each for each in _fits(data, at, end) if self._goes_on(data, each)), end)
+
+    # --- damage -----------------------------------------------------------------------------
+
+    def _next_start(self, data: bytes, at: int) -> int:
+        """Return the first byte behind a wrong one with which a frame may begin."""
+        later = [each for each in self._later if each > at][:1]
+        starts = (
+            []
+            if later and self._is_server
+            else [self._search(each, data, at + 1, GOES_ON)[1] for each in self._scanners]
+        )
+        start = min(later + starts)
+        self._is_fresh = start in later
+        return start
+
+    def _given_up(self, data: bytes, at: int, is_silent: bool, is_over: bool) -> int:
+        """Return where to go on, although a frame is unfinished here; `at` for nowhere."""
+        later = [each for each in self._later if each > at]
+        is_kept = self._is_fresh or not self._is_server
+        if is_silent and self._is_lost:
+            return len(data)
+        if is_silent:
+            starts = range(at, len(data)) if self._may_end_later(data, at) else later
+            found = next((each for each in starts if self._goes_on(data, each, each in later)), -1)
+        elif self._role == "listener":
+            found = next((each for each in later if self._begins(data, each)), -1)
+        else:
+            return at if is_kept else max(at, len(data) - MAX_ADU)
+        if found >= 0:
+            self._is_fresh = True
+            return found
+        if is_over:
+            return self._next_start(data, at)
+        return at if is_kept else len(data)
+
+    def _may_end_later(self, data: bytes, at: int) -> bool:
+        """Return True if a frame with a length rule, found behind damage, ends with the data."""
+        if self._is_fresh and self._may_go_on(data, at):
+            return False
+        return max(self._search(each, data, at, AT_END)[0] for each in self._scanners) > 0
+
+    def _may_go_on(self, data: bytes, at: int) -> bool:
+        """Return True for a server in an unfinished frame of another unit, with a gap so far."""
+        if not self._is_server or self._is_answered_here(data[at]):
+            return False
+        # Without a length it may as well be noise.
+        return self._is_awaited(data, at) or all(each.fits > 0 for each in self._scanners)
+
+    def _search(self, scanner: FrameScanner, data: bytes, at: int, state: int) -> tuple[int, int]:
+        """Return the end of the first frame of a function with a length rule, and its start."""
+        scanner.fresh = -1
+        return scanner.next(data, at, state), scanner.start
+
+    def _begins(self, data: bytes, at: int) -> bool:
+        return any(each.at(data, at, at) > 0 for each in self._scanners)
+
+    def _goes_on(self, data: bytes, start: int, is_fresh: bool = True) -> bool:
+        """Return True if frames without a gap go from here to the silence at the end."""
+        reached, seen = [start], {start}
+        while reached:
+            at = reached.pop()
+            if at == len(data):
+                return True
+            fresh = at if is_fresh or at > start else -1
+            for each in self._scanners:
+                end = each.at(data, at, fresh, SILENT)
+                ends = _fits(data, at, end + 1) if each.fits > 1 else (end,)
+                new = {each for each in ends if each > at} - seen
+                seen |= new
+                reached += new
+        return False
+
+    def _forget(self, count: int, size: int, is_silent: bool) -> None:
+        self._later = [fresh - count for fresh in self._later if fresh > count]
+        if is_silent:
+            self._is_lost = False
+            if count == size:
+                self._is_fresh = True
+            elif self._later[-1:] != [size - count]:
+                self._later.append(size - count)
+
+
+def _fits(data: bytes, start: int, end: int) -> Iterator[int]:
+    """Yield the ends before `end` at which the CRC of a frame that begins at `start` fits."""
+    return (at for at in range(start + MIN_ADU, end) if not crc16(data[start:at]))
