@@ -50,6 +50,12 @@ def test_a_clock_is_that_of_the_place(berlin: None) -> None:
     assert clock_text(1_700_000_000.9996, with_milliseconds=True) == "23:13:21.000"
 
 
+@each_case("seconds", [-1e11, 253_402_300_800.0, 18_446_744_073_709.551, 1e300])
+def test_a_time_that_no_calendar_has_is_shown_in_seconds(seconds: float) -> None:
+    """A capture holds any time of 64 bits."""
+    assert time_text(seconds) == clock_text(seconds) == f"{seconds:.3f}s"
+
+
 def test_no_other_file_formats_times() -> None:
     forms = re.compile(r"strftime\(|\.isoformat\(|fromtimestamp\(")
     found = {

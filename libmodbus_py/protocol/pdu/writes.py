@@ -120,7 +120,7 @@ class WriteCoils(Echoed):
     def decode(cls, pdu: bytes) -> Self:
         address, count, size = struct.unpack(">HHB", pdu[1:6])
         if not 1 <= count <= cls.limit or size != (count + 7) // 8:
-            raise ValueError(f"byte count {size} does not hold {count} coils, 1..{cls.limit}")
+            raise ValueError(f"byte count {size} does not fit {count} coils (1..{cls.limit})")
         return cls(address, tuple(unpack_bits(pdu[6:], count)))
 
 
@@ -154,7 +154,7 @@ class WriteRegisters(Echoed):
     def decode(cls, pdu: bytes) -> Self:
         address, count, size = struct.unpack(">HHB", pdu[1:6])
         if size != 2 * count:
-            raise ValueError(f"byte count {size} does not hold {count} registers, 1..{cls.limit}")
+            raise ValueError(f"byte count {size} does not fit {count} registers (1..{cls.limit})")
         return cls(address, unpack_registers(pdu[6:]))
 
 
@@ -240,7 +240,7 @@ class ReadWriteRegisters(Request[list[int]]):
     def decode(cls, pdu: bytes) -> Self:
         read_address, read_count, write_address, count, size = struct.unpack(">HHHHB", pdu[1:10])
         if size != 2 * count:
-            raise ValueError(f"byte count {size} does not hold {count} registers, 1..121")
+            raise ValueError(f"byte count {size} does not fit {count} registers (1..121)")
         return cls(read_address, read_count, write_address, unpack_registers(pdu[10:]))
 
     def encode_response(self, result: Sequence[int]) -> bytes:
