@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from ..protocol.shown_time import time_text
+from ..protocol.plain import time_text
 
 __all__ = ["add_arguments", "called_before_lines", "logged"]
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 from ..ports.trace import WIRE, Traced
 from ..protocol.pdu import REQUESTS
-from ..protocol.shown_time import clock_text
+from ..protocol.plain import clock_text
 
 __all__ = ["Tracing", "in_columns", "print_frame", "wire_printed"]
 

@@ -34,7 +34,7 @@ from os.path import abspath, expanduser
 from typing import TYPE_CHECKING, Any
 
 from ..protocol.close_names import close_option
-from ..protocol.pauses import pause_between_frames
+from ..protocol.scan import pause_between_frames
 from .hosts import host_and_port, split_host_and_port
 from .schemes import (
     ASCII_DEFAULTS,

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from ..protocol.durations import DURATION, duration_of
+from ..protocol.checks import DURATION, duration_of
 
 if TYPE_CHECKING:
     from ..protocol.framing import Framing

@@ -18,7 +18,7 @@ from ..binding.library import check, ffi, lib, make
 from ..protocol.checks import integer, seconds
 from ..protocol.close_names import unknown_option
 from ..protocol.errors import ModbusConnectionError
-from ..protocol.pauses import pause_between_frames
+from ..protocol.scan import pause_between_frames
 from ..system import set_odd_baudrate
 from .port import Port, Silence, lost
 from .schemes import SERIAL_DEFAULTS, character_bits, parity_of

@@ -1,17 +1,20 @@
 """
-The check of numbers that callers pass; its errors name the argument and its range.
+The check of numbers that callers pass, and of durations that people type: 0.5, 500ms, 1h30m.
+
+Errors name the argument and its range.
 """
 
 from __future__ import annotations
 
 import math
+import re
 import reprlib
 from collections.abc import Sequence
 from operator import index
 
 from .mistakes import Path, WrongType, WrongValue
 
-__all__ = ["are_registers", "integer", "number", "seconds", "shown"]
+__all__ = ["DURATION", "are_registers", "duration_of", "integer", "number", "seconds", "shown"]
 
 
 def shown(number: object) -> str:
@@ -76,3 +79,24 @@ def seconds(name: str | Path, value: object, low: float = 0.001, high: float = 8
         given = f"{value:g}" if isinstance(value, float) else shown(value)
         raise WrongValue(name, f"must be in {low:g}..{high:g} seconds, not {given}")
     return float(value)
+
+
+DURATION = "a number of seconds, or such as 500ms, 10s, 2m, 1h30m or 1d"
+"""The texts that are durations, for errors."""
+
+_SECONDS = {"ms": 0.001, "s": 1, "m": 60, "min": 60, "h": 3600, "d": 86_400}
+
+_PART = r"([0-9]{1,9}(?:\.[0-9]{1,9})?)\s*(ms|s|min|m|h|d)\s*"
+
+
+def duration_of(text: str) -> float:
+    """
+    Return the seconds of a duration.
+
+    Raises:
+        ValueError: the text is none.
+    """
+    if not re.fullmatch(f"(?:{_PART})+", text.strip(), re.ASCII):
+        return float(text)
+    parts = re.findall(_PART, text, re.ASCII)
+    return float(sum(float(number) * _SECONDS[unit] for number, unit in parts))

@@ -25,9 +25,8 @@ from typing import Literal
 
 from .errors import MAX_RECEIVED, FrameError
 from .frames import Frame, Framer, Overheard, add_error, checked_frame
-from .pauses import ALLOWANCE
 from .rtu import RtuCutter
-from .scan import MAX_PDU, crc16, lib
+from .scan import ALLOWANCE, MAX_PDU, crc16, lib
 
 # fmt: off
 __all__ = [

@@ -1,5 +1,8 @@
 """
-Values as JSON can contain them, and text as terminals can show it.
+Values as JSON can contain them, text for terminals, and points in time, as outputs show them.
+
+Files, JSON, CSV, logs and messages have times of ISO 8601 in UTC, so that they sort, and do not
+depend on the place. Lines that a person watches have the clock of the place.
 """
 
 from __future__ import annotations
@@ -12,7 +15,13 @@ from typing import Any
 from .pdu import Request
 from .pdu.request import arguments
 
-__all__ = ["CONTROL", "plain", "without_controls"]
+__all__ = [
+    "CONTROL",
+    "clock_text",
+    "plain",
+    "time_text",
+    "without_controls",
+]
 
 CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
 """Control characters (Cc of Unicode) beside the line feed: terminals obey them."""
@@ -51,3 +60,45 @@ def plain(value: Any) -> Any:
 def without_controls(text: str) -> str:
     """Return a text with ``\\x1b`` and so on in place of control characters, for terminals."""
     return CONTROL.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
+
+
+# --- times ---------------------------------------------------------------------------
+
+
+def time_text(seconds: float) -> str:
+    """
+    Return a time in ISO 8601, in UTC, with milliseconds, such as 2026-07-01T12:00:00.250Z.
+
+    A time that no year of 1..9999 has is shown in seconds, such as 253402300800.000s.
+
+    Args:
+        seconds: since 1970, as `time.time` returns them.
+    """
+    from datetime import UTC, datetime  # which most commands never load
+
+    try:
+        shown = datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
+    except (OverflowError, ValueError, OSError):  # of a year that datetime, or the system, lacks
+        return _seconds_text(seconds)
+    return f"{shown[:-6]}Z"
+
+
+def clock_text(seconds: float, *, with_milliseconds: bool = False) -> str:
+    """
+    Return the time of day at this place, such as 14:00:00 or 14:00:00.250; else as `time_text`.
+
+    Args:
+        seconds: since 1970, as `time.time` returns them.
+    """
+    from datetime import datetime
+
+    whole, part = divmod(round(seconds * 1000), 1000)
+    try:
+        clock = datetime.fromtimestamp(whole).strftime("%H:%M:%S")
+    except (OverflowError, ValueError, OSError):  # as in `time_text`
+        return _seconds_text(seconds)
+    return f"{clock}.{part:03}" if with_milliseconds else clock
+
+
+def _seconds_text(seconds: float) -> str:
+    return f"{seconds:.3f}s"

@@ -1,5 +1,5 @@
 """
-The only import of scan.c: CRCs, and the limits of RTU frames.
+The only import of scan.c: CRCs, the limits of RTU frames, and the silence between them.
 """
 
 from __future__ import annotations
@@ -31,10 +31,19 @@ NO_FRAME: int = lib.NO_FRAME
 UNFINISHED: int = lib.UNFINISHED
 ASK_PYTHON: int = lib.ASK_PYTHON
 
+# Start bit, 8 data bits, parity or a second stop bit, stop bit.
+CHARACTER_BITS = 11
+
+# Above this rate the silence does not become shorter.
+FASTEST, SHORTEST = 19_200, 0.00175
+
+ALLOWANCE = 0.02
+"""Seconds after which a byte that was received is here: USB adapters keep bytes for 16 ms."""
+
 # fmt: off
 __all__ = [
-    "AT_END", "GOES_ON", "MAX_ADU", "MAX_PDU", "MIN_ADU", "NOT_BUILT", "NO_FRAME", "SILENT",
-    "UNFINISHED", "FrameScanner", "crc16", "is_one_adu", "lib",
+    "ALLOWANCE", "AT_END", "GOES_ON", "MAX_ADU", "MAX_PDU", "MIN_ADU", "NOT_BUILT", "NO_FRAME",
+    "SILENT", "UNFINISHED", "FrameScanner", "crc16", "is_one_adu", "lib", "pause_between_frames",
 ]
 # fmt: on
 
@@ -53,6 +62,21 @@ def crc16(data: bytes | bytearray) -> int:
 def is_one_adu(data: bytes) -> bool:
     """Return True if the bytes are one RTU frame by their CRC, whatever its function says."""
     return MIN_ADU <= len(data) <= MAX_ADU and not crc16(data)
+
+
+def pause_between_frames(baudrate: int, bits: int = CHARACTER_BITS) -> float:
+    """
+    Return the silence that ends a frame and precedes the next: 3.5 characters, 1.75 ms at least.
+
+    Args:
+        baudrate: bits per second, 1 or more.
+        bits: of a character; less than 11 count as 11.
+
+    Source: MODBUS over Serial Line V1.02, section 2.5.1.1.
+    """
+    if baudrate > FASTEST:
+        return SHORTEST
+    return 3.5 * max(bits, CHARACTER_BITS) / baudrate
 
 
 class FrameScanner:

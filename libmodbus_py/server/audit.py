@@ -23,7 +23,7 @@ from ..protocol.close_names import named_arguments
 from ..protocol.errors import ExceptionResponse
 from ..protocol.json_text import json_text
 from ..protocol.logs import HarmlessLogger
-from ..protocol.shown_time import time_text
+from ..protocol.plain import time_text
 from ..security.describing import CertificateHolder
 
 __all__ = ["Audit", "AuditEvent", "AuditFile", "OnAudited", "audit_of"]

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import pytest
 
-from libmodbus_py.protocol.durations import duration_of
+from libmodbus_py.protocol.checks import duration_of
 from tests.support.cases import each_case
 
 

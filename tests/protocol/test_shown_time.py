@@ -11,13 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py.protocol.shown_time import clock_text, time_text
+from libmodbus_py.protocol.plain import clock_text, time_text
 from tests.support.cases import each_case
 
 PACKAGE = Path(__file__).parents[2] / "libmodbus_py"
 
 OTHERS = {
-    "protocol/shown_time.py",
     *("protocol/plain.py", "protocol/spelling.py", "protocol/times.py"),  # values of registers
     "services/fleet/journal/journal_file.py",  # SQL
 }

@@ -10,7 +10,7 @@ from libmodbus_py import AsyncClient, Context, Device, Gateway, Mapping, Route, 
 from libmodbus_py.pdu import Diagnostics
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.protocol.framing import make_framer
-from libmodbus_py.protocol.pauses import pause_between_frames
+from libmodbus_py.protocol.scan import pause_between_frames
 from tests.simulation.stage import LineEnd, Stage
 from tests.support.cases import each_case
 from tests.support.talk import rtu

@@ -9,8 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from ...protocol.plain import without_controls
-from ...protocol.shown_time import time_text
+from ...protocol.plain import time_text, without_controls
 from ...tools.files.csv_text import csv_rows
 from ..output import print_json
 from .formatters import Formatter, ReadResult

@@ -9,7 +9,7 @@ import contextlib
 import math
 from typing import Any, get_args
 
-from ...protocol.durations import DURATION, duration_of
+from ...protocol.checks import DURATION, duration_of
 from ...protocol.type_names import BitsType, NumberType, Order
 from .. import arguments, completers
 from ..completers import behind, completing

@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 
-from ...protocol.shown_time import clock_text
+from ...protocol.plain import clock_text
 from ..redrawn import Redrawn
 from .formatters import FormattedValue, ReadResult, aligned
 

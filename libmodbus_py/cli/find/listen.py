@@ -13,8 +13,7 @@ from typing import Any
 
 from ...ports.schemes import SERIAL_OPTIONS
 from ...protocol.errors import ExceptionResponse, in_hex
-from ...protocol.plain import plain
-from ...protocol.shown_time import clock_text, time_text
+from ...protocol.plain import clock_text, plain, time_text
 from ...tools.listener.listener import Listener, listen
 from ...tools.listener.transaction import Transaction
 from .. import arguments

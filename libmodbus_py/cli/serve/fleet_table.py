@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ...protocol.shown_time import clock_text
+from ...protocol.plain import clock_text
 from ...services.fleet.fleet import Fleet
 from ...services.fleet.outputs.last_values import KeptReadings
 from ...services.fleet.poller import DeviceState

@@ -10,8 +10,8 @@ from typing import NamedTuple, Protocol
 
 from ...protocol.errors import MAX_RECEIVED, FrameError
 from ...protocol.framing import Frame, Framer, Overheard
-from ...protocol.pauses import ALLOWANCE
 from ...protocol.rtu import RtuCutter, may_be
+from ...protocol.scan import ALLOWANCE
 
 __all__ = ["Candidate", "Damage", "FramerHearing", "Hearing", "RtuHearing"]
 

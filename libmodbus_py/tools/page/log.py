@@ -18,7 +18,7 @@ from ...ports.trace import Traced
 from ...protocol import pdu
 from ...protocol.pdu import Request
 from ...protocol.pdu.request import arguments
-from ...protocol.shown_time import time_text
+from ...protocol.plain import time_text
 from ..files.csv_text import csv_rows
 from ..listener.traces import Exchange, TracePairing
 from .named import named_cells

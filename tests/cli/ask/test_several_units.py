@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Context, Device, Mapping, Server
-from libmodbus_py.protocol.durations import duration_of
+from libmodbus_py.protocol.checks import duration_of
 from tests.support.cases import each_case
 from tests.support.commands import on_terminal, run
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.protocol.shown_time import time_text
+from libmodbus_py.protocol.plain import time_text
 
 # The command, which waits for a line before it reads its file.
 PROGRAM = """

@@ -12,8 +12,7 @@ from math import isfinite
 from typing import Any
 
 from ....protocol.json_text import JSON, json_text
-from ....protocol.plain import plain
-from ....protocol.shown_time import time_text
+from ....protocol.plain import plain, time_text
 from ....tools.files.csv_text import csv_rows
 from ..readings import Reading
 
