@@ -155,8 +155,7 @@ class Mqtt:
         self._qos = integer("qos", qos, 0, 1)
         if ca is not None and server.scheme != "mqtts":
             raise WrongValue("ca", "can only be used with mqtts://")
-        self._ca = ca
-        self._password = password
+        self._ca, self._password = ca, password
         self._trusted: Renewed[ssl.SSLContext] | None = None
         self._options = {"username": user, "identifier": client_id}
         self.takes_commands: bool = commands
