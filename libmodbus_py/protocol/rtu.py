@@ -27,7 +27,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any, Literal, NamedTuple
 
-from .pdu import REQUESTS, Request, request_length, response_length
+from . import pdu
 from .pdu.fields import IN_C
 from .scan import (
     AT_END,
@@ -60,21 +60,21 @@ def scanner(*, is_client: bool) -> FrameScanner:
     """Return a scanner for responses if `is_client`, else for requests, by the rules of `pdu`."""
     return FrameScanner(
         is_client,
-        {code: _in_c(request, is_client) for code, request in REQUESTS.items()},
-        response_length if is_client else request_length,
+        {code: _in_c(request, is_client) for code, request in pdu.REQUESTS.items()},
+        pdu.response_length if is_client else pdu.request_length,
     )
 
 
-def _in_c(request: type[Request[Any]], is_client: bool) -> tuple[int, int, int]:
+def _in_c(request: type[pdu.Request[Any]], is_client: bool) -> tuple[int, int, int]:
     rule = request.response_length if is_client else request.request_length
     return IN_C.get(rule, (lib.BY_PYTHON, 0, 0))
 
 
-def may_be(pdu: bytes) -> tuple[bool, bool]:
+def may_be(data: bytes) -> tuple[bool, bool]:
     """Return two bools by length: the PDU can be a request, and it can be a response."""
-    size = len(pdu)
-    can_ask = pdu[0] < 0x80 and request_length(pdu) in (size, 0)
-    return can_ask, response_length(pdu) in (size, 0)
+    size = len(data)
+    can_ask = data[0] < 0x80 and pdu.request_length(data) in (size, 0)
+    return can_ask, pdu.response_length(data) in (size, 0)
 
 
 class RtuCutter:
