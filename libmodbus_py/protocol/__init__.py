@@ -6,6 +6,7 @@ Bottom up:
     errors     the exceptions, grouped by cause
     mistakes   errors that contain the path of the wrong value
     checks     numbers that callers give, and durations that people type
+    words      names of tables, types and orders as vendors write them
     close_names  names that are close to one that does not exist
     callbacks  functions of users: which are refused, and what is logged when one fails
     logs       loggers whose handlers may fail

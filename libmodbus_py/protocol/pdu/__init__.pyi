@@ -20,11 +20,11 @@ from .interface import DeviceIdentification as DeviceIdentification
 from .interface import EncapsulatedTransport as EncapsulatedTransport
 from .interface import IdentificationPage as IdentificationPage
 from .interface import ReadDeviceIdentification as ReadDeviceIdentification
+from .raw import RawRequest as RawRequest
 from .reads import ReadCoils as ReadCoils
 from .reads import ReadDiscreteInputs as ReadDiscreteInputs
 from .reads import ReadHoldingRegisters as ReadHoldingRegisters
 from .reads import ReadInputRegisters as ReadInputRegisters
-from .request import RawRequest as RawRequest
 from .request import Request as Request
 from .serial import CommEventCounter as CommEventCounter
 from .serial import CommEventLog as CommEventLog
