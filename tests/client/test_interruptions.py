@@ -307,13 +307,13 @@ def test_ctrl_c_at_any_moment_fails_no_later_request(place: str, native: bool) -
         context: Context
         if place == "rtu":
             unit = stack.enter_context(FakeUnit(lambda request: [rtu(request)]))
-            context = RtuContext(unit.path, 1_000_000, timeout=0.1, native=native)
+            context = RtuContext(unit.path, 1_000_000, timeout=0.3, native=native)
         else:
             frame = lambda request: [answer(request, place)]  # noqa: E731
             server = stack.enter_context(FakeServer(frame))
             framed: Any = "rtu" if place == "rtu+tcp" else "tcp"
             context = TcpContext(
-                "127.0.0.1", server.port, framing=framed, timeout=0.1, native=native
+                "127.0.0.1", server.port, framing=framed, timeout=0.3, native=native
             )
         interrupted = 0
         before = signal.signal(signal.SIGALRM, signal.default_int_handler)
