@@ -214,9 +214,10 @@ class Meaning:
         self._missing, self._span, self._states = missing, span, states
         self._numbers = {text: number for number, text in states.items()}
         self._is_list = kind is not None and kind.name.startswith("bits") and not (part or bits)
-        self.part, self.bits = part, bits
-        self.is_plain = not (part or bits or span or missing or states)
-        self.has_numbers = _has_numbers(kind, part) and not (states or bits)
+        self.part: Part | None = part
+        self.bits: Mapping[str, Part] = bits
+        self.is_plain: bool = not (part or bits or span or missing or states)
+        self.has_numbers: bool = _has_numbers(kind, part) and not (states or bits)
         self.from_bytes: Callable[[bytes], Any] = bool if kind is None else self._reader(kind)
 
     def _reader(self, kind: ValueType) -> Callable[[bytes], Any]:

@@ -89,14 +89,15 @@ class Security:
         for name, text in (("server_name", server_name), ("password", password)):
             if text is not None and not isinstance(text, str):
                 raise TypeError(f"{name} must be a string, not {type(text).__name__}")
-        given: Any = () if pin is None else pin
-        several = isinstance(given, Iterable) and not isinstance(given, str)
+        pins: Any = () if pin is None else pin
+        if isinstance(pins, str) or not isinstance(pins, Iterable):
+            pins = (pins,)
         self._files = SecurityFiles(
             PemFile("certificate", own),
             PemFile("key", own if key is None else key),
             password,
             None if trust is None else PemFile("trust", trust),
-            tuple(given) if several else (given,),
+            tuple(pins),
             None if crl is None else PemFile("crl", crl),
         )
         self._server_name = server_name

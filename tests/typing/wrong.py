@@ -136,7 +136,7 @@ def misspelt(plc: TcpContext) -> None:
     plc.read_value("holding_registers", 0, "float32", 2)  # wrong
     Meter("tcp://192.0.2.10")  # wrong
     Device.of_map(load_map("meter.csv"), {"setpoint": 20}, after_writes=print)  # wrong
-    Device.of_map("meter.csv")  # wrong
+    Device.of_map(5)  # wrong
 
 
 async def misspelt_and_awaited(plc: AsyncClient) -> None:
