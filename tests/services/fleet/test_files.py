@@ -182,7 +182,7 @@ SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
         (SIMPLE + "max_registers = 1", 5, "device[0].max_registers: items['power']: float32 takes"),
         (SIMPLE.replace("tcp://h", "http://h"), 3, "device[0].url: 'http://h': the scheme must"),
         (SIMPLE.replace("tcp://h", "tcp://h?unit=3"), 3, "must not contain unit"),
-        (SIMPLE.replace("tcp://h", "rtu://h"), 3, "a device is missing"),
+        (SIMPLE.replace("tcp://h", "rtu://h"), 3, "a path is missing"),
         (
             SIMPLE.replace("tcp://h", "rtu+tcp://h?max_in_flight=4"),
             3,
