@@ -27,13 +27,14 @@ TARGET = 10.0  # per cent of one core
 SERVER = f"""
 import time
 from array import array
-from libmodbus_py import Device, Mapping, Server, page_of
+from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.page import live_page
 
 ROOT = Path(__file__).resolve().parents[1]
 
 mapping = Mapping(holding_registers={CELLS})
 cells = [array("H", [number % 65536] * {CELLS}) for number in range(1, 65536, 6553)]
-with page_of(Server({{1: Device(mapping)}})) as page:
+with live_page(Server({{1: Device(mapping)}})) as page:
     print(page.url, flush=True)
     at = 0
     while True:

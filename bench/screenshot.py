@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from libmodbus_py import Context, Fault, ModbusError, Server, device_file
-from libmodbus_py.page import page_of
+from libmodbus_py.page import live_page
 from tests.tools.page.browsers import browser, missing
 from tests.tools.page.watching import until
 
@@ -40,7 +40,7 @@ def main() -> int:
     server = Server({7: meter.devices, **plant.devices}, {**plant.faults, 7: FAULTS})
     is_over = threading.Event()
     with (
-        page_of(server) as page,
+        live_page(server) as page,
         server.background("tcp://127.0.0.1:0") as running,
         Context.from_url(running.urls[0], unit=7) as plc,
         browser(WIDTH, HEIGHT) as driver,

@@ -29,7 +29,6 @@ TESTS = (
     "tests/services/integrations",
     "tests/cli/test_completion.py",
     "tests/services/fleet/outputs/test_fleet_mqtt.py",
-    "tests/services/fleet/outputs/test_fleet_nats.py",
     "tests/services/engine/test_connection.py",
     "tests/services/workers/test_engine_face.py",
     "tests/tools/sunspec",
