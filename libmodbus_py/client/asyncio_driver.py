@@ -64,7 +64,6 @@ class AsyncioDriver:
         self._is_reading = False
         self._is_due = False
         self._is_inside = False
-        self._is_left = False
         self._is_telling = False
         self._ended: deque[Call | Batch] = deque()
         self._pauses: set[Future[None]] = set()

@@ -996,7 +996,7 @@ class TestWherePymodbusServerErrs:
     def test_echo_of_a_new_delimiter_ends_with_it(self, control: Any, transport: str) -> None:
         # The delimiter is that of the process, and changes before the echo goes out:
         # which then has no end for us.
-        with pymodbus_server(transport, timeout=0.2) as context:
+        with pymodbus_server(transport, timeout=1.0) as context:
             with pytest.raises(ModbusError) as caught:
                 context.diagnostics(SubFunction.CHANGE_ASCII_DELIMITER, 0x2400)
             assert caught.value.received.endswith(b"\r$")
