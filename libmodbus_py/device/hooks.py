@@ -137,12 +137,15 @@ class Hooks:
 
     def before(self, touched: Touched) -> None:
         """Call the hooks that may refuse accesses."""
-        _call(self._before_write, touched.writes)
-        _call(self._before_read, touched.reads)
+        if touched.writes:
+            _call(self._before_write, touched.writes)
+        if touched.reads:
+            _call(self._before_read, touched.reads)
 
     def after(self, touched: Touched) -> None:
         """Call the hook for accesses that were carried out."""
-        _call(self._after_write, touched.writes)
+        if touched.writes:
+            _call(self._after_write, touched.writes)
 
 
 def _hook(name: str, hook: HookLike | None) -> Called | None:

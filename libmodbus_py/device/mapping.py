@@ -12,6 +12,7 @@ import threading
 import weakref
 from abc import ABC, abstractmethod
 from array import array
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Mapping as MappingABC
 from itertools import pairwise
@@ -24,7 +25,7 @@ from ..protocol.close_names import named_arguments
 from ..protocol.tables import TABLE_SIZE
 from ..protocol.values import Layout, TypeName, value_type
 from ..system import call_in_children
-from .ranges import checked_ranges, contains, joined, without
+from .ranges import checked_ranges, joined, without
 
 __all__ = ["TABLE_NUMBERS", "BitTable", "Mapping", "RegisterTable", "Table", "runs"]
 
@@ -71,6 +72,7 @@ class Table(ABC, Generic[Cell]):
         if isinstance(contents, MappingABC):
             contents = [range(at, at + len(values)) for at, values in given.items()]
         self.ranges: tuple[range, ...] = _ranges(name, contents)
+        self._starts = [each.start for each in self.ranges]
         self.addresses: range = range(0)
         if self.ranges:
             self.addresses = range(self.ranges[0].start, self.ranges[-1].stop)
@@ -102,7 +104,8 @@ class Table(ABC, Generic[Cell]):
 
     def has(self, address: int, count: int = 1) -> bool:
         """Return True if `count` addresses, starting at `address`, all exist."""
-        return contains(self.ranges, address, count)
+        at = bisect_right(self._starts, address) - 1  # `contains` takes twice the time
+        return at >= 0 and address + count <= self.ranges[at].stop
 
     def __len__(self) -> int:
         return sum(map(len, self.ranges))
