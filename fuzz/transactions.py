@@ -80,7 +80,8 @@ class Tally:
         errors: transactions that were reported as failed, by class of the error.
         wrong: results that were not those of the device, and registers that hold
             what nobody wrote.
-        unprovoked: failed transactions of a function that was not in doubt.
+        unprovoked: failed transactions of a function that was not in doubt, unless the fault of the
+            one before had spoiled nothing yet (noise behind a request hides the next one).
         lost: writes that were reported as done and were not.
         recovery: failed transactions of a function on the clean line after it was in doubt: how
             often so many. One is usual: an answer in doubt is held, and may be held for too long.
@@ -218,6 +219,7 @@ class Transactions:
         self._random = random.Random(seed)
         self._kind, self._count = KINDS[0], 1
         self._repeats = False
+        self._is_owed = False  # the last transaction ended well in spite of a fault
         # Functions in doubt -> failures on the clean line since then.
         self._failures: dict[int, int] = {}
 
@@ -278,7 +280,7 @@ class Transactions:
         if error is None:
             if function in self._failures:
                 self.tally.recovery[self._failures.pop(function)] += 1
-        elif not was_clean:
+        elif not was_clean or self._is_owed:
             self._failures[function] = 0
         elif function not in self._failures:
             self._failures[function] = 1
@@ -288,6 +290,7 @@ class Transactions:
             self._failures[function] += 1
             if self._failures[function] > 1:
                 self._note_line(f"failed again on the clean line: {error}")
+        self._is_owed = error is None and not was_clean
 
     def _note_line(self, text: str) -> None:
         self.tally.note("\n    ".join([text, *map(str, self._line.recent)]))
