@@ -40,15 +40,11 @@ from itertools import accumulate, combinations, product
 from typing import Any, NamedTuple
 
 from libmodbus_py.client.call import NOT_ASKED, Call, Timeouts
-from libmodbus_py.client.connection import Pace, Transactions
-from libmodbus_py.client.ids import Ids
-from libmodbus_py.client.line import Line
-from libmodbus_py.client.queue import ONE_AT_A_TIME, Window
-from libmodbus_py.client.reconnecting import Reconnecting
-from libmodbus_py.client.statistics import Statistics
+from libmodbus_py.client.connection import Transactions
+from libmodbus_py.client.options import CheckedOptions
+from libmodbus_py.client.queue import ONE_AT_A_TIME
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.ports.port import Silence
-from libmodbus_py.ports.trace import Trace
+from libmodbus_py.ports.port import make_port
 from libmodbus_py.protocol import pdu
 from libmodbus_py.protocol.errors import ExceptionResponse, ModbusConnectionError
 from libmodbus_py.protocol.framing import Frame, crc16, make_framer, mbap, rtu
@@ -133,26 +129,11 @@ class World:
         ONE_AT_A_TIME.clear()
         self.now = 0.0
         self.endpoint = parse("tcp://10.0.0.1:502" if self.has_ids else "rtu+tcp://10.0.0.1:502")
-        statistics, trace = Statistics(), Trace("", None)
-        matching: Any
-        if self.has_ids:
-            matching = Ids(self.endpoint, statistics, trace)
-        else:
-            matching = Line(self.endpoint, statistics, trace, silence=Silence())
-        window = Window(self.endpoint, 16, not self.has_ids, statistics)
-        life = Reconnecting("", 0.0, statistics, None)
+        settings = CheckedOptions(turnaround=1.0, timeouts_before_reconnect=1000)
         self.connection = Transactions(
-            self.endpoint,
-            Pace(1.0, 0.0, 0.0, 1000),
-            matching,
-            window,
-            life,
-            statistics,
-            trace,
-            None,
-            is_ordered=True,
+            self.endpoint, settings, make_port(self.endpoint, settings), 16
         )
-        life.connecting()
+        self.connection.life.connecting()
         self.connection.opened(0.0)
         self.timeouts = Timeouts(TIMEOUT, self.retries, 0)
         self.framer = make_framer(self.endpoint.framing, "server")

@@ -87,14 +87,17 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
     def __init__(self, url: str, **options: Unpack[AsyncOptions]) -> None:
         # Imported here, as in `Context`, and `reads` for the same reason as there.
         from ..ports.endpoint import parse
+        from ..ports.port import make_port
         from ..protocol.pdu import reads  # noqa: F401
-        from .options import CheckedOptions, assembled
+        from .connection import Transactions
+        from .options import CheckedOptions
 
         endpoint = parse(url)
         settings = CheckedOptions.of(endpoint, options, max_pause=MAX_PAUSE, may_send=None)
-        parts = assembled(endpoint, settings, IN_FLIGHT)
-        super().__init__(parts, settings, AsyncioDriver(parts))
-        self._matching = parts.connection.matching
+        port = make_port(endpoint, settings)
+        connection = Transactions(endpoint, settings, port, IN_FLIGHT)
+        driver = AsyncioDriver(port, connection)
+        super().__init__(endpoint, settings, connection, driver)
         self._last = _Last(self._driver)
 
     async def connect(self) -> None:
@@ -185,7 +188,7 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
     @property
     def has_ids(self) -> bool:
         """True if frames carry transaction ids, so that any unit may be asked at any time."""
-        return self._matching.has_ids
+        return self._connection.matching.has_ids
 
     @property
     def room(self) -> int:
@@ -211,7 +214,7 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
             unit: the unit, 0..255.
             function: the function code, 1..127; None for all functions of the unit.
         """
-        return self._matching.ready_at(unit, function)
+        return self._connection.matching.ready_at(unit, function)
 
     @overload
     async def read_many(  # type: ignore[overload-overlap]  # mappings first

@@ -27,7 +27,8 @@ from .connection import forbidden
 from .reconnecting import FORKED, State
 
 if TYPE_CHECKING:
-    from .options import Parts
+    from ..ports.port import Port
+    from .connection import Transactions
 
 __all__ = ["AsyncioDriver"]
 
@@ -37,15 +38,15 @@ class AsyncioDriver:
     Runs the requests of one connection in an event loop.
 
     Args:
-        parts: the parts of the client.
+        port: the port of the client.
+        connection: its requests.
     """
 
-    def __init__(self, parts: Parts) -> None:
-        self._port = parts.port
-        self._connection = parts.connection
-        self._life = parts.life
-        self._endpoint = str(parts.endpoint)
-        self._notices = parts.notices
+    def __init__(self, port: Port, connection: Transactions) -> None:
+        self._port = port
+        self._connection = connection
+        self._life = connection.life
+        self._notices = connection.notices
         # What callers wait for, each with the future or function that tells its caller.
         self._callers: dict[Call | Batch, Future[None] | Callable[[], object]] = {}
         self._begin_anew()
@@ -192,7 +193,9 @@ class AsyncioDriver:
             return
         try:
             warnings.warn(
-                f"AsyncClient({self._endpoint!r}) was not closed", ResourceWarning, stacklevel=2
+                f"AsyncClient({self._connection.url!r}) was not closed",
+                ResourceWarning,
+                stacklevel=2,
             )
         finally:
             self._in_loop(self._forget)
@@ -420,7 +423,7 @@ class AsyncioDriver:
         try:
             add(self._port.descriptor, self._enter, call)
         except OSError as error:
-            reason = f"cannot wait for {self._endpoint}: {error.strerror}"
+            reason = f"cannot wait for {self._connection.url}: {error.strerror}"
             raise ModbusConnectionError(reason, errno=error.errno) from error
 
     def _follow_port(self, now: float) -> None:

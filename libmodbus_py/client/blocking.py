@@ -100,16 +100,20 @@ class Context(Handle[BlockingDriver], Procedures, Blocking):
     def __init__(self, endpoint: Endpoint, options: Mapping[str, Any]) -> None:
         # Imported here, because the parts of a client take longer to import than this module, and
         # some programs make no client. A first read may find no descriptor to import `reads` with.
+        from ..ports.port import make_port
         from ..protocol.pdu import reads  # noqa: F401
-        from .options import CheckedOptions, assembled
+        from .connection import Transactions
+        from .options import CheckedOptions
 
         settings = CheckedOptions.of(endpoint, options, native=True)
-        parts = assembled(endpoint, settings, MAX_IN_FLIGHT)
+        port = make_port(endpoint, settings)
+        connection = Transactions(endpoint, settings, port, MAX_IN_FLIGHT)
         # C reads and writes the descriptor itself, and knows no ASCII.
         in_c = endpoint.framing != "ascii" and not endpoint.is_secure
-        is_on_libmodbus = endpoint.has_transactions or parts.port.context is not None
-        driver = BlockingDriver(parts, settings.native and in_c and is_on_libmodbus)
-        super().__init__(parts, settings, driver)
+        is_on_libmodbus = endpoint.has_transactions or port.context is not None
+        native = settings.native and in_c and is_on_libmodbus
+        driver = BlockingDriver(port, connection, native=native)
+        super().__init__(endpoint, settings, connection, driver)
 
     @staticmethod
     def from_url(address: str, **options: Unpack[UrlOptions]) -> Context:

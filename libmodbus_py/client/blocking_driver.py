@@ -24,7 +24,7 @@ from .reconnecting import FORKED, State
 if TYPE_CHECKING:
     from ..ports.port import Port
     from ..ports.waiting import Waker
-    from .options import Parts
+    from .connection import Transactions
 
 __all__ = ["BlockingDriver"]
 
@@ -77,26 +77,27 @@ class BlockingDriver:
     Runs the requests of one connection, those of one caller at a time, for any thread.
 
     Args:
-        parts: the parts of the client.
+        port: the port of the client.
+        connection: its requests.
         native: True if C may carry single requests.
 
     Attributes:
         waker: waits, on the clock of the port.
     """
 
-    def __init__(self, parts: Parts, native: bool) -> None:
-        self._port = parts.port
-        self._connection = parts.connection
-        self._life = parts.life
-        self._notices = parts.notices
-        self.waker = _waker(parts)
+    def __init__(self, port: Port, connection: Transactions, *, native: bool) -> None:
+        self._port = port
+        self._connection = connection
+        self._life = connection.life
+        self._notices = connection.notices
+        self.waker: Waker = _waker(connection.url, port)
         self._now = self.waker.now
-        self._carrier = Carrier(parts.port) if native else None
+        self._carrier = Carrier(port) if native else None
         self._closed = False
         self._pauses: set[Waker] = set()
         self._start_anew()
         abandoned_in_children(self)
-        weakref.finalize(self, parts.port.close)
+        weakref.finalize(self, port.close)
 
     def _start_anew(self) -> None:
         # Reentrant, so that a signal handler that sends a request during another one gets an error
@@ -369,10 +370,10 @@ class BlockingDriver:
                 life.given_up()
 
 
-def _waker(parts: Parts) -> Waker:
+def _waker(url: str, port: Port) -> Waker:
     try:
-        return parts.port.waker()
+        return port.waker()
     except OSError as error:
         raise ModbusConnectionError(
-            f"cannot make a client of {parts.endpoint}: {error.strerror}", errno=error.errno
+            f"cannot make a client of {url}: {error.strerror}", errno=error.errno
         ) from error

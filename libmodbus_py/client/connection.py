@@ -20,9 +20,10 @@ from __future__ import annotations
 
 import errno
 import math
-from collections.abc import Callable, Collection, Iterable
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Collection, Iterable
+from typing import TYPE_CHECKING
 
+from ..ports.trace import Trace
 from ..protocol.callbacks import finished, log_failure
 from ..protocol.errors import (
     FrameError,
@@ -34,16 +35,19 @@ from ..protocol.errors import (
 from . import reconnecting
 from .call import Batch, Call, Matching, Phase
 from .hints import add_hint, explain_end
+from .ids import Ids
+from .notices import Notices
 from .outcomes import Outcomes
 from .queue import Queue, Window
 from .reconnecting import Reconnecting
+from .statistics import Statistics
 
 if TYPE_CHECKING:
     from ..ports.endpoint import Endpoint
-    from ..ports.trace import Trace
-    from .statistics import Statistics
+    from ..ports.port import Port, Silence
+    from .options import CheckedOptions
 
-__all__ = ["Pace", "Transactions", "forbidden"]
+__all__ = ["Transactions", "forbidden"]
 
 WAITING, SENT, ANSWERED, OVER = Phase.WAITING, Phase.SENT, Phase.ANSWERED, Phase.OVER
 
@@ -54,32 +58,15 @@ MAX_UNASKED_BYTES = 1 << 16
 LOSSES_BEFORE_END = 3
 
 
-class Pace(NamedTuple):
-    """
-    The minimum times between requests, in seconds.
-
-    Attributes:
-        turnaround: the duration of a request that gets no response.
-        request_spacing: the minimum time between the starts of two requests.
-        connect_delay: the time between connecting and the first request.
-        timeouts_before_reconnect: timeouts in a row after which a connection counts as dead;
-            a serial port never does.
-    """
-
-    turnaround: float
-    request_spacing: float
-    connect_delay: float
-    timeouts_before_reconnect: int
-
-
 class Transactions:
     """
     Sends requests in their order, and settles them.
 
     Args:
         endpoint: the endpoint of the connection.
-        is_ordered: False if `max_in_flight` was given, so that writes are not alone in flight.
-        may_send: as in `AsyncOptions`.
+        settings: the options of the client.
+        port: its port, of which only the name and the silence are used.
+        most: the most requests in flight, unless the settings contain a number.
 
     Attributes:
         in_flight: how many requests are in flight now, without reads to be asked again alone.
@@ -87,37 +74,49 @@ class Transactions:
         broken: the reason to replace the connection by a new one, or None.
         is_flooded: True if so many bytes arrived that belong to no request that it is no accident.
         is_guarded: True if `may_send` was given, and must be called before each request.
+        url: the URL of the endpoint.
+        matching, window, life: the parts that decide for it.
+        statistics: the counters; `notices`: calls of user functions that wait.
     """
 
-    def __init__(
-        self,
-        endpoint: Endpoint,
-        pace: Pace,
-        matching: Matching,
-        window: Window,
-        life: Reconnecting,
-        statistics: Statistics,
-        trace: Trace,
-        may_send: Callable[[], bool] | None,
-        *,
-        is_ordered: bool,
-    ) -> None:
+    def __init__(self, endpoint: Endpoint, settings: CheckedOptions, port: Port, most: int) -> None:
         self.in_flight: int = 0
         self.alarm: float = math.inf
         self.broken: ModbusConnectionError | None = None
         self.is_flooded: bool = False
-        self.is_guarded: bool = may_send is not None
-        self.matching: Matching = matching
-        self.window: Window = window
-        self.life: Reconnecting = life
-        self.statistics: Statistics = statistics
+        self.is_guarded: bool = settings.may_send is not None
+        self.notices: Notices = Notices()
+        self.statistics: Statistics = (
+            Statistics() if settings.statistics is None else settings.statistics
+        )
+        self.url: str = str(endpoint)
+        has_ids, limit = endpoint.has_transactions, settings.max_in_flight
+        self._trace = Trace(self.url, settings.trace, later=self.notices.add)
+        self.life: Reconnecting = Reconnecting(
+            str(port),
+            settings.max_pause,
+            self.statistics,
+            settings.on_state and self.notices.delaying(settings.on_state),
+        )
+        self.window: Window = Window(
+            endpoint, (limit or most) if has_ids else 1, limit is not None, self.statistics
+        )
+        self.matching: Matching = _matching(
+            endpoint, self.statistics, self._trace, settings, port.silence
+        )
         self._scheme = endpoint.scheme
         self._is_socket = not endpoint.is_serial
-        self._pace = pace
-        self._trace = trace
-        self._may_send = may_send
-        self._queue = Queue(matching, window, is_ordered=is_ordered and matching.has_ids)
-        self._outcomes = Outcomes(endpoint, self._queue, matching, window, life, statistics)
+        self._settings = settings
+        self._queue = Queue(self.matching, self.window, is_ordered=has_ids and limit is None)
+        self._outcomes = Outcomes(
+            self.url,
+            self._scheme,
+            self._queue,
+            self.matching,
+            self.window,
+            self.life,
+            self.statistics,
+        )
         self._silent: list[tuple[float, Call]] = []  # calls without an answer, and when they end
         self._answered: list[Call] = []
         self._next_start = 0.0
@@ -184,10 +183,10 @@ class Transactions:
 
     def is_allowed(self) -> bool:
         """Return what `may_send` returns; True without it, False if it fails or returns neither."""
-        if self._may_send is None:
+        if self._settings.may_send is None:
             return True
         try:
-            allowed = finished("may_send", self._may_send())
+            allowed = finished("may_send", self._settings.may_send())
             if allowed is not True and allowed is not False:
                 raise TypeError(f"may_send must return True or False, not {allowed!r}")
             return allowed
@@ -208,8 +207,8 @@ class Transactions:
         matching.is_traced = self._trace.is_on()
         while (call := queue.next(now, self.in_flight)) is not None:
             adus.append(self._send(call, now))
-            if self._pace.request_spacing:
-                self._next_start = now + self._pace.request_spacing
+            if self._settings.request_spacing:
+                self._next_start = now + self._settings.request_spacing
                 break
             if not (queue.waiting or queue.again):
                 break
@@ -244,7 +243,7 @@ class Transactions:
         matching = self.matching
         is_dead = (
             self._is_socket
-            and matching.unanswered >= self._pace.timeouts_before_reconnect
+            and matching.unanswered >= self._settings.timeouts_before_reconnect
             and not self._queue.lost  # these may be answered when they are sent alone
         )
         # The next answer would be appended to the half frame.
@@ -268,8 +267,8 @@ class Transactions:
             self._note_company(call)
         self.in_flight += 1
         if call.is_silent:
-            self._silent.append((now + self._pace.turnaround, call))
-            self._wake(now + self._pace.turnaround)
+            self._silent.append((now + self._settings.turnaround, call))
+            self._wake(now + self._settings.turnaround)
         if call.batch is not None and (follower := call.batch.next()) is not None:
             self._queue.waiting.append(follower)
         if self.matching.is_traced:
@@ -335,8 +334,8 @@ class Transactions:
     def opened(self, now: float) -> None:
         """The connection was established: send what waits for it."""
         self._reset(now)
-        if self._pace.connect_delay:
-            self._next_start = now + self._pace.connect_delay
+        if self._settings.connect_delay:
+            self._next_start = now + self._settings.connect_delay
         for call in list(self._queue.waiting):
             call.used = now - call.since
             if call.request is None:
@@ -557,6 +556,20 @@ class Transactions:
                 )
                 if call.batch is not None:
                     self._free(call.batch)
+
+
+def _matching(
+    endpoint: Endpoint,
+    statistics: Statistics,
+    trace: Trace,
+    settings: CheckedOptions,
+    silence: Silence,
+) -> Matching:
+    if endpoint.has_transactions:
+        return Ids(endpoint, statistics, trace, any_unit=settings.accept_unit == "any")
+    from .line import Line
+
+    return Line(endpoint, statistics, trace, silence=silence, delimiter=settings.delimiter)
 
 
 def _is_good(reply: object) -> bool:

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from ..maps.holes import Holes, Unreadable
     from ..maps.plan import Plan
     from ..maps.register_map import AnyMap
-    from .call import Timeouts
-    from .options import CheckedOptions, Parts
+    from ..ports.endpoint import Endpoint
+    from .connection import Transactions
+    from .options import CheckedOptions
     from .statistics import Statistics
 
 __all__ = ["Handle"]
@@ -44,10 +45,10 @@ class Handle(Generic[Driving]):
 
     def __init__(
         self,
-        parts: Parts,
+        endpoint: Endpoint,
         settings: CheckedOptions,
+        connection: Transactions,
         driver: Driving,
-        timeouts: Timeouts | None = None,
     ) -> None:
         """
         Make a client. These are the options of all clients, with their defaults; times are in
@@ -81,12 +82,10 @@ class Handle(Generic[Driving]):
             max_pause=30.0              the longest pause between two attempts to connect
         """
         self._unit = settings.unit
-        self._timeouts = timeouts or settings.timeouts
-        self._endpoint = parts.endpoint
-        self._life = parts.life
-        self._connection = parts.connection
-        self._statistics = parts.statistics
-        self._has_broadcast = parts.endpoint.framing in ("rtu", "ascii")
+        self._timeouts = settings.timeouts
+        self._endpoint = endpoint
+        self._connection = connection
+        self._has_broadcast = endpoint.framing in ("rtu", "ascii")
         self._driver = driver
         self._holes: dict[int, Holes] = {}
 
@@ -149,7 +148,7 @@ class Handle(Generic[Driving]):
     @property
     def state(self) -> State:
         """The state of the connection."""
-        return self._life.state
+        return self._connection.life.state
 
     @property
     def closed(self) -> bool:
@@ -159,7 +158,7 @@ class Handle(Generic[Driving]):
     @property
     def statistics(self) -> Statistics:
         """The statistics of the connection, which it keeps up to date."""
-        return self._statistics
+        return self._connection.statistics
 
     @property
     def max_in_flight(self) -> int:
@@ -169,7 +168,7 @@ class Handle(Generic[Driving]):
     @property
     def late_answers(self) -> int:
         """The number of responses that were dropped because their request had been given up."""
-        return self._statistics.late_answers
+        return self.statistics.late_answers
 
     def unreadable(self, what: AnyMap | Plan) -> list[Unreadable]:
         """

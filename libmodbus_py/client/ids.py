@@ -9,14 +9,17 @@ from __future__ import annotations
 
 import copy
 import math
+from typing import TYPE_CHECKING
 
-from ..ports.endpoint import Endpoint
-from ..ports.trace import Trace
 from ..protocol.errors import FrameError, InvalidResponse
 from ..protocol.framing import Frame, Framer, Framing, make_framer, mbap
 from .call import Call
 from .hints import MAX_KEPT, no_answer
 from .statistics import Statistics
+
+if TYPE_CHECKING:
+    from ..ports.endpoint import Endpoint
+    from ..ports.trace import Trace
 
 __all__ = ["Ids"]
 

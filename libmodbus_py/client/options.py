@@ -1,5 +1,5 @@
 """
-The options of clients, checked once, and the parts made of them.
+The options of clients, checked once.
 """
 
 from __future__ import annotations
@@ -9,25 +9,20 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 from ..ports.endpoint import Endpoint
-from ..ports.port import Port, make_port
 from ..ports.schemes import SERIAL_OPTIONS
-from ..ports.trace import OnTraced, Trace
+from ..ports.trace import OnTraced
 from ..protocol.callbacks import checked_callback
 from ..protocol.checks import integer, seconds
 from ..protocol.close_names import unknown_option
 from ..protocol.framing import is_delimiter
-from .call import MAX_IN_FLIGHT, Matching, Timeouts
-from .connection import Pace, Transactions
-from .ids import Ids
-from .notices import Notices
-from .queue import Window
-from .reconnecting import OnState, Reconnecting
+from .call import MAX_IN_FLIGHT, Timeouts
+from .reconnecting import OnState
 from .statistics import Statistics
 
 if TYPE_CHECKING:  # ssl, which it needs, takes longer to import than the rest of a client
     from ..security.security import GivenContext, Security
 
-__all__ = ["AsyncOptions", "CheckedOptions", "ContextOptions", "Options", "Parts", "assembled"]
+__all__ = ["AsyncOptions", "CheckedOptions", "ContextOptions", "Options"]
 
 
 OF_ONE_KIND = ("native", "may_send")
@@ -198,7 +193,10 @@ class CheckedOptions:
             if name not in known:
                 serial = SERIAL_OPTIONS if endpoint.is_serial and "native" in usual else ()
                 raise unknown_option(name, [*known, *serial])
-        return cls(**{**usual, **endpoint.client_options, **options})
+        settings = cls(**{**usual, **endpoint.client_options, **options})
+        if not endpoint.has_transactions:
+            _check_for_line(endpoint, settings)
+        return settings
 
     @property
     def timeouts(self) -> Timeouts:
@@ -212,76 +210,7 @@ def _check_security(security: object) -> None:
         raise TypeError(f"security must be Security, not {type(security).__name__}")
 
 
-@dataclass(frozen=True, slots=True)
-class Parts:
-    """The parts of a client, except its driver."""
-
-    endpoint: Endpoint
-    port: Port
-    connection: Transactions
-    life: Reconnecting
-    statistics: Statistics
-    notices: Notices
-
-
-def assembled(endpoint: Endpoint, settings: CheckedOptions, most: int) -> Parts:
-    """
-    Make the parts of a client.
-
-    Args:
-        endpoint: the endpoint to connect to.
-        settings: the checked options.
-        most: the most requests in flight, unless the settings contain a number; 1 where frames
-            have no transaction ids.
-
-    Raises:
-        TypeError, ValueError: the endpoint is wrong, or an option does not apply to it.
-    """
-    port = make_port(endpoint, settings)
-    statistics = Statistics() if settings.statistics is None else settings.statistics
-    notices = Notices()
-    on_state = settings.on_state and notices.delaying(settings.on_state)
-    life = Reconnecting(str(port), settings.max_pause, statistics, on_state)
-    pace = Pace(
-        settings.turnaround,
-        settings.request_spacing,
-        settings.connect_delay,
-        settings.timeouts_before_reconnect,
-    )
-    trace = Trace(str(endpoint), settings.trace, later=notices.add)
-    limit = (settings.max_in_flight or most) if endpoint.has_transactions else 1
-    is_given = settings.max_in_flight is not None
-    connection = Transactions(
-        endpoint,
-        pace,
-        _matching(endpoint, settings, port, statistics, trace),
-        Window(endpoint, limit, is_given, statistics),
-        life,
-        statistics,
-        trace,
-        settings.may_send,
-        is_ordered=not is_given,
-    )
-    return Parts(endpoint, port, connection, life, statistics, notices)
-
-
-def _matching(
-    endpoint: Endpoint,
-    settings: CheckedOptions,
-    port: Port,
-    statistics: Statistics,
-    trace: Trace,
-) -> Matching:
-    if endpoint.has_transactions:
-        any_unit = settings.accept_unit == "any"
-        return Ids(endpoint, statistics, trace, any_unit=any_unit)
-    from .line import Line
-
-    _refuse_ids(endpoint, settings)
-    return Line(endpoint, statistics, trace, silence=port.silence, delimiter=settings.delimiter)
-
-
-def _refuse_ids(endpoint: Endpoint, settings: CheckedOptions) -> None:
+def _check_for_line(endpoint: Endpoint, settings: CheckedOptions) -> None:
     where = f"on {endpoint.scheme}, whose answers carry no transaction id"
     if settings.max_in_flight not in (None, 1):
         raise ValueError(f"max_in_flight must be 1 {where}")

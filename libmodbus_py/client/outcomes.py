@@ -4,8 +4,6 @@ The outcome of each request: its result, its error, or a repetition.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from ..protocol.errors import (
     Acknowledge,
     ExceptionResponse,
@@ -21,9 +19,6 @@ from .queue import Queue, Window
 from .reconnecting import Reconnecting
 from .statistics import Statistics, result_of
 
-if TYPE_CHECKING:
-    from ..ports.endpoint import Endpoint
-
 __all__ = ["Outcomes"]
 
 BUSY = (Acknowledge, ServerDeviceBusy)
@@ -37,20 +32,22 @@ class Outcomes:
     Decides what becomes of the requests of one connection.
 
     Args:
+        place: the URL of the connection, for errors; `scheme`: its scheme.
         queue: takes the requests that are sent again.
     """
 
     def __init__(
         self,
-        endpoint: Endpoint,
+        place: str,
+        scheme: str,
         queue: Queue,
         matching: Matching,
         window: Window,
         life: Reconnecting,
         statistics: Statistics,
     ) -> None:
-        self._place = str(endpoint)
-        self._scheme = endpoint.scheme
+        self._place = place
+        self._scheme = scheme
         self._queue = queue
         self._matching = matching
         self._window = window

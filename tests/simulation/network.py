@@ -17,9 +17,8 @@ from types import SimpleNamespace
 from typing import Any, TypeVar
 from unittest.mock import patch
 
-from libmodbus_py.client import options as client_options
 from libmodbus_py.client.blocking_driver import BlockingDriver
-from libmodbus_py.ports import tls
+from libmodbus_py.ports import port, tls
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.ports.port import Port
 from libmodbus_py.protocol.errors import ModbusConnectionError
@@ -204,7 +203,7 @@ class Network:
     def installed(self) -> Iterator[None]:
         """Let all clients and servers that are made meanwhile use this network."""
         with (
-            patch.object(client_options, "make_port", self._make_port),
+            patch.object(port, "make_port", self._make_port),
             patch.object(tcp, "bound", self._bound),
             patch.object(udp, "bound", self._bound),
             patch.object(serving, "Peers", partial(Peers, make_poller=self._epoll)),
@@ -304,7 +303,7 @@ def _any_line(*_: object) -> None:
 def _in_python(make: Callable[..., None]) -> Callable[..., None]:
     """Return the constructor of `BlockingDriver` for clients that are all of Python."""
 
-    def made(self: BlockingDriver, parts: Any, native: bool) -> None:
-        make(self, parts, False)
+    def made(self: BlockingDriver, port: Port, connection: Any, *, native: bool) -> None:
+        make(self, port, connection, native=False)
 
     return made

@@ -14,8 +14,10 @@ from typing import Any
 
 from libmodbus_py import ModbusConnectionError, pdu
 from libmodbus_py.client.call import Batch, Call, Timeouts
-from libmodbus_py.client.options import CheckedOptions, assembled
+from libmodbus_py.client.connection import Transactions
+from libmodbus_py.client.options import CheckedOptions
 from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.ports.port import make_port
 
 TCP = "tcp://192.0.2.1"
 LINE = "rtu:///dev/nowhere?silence=0"
@@ -42,13 +44,13 @@ class Talk:
         most = 16 if endpoint.framing in ("tcp", "udp") else None
         given = {"max_in_flight": most, **options}
         self.settings = CheckedOptions.of(endpoint, given, may_send=None)
-        parts = assembled(endpoint, self.settings, 16)
+        port = make_port(endpoint, self.settings)
         self.is_udp = endpoint.scheme == "udp"
-        self.connection = parts.connection
-        self.matching: Any = parts.connection.matching
-        self.life = parts.life
-        self.statistics = parts.statistics
-        self.notices = parts.notices
+        self.connection = Transactions(endpoint, self.settings, port, 16)
+        self.matching: Any = self.connection.matching
+        self.life = self.connection.life
+        self.statistics = self.connection.statistics
+        self.notices = self.connection.notices
         self.timeouts = self.settings.timeouts
         self.now = 0.0
         self.sent: list[bytes] = []

@@ -12,12 +12,13 @@ from dataclasses import MISSING, dataclass, field, fields
 from functools import lru_cache
 from typing import Any
 
-from ...client.options import CheckedOptions, assembled
+from ...client.options import CheckedOptions
 from ...maps.point import Point
 from ...maps.point_checks import LONGEST_INTERVAL, SHORTEST_INTERVAL
 from ...maps.point_plan import PointPlan
 from ...maps.register_map import RegisterMap
 from ...ports.endpoint import Endpoint, parse
+from ...ports.port import make_port
 from ...protocol.checks import integer, number, seconds
 from ...protocol.close_names import named_arguments
 from ...protocol.json_text import json_text
@@ -229,7 +230,7 @@ def _endpoint(url: str) -> tuple[Endpoint, str]:
     if "unit" in endpoint.client_options:
         raise ValueError(f"{url!r} must not contain unit; write it as a key: unit = ...")
     # Invalid options of the client are refused now, not when the client is made.
-    assembled(endpoint, CheckedOptions.of(endpoint, {}), 1)
+    make_port(endpoint, CheckedOptions.of(endpoint, {}))
     # Workers of other versions read the key, so that its form does not change.
     return endpoint, f"{endpoint.transport}:{endpoint.key[1]}"
 

@@ -8,10 +8,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from ...client.options import CheckedOptions, assembled
+from ...client.options import CheckedOptions
 from ...device.access import Access
 from ...device.rules import Allow
 from ...ports.endpoint import Endpoint, parse
+from ...ports.port import make_port
 from ...protocol.checks import integer, seconds
 from ...protocol.close_names import named_arguments
 from ...protocol.mistakes import WrongType, WrongValue, inside, placed
@@ -91,7 +92,7 @@ class Route:
         if "unit" in endpoint.client_options:
             raise ValueError(f"{self.to!r} must not contain unit; use device_units")
         # Invalid options of the client are refused now, not when the client is made.
-        assembled(endpoint, CheckedOptions.of(endpoint, {}), 1)
+        make_port(endpoint, CheckedOptions.of(endpoint, {}))
         return endpoint
 
     def _units(self, endpoint: Endpoint) -> Sequence[int]:
