@@ -23,24 +23,18 @@ from ..ports.waiting_async import Alarm, run_async
 from ..protocol.callbacks import finished, log_failure
 from ..protocol.errors import ModbusConnectionError
 from .call import Batch, Call
-from .connection import forbidden
+from .connection import Transactions, forbidden
+from .polling import Pauses
 from .reconnecting import FORKED, State
 
 if TYPE_CHECKING:
     from ..ports.port import Port
-    from .connection import Transactions
 
 __all__ = ["AsyncioDriver"]
 
 
 class AsyncioDriver:
-    """
-    Runs the requests of one connection in an event loop.
-
-    Args:
-        port: the port of the client.
-        connection: its requests.
-    """
+    """Runs the requests of one connection in an event loop."""
 
     def __init__(self, port: Port, connection: Transactions) -> None:
         self._port = port
@@ -54,20 +48,21 @@ class AsyncioDriver:
 
     def _begin_anew(self) -> None:
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._changing: tuple[asyncio.AbstractEventLoop, asyncio.Lock] | None = None
+        # Held by the task that reads, changes and writes a register.
+        self.changing: asyncio.Lock = asyncio.Lock()
         self._now: Callable[[], float] = monotonic  # the clock of the loop, once there is one
         self._attempt: asyncio.Task[None] | None = None
         self._attempt_until = 0.0
-        self._retry: asyncio.TimerHandle | None = None
+        self._retry = Alarm(partial(self._enter, self._start_attempt))
         self._alarm = Alarm(partial(self._enter, self._ring))
-        self._resume: asyncio.TimerHandle | None = None
+        self._resume = Alarm(partial(self._enter, self._go_on))
         self._is_writing = False
         self._is_reading = False
         self._is_due = False
         self._is_inside = False
         self._is_telling = False
         self._ended: deque[Call | Batch] = deque()
-        self._pauses: set[Future[None]] = set()
+        self._pauses = Pauses()
 
     def now(self) -> float:
         """Return the time by which timeouts are measured."""
@@ -90,27 +85,9 @@ class AsyncioDriver:
             RuntimeError: the client belongs to another event loop.
         """
         loop = self._bind()
-        if at > loop.time() and not self._is_closed():
-            pause: Future[None] = loop.create_future()
-            timer = loop.call_at(at, _end, pause)
-            self._pauses.add(pause)
-            try:
-                await pause
-            finally:
-                self._pauses.discard(pause)
-                timer.cancel()
-        return not self._is_closed()
-
-    def _is_closed(self) -> bool:
-        return self._life.state is State.CLOSED
-
-    @property
-    def changing(self) -> asyncio.Lock:
-        """The lock held by the task that reads, changes and writes a register."""
-        loop = asyncio.get_running_loop()
-        if self._changing is None or self._changing[0] is not loop:
-            self._changing = loop, asyncio.Lock()
-        return self._changing[1]
+        if self._life.state is not State.CLOSED:
+            await self._pauses.until(at, loop)
+        return self._life.state is not State.CLOSED
 
     async def run(self, job: Call | Batch) -> None:
         """
@@ -151,16 +128,12 @@ class AsyncioDriver:
 
     def _add(self, job: Call | Batch) -> None:
         connection, now = self._connection, self._now()
-        if isinstance(job, Batch):
-            connection.submit_batch(job, now)
-        else:
-            connection.submit(job, now)
+        connection.submit(job, now)
         if not connection.in_flight:
             self._turn(now)
         elif not self._is_due:  # requests of this turn of the loop are sent together
             self._is_due = True
-            assert self._loop is not None
-            self._loop.call_soon(self._enter, self._turn)
+            self._bound.call_soon(self._enter, self._turn)
 
     def withdraw(self, job: Call | Batch) -> None:
         """Drop requests; their outcome is not reported to their caller."""
@@ -217,8 +190,7 @@ class AsyncioDriver:
         self._close_port()
         self._connection.closed(closed, self._now())
         self._cancel_timers()
-        for pause in self._pauses:
-            _end(pause)
+        self._pauses.end()
 
     def _forget(self) -> None:
         if self._attempt is not None and self._loop is not None and not self._loop.is_closed():
@@ -228,10 +200,8 @@ class AsyncioDriver:
         self._cancel_timers()
 
     def _cancel_timers(self) -> None:
-        for handle in (self._retry, self._resume):
-            if handle is not None:
-                handle.cancel()
-        self._alarm.cancel()
+        for alarm in (self._retry, self._resume, self._alarm):
+            alarm.cancel()
 
     def abandon(self) -> None:
         """
@@ -255,11 +225,15 @@ class AsyncioDriver:
     def _bind(self) -> asyncio.AbstractEventLoop:
         loop = asyncio.get_running_loop()
         if self._loop is None:
-            self._loop = loop
-            self._now = loop.time
+            self._loop, self._now = loop, loop.time
         elif self._loop is not loop:
             raise RuntimeError("this client belongs to another event loop; make one for each loop")
         return loop
+
+    @property
+    def _bound(self) -> asyncio.AbstractEventLoop:
+        assert self._loop is not None
+        return self._loop
 
     # --- entry --------------------------------------------------------------------------------
 
@@ -271,8 +245,7 @@ class AsyncioDriver:
         connection is given up, and all calls end, so that no caller waits forever.
         """
         if self._is_inside:  # called by user code, such as the class of a request
-            assert self._loop is not None
-            self._loop.call_soon(self._enter, act, *arguments)
+            self._bound.call_soon(self._enter, act, *arguments)
             return
         self._is_inside = True
         try:
@@ -310,8 +283,7 @@ class AsyncioDriver:
             while self._ended:
                 self._tell_caller()
         except BaseException:
-            assert self._loop is not None
-            self._loop.call_soon(self._tell)
+            self._bound.call_soon(self._tell)
             raise
         finally:
             self._is_telling = False
@@ -344,14 +316,13 @@ class AsyncioDriver:
         else:
             if not connection.in_flight and self._port.has_input():
                 self._read()
-            self._send(connection.start(now), now)
+            if adus := connection.start(now):
+                self._send(adus, now)
         if connection.broken is not None:
             self._lose(connection.broken, by_itself=False)
         self._set_timer()
 
     def _send(self, adus: list[bytes], now: float) -> None:
-        if not adus:
-            return
         port = self._port
         # Checked again, because user code was called since, and the process may have been stopped.
         if self._connection.is_guarded and not self._connection.is_allowed():
@@ -360,7 +331,7 @@ class AsyncioDriver:
         try:
             port.send(adus, now)
             if port.has_unsent or self._is_writing or port.resume_at is not None:
-                self._follow_port(now)
+                self._follow_port()
             if not self._is_reading:
                 self._read_on()
         except ModbusConnectionError as error:
@@ -369,8 +340,7 @@ class AsyncioDriver:
     def _set_timer(self) -> None:
         at = self._connection.alarm
         if at < self._alarm.at and self._life.state is not State.CLOSED:
-            assert self._loop is not None
-            self._alarm.set(at, self._loop)
+            self._alarm.set(at, self._bound)
 
     def _ring(self) -> None:
         """Process timeouts that are over."""
@@ -408,15 +378,13 @@ class AsyncioDriver:
 
     def _pause_reading(self) -> None:
         """Stop reading until the next request: a flood must not keep an idle client busy."""
-        assert self._loop is not None
         self._is_reading = False
-        self._loop.remove_reader(self._port.descriptor)
+        self._bound.remove_reader(self._port.descriptor)
         self._port.discard_input()
 
     def _read_on(self) -> None:
-        assert self._loop is not None
         self._is_reading = True
-        self._watch(self._loop.add_reader, self._readable)
+        self._watch(self._bound.add_reader, self._readable)
 
     def _watch(self, add: Callable[..., None], call: Callable[[], None]) -> None:
         """Register a callback. Raises ModbusConnectionError if the system cannot watch more."""
@@ -426,20 +394,17 @@ class AsyncioDriver:
             reason = f"cannot wait for {self._connection.url}: {error.strerror}"
             raise ModbusConnectionError(reason, errno=error.errno) from error
 
-    def _follow_port(self, now: float) -> None:
+    def _follow_port(self) -> None:
         """Continue to send when the port takes bytes again, or its pause is over."""
-        assert self._loop is not None
         if self._port.has_unsent != self._is_writing:
             self._is_writing = self._port.has_unsent
             if self._is_writing:
-                self._watch(self._loop.add_writer, self._go_on)
+                self._watch(self._bound.add_writer, self._go_on)
             else:
-                self._loop.remove_writer(self._port.descriptor)
+                self._bound.remove_writer(self._port.descriptor)
         if self._port.resume_at is not None:
-            if self._resume is not None:
-                self._resume.cancel()
-            pause = self._port.resume_at - now
-            self._resume = self._loop.call_later(pause, self._enter, self._go_on)
+            self._resume.cancel()
+            self._resume.set(self._port.resume_at, self._bound)
 
     def _go_on(self) -> None:
         now = self._now()
@@ -448,7 +413,7 @@ class AsyncioDriver:
             return
         try:
             self._port.go_on(now)
-            self._follow_port(now)
+            self._follow_port()
         except ModbusConnectionError as error:
             self._lose(error)
             self._turn()
@@ -461,11 +426,9 @@ class AsyncioDriver:
     def _close_port(self) -> None:
         is_watched = self._loop is not None and not self._loop.is_closed()
         if self._port.descriptor >= 0 and is_watched:
-            assert self._loop is not None
-            self._loop.remove_reader(self._port.descriptor)
-            self._loop.remove_writer(self._port.descriptor)
-        if self._resume is not None:
-            self._resume.cancel()
+            self._bound.remove_reader(self._port.descriptor)
+            self._bound.remove_writer(self._port.descriptor)
+        self._resume.cancel()
         self._is_writing = self._is_reading = False
         self._port.close()
 
@@ -473,28 +436,23 @@ class AsyncioDriver:
 
     def _seek_connection(self, now: float) -> None:
         """Connect, now or when the next attempt is due, if a caller waits for it."""
-        assert self._loop is not None
-        if not self._connection.is_wanted or self._life.state is not State.DISCONNECTED:
+        is_due = self._connection.is_wanted and self._attempt is None
+        if not is_due or self._life.state is not State.DISCONNECTED:
             return
-        if self._retry is not None or self._attempt is not None:
-            return
-        pause = self._life.next_attempt - now
-        if pause > 0:
-            self._retry = self._loop.call_later(pause, self._enter, self._start_attempt)
+        if self._life.next_attempt > now:
+            self._retry.set(self._life.next_attempt, self._bound)
         else:
             self._start_attempt()
 
     def _start_attempt(self) -> None:
-        assert self._loop is not None
-        self._retry = None
-        if not self._connection.is_wanted:
+        if not self._connection.is_wanted or self._attempt is not None:
             return
         if not self._connection.is_allowed():
             self._connection.refuse(forbidden())
             return
         self._attempt_until = self._connection.connect_until()
         opening = self._port.opening(self._attempt_until)
-        self._attempt = self._loop.create_task(run_async(opening))
+        self._attempt = self._bound.create_task(run_async(opening))
         # Not in the task itself, because a task that is cancelled early never begins.
         self._attempt.add_done_callback(partial(self._enter, self._end_attempt))
         self._life.connecting()
@@ -540,8 +498,3 @@ class AsyncioDriver:
             self._connection.refuse(error)
         elif self._connection.is_wanted:  # callers came after the attempt was cancelled
             self._turn()
-
-
-def _end(pause: Future[None]) -> None:
-    if not pause.done():
-        pause.set_result(None)

@@ -227,12 +227,8 @@ class BlockingDriver:
     def _drive(self, job: Call | Batch, lock: threading.RLock) -> None:
         connection, now = self._connection, self._now()
         try:
-            carrier = None
-            if isinstance(job, Batch):
-                connection.submit_batch(job, now)
-            else:
-                connection.submit(job, now)
-                carrier = None if job.is_silent else self._carrier
+            connection.submit(job, now)
+            carrier = self._carrier if isinstance(job, Call) and not job.is_silent else None
             while not job.is_done:
                 now = now or self._now()
                 if lock is not self._lock:  # a callback or a signal handler forked

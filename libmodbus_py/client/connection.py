@@ -44,7 +44,7 @@ from .statistics import Statistics
 
 if TYPE_CHECKING:
     from ..ports.endpoint import Endpoint
-    from ..ports.port import Port, Silence
+    from ..ports.port import Port
     from .options import CheckedOptions
 
 __all__ = ["Transactions", "forbidden"]
@@ -70,7 +70,6 @@ class Transactions:
 
     Attributes:
         in_flight: how many requests are in flight now, without reads to be asked again alone.
-        alarm: the time at which `tick` must be called; may be too early, but never too late.
         broken: the reason to replace the connection by a new one, or None.
         is_flooded: True if so many bytes arrived that belong to no request that it is no accident.
         is_guarded: True if `may_send` was given, and must be called before each request.
@@ -81,7 +80,6 @@ class Transactions:
 
     def __init__(self, endpoint: Endpoint, settings: CheckedOptions, port: Port, most: int) -> None:
         self.in_flight: int = 0
-        self.alarm: float = math.inf
         self.broken: ModbusConnectionError | None = None
         self.is_flooded: bool = False
         self.is_guarded: bool = settings.may_send is not None
@@ -101,9 +99,20 @@ class Transactions:
         self.window: Window = Window(
             endpoint, (limit or most) if has_ids else 1, limit is not None, self.statistics
         )
-        self.matching: Matching = _matching(
-            endpoint, self.statistics, self._trace, settings, port.silence
-        )
+        self.matching: Matching
+        if has_ids:
+            any_unit = settings.accept_unit == "any"
+            self.matching = Ids(endpoint, self.statistics, self._trace, any_unit=any_unit)
+        else:
+            from .line import Line
+
+            self.matching = Line(
+                endpoint,
+                self.statistics,
+                self._trace,
+                silence=port.silence,
+                delimiter=settings.delimiter,
+            )
         self._scheme = endpoint.scheme
         self._is_socket = not endpoint.is_serial
         self._settings = settings
@@ -123,6 +132,11 @@ class Transactions:
         self._sent = 0  # frames
 
     @property
+    def alarm(self) -> float:
+        """The time at which `tick` must be called; may be too early, but never too late."""
+        return self.matching.alarm
+
+    @property
     def is_wanted(self) -> bool:
         """True if a request waits to be sent, or a caller waits for the connection."""
         queue = self._queue
@@ -136,8 +150,11 @@ class Transactions:
 
     # --- callers ------------------------------------------------------------------------------
 
-    def submit(self, call: Call, now: float) -> None:
-        """Take a request; its outcome may be set at once."""
+    def submit(self, job: Call | Batch, now: float) -> None:
+        """Take a request, or several of one caller; outcomes may be set at once."""
+        call = job.next() if isinstance(job, Batch) else job
+        if call is None:
+            return
         if not self.life.is_open:
             call.since = now
             refusal = self.life.refusal(now, call.deadline)
@@ -149,12 +166,6 @@ class Transactions:
             call.settle(None)
             return
         self._queue.waiting.append(call)
-
-    def submit_batch(self, batch: Batch, now: float) -> None:
-        """Take several requests of one caller."""
-        call = batch.next()
-        if call is not None:
-            self.submit(call, now)
 
     def withdraw(self, job: Call | Batch, now: float) -> None:
         """Forget requests; their answers count as missing until they arrive."""
@@ -203,7 +214,11 @@ class Transactions:
         if not (queue.waiting or queue.again or queue.lost) or not self._is_usable(now):
             return adus
         if queue.lost and not self.in_flight and queue.alone is None:
-            self._try_alone(now)
+            for other in queue.choose_alone(now):
+                if other.state is SENT:  # its time is not over yet
+                    self.in_flight += 1
+                elif isinstance(other.reply, ModbusError):
+                    self._outcomes.go_on_without(other.reply, other, now)
         matching.is_traced = self._trace.is_on()
         while (call := queue.next(now, self.in_flight)) is not None:
             adus.append(self._send(call, now))
@@ -215,8 +230,6 @@ class Transactions:
         if adus:
             self.is_flooded = False
             self.statistics.requests += len(adus)
-        if matching.alarm < self.alarm:
-            self.alarm = matching.alarm
         return adus
 
     def _is_usable(self, now: float) -> bool:
@@ -259,12 +272,12 @@ class Transactions:
         self._sent = call.order = self._sent + 1
         self.matching.start(call, now)
         deadline = call.since + call.timeouts.timeout
-        if deadline < self.alarm:
-            self.alarm = deadline
+        if deadline < self.matching.alarm:
+            self.matching.alarm = deadline
         if call.changes:
             self._queue.note_write(call)
         elif self.in_flight and self.window.is_open:
-            self._note_company(call)
+            self._queue.note_company(call, self.in_flight)
         self.in_flight += 1
         if call.is_silent:
             self._silent.append((now + self._settings.turnaround, call))
@@ -285,49 +298,9 @@ class Transactions:
         self.statistics.requests -= 1
         self._queue.waiting.appendleft(call)
 
-    # --- requests that are lost beside others (`Window`) --------------------------------------
-
-    def _note_company(self, call: Call) -> None:
-        call.company = True
-        if self.in_flight == 1:
-            for each in self.matching.pending.values():
-                each.company = True
-        self.window.sent(self.in_flight)
-        self._wake(self.window.lost_at(call))
-
-    def _try_alone(self, now: float) -> None:
-        """Choose the lost read that is asked again alone."""
-        lost = self._queue.lost
-        while lost:
-            call = lost.pop(0)
-            if call.state is OVER:
-                continue
-            if call.is_wanted and (call.unit, call.pdu[0]) not in self.window.silent:
-                call.due = now
-                call.company = False
-                self._queue.again.append(call)
-                self._queue.alone = call
-                return
-            if call.state is SENT:  # its time is not over yet
-                self.in_flight += 1
-            elif isinstance(call.reply, ModbusError):
-                self._outcomes.go_on_without(call.reply, call, now)
-
-    def _mark_lost(self, now: float) -> None:
-        """Find the reads that are lost beside others."""
-        lost = self._queue.lost
-        for call in self.matching.pending.values():
-            if self.window.may_be_lost(call) and call not in lost:
-                at = self.window.lost_at(call)
-                if at > now:
-                    self._wake(at)
-                else:
-                    lost.append(call)
-                    self.in_flight -= 1
-
     def _wake(self, at: float) -> None:
-        if at < self.alarm:
-            self.alarm = at
+        if at < self.matching.alarm:
+            self.matching.alarm = at
 
     # --- the connection -----------------------------------------------------------------------
 
@@ -359,13 +332,13 @@ class Transactions:
         try:
             self.life.failed(error, now)
             if error.errno == errno.ETIMEDOUT:
-                later = {each for each in self._queue.calls if self._has_time(each, until, now)}
+                later = {
+                    call
+                    for call in self._queue.calls
+                    if call.deadline > until and self.life.refusal(now, call.deadline) is None
+                }
         finally:  # even if `on_state` raises
             self.refuse(error, later)
-
-    def _has_time(self, call: Call, until: float, now: float) -> bool:
-        """Return True if a request has more time than an attempt had."""
-        return call.deadline > until and self.life.refusal(now, call.deadline) is None
 
     def lost(self, error: ModbusConnectionError, now: float, *, by_itself: bool = True) -> None:
         """Note the end of the connection: requests in flight fail, others wait for a new one."""
@@ -446,8 +419,6 @@ class Transactions:
         matching = self.matching
         for data in chunks:
             self._note_ends(matching.take(data, now), now)
-        if matching.alarm < self.alarm:
-            self.alarm = matching.alarm
         if matching.unasked > MAX_UNASKED_BYTES or not matching.is_in_step:
             self._note_flood()
 
@@ -490,8 +461,6 @@ class Transactions:
             self._outcomes.settle(call, now)
             if call.batch is not None:
                 self._note_batch(call, call.batch, now)
-        if self.matching.alarm < self.alarm:  # a request may be due again
-            self.alarm = self.matching.alarm
 
     def _note_batch(self, call: Call, batch: Batch, now: float) -> None:
         """Let a batch go on after one of its requests, or forget those behind one that failed."""
@@ -508,15 +477,14 @@ class Transactions:
     def tick(self, now: float) -> None:
         """End requests whose time is over; `settle` tells their callers."""
         matching = self.matching
-        self.alarm = matching.alarm = math.inf
+        matching.alarm = math.inf
         self._end_silent(now)
         if self.life.is_open:
             self._note_ends(matching.expire(now), now)
             if self.window.is_open and self.in_flight:
-                self._mark_lost(now)
+                self.in_flight -= self._queue.find_lost(now)
             if not matching.has_ids:
                 self._end_waits_for_silence(now)
-            self._wake(matching.alarm)
         else:
             self._end_waits(now)
 
@@ -556,20 +524,6 @@ class Transactions:
                 )
                 if call.batch is not None:
                     self._free(call.batch)
-
-
-def _matching(
-    endpoint: Endpoint,
-    statistics: Statistics,
-    trace: Trace,
-    settings: CheckedOptions,
-    silence: Silence,
-) -> Matching:
-    if endpoint.has_transactions:
-        return Ids(endpoint, statistics, trace, any_unit=settings.accept_unit == "any")
-    from .line import Line
-
-    return Line(endpoint, statistics, trace, silence=silence, delimiter=settings.delimiter)
 
 
 def _is_good(reply: object) -> bool:

@@ -13,10 +13,12 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 if TYPE_CHECKING:
+    import asyncio
+
     from ..maps.plan import Plan
     from ..maps.watched import WatchedPoints
 
-__all__ = ["AwaitedPolls", "Polls", "interval_of", "watched"]
+__all__ = ["AwaitedPolls", "Pauses", "Polls", "interval_of", "watched"]
 
 Values = TypeVar("Values")
 
@@ -46,6 +48,35 @@ class Schedule:
         if self._begun is None:
             self._begun = due
         self._polls = round((due - self._begun) / self._interval) + 1
+
+
+class Pauses:
+    """The waits of an event loop between polls, which all end when the client is closed."""
+
+    def __init__(self) -> None:
+        self._waits: set[asyncio.Future[None]] = set()
+
+    async def until(self, at: float, loop: asyncio.AbstractEventLoop) -> None:
+        """Wait until a time of the loop, or until `end`."""
+        if at <= loop.time():
+            return
+        wait = loop.create_future()
+        timer = loop.call_at(at, _end, wait)
+        self._waits.add(wait)
+        try:
+            await wait
+        finally:
+            self._waits.discard(wait)
+            timer.cancel()
+
+    def end(self) -> None:
+        for wait in self._waits:
+            _end(wait)
+
+
+def _end(wait: asyncio.Future[None]) -> None:
+    if not wait.done():
+        wait.set_result(None)
 
 
 class Polls(Iterator[Values], Generic[Values]):

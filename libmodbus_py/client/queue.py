@@ -252,6 +252,47 @@ class Queue:
                     held.add(call.unit)
         return None
 
+    # --- reads that are lost beside others (`Window`) ------------------------------------------
+
+    def note_company(self, call: Call, others: int) -> None:
+        """Note that a read is sent while so many others are in flight."""
+        call.company = True
+        if others == 1:
+            for each in self._matching.pending.values():
+                each.company = True
+        self._window.sent(others)
+        self._wake(self._window.lost_at(call))
+
+    def find_lost(self, now: float) -> int:
+        """Find the reads in flight that are lost beside others; return how many there are."""
+        before = len(self.lost)
+        for call in self._matching.pending.values():
+            if self._window.may_be_lost(call) and call not in self.lost:
+                at = self._window.lost_at(call)
+                if at > now:
+                    self._wake(at)
+                else:
+                    self.lost.append(call)
+        return len(self.lost) - before
+
+    def choose_alone(self, now: float) -> list[Call]:
+        """Choose the lost read that is asked again alone; return those that are not asked again."""
+        left: list[Call] = []
+        while self.lost:
+            call = self.lost.pop(0)
+            if call.state is OVER:
+                continue
+            if call.is_wanted and (call.unit, call.pdu[0]) not in self._window.silent:
+                call.due = now
+                call.company = False
+                self.again.append(call)
+                self.alone = call
+                break
+            left.append(call)
+        return left
+
+    # --- repetitions --------------------------------------------------------------------------
+
     def put_again(self, call: Call, due: float) -> None:
         """Send a request again at a time."""
         call.state = Phase.WAITING

@@ -20,7 +20,7 @@ def test_they_are_told_nothing_any_more(url: str) -> None:
     batch = talk.batch(1)
     told: list[Batch] = []
     batch.on_done = told.append
-    talk.connection.submit_batch(batch, talk.now)
+    talk.connection.submit(batch, talk.now)
     talk.start()
     talk.cancel(batch)
     talk.wait(3)

@@ -799,6 +799,6 @@ def settle_down(talk: Talk) -> None:
 def test_a_batch_without_requests_is_over_at_once_on_a_connection_that_stands() -> None:
     talk = Talk()
     batch = talk.batch()
-    talk.connection.submit_batch(batch, talk.now)
+    talk.connection.submit(batch, talk.now)
     assert batch.is_done
     assert talk.is_at_rest

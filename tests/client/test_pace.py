@@ -39,7 +39,7 @@ def test_an_id_in_flight_or_owed_is_skipped() -> None:
 @pytest.mark.parametrize("limit", [1, 2, 7, 16, 99])
 def test_a_batch_has_as_many_in_flight_as_it_may(limit: int) -> None:
     talk = Talk()
-    talk.connection.submit_batch(talk.batch(*range(40), limit=limit), talk.now)
+    talk.connection.submit(talk.batch(*range(40), limit=limit), talk.now)
     assert len(talk.connection.start(talk.now)) == min(limit, 16)
     assert talk.connection.start(talk.now) == []
 
@@ -47,7 +47,7 @@ def test_a_batch_has_as_many_in_flight_as_it_may(limit: int) -> None:
 def test_many_callers_have_as_many_in_flight_as_there_may_be() -> None:
     talk = Talk()
     for address in range(40):
-        talk.connection.submit_batch(talk.batch(address), talk.now)
+        talk.connection.submit(talk.batch(address), talk.now)
     assert len(talk.connection.start(talk.now)) == 16
     assert talk.connection.start(talk.now) == []
 

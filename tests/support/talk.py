@@ -79,7 +79,7 @@ class Talk:
     def ask(self, *requests: Any, unit: int = 1, limit: int = 1, **options: Any) -> Batch:
         """Send requests; a number stands for a read of the register at this address."""
         batch = self.batch(*requests, unit=unit, limit=limit, **options)
-        self.connection.submit_batch(batch, self.now)
+        self.connection.submit(batch, self.now)
         self.start()
         return batch
 
