@@ -36,7 +36,9 @@ class BuildPy(build_py):
         super().run()
         if not self.editable_mode:
             into = Path(self.build_lib, "libmodbus_py", "tools", "simulator", EXAMPLES)
-            shutil.copytree(EXAMPLES, into, dirs_exist_ok=True)
+            shutil.copytree(
+                EXAMPLES, into, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__")
+            )
 
 
 class BuildExt(build_ext):
@@ -69,7 +71,10 @@ class BuildExt(build_ext):
 def write_manual(package: str) -> None:
     """Write the manual page from the help of what was built."""
     Path(MAN).parent.mkdir(parents=True, exist_ok=True)
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([package, *sys.path])}
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([package, *sys.path]),
+        "PYTHONDONTWRITEBYTECODE": "1",  # all that lies in this folder is packed
+    }
     subprocess.run([sys.executable, "packaging/man.py", MAN], env=environment, check=True)
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import libmodbus
 import sbom
-from repair import repair
+from repair import repair, usual_mode
 
 ROOT = Path(__file__).parents[1]
 PREFIX = ROOT / "build" / "libmodbus"
@@ -37,7 +37,8 @@ def main() -> None:
     os.environ.setdefault("SOURCE_DATE_EPOCH", _latest_change())
     text = sbom.sbom(source.relative_to(ROOT).as_posix(), source.read_bytes())
     (ROOT / "packaging" / sbom.NAME).write_text(text)
-    shutil.rmtree(DIST, ignore_errors=True)
+    for old in [*DIST.glob("*.whl"), *DIST.glob("*.tar.gz")]:  # a Debian package stays
+        old.unlink()
     sdist, wheel = made(DIST)
     _say("trying both")
     _run("twine", "check", "--strict", str(sdist), str(wheel))
@@ -94,7 +95,7 @@ def repacked(sdist: Path, folder: Path) -> Path:
     ):
         for each in sorted(old, key=lambda each: each.name):
             each.mtime, each.uid, each.gid, each.uname, each.gname = time, 0, 0, "", ""
-            each.mode, each.pax_headers = each.mode & 0o755 | 0o644, {}
+            each.mode, each.pax_headers = usual_mode(each.mode), {}
             new.addfile(each, old.extractfile(each) if each.isfile() else None)
     return path
 

@@ -40,9 +40,16 @@ def repair(wheel: Path, folder: Path, licence: bytes) -> Path:
         (tree,) = (each for each in place.iterdir() if each.is_dir())
         _add_licences(tree, licence)
         _add_sbom(tree)
+        for path in tree.rglob("*"):
+            path.chmod(usual_mode(path.stat().st_mode))
         folder.mkdir(parents=True, exist_ok=True)
         _run("wheel", "pack", "--dest-dir", str(folder), str(tree))
         return folder / repaired.name
+
+
+def usual_mode(mode: int) -> int:
+    """Return the mode that a file or a folder has under the umask 022, whatever the umask was."""
+    return 0o755 if mode & 0o100 else 0o644
 
 
 def _add_licences(tree: Path, licence: bytes) -> None:

@@ -141,8 +141,12 @@ def test_there_are_a_manual_page_and_completion_where_shells_look(home: Path) ->
         assert (home / "share" / shell).exists()
 
 
-def test_a_second_build_gives_the_same_bytes(tmp_path: Path) -> None:
-    again = make.made(tmp_path)
+def test_a_second_build_under_another_umask_gives_the_same_bytes(tmp_path: Path) -> None:
+    before = os.umask(0o077)
+    try:
+        again = make.made(tmp_path)
+    finally:
+        os.umask(before)
     assert [each.name for each in again] == [SDIST.name, WHEEL.name]
     equal = [a.read_bytes() == b.read_bytes() for a, b in zip(again, (SDIST, WHEEL), strict=True)]
     assert equal == [True, True]

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import zipfile
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -87,6 +88,28 @@ def test_what_is_missing_is_said_in_one_line(tree: Path, hidden: str, packages: 
         f" sudo apt install {packages}"
     )
     assert "raw errors" not in done.stderr
+
+
+@pytest.mark.slow
+def test_what_pip_builds_has_no_bytecode_of_the_builder(tmp_path: Path) -> None:
+    """With the environment of nobody, where Python writes bytecode beside what it imports."""
+    place = tmp_path / "clone"
+    unwanted = shutil.ignore_patterns(
+        ".*", "*.so", "*.egg-info", "__pycache__", "build", "dist", "site"
+    )
+    shutil.copytree(ROOT, place, ignore=unwanted)
+    done = subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation",
+         "--no-index", "--disable-pip-version-check", "-w", str(tmp_path), str(place)],
+        env={"PATH": os.defpath, "HOME": str(tmp_path), "TMPDIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    (wheel,) = tmp_path.glob("*.whl")
+    names = zipfile.ZipFile(wheel).namelist()
+    assert "libmodbus_py/client/blocking.py" in names
+    assert [name for name in names if "__pycache__" in name or name.endswith(".pyc")] == []
 
 
 @pytest.mark.skipif(shutil.which("musl-gcc") is None, reason="musl-gcc is not installed")
