@@ -27,6 +27,7 @@ from cyclonedx.model import (
 from cyclonedx.model.bom import Bom, BomMetaData
 from cyclonedx.model.component import Component, ComponentType
 from cyclonedx.model.component_evidence import ComponentEvidence, Occurrence
+from cyclonedx.model.contact import OrganizationalEntity
 from cyclonedx.output.json import JsonV1Dot6
 from cyclonedx.schema import SchemaVersion
 from cyclonedx.validation.json import JsonStrictValidator
@@ -52,12 +53,18 @@ def sbom(place: str, content: bytes) -> str:
         SystemExit: it does not follow the schema of CycloneDX.
     """
     project = tomllib.loads(PYPROJECT.read_text())["project"]
-    own = _component(project["name"], project["version"], project["license"])
+    authors = OrganizationalEntity(name=project["authors"][0]["name"])
+    own = _component(project["name"], project["version"], project["license"], supplier=authors)
     carried = _libmodbus(place, content)
     (needed,) = project["dependencies"]
-    cffi = _component("cffi", text=f"not carried, but needed: {needed}")
+    cffi = _component(
+        "cffi",
+        text=f"not carried, but needed: {needed}",
+        supplier=OrganizationalEntity(name="The cffi project", urls=[XsUri("https://cffi.readthedocs.io")]),
+    )
     made = datetime.fromtimestamp(float(os.environ.get("SOURCE_DATE_EPOCH", time.time())), UTC)
-    bom = Bom(components=[carried, cffi], metadata=BomMetaData(component=own, timestamp=made))
+    about = BomMetaData(component=own, timestamp=made, supplier=authors)
+    bom = Bom(components=[carried, cffi], metadata=about)
     bom.register_dependency(own, [carried, cffi])
     # A random one would make no two builds equal.
     bom.serial_number = uuid.uuid5(uuid.NAMESPACE_URL, hashlib.sha256(content).hexdigest())
@@ -69,7 +76,12 @@ def sbom(place: str, content: bytes) -> str:
 
 
 def _component(
-    name: str, version: str | None = None, licence: str = "", text: str | None = None
+    name: str,
+    version: str | None = None,
+    licence: str = "",
+    text: str | None = None,
+    *,
+    supplier: OrganizationalEntity,
 ) -> Component:
     url = PackageURL("pypi", name=name, version=version)
     return Component(
@@ -79,6 +91,7 @@ def _component(
         bom_ref=str(url),
         purl=url,
         description=text,
+        supplier=supplier,
         licenses=[LICENCES.make_from_string(licence)] if licence else [],
     )
 
@@ -93,6 +106,11 @@ def _libmodbus(place: str, content: bytes) -> Component:
         type=ComponentType.LIBRARY,
         bom_ref=f"libmodbus@{libmodbus.VERSION}",
         purl=url,
+        # As the National Vulnerability Database names it, for scanners.
+        cpe=f"cpe:2.3:a:libmodbus:libmodbus:{libmodbus.VERSION}:*:*:*:*:*:*:*",
+        supplier=OrganizationalEntity(
+            name="The libmodbus project", urls=[XsUri("https://libmodbus.org")]
+        ),
         licenses=[LICENCES.make_from_string("LGPL-2.1-or-later")],
         hashes=[_sha256(hashlib.sha256(content).hexdigest())],
         evidence=ComponentEvidence(occurrences=[Occurrence(location=place)]),

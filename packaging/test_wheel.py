@@ -107,6 +107,7 @@ def test_the_bill_of_materials_names_what_the_wheel_carries(names: list[str]) ->
     assert (own["name"], [own["version"]]) == ("libmodbus-py", version)
     parts = {each["name"]: each for each in bom["components"]}
     assert set(parts) == {"libmodbus", "cffi"}
+    assert all(each["supplier"]["name"] for each in [own, *parts.values()])
     (library,) = (name for name in names if name.startswith("libmodbus_py.libs/"))
     with zipfile.ZipFile(WHEEL) as wheel:
         digest = hashlib.sha256(wheel.read(library)).hexdigest()
@@ -126,6 +127,7 @@ def test_the_bill_of_materials_of_the_sdist_names_the_source_that_it_carries() -
 
 def check_libmodbus(part: dict[str, Any], place: str, digest: str) -> None:
     assert part["version"] == libmodbus.VERSION
+    assert part["cpe"] == f"cpe:2.3:a:libmodbus:libmodbus:{libmodbus.VERSION}:*:*:*:*:*:*:*"
     assert part["licenses"] == [{"license": {"id": "LGPL-2.1-or-later"}}]
     assert part["evidence"]["occurrences"] == [{"location": place}]
     assert part["hashes"] == [{"alg": "SHA-256", "content": digest}]
