@@ -60,7 +60,9 @@ def sbom(place: str, content: bytes) -> str:
     cffi = _component(
         "cffi",
         text=f"not carried, but needed: {needed}",
-        supplier=OrganizationalEntity(name="The cffi project", urls=[XsUri("https://cffi.readthedocs.io")]),
+        supplier=OrganizationalEntity(
+            name="The cffi project", urls=[XsUri("https://cffi.readthedocs.io")]
+        ),
     )
     made = datetime.fromtimestamp(float(os.environ.get("SOURCE_DATE_EPOCH", time.time())), UTC)
     about = BomMetaData(component=own, timestamp=made, supplier=authors)

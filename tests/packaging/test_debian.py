@@ -18,8 +18,7 @@ DEBIAN, DEPLOY = ROOT / "packaging" / "debian", ROOT / "deploy"
 COMMANDS = ("serve", "gateway", "poll")
 
 # What the templates say in other words than the units that they are made from.
-OWN = ("Description", "ExecStart", "StateDirectory", "Environment", "After", "TimeoutStartSec")
-OWN += ("StartLimitIntervalSec",)
+OWN = ("Description", "ExecStart", "StateDirectory", "Environment")
 
 
 def template(command: str) -> str:

@@ -166,13 +166,17 @@ async def _viewer_may_only_look(engine: str, ca: Path) -> None:
 
 
 @pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="no systemd here")
-def test_systemd_takes_the_unit(tmp_path):
-    text = (DEPLOY / "libmodbus-py-poll.service").read_text()
-    unit = tmp_path / "libmodbus-py-poll.service"
+@pytest.mark.parametrize("command", ["serve", "gateway", "poll", "worker"])
+def test_systemd_takes_the_unit(command, tmp_path):
+    unit = tmp_path / f"libmodbus-py-{command}.service"
+    text = (DEPLOY / unit.name).read_text()
     # Its program is not installed here.
     unit.write_text(text.replace("/opt/libmodbus-py/bin/libmodbus-py", "/bin/true"))
     done = subprocess.run(
-        ["systemd-analyze", "verify", str(unit)], capture_output=True, text=True, timeout=30
+        ["systemd-analyze", "verify", "--man=no", str(unit)],
+        capture_output=True,
+        text=True,
+        timeout=30,
     )
     told = [line for line in done.stderr.splitlines() if unit.name in line]
     assert told == []
