@@ -106,20 +106,27 @@ class CertificateHolder(NamedTuple):
 
     Attributes:
         subject: the name as in RFC 4514; empty for a nameless one, or without cryptography.
-        serial: the serial number in hexadecimal digits; without cryptography the SHA-256.
+        serial: the serial number in hexadecimal digits; empty without cryptography.
+        issuer: the name of who signed it; empty as for `subject`.
+        fingerprint: the SHA-256 in hexadecimal digits.
     """
 
     subject: str
     serial: str
+    issuer: str
+    fingerprint: str
 
 
 def holder_of(certificate: bytes) -> CertificateHolder:
     """Return the holder of a certificate in DER. Never raises, whatever the bytes are."""
+    subject = serial = issuer = ""
     try:
         found = _read(certificate)
-        return CertificateHolder(found.subject.rfc4514_string(), f"{found.serial_number:x}")
-    except Exception:
-        return CertificateHolder("", digest_of(certificate))
+        serial = f"{found.serial_number:x}"
+        subject, issuer = found.subject.rfc4514_string(), found.issuer.rfc4514_string()
+    except Exception:  # it is no certificate, or cryptography is not installed
+        pass
+    return CertificateHolder(subject, serial, issuer, digest_of(certificate))
 
 
 def end_of(certificate: bytes) -> float | None:

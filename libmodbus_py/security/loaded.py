@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from .describing import digest_of, end_of, in_words
 from .files import File, PemFile, Revoked, read_pins
-from .tunnel import EXPIRED, Tunnel
+from .tunnel import EXPIRED, Tunnel, keep_presented
 
 __all__ = ["Acceptance", "Loaded", "SecurityFiles"]
 
@@ -142,6 +142,7 @@ class Loaded:
     def _make_server(self) -> ssl.SSLContext:
         context = self._own_context(ssl.PROTOCOL_TLS_SERVER)
         context.verify_mode = ssl.CERT_REQUIRED  # R-06..10
+        keep_presented(context)
         context.num_tickets = 1
         if not self.has_pins:
             self._load_trust(context)

@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Literal
 
 from ..device.caller import Executed, ValueChange
 from ..protocol.callbacks import checked_callback, finished
@@ -48,13 +48,20 @@ class AuditEvent:
         time: when it happened, in UTC.
         event: "write", a request that changes a device, executed or not; "refused", any other
             request that `authorize` does not allow; "handshake", a TLS handshake that failed;
-            "disallowed", a connection from a network that is not served.
+            "logon", one that succeeded; "ended", a connection that was closed because its
+            certificate is not accepted any more; "disallowed", a connection from a network that is
+            not served. Of the server itself: "start" and "stop", with the endpoint as the result;
+            "renewed", its own certificate; "reload", with what changed; "audit", the file of the
+            audit trail was opened again.
         peer: the client: "192.0.2.7:51234", "[2001:db8::7]:51234", the serial port,
-            or the path of a Unix socket with the client's user and process.
+            or the path of a Unix socket with the client's user and process; empty for events of the
+            server itself.
         result: "ok"; "sent" for a broadcast; "no answer"; the exception; or why a connection was
             refused.
         unit, function: those of the request; None without a request.
-        subject, serial: those of the client's certificate; None without a certificate.
+        subject, serial, issuer, fingerprint: those of the certificate, the client's, refused or
+            not, or of "renewed" the server's own; the fingerprint is the SHA-256. None without a
+            certificate.
         role: the role in the certificate; None without a role.
         changes: the values that the request writes, and the previous ones. Empty if the function
             has no addresses.
@@ -69,6 +76,8 @@ class AuditEvent:
     function: int | None = None
     subject: str | None = None
     serial: str | None = None
+    issuer: str | None = None
+    fingerprint: str | None = None
     role: str | None = None
     changes: tuple[ValueChange, ...] = ()
     data: str = ""
@@ -139,9 +148,25 @@ class Audit:
             data=executed.request.hex(),
         )
 
-    def note_handshake(self, peer: str, reason: str, holder: CertificateHolder | None) -> None:
-        """Record a TLS handshake that failed."""
-        self._tell("handshake", peer, reason, holder)
+    def note_peer(
+        self,
+        event: Literal["handshake", "logon", "ended"],
+        peer: str,
+        result: str,
+        holder: CertificateHolder | None,
+        role: str | None = None,
+    ) -> None:
+        """Record what became of a TLS connection. Never raises."""
+        self._tell(event, peer, result, holder, role=role)
+
+    def note_own(
+        self,
+        event: Literal["start", "stop", "renewed", "reload", "audit"],
+        result: str,
+        holder: CertificateHolder | None = None,
+    ) -> None:
+        """Record an event of the server itself. Never raises."""
+        self._tell(event, "", result, holder)
 
     def note_disallowed(self, host: str, peer: str) -> None:
         """Record a connection or datagram from a network that is not served, once a minute."""
@@ -158,7 +183,7 @@ class Audit:
         self, event: str, peer: str, result: str, holder: CertificateHolder | None, **more: Any
     ) -> None:
         if holder is not None:
-            more |= {"subject": holder.subject, "serial": holder.serial}
+            more |= holder._asdict()
         if len(self._waiting) >= MAX_WAITING:
             self._waiting.popleft()
             self._lost += 1
@@ -240,14 +265,16 @@ class AuditFile:
 
     def reopen(self) -> None:
         """
-        Open the file again, for example after a rotation.
+        Open the file again, for example after a rotation. An event "audit" tells this in it.
 
         Raises:
-            OSError: the file cannot be opened; the previous one stays open.
+            OSError: the file cannot be opened, and the previous one stays open; or the event could
+                not be written.
         """
         opened = self._opened()
         self._descriptor, before = opened, self._descriptor
         os.close(before)
+        self(AuditEvent(datetime.now(UTC), "audit", "", "opened again"))
 
     def close(self) -> None:
         """Close the file; may be called any number of times."""

@@ -163,6 +163,9 @@ class Serving(ABC):
                 running = Running([str(endpoint) for endpoint in opened])
                 for url in running.urls:
                     logger.info("listening on %s", url)
+                    if auditor is not None:
+                        auditor.note_own("start", url)
+                        stack.callback(auditor.note_own, "stop", url)
                 yield running
 
     def background(self, *urls: str) -> Background[Running]:

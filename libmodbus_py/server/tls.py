@@ -69,6 +69,7 @@ class Handshakes:
         self._interval = limits.certificate_interval
         self.statistics = statistics
         self.auditor = auditor
+        self._own = security.own
         self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
         # By address, in the order in which they began.
         self._half_open: dict[str, dict[TlsSession, None]] = {}
@@ -123,6 +124,9 @@ class Handshakes:
         self._next_check = self.loop.call_later(self._interval, self._check_certificates)
         security = self.security
         security.warn_of_end()
+        if security.own != self._own and self.auditor is not None:
+            self.auditor.note_own("renewed", self._place, holder_of(security.own))
+        self._own = security.own
         if security.ends is not None:
             self.statistics.certificate_ends[self._place] = security.ends
         for session in list(self._established):
@@ -314,8 +318,9 @@ class TlsSession:
         self._timer.cancel()
         self._handshakes.end(self)
         self._acceptance.begin(tunnel)
-        if self._handshakes.auditor is not None:
+        if (auditor := self._handshakes.auditor) is not None:
             self.holder = holder_of(tunnel.certificate)
+            auditor.note_peer("logon", self.address, "ok", self.holder, self.role)
         self._handshakes.establish(self)
         self._inner = self._make(self)
         self._has_more = tunnel.has_more
@@ -323,9 +328,8 @@ class TlsSession:
     def _refuse(self, reason: str, certificate: bytes) -> None:
         self._handshakes.statistics.handshakes_refused += 1
         if (auditor := self._handshakes.auditor) is not None:
-            auditor.note_handshake(
-                self.address, reason, holder_of(certificate) if certificate else None
-            )
+            holder = holder_of(certificate) if certificate else None
+            auditor.note_peer("handshake", self.address, reason, holder)
         if logger.isEnabledFor(logging.INFO):
             whose = f": {describe(certificate)}" if certificate else ""
             logger.info("%s: TLS refused: %s%s", self.address, reason, whose)
@@ -335,6 +339,8 @@ class TlsSession:
         """Close the connection if the client's certificate has expired or is not trusted."""
         if (reason := self._acceptance.refusal()) is not None:
             self._handshakes.statistics.closed_untrusted += 1
+            if (auditor := self._handshakes.auditor) is not None:
+                auditor.note_peer("ended", self.address, reason, self.holder, self.role)
             logger.info("%s: connection closed: %s", self.address, reason)
             self._finish()
 

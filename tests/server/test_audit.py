@@ -8,13 +8,15 @@ import errno
 import json
 import os
 import re
+import ssl
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+from cryptography.hazmat.primitives.hashes import SHA256
 
 from libmodbus_py import (
     Context,
@@ -33,17 +35,29 @@ from libmodbus_py import (
     TlsContext,
     pdu,
 )
+from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.serve import Allow, Audit, AuditEvent, AuditFile
 from tests.support import certificates
-from tests.support.certificates import Papers
+from tests.support.certificates import Identity, Papers
 from tests.support.peers import until
+from tests.support.tls import TlsClient, context, serving
 
 TRANSPORTS = ("tcp", "rtu+tcp", "ascii+tcp", "udp")
 
 
+class Events(list[AuditEvent]):
+    """The events of peers, and in `own` those of the server itself."""
+
+    def __init__(self) -> None:
+        self.own: list[AuditEvent] = []
+
+    def append(self, event: AuditEvent) -> None:
+        (super() if event.peer else self.own).append(event)
+
+
 @pytest.fixture
-def events() -> list[AuditEvent]:
-    return []
+def events() -> Events:
+    return Events()
 
 
 def device(**options: Any) -> Device:
@@ -69,7 +83,7 @@ def said(event: AuditEvent) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_an_ipv6_client_has_one_name(transport: str, events: list[AuditEvent]) -> None:
+def test_an_ipv6_client_has_one_name(transport: str, events: Events) -> None:
     """In all events, as in URLs: with brackets around the address."""
     told: list[str | None] = []
     served = Server(device(), audit=events.append, trace=lambda each: told.append(each.peer))
@@ -90,9 +104,7 @@ def test_an_ipv6_client_has_one_name(transport: str, events: list[AuditEvent]) -
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_each_write_is_recorded_with_old_and_new_values(
-    transport: str, events: list[AuditEvent]
-) -> None:
+def test_each_write_is_recorded_with_old_and_new_values(transport: str, events: Events) -> None:
     with asking(Server(device(), audit=events.append), transport) as plc:
         plc.write_registers(1, [20, 30])
         plc.write_coil(3, True)
@@ -116,7 +128,7 @@ def test_each_write_is_recorded_with_old_and_new_values(
 
 
 def test_a_write_that_fails_and_one_that_is_not_allowed_are_recorded(
-    events: list[AuditEvent],
+    events: Events,
 ) -> None:
     rules = Rules({None: Allow(read=["coils"], write=["holding_registers"])})
     with asking(Server(device(authorize=rules), audit=events.append)) as plc:
@@ -135,7 +147,7 @@ def test_a_write_that_fails_and_one_that_is_not_allowed_are_recorded(
     assert said(events[0])["changes"][0]["old"] is None
 
 
-def test_what_changes_a_device_without_an_address_is_recorded(events: list[AuditEvent]) -> None:
+def test_what_changes_a_device_without_an_address_is_recorded(events: Events) -> None:
     with asking(Server(device(), audit=events.append)) as plc:
         plc.execute(pdu.Diagnostics(pdu.SubFunction.RETURN_QUERY_DATA, b"ab"))
         plc.execute(pdu.Diagnostics(pdu.SubFunction.CLEAR_COUNTERS, bytes(2)))
@@ -144,14 +156,14 @@ def test_what_changes_a_device_without_an_address_is_recorded(events: list[Audit
     assert [each.data for each in events] == ["08000a0000", "2b0d0102"]
 
 
-def test_a_broadcast_is_recorded_for_each_device(events: list[AuditEvent]) -> None:
+def test_a_broadcast_is_recorded_for_each_device(events: Events) -> None:
     with asking(Server({1: device(), 2: device()}, audit=events.append), "rtu+tcp") as line:
         line.for_unit(0).write_register(0, 9)
         assert line.for_unit(1).read_holding_registers(0, 1) == [9]
     assert [(each.unit, each.result) for each in events] == [(0, "ok"), (0, "ok")]
 
 
-def test_a_gateway_records_what_its_devices_answered(events: list[AuditEvent]) -> None:
+def test_a_gateway_records_what_its_devices_answered(events: Events) -> None:
     with Server(device()).background("tcp://127.0.0.1:0") as behind:
         gateway = Gateway(
             [Route(behind.urls[0], writable=["holding_registers"])], audit=events.append
@@ -173,9 +185,7 @@ def test_a_gateway_records_what_its_devices_answered(events: list[AuditEvent]) -
     ]
 
 
-def test_the_holder_of_the_certificate_is_recorded(
-    tmp_path: Path, events: list[AuditEvent]
-) -> None:
+def test_the_holder_of_the_certificate_is_recorded(tmp_path: Path, events: Events) -> None:
     papers = Papers(tmp_path)
     server = Server(device(), security=papers.server(), audit=events.append)
     with server.background("tls://127.0.0.1:0") as running:
@@ -185,19 +195,97 @@ def test_the_holder_of_the_certificate_is_recorded(
         stranger = papers.security(certificates.self_signed())
         with pytest.raises(ModbusConnectionError):
             TlsContext("127.0.0.1", port, security=stranger).read_coils(0, 1)
-        until(lambda: len(events) >= 2)
-    write, handshake = events[:2]
-    certificate = certificates.client("Operator").certificate
-    assert write.subject == "CN=Test client"
-    assert write.serial == f"{certificate.serial_number:x}"
-    assert write.role == "Operator"
-    assert handshake.event == "handshake"
-    assert handshake.result == "self-signed certificate"
+        until(lambda: len(events) >= 3)
+    assert [(each.event, each.result) for each in events[:3]] == [
+        ("logon", "ok"),
+        ("write", "ok"),
+        ("handshake", "self-signed certificate"),
+    ]
+    assert [each.role for each in events[:3]] == ["Operator", "Operator", None]
+    assert whose(events[0]) == whose(events[1]) == named(certificates.client("Operator"))
+    assert whose(events[2]) == named(certificates.self_signed())
+
+
+def whose(event: AuditEvent) -> tuple[str | None, ...]:
+    return event.subject, event.serial, event.issuer, event.fingerprint
+
+
+def named(identity: Identity) -> tuple[str, ...]:
+    """Return what events have of a certificate."""
+    found = identity.certificate
+    fingerprint = found.fingerprint(SHA256()).hex()
+    subject, issuer = found.subject.rfc4514_string(), found.issuer.rfc4514_string()
+    return subject, f"{found.serial_number:x}", issuer, fingerprint
+
+
+REFUSED: dict[str, Callable[[], Identity]] = {
+    "expired": lambda: certificates.client(**certificates.expired()),
+    "not yet valid": lambda: certificates.client(**certificates.not_yet_valid()),
+    "unable to get local issuer": lambda: certificates.client(
+        issuer=certificates.foreign_authority()
+    ),
+    "self-signed": certificates.self_signed,
+    "unsuitable certificate purpose": certificates.server_only,
+    "certificate revoked": certificates.client,
+}
+
+
+@pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1_2, ssl.TLSVersion.TLSv1_3])
+@pytest.mark.parametrize("reason", REFUSED)
+def test_a_refused_certificate_is_named(
+    reason: str, version: ssl.TLSVersion, tmp_path: Path, events: Events
+) -> None:
+    papers = Papers(tmp_path)
+    crl = tmp_path / "crl.pem"
+    crl.write_bytes(certificates.revocation_list(certificates.client()))
+    security = papers.server(crl=crl)
+    identity = REFUSED[reason]()
+    with serving(papers, device(), security=security, audit=events.append) as (_, port):
+        with (
+            TlsClient(port, context(papers, identity, version)) as client,
+            pytest.raises((ssl.SSLError, OSError)),
+        ):
+            client.handshake().ask(bytes.fromhex("000100000006 01 03 0000 0001"), 1)
+        until(lambda: len(events) == 1)
+    assert events[0].event == "handshake"
+    assert reason in events[0].result
+    assert whose(events[0]) == named(identity)
+
+
+def test_the_life_of_a_server_and_a_forced_end_are_recorded(tmp_path: Path, events: Events) -> None:
+    papers, operator = Papers(tmp_path), certificates.client("Operator")
+    crl = tmp_path / "crl.pem"
+    crl.write_bytes(certificates.revocation_list())
+    server = Server(
+        device(),
+        limits=Limits(certificate_interval=0.01),
+        security=papers.server(crl=crl),
+        audit=events.append,
+    )
+    with server.background("tls://127.0.0.1:0") as running:
+        (url,) = running.urls
+        with TlsContext("127.0.0.1", parse(url).port, security=papers.client()) as plc:
+            plc.read_holding_registers(0, 1)
+            crl.write_bytes(certificates.revocation_list(operator))
+            renewed = certificates.server(days=29)
+            server.security = papers.security(renewed, crl=crl)
+            until(lambda: len(events) == 2 and len(events.own) == 2)
+    assert [(each.event, each.result, each.role) for each in events] == [
+        ("logon", "ok", "Operator"),
+        ("ended", "certificate revoked", "Operator"),
+    ]
+    assert whose(events[1]) == named(operator)
+    assert [(each.event, each.result) for each in events.own] == [
+        ("start", url),
+        ("renewed", url),
+        ("stop", url),
+    ]
+    assert whose(events.own[1]) == named(renewed)
 
 
 @pytest.mark.parametrize("transport", ["tcp", "udp"])
 def test_a_peer_from_another_network_is_recorded_once_a_minute(
-    transport: str, events: list[AuditEvent]
+    transport: str, events: Events
 ) -> None:
     server = Server(device(), limits=Limits(allow=["192.0.2.0/24"]), audit=events.append)
     with server.background(f"{transport}://127.0.0.1:0") as running:
@@ -226,7 +314,8 @@ class Failing:
     def __call__(self, event: AuditEvent) -> None:
         if self.fails:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        self.taken.append(event)
+        if event.peer:  # of no peer are those of the server itself
+            self.taken.append(event)
 
 
 @pytest.mark.parametrize("kind", ["server", "gateway"])
@@ -316,6 +405,15 @@ def test_a_renamed_file_is_left_when_it_is_opened_again(tmp_path: Path) -> None:
         file.reopen()
     file.close()
     assert [each["result"] for each in lines(tmp_path / "audit.json.1")] == ["one", "two"]
+
+
+def test_a_file_that_was_opened_again_begins_with_that(tmp_path: Path) -> None:
+    path = tmp_path / "audit.json"
+    file = AuditFile(path)
+    path.unlink()
+    file.reopen()
+    file.close()
+    assert [(each["event"], each["result"]) for each in lines(path)] == [("audit", "opened again")]
 
 
 def test_a_full_disk_fails(tmp_path: Path) -> None:
