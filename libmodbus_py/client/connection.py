@@ -65,7 +65,7 @@ class Transactions:
     Args:
         endpoint: the endpoint of the connection.
         settings: the options of the client.
-        port: its port, of which only the name and the silence are used.
+        port: its port, of which only the name, the silence and the certificate are used.
         most: the most requests in flight, unless the settings contain a number.
 
     Attributes:
@@ -118,8 +118,8 @@ class Transactions:
         self._settings = settings
         self._queue = Queue(self.matching, self.window, is_ordered=has_ids and limit is None)
         self._outcomes = Outcomes(
-            self.url,
-            self._scheme,
+            endpoint,
+            port,
             self._queue,
             self.matching,
             self.window,

@@ -11,7 +11,7 @@ from ..ports.schemes import SCHEMES
 from ..protocol.errors import MAX_RECEIVED, ModbusError, ModbusTimeoutError, in_hex
 from ..protocol.framing import crc16, is_one_frame
 
-__all__ = ["MAX_KEPT", "add_hint", "explain", "explain_end", "no_answer"]
+__all__ = ["MAX_KEPT", "add_hint", "explain", "explain_end", "explain_role", "no_answer"]
 
 MAX_KEPT = MAX_RECEIVED
 """The most received bytes that errors contain; more bytes would not help."""
@@ -56,7 +56,7 @@ def explain(scheme: str, sent: bytes, received: bytes) -> str:
         sent: the request as it was sent.
         received: the received bytes, which are not an answer.
     """
-    framing = scheme.partition("+")[0]
+    framing, _ = SCHEMES[scheme]  # type: ignore[index]
     if scheme in PLAIN and _looks_tls(received):
         return "this looks like tls://"
     if framing in ("rtu", "ascii") and received.startswith(sent):
@@ -80,6 +80,27 @@ def explain_end(scheme: str, number: int | None) -> str:
     """
     is_ended = number in (errno.ECONNRESET, errno.EPIPE)
     return "nothing was answered yet; does it want tls://?" if scheme in PLAIN and is_ended else ""
+
+
+def explain_role(certificate: bytes | None) -> str:
+    """
+    Return why a server may have refused a function: the role in the client's own certificate.
+
+    Args:
+        certificate: the certificate in DER; None without TLS, where there is no reason to give.
+    """
+    if certificate is None:
+        return ""
+    try:
+        from ..security.role import role_of
+
+        role = role_of(certificate)
+    # Without cryptography, or a descriptor to import it; or the SSLContext was given.
+    except (ImportError, OSError, ValueError):
+        return "the server may allow it to other roles only"
+    if role is None:
+        return "the server may allow it to some roles only, and this certificate has none"
+    return f"the server may allow it to other roles than {role!r}"
 
 
 def _looks_tls(data: bytes) -> bool:

@@ -4,9 +4,12 @@ The outcome of each request: its result, its error, or a repetition.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from ..protocol.errors import (
     Acknowledge,
     ExceptionResponse,
+    IllegalFunction,
     InvalidResponse,
     ModbusError,
     ModbusTimeoutError,
@@ -14,10 +17,14 @@ from ..protocol.errors import (
     alike,
 )
 from .call import Call, Matching, Phase
-from .hints import add_hint, explain
+from .hints import add_hint, explain, explain_role
 from .queue import Queue, Window
 from .reconnecting import Reconnecting
 from .statistics import Statistics, result_of
+
+if TYPE_CHECKING:
+    from ..ports.endpoint import Endpoint
+    from ..ports.port import Port
 
 __all__ = ["Outcomes"]
 
@@ -32,22 +39,23 @@ class Outcomes:
     Decides what becomes of the requests of one connection.
 
     Args:
-        place: the URL of the connection, for errors; `scheme`: its scheme.
+        endpoint, port: of the connection, for errors.
         queue: takes the requests that are sent again.
     """
 
     def __init__(
         self,
-        place: str,
-        scheme: str,
+        endpoint: Endpoint,
+        port: Port,
         queue: Queue,
         matching: Matching,
         window: Window,
         life: Reconnecting,
         statistics: Statistics,
     ) -> None:
-        self._place = place
-        self._scheme = scheme
+        self._place = str(endpoint)
+        self._scheme = endpoint.scheme
+        self._port = port
         self._queue = queue
         self._matching = matching
         self._window = window
@@ -99,8 +107,11 @@ class Outcomes:
         try:
             if call.request is not None:
                 error.function, error.asked = call.request.function, str(call.request)
-            if error.received and call.adu and not isinstance(error, InvalidResponse):
+            is_answer = isinstance(error, InvalidResponse | ExceptionResponse)
+            if error.received and call.adu and not is_answer:
                 add_hint(error, explain(self._scheme, call.adu, error.received))
+            if isinstance(error, IllegalFunction):
+                add_hint(error, explain_role(self._port.certificate))
             if isinstance(error, ModbusTimeoutError) and self._window.is_at_one:
                 add_hint(error, "this device takes one request at a time (max_in_flight=1)")
         except BaseException as mistake:

@@ -97,6 +97,11 @@ class Port(ABC):
         """Return the waker of a blocking client."""
         return Waker()
 
+    @property
+    def certificate(self) -> bytes | None:
+        """The client's own certificate in DER; None without TLS."""
+        return None
+
     def has_input(self) -> bool:
         """Return True if something can be read: bytes, or the end of the connection."""
         return bool(self._poll.poll(0))

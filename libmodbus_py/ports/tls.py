@@ -131,6 +131,10 @@ class TlsPort(TcpPort):
         self._owner = 0
         self._begin(None)
 
+    @property
+    def certificate(self) -> bytes:
+        return self._security.own
+
     def _begin(self, tunnel: Tunnel | None) -> None:
         self._tunnel = tunnel
         self._received: list[bytes] = []  # decrypted

@@ -117,3 +117,8 @@ def test_tls_is_named_where_a_request_was_answered_by_the_end_of_a_new_connectio
     error = ModbusConnectionError("closed by the other side", errno=errno.ECONNRESET)
     talk.lose(error, by_itself=by_itself)
     assert ("does it want tls://?" in str(error)) is is_told
+
+
+@pytest.mark.parametrize("scheme", ["tls", "unix"])
+def test_a_frame_of_the_framing_in_use_looks_like_no_other_scheme(scheme: str) -> None:
+    assert explain(scheme, SENT["tcp"], RECEIVED["tcp"]) == ""

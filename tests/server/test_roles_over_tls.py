@@ -68,6 +68,28 @@ def test_rules_go_by_the_role_of_the_certificate(
     assert device.mapping.holding_registers[0] == (5 if role == "Engineer" else 0)
 
 
+@pytest.mark.parametrize(
+    ("role", "said"),
+    [
+        ("Viewer", "the server may allow it to other roles than 'Viewer'"),
+        (None, "the server may allow it to some roles only, and this certificate has none"),
+    ],
+)
+def test_a_refusal_over_tls_names_the_role(tmp_path: Path, role: str | None, said: str) -> None:
+    papers = Papers(tmp_path)
+    device = Device(Mapping(holding_registers=1), authorize=RULES)
+    server = Server(device, security=papers.server())
+    with (
+        server.background("tls://127.0.0.1:0", "tcp://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0], security=papers.client(role)) as plc,
+        Context.from_url(running.urls[1]) as without,
+    ):
+        for client, end in ((plc, f"; {said}"), (without, "")):
+            with pytest.raises(IllegalFunction) as caught:
+                client.write_register(0, 1)
+            assert str(caught.value).endswith(f"illegal function (exception 1){end}")
+
+
 def test_one_device_on_two_endpoints_asks_about_both(tmp_path: Path) -> None:
     """Who comes without TLS has no role, whoever else is there."""
     papers = Papers(tmp_path)
