@@ -2,8 +2,9 @@
 The notes of one device about one line: counters, event log, listen-only mode.
 
 This is the memory behind functions 8, 11 and 12: MODBUS Application Protocol V1.1b3,
-sections 6.8-6.10; order of counting: MODBUS over Serial Line V1.02, appendix A. What
-those leave open is decided in docs/decisions.md.
+sections 6.8-6.10; order of counting: MODBUS over Serial Line V1.02, appendix A. Left open
+there: counters wrap to 0; an exchange without an exception is an event, also of function 12,
+but not of function 11; a broadcast that does not write counts as a message without a response.
 """
 
 from __future__ import annotations

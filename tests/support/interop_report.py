@@ -14,7 +14,8 @@ import subprocess
 import sys
 import tempfile
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import compress
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -79,14 +80,36 @@ def cell(outcomes: set[str]) -> str:
     return "ok" if "ok" in outcomes else "refused" if outcomes else ""
 
 
+COLUMNS = {"ok": "ok", "ok*": "ok, but the peer errs in some cases", "*": "the peer errs"}
+COLUMNS |= {"refused": "refused", "skipped": "skipped", "FAIL": "FAIL"}
+
+
 def markdown(table: dict[Row, dict[int, set[str]]]) -> str:
-    functions = sorted({function for row in table.values() for function in row})
-    heads = ["peer", "direction", "transport", *map(str, functions)]
-    lines = [heads, ["---"] * len(heads)]
+    """Return a row for each peer and direction; transports with the same outcomes share one."""
+    rows: dict[tuple[str, ...], list[str]] = defaultdict(list)
     for (peer, role, transport), row in sorted(table.items()):
-        cells = [cell(row.get(function, set())) for function in functions]
-        lines.append([peer, LINES[role], transport, *cells])
+        found = [
+            ranges(function for function in sorted(row) if cell(row[function]) == word)
+            for word in COLUMNS
+        ]
+        rows[(peer, LINES[role], *found)].append(transport)
+    used = [any(key[2 + at] for key in rows) for at in range(len(COLUMNS))]
+    heads = ["peer", "direction", "transport", *compress(COLUMNS.values(), used)]
+    lines = [heads, ["---"] * len(heads)]
+    for (peer, direction, *cells), transports in rows.items():
+        lines.append([peer, direction, ", ".join(transports), *compress(cells, used)])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def ranges(numbers: Iterable[int]) -> str:
+    """Return sorted numbers as text, such as ``1-6, 15``."""
+    found: list[list[int]] = []
+    for number in numbers:
+        if found and found[-1][-1] == number - 1:
+            found[-1].append(number)
+        else:
+            found.append([number])
+    return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else str(run[0]) for run in found)
 
 
 def main() -> int:
@@ -98,9 +121,7 @@ def main() -> int:
         table, count = read(report)
     print(markdown(table))
     print()
-    print(f"The columns are function codes, in {count} cases. refused: the server does not")
-    print("implement the function and says so. *: the peer errs; a test shows how, and how")
-    print("libmodbus-py handles it. Empty: not tested.")
+    print(f"The numbers are function codes, in {count} cases.")
     return status
 
 
