@@ -1,0 +1,39 @@
+"""
+What the page about the code says is there: the table of states, files, and named exceptions.
+"""
+
+from __future__ import annotations
+
+import re
+import textwrap
+
+from fuzz.explore import EXCEPTIONS
+from libmodbus_py.client import line
+from tests.docs.documents import ROOT
+
+PAGE = (ROOT / "docs" / "how-it-works.md").read_text()
+TIMING = (ROOT / "docs" / "protocol" / "timing.md").read_text()
+
+FOLDERS = ("", "libmodbus_py", "libmodbus_py/client", "libmodbus_py/server")
+"""Where the page names files from."""
+
+
+def test_the_table_of_states_is_that_of_the_code() -> None:
+    text = line.__doc__ or ""
+    table = text[text.index("    state   event") : text.index("\n\nWhy:")]
+    assert f"```text\n{textwrap.dedent(table)}\n```" in PAGE
+
+
+def test_every_file_that_is_named_exists() -> None:
+    named = re.findall(r"`([\w/]+(?:\.py|\.c|/))`", PAGE)
+    assert len(named) >= 20
+    missing = [
+        name for name in named if not any((ROOT / folder / name).exists() for folder in FOLDERS)
+    ]
+    assert missing == []
+
+
+def test_what_cannot_be_told_apart_has_the_names_of_the_explorer() -> None:
+    part = TIMING.partition("### What cannot be told apart")[2].partition("\n## ")[0]
+    names = re.findall(r"^\| ([\w ]+) \|", part, re.MULTILINE)
+    assert names[1:] == [*EXCEPTIONS]
