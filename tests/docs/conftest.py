@@ -77,6 +77,7 @@ def names(home: Home) -> dict[str, Any]:
         "at_end": home.at_end,
         "dataclass": dataclass,
         "device": home.device,
+        "home": home,
         "logging": logging,
         "mapping": home.mapping,
         "plc": plc,
