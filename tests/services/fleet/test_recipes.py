@@ -39,7 +39,7 @@ ROOT = Path(__file__).parents[3]
 
 PAGE = ROOT / "docs" / "how-to" / "recipes.md"
 
-ADDRESS = "tcp://192.0.2.10"
+ADDRESS = "tcp://127.0.0.1:1502"
 
 
 @cache
