@@ -18,6 +18,7 @@ from libmodbus_py import (
     AsciiContext,
     AsyncClient,
     Client,
+    Point,
     RtuContext,
     TcpContext,
     TlsContext,
@@ -145,6 +146,14 @@ def test_the_page_of_defaults_is_what_the_code_has(heading: str, expected: Any) 
     rows = re.findall(r"^\| `(\w+)` \| `(.+?)` \|", part.partition("\n## ")[0], re.MULTILINE)
     assert {name: value(text) for name, text in rows} == dict(expected)
     assert len(rows) == len(expected)
+
+
+def test_the_page_of_register_maps_has_every_key_of_a_point() -> None:
+    page = (DOCS / "how-to" / "register-maps.md").read_text()
+    table = page.partition("| key | default | meaning |")[2].partition("\n\n")[0]
+    firsts = [line.split("|")[1] for line in table.splitlines()[2:]]
+    keys = [key for first in firsts for key in re.findall(r"`(\w+)`", first)]
+    assert sorted(keys) == sorted(each.name for each in fields(Point) if each.init)
 
 
 def test_pages_that_name_an_option_with_a_number_name_its_default() -> None:
