@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,13 @@ import pytest
 from libmodbus_py import Fleet, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.fleet.config import by_connection, devices_from_json, devices_to_json
-from libmodbus_py.services.fleet.files import FleetFileError, load
-from libmodbus_py.services.fleet.outputs.kinds import KINDS
+from libmodbus_py.services.fleet.engine_table import ENGINE
+from libmodbus_py.services.fleet.files import FILE, SECRET, TABLE, FleetFileError, load
+from libmodbus_py.services.fleet.outputs.kinds import KINDS, output_keys
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from tests.services.fleet.fleets import METER, meter
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "fleet.toml"
 
 MAP = """name,table,address,type,scale,unit,access
 voltage,holding_registers,0,uint16,0.1,V,read
@@ -142,10 +146,26 @@ def test_a_file_with_every_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_the_example_of_the_source_tree_can_be_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MQTT_PASSWORD", "secret")
-    file = load(Path(__file__).parents[3] / "examples" / "fleet.toml")
+    for name in ("MQTT_PASSWORD", "INFLUX_PASSWORD", "INFLUX_TOKEN"):
+        monkeypatch.setenv(name, "secret")
+    file = load(EXAMPLE)
     assert len(file.devices) > 2
-    assert {kind for kind, _ in file.outputs} == {"json", "csv", "mqtt"}
+    assert {kind for kind, _ in file.outputs} == {"json", "csv", "influx", "mqtt"}
+
+
+def test_the_example_of_the_source_tree_has_every_key() -> None:
+    text = EXAMPLE.read_text()
+    given = tomllib.loads(re.sub(r"(?m)^# (?=\w+ = )", "", text))  # also what is commented out
+    assert set(FILE) == set(given)
+    assert set(ENGINE) == set(given["engine"])
+    assert set(TABLE) == {key for table in [given["defaults"], *given["device"]] for key in table}
+    for kind in KINDS:
+        tables = given["output"][kind]
+        found = {key for each in ([tables] if isinstance(tables, dict) else tables) for key in each}
+        assert found >= set(output_keys(kind)) - {"buffer"}, kind
+    assert "buffer = " in text  # all kinds have it
+    for secret in SECRET:
+        assert f"or {secret}_file = " in text
 
 
 SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
