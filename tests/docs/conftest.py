@@ -4,19 +4,14 @@ What a document has when it runs.
 
 from __future__ import annotations
 
-import asyncio
-import importlib
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
 from sybil import Example
 
-import libmodbus_py
-from libmodbus_py import Context, pdu
+from libmodbus_py import pdu
 from tests.docs.documents import ROOT, Examples, read
 from tests.docs.home import Home
 from tests.docs.python_blocks import run_python
@@ -64,34 +59,13 @@ def examples(home: Home) -> Iterator[Examples]:
     shell.close()
 
 
-def names(home: Home) -> dict[str, Any]:
-    """Return the names that a block may use without importing them."""
-    plc = home.at_end.enter_context(Context.from_url(home.url))
-    known: dict[str, Any] = {}
-    for module in ("libmodbus_py.listen", "libmodbus_py.page", "libmodbus_py.scan"):
-        known |= vars(importlib.import_module(module))
-    top = [*libmodbus_py.__all__, "framing", "pdu", "values"]
-    known |= {name: getattr(libmodbus_py, name) for name in top}
-    return known | {
-        "asyncio": asyncio,
-        "at_end": home.at_end,
-        "dataclass": dataclass,
-        "device": home.device,
-        "home": home,
-        "logging": logging,
-        "mapping": home.mapping,
-        "plc": plc,
-        "url": home.url,
-    }
-
-
 @pytest.fixture
 def run(home: Home, examples: Examples) -> Callable[[Path], None]:
     """Run a document from its beginning to its end."""
 
     def run_all(path: Path) -> None:
         document = read(path, examples)
-        document.namespace |= names(home)
+        document.namespace["home"] = home  # for blocks that readers do not see
         for example in document.examples():
             example.evaluate()
 

@@ -1,9 +1,9 @@
 """
 The documents of the repository, cut into what of them is run.
 
-Fences of Python and shell run; one with ``title="NAME"`` is a file, which the rest of its document
-finds; ``<!-- not run: REASON -->`` above a fence says why it is neither. The other fences are
-pictures, for whoever reads.
+Fences of Python and shell run, with no names but those of blocks before them; one with
+``title="NAME"`` is a file, which the rest of its document finds; ``<!-- not run: REASON -->`` above
+a fence says why it is neither. The other fences are pictures, for whoever reads.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 from sybil import Document, Example, Region, Sybil
 from sybil.parsers.markdown.lexers import DirectiveInHTMLCommentLexer, RawFencedCodeBlockLexer
 
-__all__ = ["DOCUMENTS", "ROOT", "Examples", "blocks", "not_run", "read"]
+__all__ = ["DOCUMENTS", "ROOT", "RUN", "Examples", "blocks", "not_run", "read"]
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -25,9 +25,15 @@ from typing import Self
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.tools.testing.wires import SerialWire
 
-__all__ = ["Home"]
+__all__ = ["Home", "own_address"]
 
 DEVICE_PORT, OPEN_PORT = 10502, 5502
+
+
+def own_address() -> str:
+    """Return an address of this machine that no other process uses."""
+    pid = os.getpid()
+    return f"127.{64 + pid // 65536 % 128}.{pid // 256 % 256}.{pid % 256}"
 
 
 class Home:
@@ -49,8 +55,7 @@ class Home:
             files={number: [0] * 10_000 for number in range(1, 11)},
             fifos={1246: [440, 4740]},
         )
-        pid = os.getpid()
-        self.address = f"127.{64 + pid // 65536 % 128}.{pid // 256 % 256}.{pid % 256}"
+        self.address = own_address()
         self.url = f"tcp://{self.address}:{DEVICE_PORT}"
         self.at_end.enter_context(Server(self.device).background(self.url))
 

@@ -15,8 +15,6 @@ anything else                       is for readers
 from __future__ import annotations
 
 import ast
-import asyncio
-import inspect
 import io
 import re
 import tokenize
@@ -37,11 +35,9 @@ def run_python(example: Example, source: str, seen: Callable[[str], str]) -> Non
     """
     tree = Comparing(source).visit(ast.parse(source))
     ast.increment_lineno(tree, example.line)
-    code = compile(tree, example.path, "exec", flags=ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
+    code = compile(tree, example.path, "exec")
     example.namespace |= {"must_equal": must_equal, "must_print": must_print(seen)}
-    result = eval(code, example.namespace)
-    if inspect.iscoroutine(result):
-        asyncio.run(result)
+    exec(code, example.namespace)
 
 
 class Comparing(ast.NodeTransformer):

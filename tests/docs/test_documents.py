@@ -44,6 +44,17 @@ def test_comments_and_outputs_are_compared() -> None:
     assert compared >= 70
 
 
+def test_readers_see_where_each_name_comes_from() -> None:
+    """Only blocks that readers do not see use what the tests put into the namespace."""
+    found = [
+        f"{document.path}: {region.lexemes['source']}"
+        for document, region in everything()
+        if document.text[region.start : region.start + 3] == "```"
+        if re.search(r"\bhome\.", region.lexemes["source"])
+    ]
+    assert found == []
+
+
 REASONS = (
     "installs packages",
     "needs a program that may be missing",

@@ -47,17 +47,20 @@ cat ../plant.toml   # where it was written
 ```
 
 <!--- invisible-code-block: python
-hidden = at_end.enter_context(open("plant.toml"))
+hidden = home.at_end.enter_context(open("plant.toml"))
 --->
 
 ```python
+import asyncio
+from libmodbus_py import RtuContext, TcpContext
+
 text = hidden.read()
 print(text)  # url = "tcp://127.0.0.1:1502"...
-print(url)  # tcp://192.0.2.10
-plc.write_registers(100, [555, 0])
-plc.read_holding_registers(100, 2)  # [555, 0]
-plc.statistics  # Statistics(requests=2, ...)
-await asyncio.sleep(0, 0.5)  # 0.5
+asyncio.run(asyncio.sleep(0, 0.5))  # 0.5
+with TcpContext("192.0.2.10") as plc:
+    plc.write_registers(100, [555, 0])
+    plc.read_holding_registers(100, 2)  # [555, 0]
+    plc.statistics  # Statistics(requests=2, ...)
 with RtuContext("/dev/ttyUSB0", unit=3) as line:
     line.read_holding_registers(100, 2)  # [555, 0]
 with TcpContext("192.0.2.10") as other:
@@ -86,6 +89,8 @@ def test_a_document_runs(tmp_path: Path, run: Run) -> None:
         ("```python\n[1, 2]  # [..., 3]\n```", "is not"),
         ("```python\nfor i in range(2):\n    i  # 0\n```", "1 is not 0"),
         ("```python\nnobody\n```", "not defined"),
+        ("```python\nTcpContext\n```", "not defined"),
+        ("```python\nawait nobody\n```", "outside function"),
         ("```console\n$ echo 1\n2\n```", "and not:\n2"),
         ("```console\n$ echo 1\n```", "and not"),
         ("```console\n$ false\n```", "exit code 1"),
@@ -96,7 +101,7 @@ def test_a_document_runs(tmp_path: Path, run: Run) -> None:
 def test_a_lie_is_noticed(tmp_path: Path, run: Run, block: str, what: str) -> None:
     path = tmp_path / "lie.md"
     path.write_text(f"Text.\n\n{block}\n")
-    with pytest.raises((AssertionError, NameError)) as caught:
+    with pytest.raises((AssertionError, NameError, SyntaxError)) as caught:
         run(path)
     assert what in str(caught.value)
 
