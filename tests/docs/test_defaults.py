@@ -148,6 +148,17 @@ def test_the_page_of_defaults_is_what_the_code_has(heading: str, expected: Any) 
     assert len(rows) == len(expected)
 
 
+def test_pages_name_the_default_timeout_and_the_serial_settings() -> None:
+    seconds = f"{CLIENTS['timeout']:g} s"
+    assert f"# {seconds} is the default" in (DOCS / "how-to" / "timeouts.md").read_text()
+    for name in ("pymodbus", "others"):
+        rows = (DOCS / "coming-from" / f"{name}.md").read_text().splitlines()
+        ours = {row.split(" | ")[0].strip("| "): row.split(" | ")[-1] for row in rows if "|" in row}
+        assert ours["timeout"].startswith(seconds), name
+        usual = "{baudrate} {data_bits}{parity}{stop_bits}".format(**SERIAL_DEFAULTS)
+        assert ours["serial settings"].startswith(usual), name
+
+
 def test_the_page_of_register_maps_has_every_key_of_a_point() -> None:
     page = (DOCS / "how-to" / "register-maps.md").read_text()
     table = page.partition("| key | default | meaning |")[2].partition("\n\n")[0]
