@@ -8,6 +8,7 @@ Bottom up:
     checks     numbers that callers give, and durations that people type
     words      names of tables, types and orders as vendors write them
     close_names  names that are close to one that does not exist
+    extras     optional dependencies, and how each is added to this installation
     callbacks  functions of users: which are refused, and what is logged when one fails
     logs       loggers whose handlers may fail
     scan       the CRC, and where RTU frames begin and end; in C (scan.c)

@@ -1,0 +1,52 @@
+"""
+The optional dependencies, and how each is added to this installation.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import NamedTuple
+
+__all__ = ["EXTRAS", "Extra", "how_to_add"]
+
+
+class Extra(NamedTuple):
+    """
+    What a feature needs.
+
+    Attributes:
+        requirement: as pip takes it.
+        package: the package of Debian; empty if Debian has none.
+    """
+
+    requirement: str
+    package: str
+
+
+EXTRAS: dict[str, Extra] = {
+    "security": Extra("cryptography>=38", "python3-cryptography"),
+    "metrics": Extra("prometheus_client>=0.16", "python3-prometheus-client"),
+    "homeassistant": Extra("modbus-connection>=4.12,<5", ""),
+    "mqtt": Extra("aiomqtt>=2.3", "python3-asyncio-mqtt"),  # Debian 12 has an older one
+    "influx": Extra("httpx>=0.23", "python3-httpx"),
+    "completion": Extra("argcomplete>=3.3", "python3-argcomplete"),
+    "pytest": Extra("pytest>=7", "python3-pytest"),
+    "nats": Extra("nats-py>=2.16", ""),
+    "sunspec": Extra("pysunspec2>=1.3", ""),
+}
+"""Extra of pyproject.toml -> what it needs."""
+
+
+def how_to_add(extra: str) -> str:
+    """
+    Return the command that adds what an extra needs to the Python that runs this package.
+
+    The name of this package is on no index, and pip must not change the Python of Debian: there the
+    command installs Debian's package, or makes a virtual environment that has this package, too.
+    """
+    requirement, package = EXTRAS[extra]
+    if "/dist-packages/" not in __file__:
+        return f"{sys.executable} -m pip install '{requirement}'"
+    if package:
+        return f"sudo apt install {package}"
+    return f"python3 -m venv --system-site-packages VENV && VENV/bin/pip install '{requirement}'"
