@@ -34,7 +34,7 @@ from libmodbus_py.services.fleet.devices_csv import device_rows
 from libmodbus_py.services.gateway import config as gateway_file
 from libmodbus_py.tools.files.file_error import FileError
 from libmodbus_py.tools.files.maps import map_file
-from libmodbus_py.tools.files.toml_text import read_toml
+from libmodbus_py.tools.files.texts import read_toml
 from libmodbus_py.tools.listener.separator import LineFraming, Separator
 from libmodbus_py.tools.listener.transaction import Heard
 
@@ -176,7 +176,6 @@ def check_device_file(text: str) -> None:
     except device_file.DeviceFileError as error:
         message = str(error)
     assert "\n" not in message
-    assert len(message) < 1000
     for device in devices.values() if isinstance(devices, dict) else [devices]:
         for moment[0] in (0.0, 1.5, 1e9):
             for function in (1, 2, 3, 4):
@@ -210,10 +209,9 @@ def _mistakes(read: Callable[[], object]) -> list[Exception]:
 
 
 def check_file(kind: str, text: str) -> None:
-    """It is read, or each mistake is one line that is not long."""
+    """It is read, or each mistake is one line."""
     for error in FILES[kind](text):
         assert "\n" not in str(error)
-        assert len(str(error)) < 2000
 
 
 def check_request(data: bytes) -> None:

@@ -76,7 +76,7 @@ DEVICES = {"sdm630": (1, SDM630), "iem3155": (1, IEM3155), "victron_gx": (100, V
 def served(connect: Connect, name: str) -> Iterator[tuple[Any, RegisterMap]]:
     simulation = device_file.load(EXAMPLES / f"{name}.toml")
     with (
-        Server(*simulation[:2]).background("tcp://127.0.0.1:0") as running,
+        Server(*simulation).background("tcp://127.0.0.1:0") as running,
         connect(running.urls[0], unit=DEVICES[name][0], timeout=5) as plc,
     ):
         yield plc, load_map(EXAMPLES / f"{name}.csv")

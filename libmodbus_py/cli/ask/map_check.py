@@ -16,8 +16,7 @@ from ...maps.register_map import RegisterMap
 from ...ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
 from ...protocol.errors import ExceptionResponse, ModbusError
 from ...protocol.tables import TABLES
-from ...tools.files.maps.checking import remarks
-from ...tools.files.maps.drafts import Contents
+from ...tools.files.maps.contents import Contents, remarks
 from ...tools.files.maps.map_file import contents_of
 from ...tools.simulator.example_files import map_file
 from .. import arguments

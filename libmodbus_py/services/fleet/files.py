@@ -39,11 +39,10 @@ from ...protocol.mistakes import (
 )
 from ...tools.files.amounts import in_bytes, in_seconds
 from ...tools.files.file_error import FileError
-from ...tools.files.maps.drafts import POINT
+from ...tools.files.maps.contents import POINT
 from ...tools.files.maps.map_file import load_map
 from ...tools.files.schema import REQUIRED, Key, Keys, keys_of, tables
-from ...tools.files.texts import load_file, read_text
-from ...tools.files.toml_text import read_toml
+from ...tools.files.texts import load_file, read_text, read_toml
 from ...tools.simulator.example_files import map_file
 from .config import DeviceConfig, checked
 from .devices_csv import DeviceRow, device_rows
@@ -55,9 +54,6 @@ from .outputs.output import Described, Output
 from .outputs.secret_file import SecretFile
 
 __all__ = ["DEVICE", "FILE", "FleetFile", "FleetFileError", "load"]
-
-# A line of 150 characters for each of 100000 devices.
-MOST_OF_CSV = 1 << 24
 
 # Keys whose values must not be written in the fleet file, which many can read.
 SECRET = ("password", "token")
@@ -189,7 +185,7 @@ class _Reader:
         path = self._folder / given
         self._sources.add(file_at(str(path)))
         with inside("devices"):
-            text = read_text(path, FleetFileError, MOST_OF_CSV)
+            text = read_text(path, FleetFileError)
         try:
             for row in device_rows(text, DEVICE, FleetFileError):
                 origin = _Origin(("devices",), str(path), row)

@@ -26,8 +26,7 @@ from ...server.limits import Limits
 from ...tools.files import roles
 from ...tools.files.file_error import FileError
 from ...tools.files.schema import Key, Keys, keys_of
-from ...tools.files.texts import load_file
-from ...tools.files.toml_text import read_toml
+from ...tools.files.texts import load_file, read_toml
 from .gateway import Gateway
 from .loops import check_line
 from .options import GatewayOptions

@@ -3,12 +3,9 @@ Files that describe devices, gateways and fleets, and register maps: readers and
 
 ::
 
-    texts        reading a file, and a TOML document
-    rereading    a file that is read again while a program uses what it said before
+    texts        reading a file, a TOML document with its lines, and a file again
     schema       the keys of tables: a row for each, and the checks of their values
     file_error   what is wrong in a file: its place, the path of the key, the reason
-    toml_text    TOML within bounds: its size, its depth, its numbers and texts
-    toml_lines   the line of a key in a TOML document
     amounts      times and sizes with their units: "90 days", "2 GB"
     csv_text     CSV: headings, rows, cells
     roles        rights of roles in certificates

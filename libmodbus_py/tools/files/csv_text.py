@@ -66,8 +66,8 @@ class CsvText:
             reason = f"contains the control character {ord(found[0]):#04x}"
             raise kind((), reason, place=FilePlace(line=line))
         self._kind = kind
-        # Excel begins a file with a byte order mark.
-        self._text = text.removeprefix("\ufeff")
+        # Excel begins a file with a byte order mark, or with a line such as "sep=;".
+        self._text = re.sub(r"\A\ufeff?(sep=[^\r\n](?=[\r\n]))?", "", text)
         self._lines = re.split("\r\n|\r|\n", self._text)
         self._names_first = names_first
         heads = [(delimiter, self._head(delimiter)) for delimiter in DELIMITERS]

@@ -13,7 +13,7 @@ from ...device.access import Access
 from ...device.rules import Allow, Rules
 from ...protocol.mistakes import Path, inside, item
 from .schema import REQUIRED, Key, Keys, anything, keys_of, table
-from .toml_lines import shown_key
+from .texts import shown_key
 
 __all__ = ["parts", "rules"]
 

@@ -17,7 +17,7 @@ from typing import Any
 from ...protocol.checks import integer, shown
 from ...protocol.close_names import close_option
 from ...protocol.mistakes import Path, WrongType, WrongValue, inside, item
-from .toml_lines import shown_key
+from .texts import shown_key
 
 # fmt: off
 __all__ = [

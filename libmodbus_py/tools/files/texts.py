@@ -1,28 +1,46 @@
 """
-Reading files: a text within bounds, and a TOML document.
+Reading files: their text, TOML with the line of each key, and a file that is read again.
 """
 
 from __future__ import annotations
 
-import os
-import stat
-from collections.abc import Callable
+import re
+import reprlib
+import tomllib
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from os import PathLike, fspath
-from typing import TypeVar
+from pathlib import Path as FilePath
+from typing import Any, TypeVar
 
-from ...protocol.mistakes import placed
+from ...protocol.mistakes import Path, placed
 from .file_error import FileError, FilePlace
-from .toml_lines import line_of
-from .toml_text import MAX_SIZE
 
-__all__ = ["load_file", "read_text"]
+__all__ = ["line_of", "load_file", "read_text", "read_toml", "reread", "shown_key"]
 
-Made = TypeVar("Made")
+Content = TypeVar("Content")
+
+
+def read_text(path: str | PathLike[str], kind: type[FileError]) -> str:
+    """
+    Return the text of a file in UTF-8.
+
+    Raises:
+        FileError: of `kind`: the file cannot be read, or is not UTF-8.
+    """
+    place = FilePlace(fspath(path))
+    try:
+        return FilePath(path).read_bytes().decode("utf-8")
+    except OSError as error:
+        raise kind((), f"cannot read {place}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        reason = f'byte {error.start} is not UTF-8; save it as UTF-8, in Excel as "CSV UTF-8"'
+        raise kind((), reason, place=place) from None
 
 
 def load_file(
-    path: str | PathLike[str], parse: Callable[[str], Made], kind: type[FileError]
-) -> Made:
+    path: str | PathLike[str], parse: Callable[[str], Content], kind: type[FileError]
+) -> Content:
     """
     Read a file in TOML and return its parsed content.
 
@@ -42,28 +60,105 @@ def load_file(
         raise kind.of(mistake, FilePlace(fspath(path), line_of(text, mistake.path))) from None
 
 
-def read_text(path: str | PathLike[str], kind: type[FileError], most: int = MAX_SIZE) -> str:
+def reread(
+    load: Callable[[], Content],
+    use: Callable[[Content], Iterable[str]],
+    tell: Callable[[str], object],
+) -> None:
     """
-    Read a text of at most a number of bytes.
+    Load a file again and use its content; a mistake in the file changes nothing.
+
+    Args:
+        load: returns the content, or raises TypeError or ValueError with the mistake.
+        use: applies the content and returns what changed, in lines; raises TypeError or
+            ValueError, before it changes anything, if the content cannot be used.
+        tell: called with each line, or with the mistake.
+    """
+    try:
+        lines = use(load())
+    except (TypeError, ValueError) as error:
+        lines = [f"nothing is changed: {error}"]
+    for line in lines:
+        tell(line)
+
+
+# --- TOML ------------------------------------------------------------------------------------
+
+_PART = r"""(?:[\w\-]+|"[^"\n]*"|'[^'\n]*')"""
+_NAME = rf"{_PART}(?:[ \t]*\.[ \t]*{_PART})*"
+_HEADER = re.compile(rf"[ \t]*(\[\[?)[ \t]*({_NAME})[ \t]*\]\]?")
+_KEY = re.compile(rf"[ \t]*({_NAME})[ \t]*=")
+_PARTS = re.compile(_PART)
+
+
+def read_toml(text: str) -> dict[str, Any]:
+    """
+    Return the content of a TOML document.
 
     Raises:
-        FileError: of `kind`: the file cannot be read, is longer, or not a regular file or UTF-8.
+        ValueError: the text is not TOML; the message names line and column.
     """
-    place = FilePlace(fspath(path))
     try:
-        with open(path, "rb", opener=_at_once) as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise kind((), "not a regular file", place=place)
-            data = file.read(most + 1)
-        if len(data) > most:
-            raise kind((), f"more than {most} bytes", place=place)
-        return data.decode("utf-8")
-    except OSError as error:
-        raise kind((), f"cannot read {place}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise kind((), f"byte {error.start} is not UTF-8", place=place) from None
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("too many levels of tables or lists") from None
 
 
-def _at_once(path: str, flags: int) -> int:
-    """Open a named pipe without waiting for a writer."""
-    return os.open(path, flags | os.O_NONBLOCK)
+def shown_key(key: str) -> str:
+    """Return a key as it is written in a file: quoted where necessary, and shortened."""
+    return key if re.fullmatch("[A-Za-z0-9_-]{1,40}", key) else reprlib.repr(key)
+
+
+def line_of(text: str, path: Path) -> int | None:
+    """
+    Return the line of a key; tomllib reports lines of syntax errors only.
+
+    Args:
+        text: a TOML document with one key or header in a line.
+        path: such as ``("unit", 0, "coils", 2, "values", 7)``, with keys as `shown_key`
+            returns them; tables in arrays and items are counted from 0.
+
+    Returns:
+        The line, from 1, of the key or header; where the text contains only keys below it, the
+        first line of that; else that of the nearest table or key around the key; None if there is
+        none.
+    """
+    around: tuple[int, int] | None = None
+    below: int | None = None
+    for line, found in _paths(text):
+        if path[: len(found)] == found:
+            around = max(around or (0, 0), (len(found), line))
+        elif below is None and found[: len(path)] == path:
+            below = line
+    if below is not None and path and (around is None or around[0] < len(path)):
+        return below
+    return around[1] if around else None
+
+
+def _paths(text: str) -> Iterator[tuple[int, Path]]:
+    """Yield each line that contains a header or a key, with its path."""
+    seen: Counter[Path] = Counter()
+    table: Path = ()
+    # Not splitlines, which accepts more line endings than TOML.
+    for line, content in enumerate(text.split("\n"), start=1):
+        if found := _HEADER.match(content):
+            table = _table_path(_names(found[2]), found[1] == "[[", seen)
+            yield line, table
+        elif found := _KEY.match(content):
+            yield line, (*table, *_names(found[1]))
+
+
+def _names(dotted: str) -> list[str]:
+    return [shown_key(part.strip("\"'")) for part in _PARTS.findall(dotted)]
+
+
+def _table_path(names: list[str], is_array: bool, seen: Counter[Path]) -> Path:
+    """Return the path of a table with indices; arrays around the table are at their last item."""
+    path: Path = ()
+    for depth, name in enumerate(names, start=1):
+        path = (*path, name)
+        if depth == len(names) and is_array:
+            seen[path] += 1
+        if seen[path]:
+            path = (*path, seen[path] - 1)
+    return path

@@ -5,15 +5,17 @@ Values that move by themselves: counters, waves, random walks, copies.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
+from ...maps.point import Point
 from ...protocol.checks import integer, seconds
 from ...protocol.checks import number as check_number
 from ...protocol.mistakes import WrongValue
 from ...protocol.tables import TABLES
-from .simulated_point import Behaviour, Compute, DeviceValues, SimulatedPoint
+from .clockwork import Behaviour, Clockwork, Compute, SimulatedPoint
 
 __all__ = ["BEHAVIOURS", "Copy", "Counter", "RandomWalk", "Sine"]
 
@@ -83,7 +85,7 @@ class Counter:
                 side = "above" if self.step > 0 else "below"
                 raise WrongValue("wrap", f"must be {side} start, which is {self.start}")
 
-    def begin(self, point: SimulatedPoint, others: DeviceValues) -> Compute:
+    def begin(self, point: SimulatedPoint, others: Clockwork) -> Compute:
         low, high = _limits(point, start=self.start)
         wrap = self.wrap
         beyond = point.point.step
@@ -93,7 +95,7 @@ class Counter:
             span = f"{low - (beyond or 1)}..{high + (beyond or 1)} for {point.point.type_name}"
             raise WrongValue("wrap", f"must be in {span}, not {wrap}")
 
-        def compute(indices: range, now: float) -> list[Number]:
+        def compute(indices: Sequence[int], now: float) -> list[Number]:
             way = self.step * int(now / self.interval)
             # Both have the sign of the step.
             value = self.start + (way if wrap is None else way % (wrap - self.start))
@@ -120,10 +122,10 @@ class Sine:
         _check_between(self.low, self.high)
         seconds("period", self.period)
 
-    def begin(self, point: SimulatedPoint, others: DeviceValues) -> Compute:
+    def begin(self, point: SimulatedPoint, others: Clockwork) -> Compute:
         _limits(point, low=self.low, high=self.high)
 
-        def compute(indices: range, now: float) -> list[Number]:
+        def compute(indices: Sequence[int], now: float) -> list[Number]:
             share = (1 + math.sin(math.tau * now / self.period)) / 2
             return [self.low * (1 - share) + self.high * share] * len(indices)
 
@@ -159,16 +161,16 @@ class RandomWalk:
         if self.seed is not None:
             integer("seed", self.seed, 0, (1 << 64) - 1)
 
-    def begin(self, point: SimulatedPoint, others: DeviceValues) -> Compute:
+    def begin(self, point: SimulatedPoint, others: Clockwork) -> Compute:
         _limits(point, low=self.low, high=self.high)
-        place = _mixed(list(TABLES).index(point.table), point.first)
+        origin = _mixed(list(TABLES).index(point.table), point.first)
         low, high, span = self.low, self.high, self.high - self.low
         waves = [self.step * 3 / 8]
         while waves[-1] < span and len(waves) < MOST_WAVES:
             waves.append(4 * waves[-1])
 
-        def compute(indices: range, now: float) -> list[Number]:
-            seed = _mixed(others.seed, place) if self.seed is None else self.seed
+        def compute(indices: Sequence[int], now: float) -> list[Number]:
+            seed = _mixed(others.seed, origin) if self.seed is None else self.seed
             moves = int(now / self.interval)
             ways = [span / 2 + _way(_mixed(seed, index), moves, waves) for index in indices]
             # It turns round at the limits, as often as necessary.
@@ -235,62 +237,59 @@ class Copy:
             raise WrongValue("table", f"must be one of {', '.join(TABLES)}, not {self.table!r}")
         _number("scale", self.scale)
 
-    def begin(self, point: SimulatedPoint, others: DeviceValues) -> Compute:
-        self._check(point, others)
+    def begin(self, point: SimulatedPoint, others: Clockwork) -> Compute:
+        sources = [self._source(index, others) for index in range(point.point.count)]
+        for source, _ in {id(each): (each, at) for each, at in sources}.values():
+            self._check_types(source.point, point.point)
+        for each in sources:
+            _check_row(*each, others)
 
-        def compute(indices: range, now: float) -> list[Any]:
+        def compute(indices: Sequence[int], now: float) -> list[Any]:
             values: list[Any] = []
-            for source, places in self._sources(indices, others):
-                found = others.values(source, places, now)
+            for _, run in groupby((sources[index] for index in indices), lambda each: id(each[0])):
+                found = list(run)
+                source = found[0][0]
+                copied = others.values(source, [at for _, at in found], now)
                 is_number = source.point.limits[0] is not None
-                values += [value * self.scale for value in found] if is_number else found
+                values += [value * self.scale for value in copied] if is_number else copied
             return values
 
         return compute
 
-    def _check(self, point: SimulatedPoint, others: DeviceValues) -> None:
-        own = point.point
-        for source, _ in self._sources(range(own.count), others):
-            other = source.point
-            are_numbers = other.limits[0] is not None and own.limits[0] is not None
-            if not are_numbers and (other.type_name != own.type_name or self.scale != 1):
-                raise ValueError(
-                    f"{other.type_name} cannot be copied to {own.type_name}: values that are not"
-                    " numbers need the same type on both sides, and no scale"
-                )
-        self._check_row(range(own.count), others, 1)
+    def _check_types(self, source: Point, own: Point) -> None:
+        are_numbers = source.limits[0] is not None and own.limits[0] is not None
+        if not are_numbers and (source.type_name != own.type_name or self.scale != 1):
+            raise ValueError(
+                f"{source.type_name} cannot be copied to {own.type_name}: values that are not"
+                " numbers need the same type on both sides, and no scale"
+            )
 
-    def _check_row(self, indices: range, others: DeviceValues, copies: int) -> None:
-        if copies > MOST_COPIES:
-            raise ValueError(f"more than {MOST_COPIES} copies in a row, or a circle of them")
-        for source, places in self._sources(indices, others):
-            if isinstance(source.behaviour, Copy):
-                source.behaviour._check_row(places, others, copies + 1)
-
-    def _sources(
-        self, indices: range, others: DeviceValues
-    ) -> Iterator[tuple[SimulatedPoint, range]]:
+    def _source(self, index: int, others: Clockwork) -> tuple[SimulatedPoint, int]:
         """
-        Return the sources of some values of the point: points, and indices in them.
+        Return the point that one value of this point follows, and the index in it.
 
         Raises:
-            ValueError: a value has no source.
+            ValueError: no value begins there.
         """
         first = others.find(self.table, self.address)
-        width = first.size if first is not None else 1
-        while indices:
-            address = self.address + indices[0] * width
-            source = others.find(self.table, address)
-            if source is None or (address - source.first) % source.size:
-                raise ValueError(f"in {self.table} no value begins at {address}")
-            at = (address - source.first) // source.size
-            stride, rest = divmod(indices.step * width, source.size)
-            # If the source is longer or shorter than these values, only the first surely begins
-            # there.
-            end = at + 1 if rest else source.point.count
-            places = range(at, end, stride or 1)[: len(indices)]
-            yield source, places
-            indices = indices[len(places) :]
+        address = self.address + index * (1 if first is None else first.size)
+        source = others.find(self.table, address)
+        if source is None or (address - source.first) % source.size:
+            raise ValueError(f"in {self.table} no value begins at {address}")
+        return source, (address - source.first) // source.size
+
+
+def _check_row(source: SimulatedPoint, at: int, others: Clockwork) -> None:
+    """
+    Raises:
+        ValueError: more copies follow each other from a value on than are allowed.
+    """
+    copies = 1
+    while isinstance(source.behaviour, Copy):
+        copies += 1
+        if copies > MOST_COPIES:
+            raise ValueError(f"more than {MOST_COPIES} copies in a row, or a circle of them")
+        source, at = source.behaviour._source(at, others)
 
 
 BEHAVIOURS: dict[str, Callable[..., Behaviour]] = {

@@ -1,7 +1,8 @@
 """
-The clockwork of a device: moving values are computed from the time since the start when read.
+The points of simulated devices, and the clockwork that computes those that move.
 
-So an idle simulator takes no processor time.
+A moving value is computed from the time since the start when it is read, so an idle simulator takes
+no processor time.
 """
 
 from __future__ import annotations
@@ -9,16 +10,116 @@ from __future__ import annotations
 import math
 import random
 import time
+from array import array
 from bisect import bisect_right
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
 
 from ...device.mapping import Mapping
+from ...maps.point import Point, Rights
 from ...protocol.errors import ServerDeviceFailure
+from ...protocol.mistakes import Path
 from ...protocol.tables import TABLES
-from .simulated_point import Compute, SimulatedPoint, fitting
 
-__all__ = ["Clockwork"]
+__all__ = ["Behaviour", "Clockwork", "Compute", "SimulatedPoint"]
+
+Compute = Callable[[Sequence[int], float], list[Any]]
+"""Function that returns the values with these indices in a point, at seconds since the start."""
+
+
+class Behaviour(Protocol):
+    """The movement of a point's values. TypeError, ValueError: an attribute is wrong."""
+
+    def begin(self, point: SimulatedPoint, others: Clockwork) -> Compute:
+        """
+        Return the function that computes the values of a point.
+
+        Args:
+            others: the points of the device, which the point may follow.
+
+        Raises:
+            ValueError: the values of the point cannot move this way.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class SimulatedPoint:
+    """
+    A point of a simulated device, or some records of a file.
+
+    Attributes:
+        path: path of the point in the device file.
+        point: its location, and the meaning of its cells. For records its table has no meaning,
+            and its address is the number of the first record.
+        cells: its initial cells; those of one value if all values are the same.
+        behaviour: how its values move; None if they do not.
+        moved_by: path of the behaviour in the device file.
+        file: the number of the file that contains these records; 0 for a table.
+        is_named: True if the point has its own name, False if it is named after its table.
+        is_mapped: True if it comes from a register map.
+    """
+
+    path: Path
+    point: Point
+    cells: array[int]
+    behaviour: Behaviour | None = None
+    moved_by: Path = ()
+    file: int = 0
+    is_named: bool = False
+    is_mapped: bool = False
+
+    @cached_property
+    def table(self) -> str:
+        """Its table, or "file"."""
+        return "file" if self.file else self.point.table
+
+    @cached_property
+    def first(self) -> int:
+        """The address where its first value begins."""
+        return self.point.address
+
+    @cached_property
+    def stop(self) -> int:
+        """The address after the last value."""
+        return self.point.cells.stop
+
+    @cached_property
+    def size(self) -> int:
+        """The cells of one value."""
+        return self.point.read.size
+
+    @property
+    def access(self) -> Rights | None:
+        """The access that clients have: "read", "write" or "read_write"."""
+        # A moving value written by a client would be lost at the next read.
+        return "read" if self.behaviour else self.point.access
+
+    @property
+    def area(self) -> tuple[str, int]:
+        """Its table, or "file", and the number of the file."""
+        return self.table, self.file
+
+    @property
+    def all_cells(self) -> array[int]:
+        """The initial content of all its cells."""
+        return self.cells * (len(self.point.cells) // len(self.cells))
+
+    @property
+    def identity(self) -> tuple[object, ...]:
+        """The key by which points compare equal that have the same meaning and initial values."""
+        point = self.point
+        scale = (point.scale, point.offset, point.scale_from, point.scale_as)
+        names = (point.missing, point.bit, point.byte, str(point.states), str(point.bits))
+        meaning = (point.type, point.order, point.time_zone, *scale, *names)
+        moves = type(self.behaviour).__name__
+        return (*self.area, self.first, self.stop, meaning, moves, self.cells.tobytes())
+
+    def slice_of(self, first: int, last: int) -> slice:
+        """Return the addresses from one value to another, both by their indices."""
+        return slice(self.first + first * self.size, self.first + (last + 1) * self.size)
 
 
 class Clockwork:
@@ -115,14 +216,12 @@ class Clockwork:
             self._refresh(point, range(first, last + 1), now)
             at += 1
 
-    def values(self, point: SimulatedPoint, indices: range, now: float) -> list[Any]:
+    def values(self, point: SimulatedPoint, indices: Sequence[int], now: float) -> list[Any]:
         """Return some values of a point, at a time since the start."""
         self._refresh(point, indices, now)
-        width = point.size
-        cells = list(map(int, self._table(point)[point.slice_of(indices)]))
-        if indices.step > 1:
-            starts = range(0, len(cells), width * indices.step)
-            cells = [cell for start in starts for cell in cells[start : start + width]]
+        cells: list[int] = []
+        for first, last in _runs(indices):
+            cells += map(int, self._table(point)[point.slice_of(first, last)])
         try:
             found = point.point.values_in(cells)
         except ValueError as error:
@@ -130,18 +229,35 @@ class Clockwork:
         # A copy of no value is computed with, like a nan.
         return [math.nan if value is None else value for value in found]
 
-    def _refresh(self, point: SimulatedPoint, indices: range, now: float) -> None:
+    def _refresh(self, point: SimulatedPoint, indices: Sequence[int], now: float) -> None:
         key = point.table, point.first
         compute = self._moving.get(key)
         if compute is None or key in self._held:
             return
-        table = self._table(point)
-        values = [fitting(point.point, value) for value in compute(indices, now)]
-        if indices.step == 1:
-            table[point.slice_of(indices)] = point.point.cells_for(values)
-        else:
-            for index, value in zip(indices, values, strict=True):
-                table[point.slice_of(range(index, index + 1))] = point.point.cells_for([value])
+        values = [_fitting(point.point, value) for value in compute(indices, now)]
+        for first, last in _runs(indices):
+            count = last - first + 1
+            self._table(point)[point.slice_of(first, last)] = point.point.cells_for(values[:count])
+            del values[:count]
 
     def _table(self, point: SimulatedPoint) -> Any:
         return getattr(self._mapping, point.table)
+
+
+def _runs(indices: Sequence[int]) -> list[tuple[int, int]]:
+    """Return the first and the last of each run of indices that follow each other."""
+    if indices[-1] - indices[0] == len(indices) - 1:
+        return [(indices[0], indices[-1])]
+    return [(index, index) for index in indices]
+
+
+def _fitting(point: Point, value: Any) -> Any:
+    """Return the value of a point that is nearest to a number; 0 for nan."""
+    low, high = point.limits
+    if low is None or high is None:
+        return value
+    if value != value:  # nan; math.isnan cannot take the largest integers
+        return 0
+    nearest = min(max(value, low), high)
+    is_scaled = (point.scale, point.offset) != (1, 0)
+    return round(nearest) if point.step and not is_scaled else nearest

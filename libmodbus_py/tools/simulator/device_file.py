@@ -2,56 +2,40 @@
 Device files: whole simulated devices, written in TOML.
 
 ``docs/how-to/simulator.md`` explains every key, and the example plant
-(``libmodbus-py serve --example plant``) has each once. In short::
-
-    [[unit]]                            one or more; without id: any unit
-      id, name, description, exception_status
-      map                     register maps; all their points exist
-      [unit.values], [unit.moves]       what the points are, and how they move, by name
-      [unit.defaults]                   what ranges have unless they say something else
-      [unit.server_id]                  identifier, running, additional
-      [unit.identification]             VendorName = "...", 128 = "..."
-      [[unit.coils]]                    ranges, also discrete_inputs, input_registers
-      [[unit.holding_registers]]        and holding_registers: address, count, value or
-                                        values, type, order, encoding, padding, access;
-                                        counter, sine, random_walk or copy;
-                                        name, description, unit, scale, offset
-      [[unit.file]]                     records of a file: number, record, count, ...
-      [[unit.fifo]]                     address, values
-      [[unit.fault]]                    as `faults.Fault`
-      [unit.roles.NAME]                 who may read and write what, in place of those below
-    [[fault]]                           of all units
-    [defaults]                          of all units
-    [roles.NAME]                        read, write, functions, as `Allow`; "" without a role
+(``libmodbus-py serve --example plant``) has each once.
 
 Addresses outside all ranges do not exist: accesses to them get exception 2, and so do accesses that
 a range does not allow.
-
-A file may have up to 512 KiB, 1000 faults, 10000 named ranges and points of register maps, and
-524288 cells. Cells are all records of each file from 0 to its last one, and values in the tables
-that are not 0; a value with a scale counts as 16 cells. Loading any file takes no more than a
-second, apart from reading register maps.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
+from itertools import groupby
 from os import PathLike, fspath
 from os.path import dirname
 from typing import Any
 
-from ...protocol.mistakes import Path, WrongValue, placed
+from ...device.functions import DEFAULT_SERVER_ID, RecordFile
+from ...device.mapping import Mapping as Tables
+from ...maps.point import Point
+from ...maps.point_plan import scale_mistakes
+from ...protocol.checks import integer
+from ...protocol.close_names import close_to
+from ...protocol.mistakes import Path, WrongValue, inside, placed
+from ...protocol.pdu.interface import OBJECT_NAMES
+from ...protocol.tables import TABLES
 from ..faults.fault import Fault
 from ..files.file_error import FileError
-from ..files.texts import load_file
-from ..files.toml_text import read_toml
-from .keys import FAULT, FILE
-from .mapped import Maps
-from .own_points import Budget, checked_defaults
-from .simulated import SimulatedDevice, Simulation, simulation
-from .units import made_unit
+from ..files.schema import bytes_or_text
+from ..files.texts import load_file, read_toml, shown_key
+from .clockwork import Clockwork, SimulatedPoint
+from .keys import FAULT, FIFO, FILE, UNIT
+from .mapped import Maps, mapped_contents, mapped_points
+from .own_points import check_overlaps, checked_defaults, own_points, without_parts
+from .simulated import SimulatedDevice, Simulation
 
 __all__ = [
     "DeviceFileError",
@@ -62,8 +46,7 @@ __all__ = [
     "parse",
 ]
 
-# All faults are checked for each request.
-MAX_FAULTS = 1000
+Clock = Callable[[], float]
 
 
 class DeviceFileError(FileError):
@@ -77,7 +60,7 @@ class DeviceFileError(FileError):
     files: tuple[str, ...] = ()
 
 
-def load(path: str | PathLike[str], *, clock: Callable[[], float] = time.monotonic) -> Simulation:
+def load(path: str | PathLike[str], *, clock: Clock = time.monotonic) -> Simulation:
     """
     Return the simulation that a device file describes. Its values begin to move at once.
 
@@ -97,15 +80,13 @@ def load(path: str | PathLike[str], *, clock: Callable[[], float] = time.monoton
 
 
 def parse(
-    text: str,
-    *,
-    clock: Callable[[], float] = time.monotonic,
-    folder: str | PathLike[str] = "",
+    text: str, *, clock: Clock = time.monotonic, folder: str | PathLike[str] = ""
 ) -> Simulation:
     """
     Return the simulation that the text of a device file describes.
 
     Args:
+        clock: returns the time in seconds.
         folder: the folder to which paths of register maps are relative.
 
     Raises:
@@ -130,7 +111,7 @@ def mapped_simulation(map: str, units: Iterable[int] = ()) -> Simulation:
     """
     described = [{"id": unit, "map": map} for unit in units] or [{"map": map}]
     try:
-        return _made({"unit": described}, maps=Maps(""), clock=time.monotonic)
+        return _simulation({"unit": described}, maps=Maps(""), clock=time.monotonic)
     except (TypeError, ValueError) as error:
         mistake = placed(error, ())
         # There is no file whose keys the path could name.
@@ -138,35 +119,156 @@ def mapped_simulation(map: str, units: Iterable[int] = ()) -> Simulation:
         raise DeviceFileError(path, mistake.reason) from None
 
 
-def _parse(text: str, *, maps: Maps, clock: Callable[[], float]) -> Simulation:
-    return _made(read_toml(text), maps=maps, clock=clock)
+def _parse(text: str, *, maps: Maps, clock: Clock) -> Simulation:
+    return _simulation(read_toml(text), maps=maps, clock=clock)
 
 
-def _made(content: dict[str, Any], *, maps: Maps, clock: Callable[[], float]) -> Simulation:
+def _simulation(content: dict[str, Any], *, maps: Maps, clock: Clock) -> Simulation:
     given = FILE.read((), content)
     defaults = checked_defaults((), given)
     faults: dict[int | None, list[Fault]] = {None: _faults((), given)}
     devices: dict[int | None, SimulatedDevice] = {}
-    budget = Budget()
     of_all = {"roles": given["roles"]} if "roles" in given else {}
     for at, own in enumerate(given["unit"]):
-        path, unit = ("unit", at), of_all | own
-        if "id" not in unit and len(given["unit"]) > 1:
+        path = ("unit", at)
+        if "id" not in own and len(given["unit"]) > 1:
             raise WrongValue((*path, "id"), "is missing; only a single unit can be without")
-        said = own, content.get("roles")
-        number, device = made_unit(path, unit, said, defaults, maps, clock, budget)
+        unit = UNIT.read(path, of_all | own)
+        # Compared after the file was read again, together with what it takes from elsewhere.
+        definition = own, content.get("roles")
+        device = _device(path, unit, definition, defaults, maps, clock)
+        number = unit.get("id")
         if number in devices:
             raise WrongValue.about((*path, "id"), f"there is already a unit {number}")
         devices[number] = device
         faults[number] = faults.get(number, []) + _faults(path, unit)
-        if sum(map(len, faults.values())) > MAX_FAULTS:
-            reason = f"more than {MAX_FAULTS} faults in one file"
-            raise WrongValue.about((*path, "fault"), reason)
     if not devices:
-        raise WrongValue("unit", "must hold at least one")
-    return simulation(devices, {unit: each for unit, each in faults.items() if each}, maps.files)
+        raise WrongValue("unit", "must not be empty")
+    return Simulation(devices, {unit: each for unit, each in faults.items() if each}, maps.files)
 
 
 def _faults(path: Path, given: Mapping[str, Any]) -> list[Fault]:
     raw = given.get("fault", ())
     return [FAULT.read((*path, "fault", at), each) for at, each in enumerate(raw)]
+
+
+# --- one unit --------------------------------------------------------------------------------
+
+
+def _device(
+    path: Path,
+    unit: dict[str, Any],
+    definition: object,
+    defaults: dict[str, Any],
+    maps: Maps,
+    clock: Clock,
+) -> SimulatedDevice:
+    """Return the device of a unit, whose keys are checked."""
+    defaults = defaults | checked_defaults(path, unit)
+    named = own_points(path, unit, defaults)
+    contents, parts = without_parts(named)
+    check_overlaps(contents)
+    of_maps = mapped_points(unit, maps)
+    contents += mapped_contents(path, unit, of_maps)
+    check_overlaps(contents)
+    _check_names(named, of_maps)
+    in_tables = [each for each in contents if each.table in TABLES]
+    mapping = _mapping(in_tables)
+    clockwork = Clockwork(mapping, in_tables, clock)
+    _start(clockwork, in_tables)
+    device = SimulatedDevice(
+        mapping,
+        name=unit.get("name", ""),
+        description=unit.get("description", ""),
+        definition=(definition, defaults, of_maps),
+        contents=contents,
+        mapped=of_maps | parts,
+        clockwork=clockwork,
+        fifos=_fifos((*path, "fifo"), unit),
+        identification=_identification((*path, "identification"), unit),
+        server_id=DEFAULT_SERVER_ID._replace(**unit.get("server_id", {})),
+        exception_status=unit.get("exception_status", 0),
+        authorize=unit.get("roles"),
+    )
+    device.files.update(_files([each for each in contents if each.file]))
+    return device
+
+
+def _check_names(own: list[SimulatedPoint], of_maps: Mapping[str, Point]) -> None:
+    names = set(of_maps)
+    for each in own:
+        if each.is_named and each.point.name in names:
+            reason = f"there is already a point {each.point.name}"
+            raise WrongValue.about((*each.path, "name"), reason)
+        if each.is_named:
+            names.add(each.point.name)
+    by_name = {each.point.name: each for each in own if each.table in TABLES}
+    points = {name: each.point for name, each in by_name.items()}
+    for name, mistake in scale_mistakes({**of_maps, **points}):
+        raise mistake.renamed(by_name[name].path)
+
+
+def _mapping(points: list[SimulatedPoint]) -> Tables:
+    ranges: dict[str, list[range]] = {table: [] for table in TABLES}
+    for each in points:
+        ranges[each.table].append(range(each.first, each.stop))
+    mapping = Tables(**ranges)
+    for each in points:
+        if any(each.cells):  # new tables contain zeros, which take no memory
+            getattr(mapping, each.table)[each.first : each.stop] = each.all_cells
+    return mapping
+
+
+def _start(clockwork: Clockwork, points: list[SimulatedPoint]) -> None:
+    for each in points:
+        if each.behaviour is not None:
+            if each.point.scale_from is not None:
+                reason = f"a point that {each.point.scale_from} scales does not move"
+                raise WrongValue.about(each.moved_by, reason)
+            with inside(*each.moved_by):
+                clockwork.start(each)
+
+
+def _files(records: list[SimulatedPoint]) -> Iterator[tuple[int, RecordFile]]:
+    in_order = sorted(records, key=lambda each: (each.file, each.first))
+    for number, parts in groupby(in_order, key=lambda each: each.file):
+        cells = {at: cell for each in parts for at, cell in enumerate(each.all_cells, each.first)}
+        yield number, RecordFile(cells)
+
+
+def _fifos(where: Path, unit: Mapping[str, Any]) -> dict[int, list[int]]:
+    fifos: dict[int, list[int]] = {}
+    for at, raw in enumerate(unit.get("fifo", ())):
+        path = (*where, at)
+        given = FIFO.read(path, raw)
+        address, values = given["address"], given["values"]
+        if address in fifos:
+            reason = f"there is already a queue at address {address}"
+            raise WrongValue.about((*path, "address"), reason)
+        if len(values) > 31:
+            raise WrongValue((*path, "values"), f"must be 0..31, not {len(values)}")
+        numbers = enumerate(values)
+        fifos[address] = [integer((*path, "values", i), value, 0, 0xFFFF) for i, value in numbers]
+    return fifos
+
+
+def _identification(path: Path, unit: Mapping[str, Any]) -> dict[str | int, str | bytes]:
+    objects: dict[str | int, str | bytes] = {}
+    check = bytes_or_text(0, 244)
+    for key, value in unit.get("identification", {}).items():
+        where = (*path, shown_key(key))
+        number = _object_id(where, key)
+        if number in objects:
+            raise WrongValue.about(where, f"there is already an object {number}")
+        objects[number] = check(where, value)
+    return objects
+
+
+def _object_id(path: Path, key: str) -> int:
+    numbers = {name: number for number, name in OBJECT_NAMES.items()}
+    number = numbers.get(key, int(key) if key.isdecimal() and len(key) < 4 else -1)
+    if number not in OBJECT_NAMES and not 0x80 <= number <= 0xFF:
+        names = ", ".join(numbers)
+        reason = f"no such key; allowed are {names}, and the numbers 0..6, 128..255"
+        raise WrongValue.about(path, reason + close_to(key, numbers))
+    return number

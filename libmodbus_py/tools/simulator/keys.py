@@ -11,7 +11,7 @@ from ...protocol.mistakes import Path, WrongValue
 from ...protocol.pdu import RECORDS_PER_FILE
 from ..faults.fault import LONGEST, Fault
 from ..files import roles
-from ..files.maps.drafts import POINT
+from ..files.maps.contents import POINT
 from ..files.schema import (
     REQUIRED,
     Key,
@@ -29,8 +29,8 @@ from .behaviour import BEHAVIOURS
 
 # fmt: off
 __all__ = [
-    "CONTENTS", "DEFAULTS", "FAULT", "FIFO", "FILE", "MOVES", "NAMING", "POINT_KEYS", "SERVER_ID",
-    "TYPING", "UNIT", "VALUES",
+    "CONTENTS", "DEFAULTS", "FAULT", "FIFO", "FILE", "MOVES", "POINT_KEYS", "SERVER_ID", "TYPING",
+    "UNIT", "VALUES",
 ]
 # fmt: on
 
@@ -75,9 +75,6 @@ POINT_KEYS = POINT.but("table")
 """The keys of a point; the name of the list is its table."""
 
 TYPING = POINT.only("type", "order", "encoding", "padding")
-
-NAMING = POINT.only("name", "description", "units", "scale", "offset")
-"""The keys that give a point a name or a unit of measurement; a file may have 10000 such points."""
 
 DEFAULTS = (TYPING | POINT.only("access")).optional()
 

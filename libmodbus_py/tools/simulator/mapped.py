@@ -14,16 +14,13 @@ from ...maps.register_map import RegisterMap, close_to
 from ...protocol.mistakes import Path, WrongValue, inside, placed
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ..files.maps.map_file import load_map
-from ..files.toml_lines import shown_key
+from ..files.texts import shown_key
+from .clockwork import Behaviour, SimulatedPoint
 from .example_files import map_file
 from .keys import MOVES
-from .own_points import Budget, source_value
-from .simulated_point import Behaviour, SimulatedPoint
+from .own_points import source_value
 
 __all__ = ["Maps", "mapped_contents", "mapped_points"]
-
-# Different maps of one device file; reading each takes as long as reading the device file.
-MAX_MAPS = 50
 
 
 class Maps:
@@ -53,20 +50,18 @@ class Maps:
             where: the path of the key that names the map.
 
         Raises:
-            WrongValue: the map cannot be read, or there are too many.
+            WrongValue: the map cannot be read.
         """
         with inside(*where):
             path = os.path.normpath(os.path.join(self._folder, map_file(name)))
         if path not in self._maps:
-            if len(self._maps) >= MAX_MAPS:
-                raise WrongValue.about(where, f"more than {MAX_MAPS} register maps in one file")
             self._maps[path] = RegisterMap(())
             with inside(*where):  # a path with a 0 in it is not a MapError
                 self._maps[path] = load_map(path)
         return self._maps[path]
 
 
-def mapped_points(unit: Mapping[str, Any], maps: Maps, budget: Budget) -> dict[str, Point]:
+def mapped_points(unit: Mapping[str, Any], maps: Maps) -> dict[str, Point]:
     """
     Return the points of all maps of a unit, by name.
 
@@ -75,9 +70,7 @@ def mapped_points(unit: Mapping[str, Any], maps: Maps, budget: Budget) -> dict[s
     """
     points: dict[str, Point] = {}
     for path, name in unit.get("map", ()):
-        found = maps.get(path, name)
-        budget.spend_points(path, len(found))
-        for point in found.values():
+        for point in maps.get(path, name).values():
             if point.name in points:
                 raise WrongValue.about(path, f"an earlier map has a point {point.name}, too")
             points[point.name] = point
@@ -85,7 +78,7 @@ def mapped_points(unit: Mapping[str, Any], maps: Maps, budget: Budget) -> dict[s
 
 
 def mapped_contents(
-    path: Path, unit: Mapping[str, Any], points: Mapping[str, Point], budget: Budget
+    path: Path, unit: Mapping[str, Any], points: Mapping[str, Point]
 ) -> list[SimulatedPoint]:
     """
     Return the points of a device that come from its maps, with values and moves.
@@ -99,10 +92,8 @@ def mapped_contents(
     Raises:
         TypeError, ValueError: `values` or `moves` of the unit contain a mistake.
     """
-    moves = {
-        name: _behaviour(place, raw) for name, place, raw in _by_name(path, "moves", unit, points)
-    }
-    image = _image(path, unit, points, moves, budget)
+    moves = {name: _behaviour(key, raw) for name, key, raw in _by_name(path, "moves", unit, points)}
+    image = _image(path, unit, points, moves)
     order = sorted(
         points.values(), key=lambda each: (each.name not in moves, each.access != "read_write")
     )
@@ -111,17 +102,17 @@ def mapped_contents(
     for point in order:
         cells = point.cells
         used = taken[point.table]
-        place = (*path, "map", shown_key(point.name))
+        where = (*path, "map", shown_key(point.name))
         if used.find(1, cells.start, cells.stop) < 0:
             moved_by, behaviour = moves.get(point.name, ((), None))
-            found.append(_content(place, point, image, behaviour, moved_by))
+            found.append(_content(where, point, image, behaviour, moved_by))
         elif point.name in moves:
             key = (*path, "moves", shown_key(point.name))
             raise WrongValue(key, "shares cells with another that moves")
         else:
             for start, stop in _free(used, cells):
                 rest = Point(point.name, point.table, start, stop - start, access=point.access)
-                found.append(_content(place, rest, image))
+                found.append(_content(where, rest, image))
         used[cells.start : cells.stop] = b"\1" * len(cells)
     return found
 
@@ -130,12 +121,12 @@ def _by_name(
     path: Path, key: str, unit: Mapping[str, Any], points: Mapping[str, Point]
 ) -> Iterator[tuple[str, Path, Any]]:
     for name, value in unit.get(key, {}).items():
-        place = (*path, key, shown_key(name))
+        where = (*path, key, shown_key(name))
         if not points:
-            raise WrongValue.about(place, "there is no point, because the unit has no map")
+            raise WrongValue.about(where, "there is no point, because the unit has no map")
         if name not in points:
-            raise WrongValue.about(place, f"no such point{close_to(name, points)}")
-        yield name, place, value
+            raise WrongValue.about(where, f"no such point{close_to(name, points)}")
+        yield name, where, value
 
 
 def _behaviour(path: Path, raw: object) -> tuple[Path, Behaviour]:
@@ -151,25 +142,22 @@ def _image(
     unit: Mapping[str, Any],
     points: Mapping[str, Point],
     moves: Mapping[str, object],
-    budget: Budget,
 ) -> dict[str, array[int]]:
     """Return the initial content of the tables, by table."""
     zeros = bytes(2 * TABLE_SIZE)
     image: dict[str, array[int]] = {each.table: array("H", zeros) for each in points.values()}
     given = unit.get("values", {})
-    for name, place, value in _by_name(path, "values", unit, points):
+    for name, where, value in _by_name(path, "values", unit, points):
         point = points[name]
         if name in moves:
-            raise WrongValue(place, f"cannot be given together with moves.{name}")
-        budget.spend(place, len(point.cells))
-        budget.spend_values(place, point, point.count)
+            raise WrongValue(where, f"cannot be given together with moves.{name}")
         try:
             source = source_value(point, given)
             before = image[point.table][point.cells.start : point.cells.stop]
             point.cells_of(value, point.scaling_for(source))  # whose errors begin with "value"
             cells = point.put(before, value, source=source)
         except (TypeError, ValueError) as error:
-            raise placed(error, ()).renamed(place) from None
+            raise placed(error, ()).renamed(where) from None
         image[point.table][point.cells.start : point.cells.stop] = array("H", map(int, cells))
     return image
 

@@ -1,11 +1,12 @@
 """
-The points that a device file itself describes: their locations and initial values.
+The points that a device file itself describes: their addresses and initial values.
 """
 
 from __future__ import annotations
 
 from array import array
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -14,67 +15,23 @@ from ...protocol.mistakes import Path, WrongValue, inside, path_text, placed
 from ...protocol.pdu import RECORDS_PER_FILE
 from ...protocol.tables import TABLES
 from ...protocol.values import value_type
-from ..files.maps.drafts import MAX_POINTS
-from .keys import CONTENTS, DEFAULTS, MOVES, NAMING, POINT_KEYS, TYPING, VALUES
-from .simulated_point import SimulatedPoint
+from .clockwork import SimulatedPoint
+from .keys import CONTENTS, DEFAULTS, MOVES, POINT_KEYS, TYPING, VALUES
 
 __all__ = [
-    "Budget",
     "check_overlaps",
     "checked_defaults",
-    "initial_cells",
     "own_points",
     "source_value",
+    "without_parts",
 ]
-
-# Eight units with full tables that are not 0; more would take seconds and memory to write.
-MAX_CELLS = 1 << 19
-
-# A value with a scale counts as this many cells, because it is computed exactly.
-SCALED_CELLS = 16
-
-
-class Budget:
-    """The number of cells and points that a file may still have."""
-
-    def __init__(self) -> None:
-        self._cells = MAX_CELLS
-        self._points = MAX_POINTS
-
-    def spend(self, path: Path, cells: int) -> None:
-        """
-        Raises:
-            WrongValue: the file has too many cells.
-        """
-        self._cells -= cells
-        if self._cells < 0:
-            raise WrongValue.about(path, f"more than {MAX_CELLS} cells in one file")
-
-    def spend_values(self, path: Path, point: Point, values: int) -> None:
-        """
-        Count the values of a point; scaled ones count as several cells.
-
-        Raises:
-            WrongValue: the file has too many cells.
-        """
-        is_scaled = (point.scale, point.offset) != (1, 0)
-        self.spend(path, values * (SCALED_CELLS if is_scaled else 0))
-
-    def spend_points(self, path: Path, points: int) -> None:
-        """
-        Raises:
-            WrongValue: the file has too many points with names.
-        """
-        self._points -= points
-        if self._points < 0:
-            raise WrongValue.about(path, f"more than {MAX_POINTS} points in one file")
 
 
 def own_points(
-    path: Path, table: str, unit: Mapping[str, Any], defaults: dict[str, Any], budget: Budget
+    path: Path, unit: Mapping[str, Any], defaults: dict[str, Any]
 ) -> list[SimulatedPoint]:
     """
-    Return the points of one table of a unit, or the records of its files.
+    Return the points of the tables of a unit, and the records of its files.
 
     Args:
         path: path of the unit.
@@ -84,7 +41,8 @@ def own_points(
     """
     firsts = _first_values(unit)
     return [
-        _point((*path, table, at), table, given, defaults, budget, firsts)
+        _point((*path, table, at), table, given, defaults, firsts)
+        for table in CONTENTS
         for at, given in enumerate(unit.get(table, ()))
     ]
 
@@ -115,9 +73,9 @@ def check_overlaps(found: Iterable[SimulatedPoint]) -> None:
     Raises:
         WrongValue: two of the points share cells or records.
     """
-    in_order = sorted(found, key=lambda each: (*each.place, each.first))
+    in_order = sorted(found, key=lambda each: (*each.area, each.first))
     for before, after in pairwise(in_order):
-        if before.place == after.place and after.first < before.stop:
+        if before.area == after.area and after.first < before.stop:
             taken = f"{path_text(before.path)} ({before.first}..{before.stop - 1})"
             raise WrongValue(after.path, f"begins at {after.first}, within {taken}")
 
@@ -145,7 +103,6 @@ def _point(
     table: str,
     raw: dict[str, object],
     defaults: dict[str, Any],
-    budget: Budget,
     firsts: Mapping[str, Any],
 ) -> SimulatedPoint:
     given: dict[str, Any] = CONTENTS[table].read(path, raw)
@@ -155,16 +112,14 @@ def _point(
     values = given.get("values", [given[source]] if source == "value" else [])
     with inside(*path):
         point = _read_point(table, _count(given), given)
-    _check_end(path, table, point)
-    budget.spend_values(path, point, max(1, len(values)))
-    is_named = any(key in given for key in NAMING)
-    if is_named:
-        budget.spend_points(path, 1)
+    last = point.cells.stop - 1
+    if table == "file" and last >= RECORDS_PER_FILE:
+        raise WrongValue(path, f"ends at {last}, after {RECORDS_PER_FILE - 1}")
     found = (*path, source)
     return SimulatedPoint(
         path,
         point,
-        initial_cells(found, point, values, source_value(point, firsts)),
+        _initial_cells(found, point, values, source_value(point, firsts)),
         behaviour,
         found,
         file=given.get("number", 0),
@@ -201,12 +156,12 @@ def _count(given: Mapping[str, Any]) -> int:
     if "count" in given:
         raise WrongValue("count", "cannot be given together with values")
     if not given["values"]:
-        raise WrongValue("values", "must hold at least one")
+        raise WrongValue("values", "must not be empty")
     return len(given["values"])
 
 
 def _read_point(table: str, count: int, given: Mapping[str, Any]) -> Point:
-    """Return the point; records are read like registers, from which only their place differs."""
+    """Return the point; records are read like registers."""
     first = given["record" if table == "file" else "address"]
     keys = {key: value for key, value in given.items() if key in POINT_KEYS}
     keys["count"] = count
@@ -216,13 +171,7 @@ def _read_point(table: str, count: int, given: Mapping[str, Any]) -> Point:
     return Point(**{**keys, "table": table})
 
 
-def _check_end(path: Path, table: str, point: Point) -> None:
-    last = point.cells.stop - 1
-    if table == "file" and last >= RECORDS_PER_FILE:
-        raise WrongValue(path, f"ends at {last}, after {RECORDS_PER_FILE - 1}")
-
-
-def initial_cells(path: Path, point: Point, values: list[Any], source: Any = None) -> array[int]:
+def _initial_cells(path: Path, point: Point, values: list[Any], source: Any = None) -> array[int]:
     """
     Return the initial cells of a point; those of one value if all values are the same.
 
@@ -246,3 +195,46 @@ def initial_cells(path: Path, point: Point, values: list[Any], source: Any = Non
         except (TypeError, ValueError) as error:
             raise placed(error, ()).renamed(where) from None
     return cells
+
+
+# --- points that are different bits of the same registers ------------------------------------
+
+
+def without_parts(
+    found: Iterable[SimulatedPoint],
+) -> tuple[list[SimulatedPoint], dict[str, Point]]:
+    """
+    Return the points, each with cells of its own, and by name the points that share their cells.
+
+    The first point of some registers gets the initial bits of the others. Points that move, and
+    those that have a bit in common, are all kept.
+    """
+    kept: dict[object, SimulatedPoint] = {}
+    taken: dict[object, list[int]] = {}
+    others: dict[str, Point] = {}
+    for each in found:
+        key: object = (each.area, each.first, each.stop)
+        masks = _masks(each)
+        if masks and key in taken and not any(map(int.__and__, masks, taken[key])):
+            first = kept[key]
+            bits = map(int.__or__, first.all_cells, each.all_cells)
+            kept[key] = replace(first, cells=array("H", bits))
+            taken[key] = list(map(int.__or__, masks, taken[key]))
+            name = each.point.name
+            while name in others:
+                name += "_"
+            others[name] = replace(each.point, name=name)
+        elif masks and key not in kept:
+            kept[key], taken[key] = each, masks
+        else:
+            kept[id(each)] = each
+    return list(kept.values()), others
+
+
+def _masks(each: SimulatedPoint) -> list[int]:
+    """Return the bits of a point in each of its registers; none if it has whole registers."""
+    point, kind = each.point, each.point.read.kind
+    if not point.is_part or each.behaviour is not None or kind is None or each.file:
+        return []
+    assert point.meaning is not None
+    return kind.cells_of_number(point.meaning.mask) * point.count

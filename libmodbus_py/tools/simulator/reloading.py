@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable
 
 from ..faults.server import Server
-from ..files.rereading import reread
+from ..files.texts import reread
 from .device_file import load
 from .simulated import SimulatedDevice, Simulation
 

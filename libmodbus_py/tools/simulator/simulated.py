@@ -5,9 +5,9 @@ Simulated devices: they have named points, and can take over the values of forme
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 from ...device.access import Access
 from ...device.caller import values_at
@@ -23,10 +23,9 @@ from ...maps.writing import has_bounds
 from ...protocol.mistakes import WrongValue
 from ...protocol.tables import TABLES
 from ..faults.fault import Fault
-from .clockwork import Clockwork
-from .simulated_point import SimulatedPoint
+from .clockwork import Clockwork, SimulatedPoint
 
-__all__ = ["Served", "SimulatedDevice", "Simulation"]
+__all__ = ["SimulatedDevice", "Simulation"]
 
 
 class SimulatedDevice(Device):
@@ -124,7 +123,7 @@ class SimulatedDevice(Device):
     def _ruled_cells(self) -> Iterable[RuledCells]:
         for each in self._contents:
             cells = range(each.first, each.stop)
-            yield RuledCells(each.place, cells, each.access, each.point)
+            yield RuledCells(each.area, cells, each.access, each.point)
         # Points that share cells with others are in pieces there, which have no bounds.
         whole = {id(each.point) for each in self._contents}
         for point in self._mapped.values():
@@ -185,10 +184,10 @@ def _refreshing(clockwork: Clockwork, moving: Iterable[SimulatedPoint]) -> Hook:
     def refresh(access: Access) -> None:
         clockwork.refresh(access.table, access.address, access.count)
 
-    places: dict[str, list[range]] = {}
+    ranges: dict[str, list[range]] = {}
     for each in moving:
-        places.setdefault(each.table, []).append(range(each.first, each.stop))
-    return Hook(refresh, **places)
+        ranges.setdefault(each.table, []).append(range(each.first, each.stop))
+    return Hook(refresh, **ranges)
 
 
 def _cells(table: Any, first: int, stop: int) -> bytes:
@@ -196,60 +195,45 @@ def _cells(table: Any, first: int, stop: int) -> bytes:
     return bytes(table.view[first - start : stop - start])
 
 
-class Served(NamedTuple):
-    """The devices and faults that a `Server` serves."""
-
-    devices: SimulatedDevice | dict[int, SimulatedDevice]
-    faults: dict[int | None, list[Fault]]
-
-
-class Simulation(Served):
+@dataclass(frozen=True)
+class Simulation:
     """
     The content of a device file; ``Server(*load("plant.toml"))`` serves it.
 
     Attributes:
-        devices: devices by unit, or one device that answers every unit.
+        by_unit: devices by unit; None for one that answers every unit.
         faults: faults by unit; those of None are for every unit.
         files: paths of the register maps used.
     """
 
+    by_unit: dict[int | None, SimulatedDevice]
+    faults: dict[int | None, list[Fault]]
     files: tuple[str, ...] = ()
+
+    @property
+    def devices(self) -> SimulatedDevice | dict[int, SimulatedDevice]:
+        """Devices by unit, or one device that answers every unit."""
+        by_unit = {unit: device for unit, device in self.by_unit.items() if unit is not None}
+        return self.by_unit.get(None, by_unit)
+
+    def __iter__(self) -> Iterator[Any]:
+        """Yield the devices and the faults, which are the arguments of `Server`."""
+        yield self.devices
+        yield self.faults
 
     def going_on_from(self, before: Simulation) -> Simulation:
         """
         Return a simulation that keeps the devices of another one where the files describe a unit
         alike.
 
-        In other units, values that clients wrote are kept in ranges whose place, type and first
+        In other units, values that clients wrote are kept in ranges whose addresses, type and first
         values are alike in both files; moving values continue. The other one must not be used any
         more.
         """
-        known = dict(before._by_unit())
-        devices: dict[int | None, SimulatedDevice] = {}
-        for unit, device in self._by_unit():
-            devices[unit] = device
-            if (old := known.get(unit)) is None:
-                continue
-            if device.is_as(old):
-                devices[unit] = old
+        devices = dict(self.by_unit)
+        for unit in devices.keys() & before.by_unit.keys():
+            if devices[unit].is_as(before.by_unit[unit]):
+                devices[unit] = before.by_unit[unit]
             else:
-                device.go_on_from(old)
-        return simulation(devices, self.faults, self.files)
-
-    def _by_unit(self) -> Iterator[tuple[int | None, SimulatedDevice]]:
-        if isinstance(self.devices, dict):
-            yield from self.devices.items()
-        else:
-            yield None, self.devices
-
-
-def simulation(
-    devices: Mapping[int | None, SimulatedDevice],
-    faults: dict[int | None, list[Fault]],
-    files: tuple[str, ...],
-) -> Simulation:
-    """Return a simulation of devices by unit; None stands for every unit."""
-    by_unit = {unit: device for unit, device in devices.items() if unit is not None}
-    made = Simulation(devices.get(None, by_unit), faults)
-    made.files = files
-    return made
+                devices[unit].go_on_from(before.by_unit[unit])
+        return replace(self, by_unit=devices)

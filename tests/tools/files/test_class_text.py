@@ -58,6 +58,16 @@ def test_a_class_reads_and_writes() -> None:
     assert "230.5" in repr(meter)
 
 
+@each_case("stem", ["MAP", "point", "ClientT"])
+def test_a_class_has_a_name_that_the_file_does_not_use(stem: str) -> None:
+    map = RegisterMap([Point("a", "coils", 0)])
+    device = Device.of_map(map, {"a": True})
+    with Server(device).background("tcp://127.0.0.1:0") as running, Client(running.urls[0]) as plc:
+        meter = made(map, stem)[f"{class_name(stem)}Map"](plc)
+        meter.read()
+        assert meter.a is True
+
+
 def test_the_map_in_the_file_is_that_of_the_class() -> None:
     for source in (TYPING / "meter.csv", Path("examples/meter-map.csv")):
         if source.exists():

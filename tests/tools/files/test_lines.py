@@ -10,7 +10,7 @@ from pathlib import Path as FilePath
 import pytest
 
 from libmodbus_py.protocol.mistakes import Path
-from libmodbus_py.tools.files.toml_lines import line_of
+from libmodbus_py.tools.files.texts import line_of
 from libmodbus_py.tools.simulator.device_file import DeviceFileError, load
 from tests.support.cases import each_case
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import pytest
 
-from libmodbus_py.tools.files.rereading import reread
+from libmodbus_py.tools.files.texts import reread
 
 
 def test_the_content_is_used_and_each_line_told() -> None:

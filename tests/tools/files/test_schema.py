@@ -15,8 +15,8 @@ from libmodbus_py.protocol.mistakes import Mistake, path_text
 from libmodbus_py.services.fleet import files as fleet_files
 from libmodbus_py.services.gateway import config as gateway_file
 from libmodbus_py.tools.files.csv_text import CELLS
-from libmodbus_py.tools.files.maps.cells import READERS
-from libmodbus_py.tools.files.maps.drafts import POINT
+from libmodbus_py.tools.files.maps.contents import POINT
+from libmodbus_py.tools.files.maps.csv_form import READERS
 from libmodbus_py.tools.files.schema import (
     REQUIRED,
     Key,

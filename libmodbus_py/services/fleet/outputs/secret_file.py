@@ -14,8 +14,6 @@ from ....tools.files.texts import read_text
 
 __all__ = ["SecretFile", "text_of"]
 
-LONGEST = 4096
-
 
 class SecretFile:
     """
@@ -31,7 +29,7 @@ class SecretFile:
 
     def __init__(self, path: str | PathLike[str], kind: type[FileError] = FileError) -> None:
         self.path: str = os.fspath(path)
-        self._content = Renewed(partial(read_text, self.path, kind, LONGEST))
+        self._content = Renewed(partial(read_text, self.path, kind))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, SecretFile) and self.path == other.path

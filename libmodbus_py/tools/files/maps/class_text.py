@@ -23,10 +23,10 @@ WIDTH = 88
 
 WHOLE = {f"{kind}{bits}" for kind in ("int", "uint", "bcd") for bits in (16, 32, 64)}
 
-# Names that the file imports.
-IMPORTED = {
-    *("Any", "AsyncClient", "Context", "Coroutine", "Generic", "Literal", "MapBinding", "Point"),
-    *("RegisterMap", "Sequence", "TypeVar", "TypedDict", "Unpack"),
+# Names that the file itself has, or imports.
+USED = {
+    *("Any", "AsyncClient", "ClientT", "Context", "Coroutine", "Generic", "Literal", "MAP"),
+    *("MapBinding", "Point", "RegisterMap", "Sequence", "TypeVar", "TypedDict", "Unpack"),
 }
 
 # Keys of points from which there may be no value.
@@ -41,7 +41,7 @@ def class_text(map: RegisterMap, stem: str) -> str:
         stem: the name of the map's file without its ending, after which the class is named.
     """
     name = class_name(stem)
-    if name in IMPORTED:
+    if name in USED:
         name += "Map"
     names = attribute_names(map)
     return "\n".join([*_head(map, names, name, stem), *_class(map, names, name)]) + "\n"

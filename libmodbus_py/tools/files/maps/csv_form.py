@@ -1,29 +1,99 @@
 """
 Register maps in CSV, as vendors publish them.
 
-The headings name the columns, in any order, by `words.COLUMNS`. Empty cells are
-ignored. Without a column for the table, addresses are references, such as 40123.
+The headings name the columns, in any order, by `COLUMNS`. Empty cells are ignored. Without a column
+for the table, addresses are references, such as 40123.
+
+The words of tables, types and orders stand in `protocol.words`. Only words that every vendor means
+alike are known: a "gain" multiplies with some and divides with others, and a wrong guess would be a
+wrong value.
 """
 
 from __future__ import annotations
 
+import json
+import re
 import reprlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
+from ....maps.point_checks import BYTES, SCALES
 from ....protocol.mistakes import Path, WrongValue, inside
 from ....protocol.values import parse_reference
-from ....protocol.words import plain
-from ..csv_text import CsvRow, CsvText
+from ....protocol.words import ORDER_WORDS, TABLE_WORDS, TYPE_WORDS, by_word, plain, type_named
+from ..csv_text import CsvRow, CsvText, flag_in, number_in, whole_in
 from ..file_error import FilePlace
-from .cells import READERS
-from .drafts import MAX_POINTS, Draft, MapError
-from .words import COLUMNS, DOUBTFUL_COLUMNS
+from .contents import MapEntry, MapError
 
-__all__ = ["Columns", "columns_of", "drafts", "opened"]
+__all__ = ["PADDINGS", "READERS", "Columns", "columns_of", "entries", "opened"]
 
-# A heading is a few words; the rest would only fill messages.
-MAX_HEADING = 60
+# --- words -----------------------------------------------------------------------------------
+
+COLUMNS = by_word(
+    {
+        "name": "parameter, parameter name, point, point name, signal, signal name, tag, tag name,"
+        " variable, variable name, register name, symbol, label",
+        "table": "register type, reg type, register table, object type, modbus table, area,"
+        " modbus type",
+        "function": "function code, fc, modbus function, func, func code",
+        "address": "register, reg, register address, reg address, start address, addr,"
+        " start register, modbus address, modbus register, register number, offset address",
+        "count": "values",
+        "type": "data type, datatype, value type, format, data format",
+        "order": "byte order, word order, endianness, endian",
+        "encoding": "",
+        "padding": "",
+        "scale": "factor, multiplier, scaling, scale factor, scaling factor, multiply by",
+        "divisor": "divider, divide by",
+        "offset": "value offset",
+        "units": "unit, engineering unit, engineering units, eng unit, uom",
+        "access": "r w, rw, access type, access mode, read write, mode, permission, permissions",
+        "minimum": "min, min value, low limit, lower limit",
+        "maximum": "max, max value, high limit, upper limit",
+        "description": "comment, comments, remark, remarks, note, notes, details, meaning",
+        "missing": "missing value, missing values",
+        "plausible_minimum": "",
+        "plausible_maximum": "",
+        "never_falls": "",
+        "scale_from": "",
+        "scale_as": "",
+        "states": "",
+        "bits": "",
+        "bit": "",
+        "byte": "",
+        "time_zone": "timezone",
+        "interval": "poll interval, polling interval",
+        "group": "",
+    }
+)
+"""Heading of a column -> kind of the column."""
+
+AMBIGUOUS = {
+    "gain": "scale (raw values are multiplied by it) or divisor",
+    "sf": "scale, and write the factor itself: some write the power of ten, or its register",
+}
+"""Heading whose meaning differs between vendors -> the headings to use instead."""
+
+FUNCTION_TABLES = {
+    **dict.fromkeys((1, 5, 15), "coils"),
+    2: "discrete_inputs",
+    **dict.fromkeys((3, 6, 16, 22, 23), "holding_registers"),
+    4: "input_registers",
+}
+"""Function code -> the table that it reads or writes."""
+
+ACCESS_WORDS = by_word(
+    {
+        "read": "r, ro, read only, readonly",
+        "write": "w, wo, write only, writeonly",
+        "read_write": "read write, rw, r w, readwrite, wr, w r",
+    }
+)
+
+PADDINGS = {"space": " ", "nul": "\0"}
+"""Word -> the character that it stands for in the column of paddings."""
+
+# --- columns ---------------------------------------------------------------------------------
 
 
 class Columns(NamedTuple):
@@ -59,24 +129,24 @@ def columns_of(head: CsvRow) -> Columns:
     place = FilePlace(line=head.line)
     columns = Columns({}, [])
     single = [" ".join(cell.split()) for cell in head.cells]
-    headings = [(at, heading[:MAX_HEADING]) for at, heading in enumerate(single) if heading]
+    headings = [(at, heading) for at, heading in enumerate(single) if heading]
     for at, heading in sorted(headings, key=_rank):
-        if doubt := DOUBTFUL_COLUMNS.get(plain(heading)):
-            reason = f"column {heading} means this or that: call it {doubt}"
+        if instead := AMBIGUOUS.get(plain(heading)):
+            reason = f"column {heading} means this or that: call it {instead}"
             raise MapError((), reason, place=place)
-        meaning = COLUMNS.get(plain(heading))
-        other = columns.places.get(meaning or "")
-        is_more = meaning == "description" or (other and _rank(other) < _rank((at, heading)))
-        if meaning is None or (other and is_more):
+        kind = COLUMNS.get(plain(heading))
+        other = columns.places.get(kind or "")
+        is_more = kind == "description" or (other and _rank(other) < _rank((at, heading)))
+        if kind is None or (other and is_more):
             columns.ignored.append(heading)
         elif other:
-            reason = f"columns {other[1]} and {heading} both hold the {meaning}"
+            reason = f"columns {other[1]} and {heading} both hold the {kind}"
             raise MapError((), reason, place=place)
         else:
-            columns.places[meaning] = at, heading
+            columns.places[kind] = at, heading
     for key in ("name", "address"):
         if key not in columns.places:
-            known = ", ".join(word for word, meaning in COLUMNS.items() if meaning == key)
+            known = ", ".join(word for word, kind in COLUMNS.items() if kind == key)
             raise MapError((), f"no column {key}; it may be called {known}", place=place)
     return columns
 
@@ -86,21 +156,22 @@ def _rank(column: tuple[int, str]) -> bool:
     return plain(column[1]) not in READERS
 
 
-def drafts(text: CsvText, columns: Columns) -> Iterator[Draft]:
+# --- rows ------------------------------------------------------------------------------------
+
+
+def entries(text: CsvText, columns: Columns) -> Iterator[MapEntry]:
     """
-    Yield the point of each row as a draft.
+    Yield the entry of each row.
 
     Raises:
-        MapError: the rest of the text is not CSV, or there are too many rows.
+        MapError: the rest of the text is not CSV.
     """
-    for count, row in enumerate(text.rows()):
-        if count == MAX_POINTS:
-            raise MapError((), f"more than {MAX_POINTS} points", place=FilePlace(line=row.line))
+    for row in text.rows():
         if any(row.cells[at : at + 1] != [""] for at, _ in columns.places.values()):
-            yield _draft(text, columns, row)
+            yield _entry(text, columns, row)
 
 
-def _draft(text: CsvText, columns: Columns, row: CsvRow) -> Draft:
+def _entry(text: CsvText, columns: Columns, row: CsvRow) -> MapEntry:
     def place(path: Path) -> FilePlace:
         _, heading = columns.places.get(str(path[0]) if path else "", (0, ""))
         return FilePlace(line=row.line, column=heading)
@@ -115,7 +186,7 @@ def _draft(text: CsvText, columns: Columns, row: CsvRow) -> Draft:
                 found[key] = READERS[key](cell)
         return _settled(found, given)
 
-    return Draft((), place, keys)
+    return MapEntry((), place, keys)
 
 
 def _settled(keys: dict[str, Any], given: dict[str, str]) -> dict[str, Any]:
@@ -135,8 +206,7 @@ def _settled(keys: dict[str, Any], given: dict[str, str]) -> dict[str, Any]:
             raise WrongValue("divisor", "cannot be given together with a scale")
         if not keys["divisor"]:
             raise WrongValue("divisor", "must not be 0")
-        keys["scale"] = 1 / keys["divisor"]
-    keys.pop("divisor", None)
+        keys["scale"] = 1 / keys.pop("divisor")
     if keys.get("missing") == "sunspec" and plain(given.get("type", "")).startswith("acc"):
         keys["missing"] = [0]  # of accumulators, 0 means "not implemented"
     if keys.get("type") == "bool":
@@ -154,3 +224,78 @@ def _referred(text: str) -> tuple[str, int]:
         wanted = "a reference such as 40123 or 300007 where no column says the table"
         raise WrongValue("address", f"must be {wanted}, not {reprlib.repr(text)}") from None
     return table, address
+
+
+# --- cells -----------------------------------------------------------------------------------
+
+_FUNCTION = re.compile(r"(?<![0-9a-z])(?:fc|f|0x)? ?([0-9]{1,2})(?![0-9a-z])")
+
+
+def _word(meanings: dict[str, str]) -> Callable[[str], str]:
+    def read(text: str) -> str:
+        if found := meanings.get(plain(text)):
+            return found
+        allowed = ", ".join(dict.fromkeys(meanings.values()))
+        raise WrongValue((), f"must be one of {allowed}, not {reprlib.repr(text)}")
+
+    return read
+
+
+_type_word = _word({**TYPE_WORDS, "string:n": "string:N"})
+
+
+def _function(text: str) -> str:
+    """Return the table of "3", "03/06/16", "0x04" or "FC 3"."""
+    tables = {FUNCTION_TABLES.get(int(code)) for code in _FUNCTION.findall(text.casefold())}
+    if len(tables) != 1 or None in tables:
+        allowed = ", ".join(map(str, FUNCTION_TABLES))
+        raise WrongValue((), f"must be of {allowed}, all of one table, not {reprlib.repr(text)}")
+    return str(*tables)
+
+
+def _missing(text: str) -> str | list[int | float]:
+    """Return the numbers of "65535" or "0x8000; -1", or the word sunspec."""
+    if plain(text) == "sunspec":
+        return "sunspec"
+    words = re.split(r"[;,\s]+", text.strip("; "))
+    return [whole_in(each) if each[:2] in ("0x", "0X") else number_in(each) for each in words]
+
+
+def _names(text: str) -> dict[str, str]:
+    """Return the names of "0 = off; 1 = on", or of a JSON object."""
+    if text.startswith("{"):
+        try:
+            return dict(json.loads(text))
+        except ValueError:
+            raise WrongValue((), f"must be a JSON object, not {reprlib.repr(text)}") from None
+    found: dict[str, str] = {}
+    for each in text.strip("; ").split(";"):
+        key, separator, name = each.partition("=")
+        if not separator or not name.strip():
+            raise WrongValue((), f"must be like 0 = off; 1 = on, not {reprlib.repr(text)}")
+        if key.strip() in found:
+            raise WrongValue((), f"must name {key.strip()} once, not twice")
+        found[key.strip()] = name.strip()
+    return found
+
+
+READERS: dict[str, Callable[[str], Any]] = {
+    **dict.fromkeys(("name", "units", "description", "group", "encoding", "time_zone"), str),
+    **dict.fromkeys(("scale_from", "bit"), str),
+    **dict.fromkeys(("address", "count"), whole_in),
+    **dict.fromkeys(("scale", "divisor", "offset", "interval"), number_in),
+    **dict.fromkeys(("minimum", "maximum"), number_in),
+    **dict.fromkeys(("plausible_minimum", "plausible_maximum"), number_in),
+    **dict.fromkeys(("states", "bits"), _names),
+    "table": _word(TABLE_WORDS),
+    "function": _function,
+    "type": lambda text: type_named(text) or _type_word(text),
+    "order": lambda text: ORDER_WORDS.get(plain(text), text),
+    "padding": lambda text: PADDINGS.get(plain(text), text),
+    "access": _word(ACCESS_WORDS),
+    "missing": _missing,
+    "never_falls": flag_in,
+    "scale_as": _word({word: word for word in SCALES}),
+    "byte": _word({word: word for word in BYTES}),
+}
+"""Kind of a column -> the reader that returns the argument of `Point`, or raises WrongValue."""

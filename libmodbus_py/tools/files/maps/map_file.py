@@ -1,25 +1,31 @@
 """
-Register maps from files.
+Register maps from files: in TOML, with a table ``[[point]]`` for each point, or in CSV.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from os import PathLike, fspath
 from pathlib import PurePath
+from typing import Any
 
 from ....maps.register_map import RegisterMap
+from ....protocol.mistakes import Path, placed
 from ..file_error import FilePlace
-from ..texts import read_text
-from . import csv_form, toml_form
-from .drafts import Contents, MapError, collected
+from ..schema import Key, Keys, table, tables
+from ..texts import line_of, read_text, read_toml
+from . import csv_form
+from .contents import Contents, MapEntry, MapError, collected
 
 __all__ = ["FORMS", "contents_of", "load_map"]
+
+FILE = Keys([Key("point", tables, "a table for each point: [[point]]", ())])
 
 
 def load_map(path: str | PathLike[str]) -> RegisterMap:
     """
-    Return the register map of a file of up to 512 KiB with up to 10000 points.
+    Return the register map of a file.
 
     Args:
         path: the path of the file. If it ends with ``.toml``, the file has a table ``[[point]]``
@@ -54,7 +60,21 @@ def contents_of(path: str | PathLike[str], most: int) -> Contents:
 
 
 def _from_toml(text: str, most: int) -> Contents:
-    return collected(Contents(), toml_form.drafts(text), most)
+    return collected(Contents(), _toml_entries(text), most)
+
+
+def _toml_entries(text: str) -> Iterator[MapEntry]:
+    def place(path: Path) -> FilePlace:
+        return FilePlace(line=line_of(text, path))
+
+    try:
+        points: list[Any] = FILE.read((), read_toml(text)).get("point", [])
+    except (TypeError, ValueError) as error:
+        mistake = placed(error, ())
+        raise MapError.of(mistake, place(mistake.path)) from None
+    for at, given in enumerate(points):
+        path = ("point", at)
+        yield MapEntry(path, place, partial(table, path, given))
 
 
 def _from_csv(text: str, most: int) -> Contents:
@@ -64,13 +84,11 @@ def _from_csv(text: str, most: int) -> Contents:
     except MapError as error:
         return Contents(mistakes=[error])
     contents = Contents(ignored=columns.ignored)
-    return collected(contents, csv_form.drafts(opened, columns), most)
+    return collected(contents, csv_form.entries(opened, columns), most)
 
 
 FORMS: dict[str, Callable[[str, int], Contents]] = {
     ".toml": _from_toml,
-    ".csv": _from_csv,
-    ".tsv": _from_csv,
-    ".txt": _from_csv,
+    **dict.fromkeys((".csv", ".tsv", ".txt"), _from_csv),
 }
 """Suffix of a file -> function that reads its text, up to the mistake with a given number."""

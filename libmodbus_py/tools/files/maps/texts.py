@@ -11,8 +11,8 @@ from typing import Any
 
 from ....maps.point import Point
 from ..csv_text import csv_rows
-from ..toml_lines import shown_key
-from .cells import PADDINGS
+from ..texts import shown_key
+from .csv_form import PADDINGS
 
 __all__ = ["csv_text", "toml_text"]
 
