@@ -8,7 +8,7 @@ import pytest
 
 from libmodbus_py import Device, Fault, Mapping, Server
 from libmodbus_py.protocol.framing import Frame
-from libmodbus_py.tools.faults.due import Faults
+from libmodbus_py.tools.faults.answers import Faults
 
 READ = b"\3\0\0\0\1"
 

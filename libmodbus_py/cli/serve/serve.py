@@ -7,7 +7,6 @@ SIGHUP reads the device file again; with --reload, so does every change of the f
 from __future__ import annotations
 
 import argparse
-import contextlib
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -157,8 +156,7 @@ def _serve_logged(options: argparse.Namespace, hangup: Hangup) -> int:
             else:
                 read_again = hangup.unless_closed(reloader.ask, *on_hangup)
                 begin = partial(_begin, reloader, announce_all)
-                with contextlib.closing(reloader):
-                    hangup.serve_forever(server, urls, begin, read_again)
+                hangup.serve_forever(server, urls, begin, read_again)
     return 0
 
 

@@ -1,7 +1,7 @@
 """
 A fault: a mistake in answers of a server, the requests concerned, and its frequency.
 
-`due` counts the requests of a server and returns the fault that is due, `delivery` makes it happen.
+`answers` counts the requests of a server, and makes the fault that is due happen.
 """
 
 from __future__ import annotations

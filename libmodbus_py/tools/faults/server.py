@@ -14,7 +14,7 @@ from ...server.audit import Audit, OnAudited
 from ...server.limits import Limits
 from ...server.server import DeviceServer
 from ...server.units import UnknownUnit
-from .due import Faults
+from .answers import Faults
 from .fault import Fault
 from .switch import FaultsByUnit, FaultSwitch
 

@@ -8,9 +8,9 @@ import asyncio
 import contextlib
 import gc
 import os
-import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
+from ...protocol.mistakes import inside
 from ..faults.server import Server
 from ..files.texts import reread
 from .device_file import load
@@ -18,9 +18,8 @@ from .simulated import SimulatedDevice, Simulation
 
 __all__ = ["Reloader"]
 
-# Seconds between two checks of the files. Two checks in a row must see the same, because
-# writing a file takes a while.
-LOOK_EVERY = 0.5
+LOOK_EVERY_S = 0.5
+"""Two checks of the files in a row must see the same, because writing a file takes a while."""
 
 # The attributes that change when a file is written or replaced.
 Signature = tuple[int, int, int] | None
@@ -38,7 +37,7 @@ class Reloader:
         server: the server of `simulation`.
         path: path of the file.
         is_watching: True to check the files for changes.
-        tell: called in the thread with one line about each reading, or mistake.
+        tell: called in the loop of the server with one line about each reading, or mistake.
     """
 
     def __init__(
@@ -53,12 +52,9 @@ class Reloader:
         self._server = server
         self._path = path
         self._simulation = simulation
-        self._is_watching = is_watching
+        self._look_every = LOOK_EVERY_S if is_watching else None
         self._tell = tell
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._asked = threading.Event()
-        self._is_closed = False
-        self._thread = threading.Thread(target=self._run, name="device file", daemon=True)
+        self._asked = asyncio.Event()
         self._files = (path, *simulation.files)
         self._read_signatures = self._signatures()
 
@@ -68,53 +64,51 @@ class Reloader:
         return self._simulation.devices
 
     def start(self) -> None:
-        """Start the thread; call it in the loop of the server."""
-        self._loop = asyncio.get_running_loop()
-        self._thread.start()
-
-    def ask(self) -> None:
-        """Request another reading of the file; from any thread or a signal handler of the loop."""
-        self._asked.set()
+        """Begin, in the loop of the server; `close` or the end of the loop ends it."""
+        self._task = asyncio.get_running_loop().create_task(self._run())
 
     def close(self) -> None:
-        """Stop the thread; any number of times, and also if it was never started."""
-        self._is_closed = True
+        """Read the file no more; in the loop of the server."""
+        self._task.cancel()
+
+    def ask(self) -> None:
+        """Request another reading of the file, in the loop of the server."""
         self._asked.set()
-        if self._thread.ident is not None:
-            self._thread.join()
 
-    # --- in the thread -------------------------------------------------------------------------
-
-    def _run(self) -> None:
+    async def _run(self) -> None:
         seen = self._read_signatures
         while True:
-            is_asked = self._asked.wait(LOOK_EVERY if self._is_watching else None)
-            if self._is_closed:
-                return
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(self._look_every):
+                    await self._asked.wait()
+            is_asked = self._asked.is_set()
             self._asked.clear()
             before, seen = seen, self._signatures()
             if is_asked or seen == before != self._read_signatures:
-                self._read_again()
+                await self._read_again()
                 seen = self._read_signatures
 
-    def _signatures(self) -> dict[str, Signature]:
-        return {path: _signature(path) for path in self._files}
-
-    def _read_again(self) -> None:
+    async def _read_again(self) -> None:
         self._read_signatures = self._signatures()
-        reread(self._load, self._exchanged, self._tell)
+        loading = asyncio.ensure_future(asyncio.to_thread(load, self._path))
+        await asyncio.wait([loading])
+        error = loading.exception()
+        self._follow(getattr(error, "files", ()) if error else loading.result().files)
+        reread(loading.result, self._use, self._tell)
         gc.collect()  # old devices are reference cycles, and their tables larger than they look
 
-    def _load(self) -> Simulation:
-        try:
-            simulation = load(self._path)
-        except ValueError as error:
-            self._follow(getattr(error, "files", ()))
-            raise
-        self._follow(simulation.files)
-        return simulation
+    def _use(self, simulation: Simulation) -> list[str]:
+        # Before values are taken over, because nothing may change if the file cannot be served.
+        with inside(self._path):
+            self._server.replace(*simulation)
+        self._simulation = simulation.going_on_from(self._simulation)
+        self._server.replace(*self._simulation)
+        count = len(simulation.by_unit)
+        return [f"{self._path}: read again, {count} unit{'s' * (count != 1)}"]
 
-    def _follow(self, maps: tuple[str, ...]) -> None:
+    # --- the files -----------------------------------------------------------------------------
+
+    def _follow(self, maps: Iterable[str]) -> None:
         """Watch these maps from now on; new maps count as unchanged since they were just read."""
         self._files = (self._path, *maps)
         known = self._read_signatures
@@ -122,39 +116,8 @@ class Reloader:
             path: known[path] if path in known else _signature(path) for path in self._files
         }
 
-    def _exchanged(self, simulation: Simulation) -> list[str]:
-        """Serve the new devices, from within the event loop, so that no client can write."""
-        done = threading.Event()
-        outcome: list[str] = []
-
-        def exchange() -> None:
-            nonlocal outcome
-            try:
-                outcome = [self._exchange(simulation)]
-            finally:
-                done.set()
-
-        assert self._loop is not None
-        with contextlib.suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(exchange)
-            while not done.wait(0.1):
-                if self._is_closed:
-                    return []
-        return outcome
-
-    # --- in the loop ---------------------------------------------------------------------------
-
-    def _exchange(self, simulation: Simulation) -> str:
-        try:
-            # Before values are taken over, because nothing may change if the file cannot be served.
-            self._server.replace(*simulation)
-        except ValueError as error:
-            return f"nothing is changed: {self._path}: {error}"
-        self._simulation = simulation.going_on_from(self._simulation)
-        self._server.replace(*self._simulation)
-        devices = self._simulation.devices
-        count = len(devices) if isinstance(devices, dict) else 1
-        return f"{self._path}: read again, {count} unit{'s' * (count != 1)}"
+    def _signatures(self) -> dict[str, Signature]:
+        return {path: _signature(path) for path in self._files}
 
 
 def _signature(path: str) -> Signature:

@@ -14,8 +14,13 @@ from libmodbus_py.server.framed import SessionSettings
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.sessions import ByFrame
 from libmodbus_py.server.units import TcpUnits, Units
-from libmodbus_py.tools.faults.delivery import MAX_WAITING, Delivery, Fragment, fragments
-from libmodbus_py.tools.faults.due import Faults
+from libmodbus_py.tools.faults.answers import (
+    MAX_WAITING_BYTES,
+    Delivery,
+    Faults,
+    Fragment,
+    fragments,
+)
 from libmodbus_py.tools.faults.fault import Fault
 from tests.simulation.stage import Stage, Talker
 from tests.support.channels import FakeChannel
@@ -141,7 +146,7 @@ def test_answers_that_nobody_waits_for_are_lost(stage: Stage) -> None:
         delivery = Delivery(FakeChannel(written.append))
         delivery.send([Fragment(10, b"first")])
         for _ in range(3):
-            delivery.send([Fragment(0, bytes(MAX_WAITING // 2))])
+            delivery.send([Fragment(0, bytes(MAX_WAITING_BYTES // 2))])
         delivery.send([Fragment(0, b"lost")])
         await asyncio.sleep(50)
         assert not delivery.is_waiting
@@ -149,7 +154,7 @@ def test_answers_that_nobody_waits_for_are_lost(stage: Stage) -> None:
 
     stage.wait(deliver())
     assert [data for data in written if len(data) < 10] == [b"first", b"last"]
-    assert sum(map(len, written)) <= 2 * MAX_WAITING
+    assert sum(map(len, written)) <= 2 * MAX_WAITING_BYTES
 
 
 def test_delivery_tells_when_it_waits(stage: Stage) -> None:
@@ -216,7 +221,7 @@ def test_answers_are_taken_until_the_limit_is_reached(stage: Stage) -> None:
 
     async def deliver() -> None:
         delivery = Delivery(FakeChannel(written.append))
-        for size in (MAX_WAITING - 1, MAX_WAITING):
+        for size in (MAX_WAITING_BYTES - 1, MAX_WAITING_BYTES):
             for _ in range(2):
                 delivery.send([Fragment(10, bytes(size))])
                 delivery.send([Fragment(0, b"next %d" % size)])
@@ -226,8 +231,9 @@ def test_answers_are_taken_until_the_limit_is_reached(stage: Stage) -> None:
             await asyncio.sleep(50)
 
     stage.wait(deliver())
-    assert [data for data in written if len(data) < 20] == [b"last %d" % (MAX_WAITING - 1)]
-    assert [len(data) for data in written if len(data) > 20] == [MAX_WAITING - 1, MAX_WAITING]
+    below = MAX_WAITING_BYTES - 1
+    assert [data for data in written if len(data) < 20] == [b"last %d" % below]
+    assert [len(data) for data in written if len(data) > 20] == [below, MAX_WAITING_BYTES]
 
 
 def test_a_close_without_bytes_writes_nothing(stage: Stage) -> None:

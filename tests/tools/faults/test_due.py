@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from libmodbus_py import pdu
 from libmodbus_py.protocol.framing import Frame
-from libmodbus_py.tools.faults.due import Faults
+from libmodbus_py.tools.faults.answers import Faults
 from libmodbus_py.tools.faults.fault import Fault
 from tests.tools.faults.serving import READ, REQUEST
 

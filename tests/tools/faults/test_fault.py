@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Server
-from libmodbus_py.tools.faults.due import Faults
+from libmodbus_py.tools.faults.answers import Faults
 from libmodbus_py.tools.faults.fault import Fault
 from tests.tools.faults.serving import made_device
 

@@ -19,7 +19,7 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.protocol.framing import Frame
-from libmodbus_py.tools.faults.due import Faults
+from libmodbus_py.tools.faults.answers import Faults
 from libmodbus_py.tools.faults.fault import KINDS, Fault
 from tests.simulation.stage import Stage
 from tests.tools.faults.serving import READ, REQUEST, adu, client_of, made_device, serving

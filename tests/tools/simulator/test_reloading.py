@@ -7,11 +7,13 @@ from __future__ import annotations
 import asyncio
 import gc
 import os
+import queue
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -158,34 +160,30 @@ def test_what_moves_goes_on() -> None:
 @contextmanager
 def reloading(
     path: Path, *, is_watching: bool = False
-) -> Iterator[tuple[Reloader, Context, list[str]]]:
+) -> Iterator[tuple[Callable[[], object], Context, list[str]]]:
+    """Serve the file in a thread; yield what asks for another reading, a client, what is told."""
     told: list[str] = []
     simulation = load(path)
     server = Server(*simulation)
     reloader = Reloader(server, str(path), simulation, is_watching=is_watching, tell=told.append)
-    ready = threading.Event()
-    urls: list[str] = []
-    ends: list[Callable[[], object]] = []
+    begun: queue.Queue[tuple[asyncio.AbstractEventLoop, asyncio.Event, str]] = queue.Queue()
 
     async def run() -> None:
         stopped = asyncio.Event()
-        loop = asyncio.get_running_loop()
-        ends.append(lambda: loop.call_soon_threadsafe(stopped.set))
         async with server.serving("tcp://127.0.0.1:0") as running:
-            urls.extend(running.urls)
             reloader.start()
-            ready.set()
+            begun.put((asyncio.get_running_loop(), stopped, running.urls[0]))
             await stopped.wait()
+            reloader.close()
 
     thread = threading.Thread(target=lambda: asyncio.run(run()))
     thread.start()
+    loop, stopped, url = begun.get(timeout=20)
     try:
-        assert ready.wait(20)
-        with Context.from_url(urls[0], unit=1, timeout=5) as client:
-            yield reloader, client, told
+        with Context.from_url(url, unit=1, timeout=5) as client:
+            yield partial(loop.call_soon_threadsafe, reloader.ask), client, told
     finally:
-        reloader.close()
-        ends[0]()
+        loop.call_soon_threadsafe(stopped.set)
         thread.join()
 
 
@@ -197,7 +195,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_a_mistake_keeps_the_old_devices_and_is_told(path: Path) -> None:
-    with reloading(path) as (reloader, client, told):
+    with reloading(path) as (ask, client, told):
         client.write_register(0, 42)
         for text, message in (
             (
@@ -212,14 +210,14 @@ def test_a_mistake_keeps_the_old_devices_and_is_told(path: Path) -> None:
                 path.unlink()
             else:
                 path.write_text(text)
-            reloader.ask()
+            ask()
             until(lambda: len(told) == 1)
             assert told[0].startswith(message.format(path))
             assert "\n" not in told[0]
             assert client.read_holding_registers(0, 2) == [42, 2]
         path.write_text(PLAIN.replace("values = [1, 2]", "values = [3, 4]"))
         told.clear()
-        reloader.ask()
+        ask()
         until(lambda: client.read_holding_registers(0, 2) == [3, 4])
         until(lambda: told == [f"{path}: read again, 2 units"])
         assert client.read_holding_registers(10, 2) == [0, 5]
@@ -237,7 +235,7 @@ def test_changes_are_seen_also_of_maps_and_of_maps_that_come(
 
     look = Reloader._signatures
     monkeypatch.setattr(Reloader, "_signatures", signatures)
-    monkeypatch.setattr("libmodbus_py.tools.simulator.reloading.LOOK_EVERY", 0.02)
+    monkeypatch.setattr("libmodbus_py.tools.simulator.reloading.LOOK_EVERY_S", 0.02)
     with reloading(path, is_watching=True) as (_, client, told):
         path.write_text("[[unit]]\nid = 1\nmap = 'meter.csv'\nvalues = { a = 5 }")
         until(lambda: len(told) == 1)
@@ -256,16 +254,16 @@ def test_changes_are_seen_also_of_maps_and_of_maps_that_come(
 def test_clients_lose_nothing_that_they_write_while_it_is_read_again(path: Path) -> None:
     stopped = threading.Event()
 
-    def storm(reloader: Reloader) -> None:
+    def storm(ask: Callable[[], object]) -> None:
         number = 0
         while not stopped.is_set():
             number += 1
             path.write_text(PLAIN.replace("id = 1", f"id = 1\nname = 'number {number}'"))
-            reloader.ask()
+            ask()
             time.sleep(0.002)
 
-    with reloading(path) as (reloader, client, told):
-        thread = threading.Thread(target=storm, args=(reloader,))
+    with reloading(path) as (ask, client, told):
+        thread = threading.Thread(target=storm, args=(ask,))
         thread.start()
         try:
             number = 0
@@ -279,7 +277,7 @@ def test_clients_lose_nothing_that_they_write_while_it_is_read_again(path: Path)
 
 
 def test_reading_again_leaks_nothing(path: Path) -> None:
-    with reloading(path) as (reloader, client, told):
+    with reloading(path) as (ask, client, told):
         # The server has accepted the connection when it has answered.
         assert client.read_holding_registers(0, 2) == [1, 2]
         gc.collect()
@@ -287,7 +285,7 @@ def test_reading_again_leaks_nothing(path: Path) -> None:
         for number in range(25):
             path.write_text(PLAIN.replace("id = 1", f"id = 1\nname = 'number {number}'"))
             told.clear()
-            reloader.ask()
+            ask()
             until(lambda: bool(told))
         assert client.read_holding_registers(0, 2) == [1, 2]
         assert len(os.listdir("/proc/self/fd")) <= descriptors
