@@ -521,7 +521,7 @@ class TestViews:
         view = getattr(mapping, name).view
         del mapping
         gc.collect()
-        others = [table(name, 65536) for _ in range(20)]  # would take the freed memory
+        others = [table(name, 65536) for _ in range(5)]  # would take the freed memory
         for other in others:
             other[:] = [1] * 65536
         assert view[7] == 1
