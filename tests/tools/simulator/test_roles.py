@@ -11,8 +11,7 @@ import pytest
 
 from libmodbus_py import Device, pdu
 from libmodbus_py.serve import Caller
-from libmodbus_py.tools.simulator.device_file import DeviceFileError, load, parse
-from tests.support.cases import each_case
+from libmodbus_py.tools.simulator.device_file import load, parse
 
 PLANT = Path(__file__).parents[3] / "examples" / "plant.toml"
 
@@ -131,71 +130,3 @@ def test_the_example_does_what_it_says() -> None:
     assert [code(boiler, allowed, role) for role in (None, "Viewer", "Thief")] == [0, 0, 1]
     for role, expected in (("Operator", 0), ("Viewer", 1), (None, 0)):
         assert code(boiler, pdu.ReportServerId(), role) == expected
-
-
-@each_case(
-    ("text", "line", "said"),
-    [
-        ("[[roles]]", None, "roles must be a table, not [{}]"),
-        ("[roles]\nViewer = 5", 2, "roles.Viewer must be a table, not 5"),
-        (
-            "[roles.Viewer]\nreads = 5",
-            2,
-            "roles.Viewer.reads: no such key; allowed are read, write,",
-        ),
-        ("[roles.Viewer]\nread = 5", 2, 'roles.Viewer.read must be "all" or a list, not 5'),
-        ('[roles.Viewer]\nread = "coils"', 2, 'roles.Viewer.read must be "all" or a list'),
-        ('[roles.Viewer]\n\nread = ["coil"]', 3, "roles.Viewer.read[0]: the table must be one of"),
-        (
-            '[roles.Viewer]\nread = ["coils", 5]',
-            2,
-            "roles.Viewer.read[1] must be the name of a table",
-        ),
-        ('[roles.Viewer]\nwrite = ["fifo"]', 2, "roles.Viewer.write[0]: the table must be one of"),
-        ("[roles.Viewer]\nread = [{address = 5}]", 2, "roles.Viewer.read[0].table is missing"),
-        ('[roles.Viewer]\nread = [{table = "coils", address = 5}]', 2, "read[0].count is missing"),
-        (
-            '[roles.Viewer]\nread = [{table = "coils", address = 5, count = 65536}]',
-            2,
-            "roles.Viewer.read[0].count must be in 1..65531",
-        ),
-        (
-            '[roles.Viewer]\nread = [{table = "coils", address = 5, count = 1, unit = 3}]',
-            2,
-            "roles.Viewer.read[0].unit: no such key; allowed are table, address, count, file",
-        ),
-        (
-            '[roles.Viewer]\nread = [{table = "coils", address = "5", count = 1}]',
-            2,
-            "roles.Viewer.read[0].address must be an integer in 0..65535, not str",
-        ),
-        (
-            '[roles.Viewer]\nread = [{table = "coils", address = [5], count = {a = 1}}]',
-            2,
-            "roles.Viewer.read[0].address must be an integer",
-        ),
-        ("[roles.Viewer]\nfunctions = [3]", 2, "roles.Viewer.functions[0]: 3 touches tables"),
-        (
-            "[roles.Viewer]\nfunctions = [[]]",
-            2,
-            "roles.Viewer.functions[0] must be an integer",
-        ),
-        ("[roles.Viewer]\nfunctions = 17", 2, 'roles.Viewer.functions must be "all" or a list'),
-        ('[roles."a\\nb"]', None, "roles: the role 'a\\nb' has control characters"),
-    ],
-)
-def test_what_cannot_be_is_told_with_its_line(
-    tmp_path: Path, text: str, line: int | None, said: str
-) -> None:
-    path = tmp_path / "device.toml"
-    for content, above in (
-        (f"{text}\n[[unit]]\n", 0),
-        (f"[[unit]]\nid = 1\n{text.replace('roles', 'unit.roles')}\n", 2),
-    ):
-        path.write_text(content)
-        with pytest.raises(DeviceFileError) as caught:
-            load(path)
-        if line is not None:
-            assert str(caught.value).startswith(f"{path}, line {line + above}: ")
-        assert said in str(caught.value)
-        assert "\n" not in str(caught.value)
