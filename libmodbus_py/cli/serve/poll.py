@@ -29,7 +29,7 @@ from ...services.fleet.outputs.writer_thread import WriterThread
 from ...services.fleet.statistics import JournalStatistics, OutputStatistics
 from ...services.fleet.trial import Tried, overloads, trying
 from ...system import allow_all_descriptors
-from ...tools.files.texts import reread
+from ...tools.files.rereading import reread
 from .. import arguments, logs, tracing
 from ..failing import CommandError
 from ..help import VerbatimHelp

@@ -1,5 +1,5 @@
 """
-Reading files: their text, TOML with the line of each key, and a file that is read again.
+Reading files: their text, and TOML with the line of each key.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ import re
 import reprlib
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from os import PathLike, fspath
 from pathlib import Path as FilePath
 from typing import Any, TypeVar
@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 from ...protocol.mistakes import Path, placed
 from .file_error import FileError, FilePlace
 
-__all__ = ["line_of", "load_file", "read_text", "read_toml", "reread", "shown_key"]
+__all__ = ["line_of", "load_file", "read_text", "read_toml", "shown_key"]
 
 Content = TypeVar("Content")
 
@@ -58,28 +58,6 @@ def load_file(
     except (TypeError, ValueError) as error:
         mistake = placed(error, ())
         raise kind.of(mistake, FilePlace(fspath(path), line_of(text, mistake.path))) from None
-
-
-def reread(
-    load: Callable[[], Content],
-    use: Callable[[Content], Iterable[str]],
-    tell: Callable[[str], object],
-) -> None:
-    """
-    Load a file again and use its content; a mistake in the file changes nothing.
-
-    Args:
-        load: returns the content, or raises TypeError or ValueError with the mistake.
-        use: applies the content and returns what changed, in lines; raises TypeError or
-            ValueError, before it changes anything, if the content cannot be used.
-        tell: called with each line, or with the mistake.
-    """
-    try:
-        lines = use(load())
-    except (TypeError, ValueError) as error:
-        lines = [f"nothing is changed: {error}"]
-    for line in lines:
-        tell(line)
 
 
 # --- TOML ------------------------------------------------------------------------------------

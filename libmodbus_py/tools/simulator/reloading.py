@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 
 from ...protocol.mistakes import inside
 from ..faults.server import Server
-from ..files.texts import reread
+from ..files.rereading import compared, reread
 from .device_file import load
 from .simulated import SimulatedDevice, Simulation
 
@@ -101,10 +101,12 @@ class Reloader:
         # Before values are taken over, because nothing may change if the file cannot be served.
         with inside(self._path):
             self._server.replace(*simulation)
-        self._simulation = simulation.going_on_from(self._simulation)
+        before = self._simulation
+        self._simulation = simulation.going_on_from(before)
         self._server.replace(*self._simulation)
-        count = len(simulation.by_unit)
-        return [f"{self._path}: read again, {count} unit{'s' * (count != 1)}"]
+        changes = compared(self._path, "unit", before.by_unit, self._simulation.by_unit)
+        of_faults = "" if before.faults == simulation.faults else "; its faults have changed"
+        return [changes + of_faults]
 
     # --- the files -----------------------------------------------------------------------------
 

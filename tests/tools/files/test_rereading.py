@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import pytest
 
-from libmodbus_py.tools.files.texts import reread
+from libmodbus_py.tools.files.rereading import compared, reread
+from tests.support.cases import each_case
 
 
 def test_the_content_is_used_and_each_line_told() -> None:
@@ -49,3 +50,21 @@ def test_other_errors_are_raised() -> None:
 
     with pytest.raises(RuntimeError, match="a bug"):
         reread(load, lambda content: [], print)
+
+
+@each_case(
+    ("before", "after", "expected"),
+    [
+        ({}, {"a": 1}, "1 device: 1 new"),
+        ({"a": 1, "b": 2}, {"a": 1, "b": 2}, "2 devices: no change"),
+        (
+            {"a": 1, "b": 2, "c": 3, "d": 4},
+            {"a": 0, "b": 2, "e": 5, "f": 6},
+            "4 devices: 2 new, 1 changed, 2 removed",
+        ),
+    ],
+)
+def test_what_changed_is_counted(
+    before: dict[str, int], after: dict[str, int], expected: str
+) -> None:
+    assert compared("a.toml", "device", before, after) == f"a.toml: read again, {expected}"

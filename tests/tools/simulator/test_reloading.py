@@ -219,8 +219,23 @@ def test_a_mistake_keeps_the_old_devices_and_is_told(path: Path) -> None:
         told.clear()
         ask()
         until(lambda: client.read_holding_registers(0, 2) == [3, 4])
-        until(lambda: told == [f"{path}: read again, 2 units"])
+        until(lambda: told == [f"{path}: read again, 2 units: 1 changed"])
         assert client.read_holding_registers(10, 2) == [0, 5]
+
+
+def test_what_has_changed_is_told(path: Path) -> None:
+    fault = "[[unit.fault]]\nkind = 'no_answer'\nfunction = 1\n"
+    with reloading(path) as (ask, _, told):
+        for text, changes in (
+            (PLAIN, "2 units: no change"),
+            (PLAIN.replace("id = 2", "id = 9"), "2 units: 1 new, 1 removed"),
+            (PLAIN.replace("id = 2", "id = 9") + fault, "2 units: 1 changed; its faults have"),
+        ):
+            told.clear()
+            path.write_text(text)
+            ask()
+            until(lambda: len(told) == 1)
+            assert told[0].startswith(f"{path}: read again, {changes}")
 
 
 def test_changes_are_seen_also_of_maps_and_of_maps_that_come(
@@ -313,7 +328,8 @@ def test_hangups_read_the_file_again_and_connections_stay(path: Path) -> None:
             process.send_signal(signal.SIGHUP)
             client.read_holding_registers(0, 1)
         until(lambda: client.read_holding_registers(0, 1) == [8])
-        assert process.stderr.readline() == f"libmodbus-py: {path}: read again, 2 units\n"
+        told = process.stderr.readline()
+        assert told == f"libmodbus-py: {path}: read again, 2 units: 1 changed\n"
         process.send_signal(signal.SIGHUP)
         process.send_signal(signal.SIGTERM)
         assert process.wait() == 0
