@@ -5,12 +5,11 @@ describes points takes every spelling of a point.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from libmodbus_py import Point, load_map
+from libmodbus_py import Point
 from libmodbus_py.protocol.mistakes import Mistake, path_text
 from libmodbus_py.services.fleet import files as fleet_files
 from libmodbus_py.services.gateway import config as gateway_file
@@ -29,7 +28,7 @@ from libmodbus_py.tools.files.schema import (
     text,
     whole,
 )
-from libmodbus_py.tools.simulator import device_file, keys
+from libmodbus_py.tools.simulator import keys
 from tests.support.cases import each_case
 
 INNER = Keys([Key("must", whole(0, 9), default=REQUIRED), Key("may", flag)])
@@ -121,39 +120,3 @@ def test_every_key_can_stand_in_a_cell_that_csv_has_a_column_for() -> None:
     not_in_cells = {"map", "dead_bands", "labels"}
     columns = {key.name for key in fleet_files.DEVICE.values() if key.kind in CELLS}
     assert columns == set(fleet_files.DEVICE) - not_in_cells
-
-
-# --- points, wherever they stand -----------------------------------------------------------
-
-# Keys of a point besides its name and table, as people write them in TOML.
-POINTS = {
-    "a long description": f'address = 7\ndescription = "{"x" * 300}"',
-    "an order without a type": 'address = 7\norder = "CDAB"',
-    "an order that is written out": 'address = 7\ntype = "uint16"\norder = "ba"',
-    "an access that goes without saying": 'address = 7\naccess = "read"',
-    "bounds": "address = 7\nminimum = -1\nmaximum = 5.5",
-    "a hexadecimal address": "address = 0x07",
-    "several values": "address = 7\ncount = 3",
-    "a scale": 'address = 7\nscale = 0.1\noffset = -5\nunits = "V"',
-    "units": 'address = 7\nunits = "V"',
-    "a text": 'address = 7\ntype = "string:5"\nencoding = "latin-1"\npadding = " "',
-    "a name of spaces and letters": "address = 7",
-}
-
-
-@each_case("text", POINTS.values(), ids=POINTS.__getitem__)
-def test_a_map_a_fleet_file_and_a_device_file_take_the_same_points(
-    tmp_path: Path, text: str
-) -> None:
-    named = f'name = "\u00e4 b"\n{text}\n'
-    (tmp_path / "map.toml").write_text(f'[[point]]\ntable = "input_registers"\n{named}')
-    expected = load_map(tmp_path / "map.toml")
-    (tmp_path / "fleet.toml").write_text(
-        '[[device]]\nname = "a"\nurl = "tcp://192.0.2.1"\n'
-        f'[[device.point]]\ntable = "input_registers"\n{named}'
-    )
-    assert fleet_files.load(tmp_path / "fleet.toml").devices[0].map == expected
-    (tmp_path / "device.toml").write_text(f"[[unit]]\n[[unit.input_registers]]\n{named}")
-    device = device_file.load(tmp_path / "device.toml").devices
-    assert not isinstance(device, dict)
-    assert device.points == expected

@@ -8,9 +8,8 @@ from datetime import UTC, datetime
 
 import pytest
 
-from libmodbus_py.tools.simulator.device_file import DeviceFileError, load, parse
+from libmodbus_py.tools.simulator.device_file import parse
 from libmodbus_py.tools.simulator.simulated import SimulatedDevice
-from tests.support.cases import each_case
 
 DEVICE = """
 [[unit]]
@@ -91,40 +90,3 @@ def test_bits_of_one_register_are_set_by_themselves() -> None:
     assert (device["remote"], device["mode"]) == (True, 9)
     with pytest.raises(ValueError, match=r"mode: value must be in \.\.9, not 10"):
         device["mode"] = 10
-
-
-RANGE = "[[unit]]\n[[unit.holding_registers]]\naddress = 0\nname = 'a'\n"
-SECOND = "[[unit.holding_registers]]\naddress = 0\nname = 'b'\n"
-
-WRONG = [
-    (RANGE + "bit = 16\n", "line 5: unit[0].holding_registers[0].bit must be in 0..15, not 16"),
-    (RANGE + "scale_from = 'b'\n", "line 5: unit[0].holding_registers[0].scale_from: the map has"),
-    (RANGE + "scale_from = 'b'\n" + SECOND.replace("0", "1") + "scale_from = 'a'\n",
-     "line 5: unit[0].holding_registers[0].scale_from: leads back to a point: a, b, a"),
-    (RANGE + "scale_from = 'b'\nvalue = 7\n" + SECOND.replace("0", "1") + "value = 300\n",
-     "line 6: unit[0].holding_registers[0].value"),
-    (RANGE + "bit = 3\n" + SECOND + "bit = '2..5'\n",
-     "line 6: unit[0].holding_registers[1] begins at 0, within unit[0].holding_registers[0]"),
-    (RANGE + "bit = 3\n" + SECOND, "line 6: unit[0].holding_registers[1] begins at 0, within"),
-    (RANGE + "bit = 3\n" + SECOND.replace("'b'", "'a'") + "bit = 4\n",
-     "line 8: unit[0].holding_registers[1].name: there is already a point a"),
-    (RANGE + "states = { 0 = 'x', 1 = 'x' }\n",
-     "line 5: unit[0].holding_registers[0].states.1 must have a name of its own"),
-    (RANGE + "type = 'date48'\ntime_zone = 'Europe/Berlyn'\n",
-     "line 6: unit[0].holding_registers[0].time_zone must be a time zone that this system knows"),
-    (RANGE + "interval = 0\n",
-     "line 5: unit[0].holding_registers[0].interval must be in 0.01..86400 seconds, not 0"),
-    (RANGE + "scale_from = 'b'\ncounter = {}\n" + SECOND.replace("0", "1"),
-     "line 6: unit[0].holding_registers[0].counter: a point that b scales does not move"),
-]  # fmt: skip
-
-
-@each_case(("text", "message"), WRONG)
-def test_a_mistake_has_its_place(
-    tmp_path_factory: pytest.TempPathFactory, text: str, message: str
-) -> None:
-    path = tmp_path_factory.mktemp("devices") / "device.toml"
-    path.write_text(text)
-    with pytest.raises(DeviceFileError) as caught:
-        load(path)
-    assert str(caught.value).startswith(f"{path}, {message}")

@@ -30,6 +30,9 @@ status high,holding,5,bits16,,,read_write
 pump,coil,4,,,,read_write
 """
 
+RANGE = "[[unit]]\n[[unit.holding_registers]]\naddress = 0\nname = 'a'\n"
+SECOND = "[[unit.holding_registers]]\naddress = 0\nname = 'b'\n"
+
 TABLES_AND_KEYS = [
     "[[unit]",
     "[[unit]]\nid = 1\nid = 2\n",
@@ -168,6 +171,20 @@ NAMES_AND_MAPS = [
     "[[unit]]\n[[unit.fault]]\nkind = 'garbage'\ndata = [256]",
 ]
 
+MEANINGS = [
+    RANGE + "bit = 16\n",
+    RANGE + "scale_from = 'b'\n",
+    RANGE + "scale_from = 'b'\n" + SECOND.replace("0", "1") + "scale_from = 'a'\n",
+    RANGE + "scale_from = 'b'\nvalue = 7\n" + SECOND.replace("0", "1") + "value = 300\n",
+    RANGE + "bit = 3\n" + SECOND + "bit = '2..5'\n",
+    RANGE + "bit = 3\n" + SECOND,
+    RANGE + "bit = 3\n" + SECOND.replace("'b'", "'a'") + "bit = 4\n",
+    RANGE + "states = { 0 = 'x', 1 = 'x' }\n",
+    RANGE + "type = 'date48'\ntime_zone = 'Europe/Berlyn'\n",
+    RANGE + "interval = 0\n",
+    RANGE + "scale_from = 'b'\ncounter = {}\n" + SECOND.replace("0", "1"),
+]
+
 LINES = [
     "[[unit]]\n[[units]]\n",
     "[[unit]]\n[unit.foo]\nx = 1\n",
@@ -214,7 +231,7 @@ def test_a_wrong_file_is_told_what_is_wrong(tmp_path: Path, golden: Golden) -> N
     roles = [f"{text}\n[[unit]]\n" for text in ROLES]
     of_units = [f"[[unit]]\n{text.replace('roles', 'unit.roles')}\n" for text in ROLES[:5]]
     lines = []
-    for text in (*TABLES_AND_KEYS, *NAMES_AND_MAPS, *LINES, *roles, *of_units):
+    for text in (*TABLES_AND_KEYS, *NAMES_AND_MAPS, *MEANINGS, *LINES, *roles, *of_units):
         path = tmp_path / "device.toml"
         path.write_text(text, newline="")
         with pytest.raises(DeviceFileError) as caught:

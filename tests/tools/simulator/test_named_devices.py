@@ -7,11 +7,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, Device, IllegalDataAddress, Server, load_map, pdu
+from libmodbus_py import Context, IllegalDataAddress, Server, load_map, pdu
 from libmodbus_py.tools.simulator import example_files
 from libmodbus_py.tools.simulator.device_file import (
     DeviceFileError,
@@ -21,6 +20,7 @@ from libmodbus_py.tools.simulator.device_file import (
     parse,
 )
 from tests.support.cases import each_case
+from tests.tools.simulator.simulated_units import Clock, answer, holding, inputs
 
 MAP = """name,table,address,type,scale,unit,access
 voltage,input,0,uint16,0.1,V,read
@@ -34,29 +34,9 @@ pump,coil,4,,,,read_write
 """
 
 
-class Clock:
-    def __init__(self) -> None:
-        self.now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 def the(simulation: Simulation) -> SimulatedDevice:
     assert isinstance(simulation.devices, SimulatedDevice)
     return simulation.devices
-
-
-def ask(device: Device, request: pdu.Request[Any]) -> Any:
-    return request.decode_response(device.answer(request.encode()))
-
-
-def inputs(device: Device, address: int, count: int = 1) -> Any:
-    return ask(device, pdu.ReadInputRegisters(address, count))
-
-
-def holding(device: Device, address: int, count: int = 1) -> Any:
-    return ask(device, pdu.ReadHoldingRegisters(address, count))
 
 
 @pytest.fixture
@@ -122,9 +102,9 @@ def test_what_moves_is_scaled() -> None:
         )
     )
     assert inputs(device, 0, 4) == [2300, 3, 65535, 11500]
-    clock.now = 1
+    clock.now += 1
     assert inputs(device, 0, 4) == [2400, 4, 65535, 12000]
-    clock.now = 3
+    clock.now += 2
     assert inputs(device, 0, 2) == [2200, 6]
 
 
@@ -228,8 +208,8 @@ def test_defaults_hold_where_nothing_else_is_said() -> None:
     assert inputs(one, 0, 2)[1] == 0
     for request in (pdu.WriteRegister(0, 5), pdu.WriteCoil(0, True)):
         with pytest.raises(IllegalDataAddress):
-            ask(one, request)
-    ask(one, pdu.WriteRegister(10, 5))
+            answer(one, request)
+    answer(one, pdu.WriteRegister(10, 5))
     assert one.points["holding_registers_0"].order == "CDAB"
 
 
@@ -241,17 +221,17 @@ def test_all_points_of_a_map_exist(written: Callable[[str], Path]) -> None:
     assert inputs(device, 0) == [0]
     assert inputs(device, 2, 2) == [0, 0]
     assert holding(device, 10, 2) == [0, 0]
-    assert ask(device, pdu.ReadDiscreteInputs(3, 1)) == [False]
+    assert answer(device, pdu.ReadDiscreteInputs(3, 1)) == [False]
     for request in (
         pdu.ReadInputRegisters(1, 1),
         pdu.ReadCoils(3, 1),
         pdu.ReadInputRegisters(2, 3),
     ):
         with pytest.raises(IllegalDataAddress):
-            ask(device, request)
-    ask(device, pdu.WriteRegister(0, 41))
+            answer(device, request)
+    answer(device, pdu.WriteRegister(0, 41))
     assert device.points["setpoint"].decode(holding(device, 0)) == 20.5
-    ask(device, pdu.WriteRegister(5, 1))  # one of its two points may be written
+    answer(device, pdu.WriteRegister(5, 1))  # one of its two points may be written
     assert list(device.points) == re.findall(r"^([\w ]+),", MAP, re.MULTILINE)[1:]
 
 
@@ -274,14 +254,14 @@ def test_values_and_moves_by_name(written: Callable[[str], Path]) -> None:
     clock = Clock()
     device = the(load(path, clock=clock))
     assert inputs(device, 0) == [2300]
-    clock.now = 1
+    clock.now += 1
     assert inputs(device, 0) == [2350]
-    assert ask(device, pdu.ReadDiscreteInputs(3, 1)) == [True]
+    assert answer(device, pdu.ReadDiscreteInputs(3, 1)) == [True]
     assert inputs(device, 2, 2) == [0xFFFF, 0x10000 - 966]
     assert holding(device, 0) == [43]
     assert holding(device, 5) == [0x8001]
     assert bytes(b for r in holding(device, 10, 2) for b in divmod(r, 256)) == b"pump"
-    assert ask(device, pdu.ReadCoils(4, 1)) == [True]
+    assert answer(device, pdu.ReadCoils(4, 1)) == [True]
     assert "holding_registers_99" in device.points
 
 

@@ -23,6 +23,7 @@ from libmodbus_py.tools.simulator.device_file import SimulatedDevice, load, pars
 from libmodbus_py.tools.simulator.reloading import Reloader
 from tests.support.cases import each_case
 from tests.support.commands import Started, run
+from tests.tools.simulator.simulated_units import Clock
 
 PLAIN = """
 [[unit]]
@@ -55,14 +56,6 @@ id = 2
 address = 0
 value = 3
 """
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 def until(is_so: Callable[[], bool]) -> None:
