@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from functools import partial
+from operator import attrgetter, methodcaller
 from typing import Any, NamedTuple
 
 import pytest
@@ -130,6 +131,16 @@ def bits(count: int) -> Callable[[Any], list[bool]]:
     return lambda response: response.bits[:count]
 
 
+def call(method: str, *arguments: Any, **options: Any) -> Callable[[Any], Any]:
+    """Return what calls a method of pymodbus's client for our unit."""
+    return methodcaller(method, *arguments, **{"device_id": UNIT, **options})
+
+
+def span(table: str, start: int, stop: int) -> Callable[[Device], Any]:
+    """Return what looks at the cells of a device from one address up to another."""
+    return lambda device: getattr(device.mapping, table)[start:stop]
+
+
 def registers(response: Any) -> list[int]:
     return response.registers
 
@@ -152,97 +163,62 @@ def piece_to_write(file: int, start: int, values: list[int]) -> FileRecord:
 
 
 def asked() -> Iterator[Asked]:
-    unit = {"device_id": UNIT}
-    for name, first, count in (("few", 12, 3), ("most", 10, 2000)):
-        yield Asked(
-            1,
-            name,
-            lambda c, first=first, count=count: c.read_coils(first, count=count, **unit),
-            bits(count),
-            cells(coil, first, count),
-        )
-    for name, first, count in (("few", 20, 9), ("most", 20, 2000)):
-        yield Asked(
-            2,
-            name,
-            lambda c, first=first, count=count: c.read_discrete_inputs(first, count=count, **unit),
-            bits(count),
-            cells(discrete_input, first, count),
-        )
-    for name, first, count in (("few", 399, 1), ("most", 100, 125)):
-        yield Asked(
-            3,
-            name,
-            lambda c, first=first, count=count: c.read_holding_registers(
-                first, count=count, **unit
-            ),
-            registers,
-            cells(holding_register, first, count),
-        )
-    for name, first, count in (("few", 200, 2), ("most", 275, 125)):
-        yield Asked(
-            4,
-            name,
-            lambda c, first=first, count=count: c.read_input_registers(first, count=count, **unit),
-            registers,
-            cells(input_register, first, count),
-        )
+    for function, method, cell, few, most in (
+        (1, "read_coils", coil, (12, 3), (10, 2000)),
+        (2, "read_discrete_inputs", discrete_input, (20, 9), (20, 2000)),
+        (3, "read_holding_registers", holding_register, (399, 1), (100, 125)),
+        (4, "read_input_registers", input_register, (200, 2), (275, 125)),
+    ):
+        for name, (first, count) in (("few", few), ("most", most)):
+            answer = bits(count) if function < 3 else registers
+            ask = call(method, first, count=count)
+            yield Asked(function, name, ask, answer, cells(cell, first, count))
     for name, address, value in (("on", 10, True), ("off", 12, False)):
-        yield Asked(
-            5,
-            name,
-            lambda c, address=address, value=value: c.write_coil(address, value, **unit),
-            look=lambda d, address=address: d.mapping.coils[address : address + 2],
-            seen=[value, coil(address + 1)],
-        )
-    yield Asked(
-        6,
-        "few",
-        lambda c: c.write_register(101, 65535, **unit),
-        look=lambda d: d.mapping.holding_registers[100:103],
-        seen=[1100, 65535, 1102],
-    )
+        look = span("coils", address, address + 2)
+        ask = call("write_coil", address, value)
+        yield Asked(5, name, ask, look=look, seen=[value, coil(address + 1)])
+    look = span("holding_registers", 100, 103)
+    yield Asked(6, "few", call("write_register", 101, 65535), look=look, seen=[1100, 65535, 1102])
     for name, first, count in (("few", 13, 3), ("most", 11, 1968)):
         other = [not value for value in cells(coil, first, count)]
-        yield Asked(
-            15,
-            name,
-            lambda c, first=first, other=other: c.write_coils(first, other, **unit),
-            look=lambda d, first=first, count=count: d.mapping.coils[first - 1 : first + count + 1],
-            seen=[coil(first - 1), *other, coil(first + count)],
-        )
+        seen: list[Any] = [coil(first - 1), *other, coil(first + count)]
+        look = span("coils", first - 1, first + count + 1)
+        yield Asked(15, name, call("write_coils", first, other), look=look, seen=seen)
     for name, first, count in (("few", 397, 2), ("most", 101, 123)):
+        seen = [holding_register(first - 1), *range(count), holding_register(first + count)]
+        look = span("holding_registers", first - 1, first + count + 1)
         yield Asked(
-            16,
-            name,
-            lambda c, first=first, count=count: c.write_registers(
-                first, list(range(count)), **unit
-            ),
-            look=lambda d, first=first, count=count: d.mapping.holding_registers[
-                first - 1 : first + count + 1
-            ],
-            seen=[holding_register(first - 1), *range(count), holding_register(first + count)],
+            16, name, call("write_registers", first, list(range(count))), look=look, seen=seen
         )
+    yield from asked_of_files()
     yield Asked(
-        20,
+        22,
         "few",
-        lambda c: c.read_file_record([piece_to_read(4, 7, 3), piece_to_read(3, 9, 2)], **unit),
-        pieces,
-        [as_bytes([5007, 5008, 5009]), as_bytes([0x33CD, 0x0040])],
+        call("mask_write_register", address=250, and_mask=0x00F0, or_mask=0xA50F),
+        look=span("holding_registers", 249, 252),
+        seen=[1249, 0xA5EF, 1251],
     )
-    yield Asked(
-        20,
-        "most",  # 2 + 242 bytes, the 245 of the specification less the odd one
-        lambda c: c.read_file_record([piece_to_read(4, 10, 121)], **unit),
-        pieces,
-        [as_bytes(cells(record, 10, 121))],
-    )
+    for name, count, first, written in (("few", 2, 101, 1), ("most", 125, 104, 121)):
+        after = cells(holding_register, 100, 300)
+        after[first - 100 : first - 100 + written] = range(written)
+        given = {"read_address": 100, "read_count": count, "write_address": first}
+        ask = call("readwrite_registers", **given, values=list(range(written)))
+        look = span("holding_registers", 100, 400)
+        yield Asked(23, name, ask, registers, after[:count], look=look, seen=after)
+    yield from asked_beside_the_tables()
+
+
+def asked_of_files() -> Iterator[Asked]:
+    few = [piece_to_read(4, 7, 3), piece_to_read(3, 9, 2)]
+    found = [as_bytes([5007, 5008, 5009]), as_bytes([0x33CD, 0x0040])]
+    yield Asked(20, "few", call("read_file_record", few), pieces, found)
+    # 2 + 242 bytes, the 245 of the specification less the odd one
+    found = [as_bytes(cells(record, 10, 121))]
+    yield Asked(20, "most", call("read_file_record", [piece_to_read(4, 10, 121)]), pieces, found)
     yield Asked(
         21,
         "few",
-        lambda c: c.write_file_record(
-            [piece_to_write(4, 7, [1, 65535]), piece_to_write(3, 10, [2])], **unit
-        ),
+        call("write_file_record", [piece_to_write(4, 7, [1, 65535]), piece_to_write(3, 10, [2])]),
         pieces,
         [as_bytes([1, 65535]), as_bytes([2])],
         look=lambda d: [d.files[4].read(6, 4), list(d.files[3])],
@@ -251,118 +227,57 @@ def asked() -> Iterator[Asked]:
     yield Asked(
         21,
         "most",  # 7 + 244 bytes
-        lambda c: c.write_file_record([piece_to_write(4, 1, list(range(122)))], **unit),
+        call("write_file_record", [piece_to_write(4, 1, list(range(122)))]),
         look=lambda d: d.files[4].read(0, 124),
         seen=[5000, *range(122), 5123],
     )
-    yield Asked(
-        22,
-        "few",
-        lambda c: c.mask_write_register(address=250, and_mask=0x00F0, or_mask=0xA50F, **unit),
-        look=lambda d: d.mapping.holding_registers[249:252],
-        seen=[1249, 0xA5EF, 1251],
-    )
-    for name, count, first, written in (("few", 2, 101, 1), ("most", 125, 104, 121)):
-        after = cells(holding_register, 100, 300)
-        after[first - 100 : first - 100 + written] = range(written)
-        yield Asked(
-            23,
-            name,
-            lambda c, count=count, first=first, written=written: c.readwrite_registers(
-                read_address=100,
-                read_count=count,
-                write_address=first,
-                values=list(range(written)),
-                **unit,
-            ),
-            registers,
-            after[:count],
-            look=lambda d: d.mapping.holding_registers[:],
-            seen=after,
-        )
-    yield from asked_beside_the_tables()
 
 
 def asked_beside_the_tables() -> Iterator[Asked]:
-    unit = {"device_id": UNIT}
-    yield Asked(
-        7,
-        "status",
-        lambda c: c.read_exception_status(**unit),
-        lambda response: response.status,
-        EXCEPTION_STATUS,
-    )
-    yield Asked(
-        8,
-        "query",
-        lambda c: c.diag_query_data(b"\xa5\x37", **unit),
-        message,
-        b"\xa5\x37",
-    )
-    yield Asked(
-        8,
-        "query-most",
-        lambda c: c.diag_query_data(bytes(range(250)), **unit),
-        message,
-        bytes(range(250)),
-        transports=NOT_RTU,
-    )
-    yield Asked(
-        8,
-        "restart",
-        lambda c: c.diag_restart_communication(True, **unit),
-        message,
-        0xFF00,
-        transports=SERIAL,
-    )
-    for name, ask, answer in (
-        ("register", lambda c: c.diag_read_diagnostic_register(**unit), 0),
-        ("clear", lambda c: c.diag_clear_counters(**unit), 0),
-        ("messages", lambda c: c.diag_read_bus_message_count(**unit), 1),  # the request itself
-        ("errors", lambda c: c.diag_read_bus_comm_error_count(**unit), 0),
-        ("exceptions", lambda c: c.diag_read_bus_exception_error_count(**unit), 0),
-        ("served", lambda c: c.diag_read_device_message_count(**unit), 1),
-        ("unanswered", lambda c: c.diag_read_device_no_response_count(**unit), 0),
-        ("nak", lambda c: c.diag_read_device_nak_count(**unit), 0),
-        ("busy", lambda c: c.diag_read_device_busy_count(**unit), 0),
-        ("overrun", lambda c: c.diag_read_bus_char_overrun_count(**unit), 0),
-        ("clear-overrun", lambda c: c.diag_clear_overrun_counter(**unit), 0),
+    status = attrgetter("status")
+    yield Asked(7, "status", call("read_exception_status"), status, EXCEPTION_STATUS)
+    most = bytes(range(250))
+    yield Asked(8, "query", call("diag_query_data", b"\xa5\x37"), message, b"\xa5\x37")
+    ask = call("diag_query_data", most)
+    yield Asked(8, "query-most", ask, message, most, transports=NOT_RTU)
+    ask = call("diag_restart_communication", True)
+    yield Asked(8, "restart", ask, message, 0xFF00, transports=SERIAL)
+    for name, method, answer in (
+        ("register", "diag_read_diagnostic_register", 0),
+        ("clear", "diag_clear_counters", 0),
+        ("messages", "diag_read_bus_message_count", 1),  # the request itself
+        ("errors", "diag_read_bus_comm_error_count", 0),
+        ("exceptions", "diag_read_bus_exception_error_count", 0),
+        ("served", "diag_read_device_message_count", 1),
+        ("unanswered", "diag_read_device_no_response_count", 0),
+        ("nak", "diag_read_device_nak_count", 0),
+        ("busy", "diag_read_device_busy_count", 0),
+        ("overrun", "diag_read_bus_char_overrun_count", 0),
+        ("clear-overrun", "diag_clear_overrun_counter", 0),
     ):
-        yield Asked(8, name, ask, message, answer)
-    yield Asked(
-        11,
-        "counter",
-        lambda c: [c.read_coils(12, **unit), c.diag_get_comm_event_counter(**unit)][1],
-        lambda response: (response.status, response.count),
-        (True, 1),
-    )
-    yield Asked(
-        12,
-        "log",
-        lambda c: [
-            c.read_coils(12, **unit),
-            c.read_coils(3000, **unit),
-            c.diag_get_comm_event_log(**unit),
-        ][2],
-        lambda response: (
-            response.status,
-            response.event_count,
-            response.message_count,
-            response.events,
-        ),
-        (True, 1, 3, [0x80, 0x41, 0x80, 0x40, 0x80]),
-    )
+        yield Asked(8, name, call(method), message, answer)
+    good, bad = call("read_coils", 12), call("read_coils", 3000)
+    counter, log = call("diag_get_comm_event_counter"), call("diag_get_comm_event_log")
+    facts = attrgetter("status", "count")
+    yield Asked(11, "counter", lambda c: [good(c), counter(c)][-1], facts, (True, 1))
+    facts = attrgetter("status", "event_count", "message_count", "events")
+    events = [0x80, 0x41, 0x80, 0x40, 0x80]
+    yield Asked(12, "log", lambda c: [good(c), bad(c), log(c)][-1], facts, (True, 1, 3, events))
     for name, address in (("few", 100), ("none", 101), ("most", 102)):
         yield Asked(
             24,
             name,
-            lambda c, address=address: c.read_fifo_queue(address=address, **unit),
-            lambda response: response.values,
+            call("read_fifo_queue", address=address),
+            attrgetter("values"),
             FIFOS[address],
-            look=lambda device: device.fifos,
+            look=attrgetter("fifos"),
             seen=FIFOS,
             transports=NOT_RTU,
         )
+    facts = attrgetter(
+        *("read_code", "conformity", "more_follows", "next_object_id", "number_of_objects"),
+        "information",
+    )
     for name, code, start, more, following, numbers in (
         ("basic", 1, 0, 0, 0, (0, 1, 2)),
         ("regular", 2, 0, 0xFF, 3, (0, 1, 2)),
@@ -372,29 +287,9 @@ def asked_beside_the_tables() -> Iterator[Asked]:
         ("restart", 1, 6, 0, 0, (0, 1, 2)),
         ("single", 4, 128, 0, 0, (128,)),
     ):
-        yield Asked(
-            43,
-            name,
-            lambda c, code=code, start=start: c.read_device_information(
-                read_code=code, object_id=start, **unit
-            ),
-            lambda response: (
-                response.read_code,
-                response.conformity,
-                response.more_follows,
-                response.next_object_id,
-                response.number_of_objects,
-                response.information,
-            ),
-            (
-                code,
-                0x83,
-                more,
-                following,
-                len(numbers),
-                {number: OBJECTS[number] for number in numbers},
-            ),
-        )
+        ask = call("read_device_information", read_code=code, object_id=start)
+        objects = {number: OBJECTS[number] for number in numbers}
+        yield Asked(43, name, ask, facts, (code, 0x83, more, following, len(numbers), objects))
 
 
 class Unknown(ModbusPDU):
@@ -410,56 +305,38 @@ class Unknown(ModbusPDU):
 
 def asked_in_vain() -> Iterator[Asked]:
     """Requests that must be refused; `expected` is the exception code."""
-    unit = {"device_id": UNIT}
+    two_files = [piece_to_write(4, 0, [1]), piece_to_write(9, 0, [1])]
+    read, write = {"read_address": 399, "read_count": 2}, {"write_address": 100, "values": [1]}
     for function, ask in (
-        (1, lambda c: c.read_coils(3000, **unit)),
-        (2, lambda c: c.read_discrete_inputs(2119, count=2, **unit)),
-        (3, lambda c: c.read_holding_registers(399, count=2, **unit)),
-        (4, lambda c: c.read_input_registers(199, count=2, **unit)),
-        (5, lambda c: c.write_coil(2110, True, **unit)),
-        (6, lambda c: c.write_register(99, 1, **unit)),
-        (15, lambda c: c.write_coils(2109, [True, True], **unit)),
-        (16, lambda c: c.write_registers(399, [1, 2], **unit)),
-        (20, lambda c: c.read_file_record([piece_to_read(3, 9, 3)], **unit)),
-        (
-            21,
-            lambda c: c.write_file_record(
-                [piece_to_write(4, 0, [1]), piece_to_write(9, 0, [1])], **unit
-            ),
-        ),
-        (22, lambda c: c.mask_write_register(address=400, and_mask=0, or_mask=0, **unit)),
-        (
-            23,
-            lambda c: c.readwrite_registers(
-                read_address=399, read_count=2, write_address=100, values=[1], **unit
-            ),
-        ),
+        (1, call("read_coils", 3000)),
+        (2, call("read_discrete_inputs", 2119, count=2)),
+        (3, call("read_holding_registers", 399, count=2)),
+        (4, call("read_input_registers", 199, count=2)),
+        (5, call("write_coil", 2110, True)),
+        (6, call("write_register", 99, 1)),
+        (15, call("write_coils", 2109, [True, True])),
+        (16, call("write_registers", 399, [1, 2])),
+        (20, call("read_file_record", [piece_to_read(3, 9, 3)])),
+        (21, call("write_file_record", two_files)),
+        (22, call("mask_write_register", address=400, and_mask=0, or_mask=0)),
+        (23, call("readwrite_registers", **read, **write)),
     ):
         yield Asked(function, "refused", ask, expected=2)
     for function, name, code, ask in (
-        (8, "iop", 1, lambda c: c.diag_read_iop_overrun_count(**unit)),
-        (8, "modbus-plus", 1, lambda c: c.diag_getclear_modbus_response(data=3, **unit)),
+        (8, "iop", 1, call("diag_read_iop_overrun_count")),
+        (8, "modbus-plus", 1, call("diag_getclear_modbus_response", data=3)),
         # It sends the character in the low byte, where 00 belongs.
-        (8, "delimiter", 3, lambda c: c.diag_change_ascii_input_delimeter(**unit)),
-        (24, "queue", 2, lambda c: c.read_fifo_queue(address=99, **unit)),
-        (43, "object", 2, lambda c: c.read_device_information(read_code=4, object_id=5, **unit)),
-        (43, "code", 3, lambda c: c.read_device_information(read_code=5, **unit)),
+        (8, "delimiter", 3, call("diag_change_ascii_input_delimeter")),
+        (24, "queue", 2, call("read_fifo_queue", address=99)),
+        (43, "object", 2, call("read_device_information", read_code=4, object_id=5)),
+        (43, "code", 3, call("read_device_information", read_code=5)),
     ):
         yield Asked(function, f"refused-{name}", ask, expected=code)
-    yield Asked(
-        8,
-        "refused-restart",
-        lambda c: c.diag_restart_communication(False, **unit),
-        expected=1,
-        transports=("tcp",),
-    )
+    ask = call("diag_restart_communication", False)
+    yield Asked(8, "refused-restart", ask, expected=1, transports=("tcp",))
     for function in UNKNOWN_FUNCTIONS:
-        yield Asked(
-            function,
-            "refused",
-            lambda c, function=function: c.execute(False, Unknown(function)),
-            expected=1,
-        )
+        ask = methodcaller("execute", False, Unknown(function))
+        yield Asked(function, "refused", ask, expected=1)
 
 
 # What a device counts, it counts from its start on: these want one of their own.
