@@ -138,56 +138,6 @@ def test_context_raises_what_c_server_refuses(
                 assert context.read_holding_registers(399, 1) == [1399]
 
 
-@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
-@pytest.mark.parametrize(
-    "ask",
-    [
-        pytest.param(
-            lambda context: context.read_file_records([(4, 0, 2)]),
-            id=case_id("libmodbus", "client", "tcp", 20, "refused"),
-        ),
-        pytest.param(
-            lambda context: context.write_file_records([(4, 0, [1])]),
-            id=case_id("libmodbus", "client", "tcp", 21, "refused"),
-        ),
-    ],
-)
-def test_file_records_are_refused_over_tcp_and_the_connection_goes_on(
-    compiled: Callable[[str], Path], ask: Callable[[Context], object], way: bool
-) -> None:
-    # The C server reads one byte of such a request, answers after its response
-    # timeout of half a second, and throws the rest away: in step again.
-    with c_server(compiled("server"), "tcp", native=way) as context:
-        with pytest.raises(IllegalFunction):
-            ask(context)
-        assert context.read_holding_registers(100, 1) == [1100]
-
-
-@pytest.mark.parametrize(
-    "ask",
-    [
-        pytest.param(
-            lambda context: context.read_file_records([(4, 0, 2)]),
-            id=case_id("libmodbus", "client", "rtu", 20, "pinned"),
-        ),
-        pytest.param(
-            lambda context: context.write_file_records([(4, 0, [1])]),
-            id=case_id("libmodbus", "client", "rtu", 21, "pinned"),
-        ),
-    ],
-)
-def test_file_records_over_rtu_time_out(
-    compiled: Callable[[str], Path], ask: Callable[[Context], object]
-) -> None:
-    # libmodbus has no length for these codes: it takes the two bytes after the code
-    # for the CRC, finds it wrong, and says nothing.
-    with (
-        c_server(compiled("server"), "rtu", timeout=0.2) as context,
-        pytest.raises(ModbusTimeoutError),
-    ):
-        ask(context)
-
-
 # What libmodbus has no answer for. It thinks that a request of a code which it does not
 # know is the code alone: so the first two are whole, and the others are not.
 WITHOUT_DATA: dict[int, Callable[[Context], object]] = {
@@ -196,54 +146,61 @@ WITHOUT_DATA: dict[int, Callable[[Context], object]] = {
 }
 WITH_DATA: dict[int, Callable[[Context], object]] = {
     8: lambda context: context.diagnostics(0, 0xA537),
+    20: lambda context: context.read_file_records([(4, 0, 2)]),
+    21: lambda context: context.write_file_records([(4, 0, [1])]),
     24: lambda context: context.read_fifo_queue(100),
     43: lambda context: context.read_device_identification(),
 }
 
 
-def to_c_server_in_vain(
-    functions: dict[int, Callable[[Context], object]], transport: str, word: str
+def lacking(
+    *cases: tuple[str, dict[int, Callable[[Context], object]]], word: str = "refused"
 ) -> Any:
+    """Run a test with functions that libmodbus lacks, over a transport."""
     return pytest.mark.parametrize(
-        ("function", "ask"),
+        ("transport", "function", "ask"),
         [
             pytest.param(
-                function, ask, id=case_id("libmodbus", "client", transport, function, word)
+                transport,
+                function,
+                ask,
+                id=case_id("libmodbus", "client", transport, function, word),
             )
+            for transport, functions in cases
             for function, ask in functions.items()
         ],
     )
 
 
-@to_c_server_in_vain(WITHOUT_DATA | WITH_DATA, "tcp", "refused")
-def test_what_libmodbus_lacks_is_refused_over_tcp(
-    compiled: Callable[[str], Path], function: int, ask: Callable[[Context], object]
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+@lacking(("tcp", WITHOUT_DATA | WITH_DATA), ("rtu", WITHOUT_DATA))
+def test_what_libmodbus_lacks_is_refused_and_the_connection_goes_on(
+    compiled: Callable[[str], Path],
+    transport: str,
+    function: int,
+    ask: Callable[[Context], object],
+    way: bool,
 ) -> None:
-    with c_server(compiled("server"), "tcp") as context:
+    # Over TCP, the C server reads one byte of a request that it does not know, answers after
+    # its response timeout of half a second, and throws the rest away: in step again.
+    with c_server(compiled("server"), transport, native=way) as context:
         with pytest.raises(IllegalFunction) as caught:
             ask(context)
         assert caught.value.function == function
         assert context.read_holding_registers(100, 1) == [1100]
 
 
-@to_c_server_in_vain(WITHOUT_DATA, "rtu", "refused")
-def test_what_libmodbus_lacks_is_refused_over_rtu(
-    compiled: Callable[[str], Path], function: int, ask: Callable[[Context], object]
-) -> None:
-    with c_server(compiled("server"), "rtu") as context:
-        with pytest.raises(IllegalFunction) as caught:
-            ask(context)
-        assert caught.value.function == function
-        assert context.read_holding_registers(100, 1) == [1100]
-
-
-@to_c_server_in_vain(WITH_DATA, "rtu", "pinned")
+@lacking(("rtu", WITH_DATA), word="pinned")
 def test_what_libmodbus_lacks_times_out_over_rtu(
-    compiled: Callable[[str], Path], function: int, ask: Callable[[Context], object]
+    compiled: Callable[[str], Path],
+    transport: str,
+    function: int,
+    ask: Callable[[Context], object],
 ) -> None:
-    # As with file records: the CRC is looked for too early, and not found.
+    # libmodbus has no length for these codes: it takes the two bytes after the code
+    # for the CRC, finds it wrong, and says nothing.
     with (
-        c_server(compiled("server"), "rtu", timeout=0.2) as context,
+        c_server(compiled("server"), transport, timeout=0.2) as context,
         pytest.raises(ModbusTimeoutError),
     ):
         ask(context)

@@ -10,7 +10,9 @@ from __future__ import annotations
 import contextlib
 import subprocess
 from collections.abc import Callable, Generator, Iterable, Iterator
-from typing import NamedTuple, TypeVar
+from functools import partial
+from operator import methodcaller
+from typing import Any, NamedTuple, TypeVar
 
 from libmodbus_py import Context, Device, Mapping, Server
 from libmodbus_py.ports.endpoint import Endpoint, parse
@@ -222,106 +224,60 @@ class Exchange(NamedTuple):
     seen: object = None
 
 
+def call(method: str, *arguments: Any) -> Callable[[Context], Any]:
+    """Return what calls a method of a context."""
+    return methodcaller(method, *arguments)
+
+
 def exchanges() -> Iterator[Exchange]:
     """The standard functions, with few values and with as many as there may be."""
-    yield Exchange(1, "few", lambda c: c.read_coils(12, 3), cells(coil, 12, 3))
-    yield Exchange(1, "most", lambda c: c.read_coils(10, 2000), cells(coil, 10, 2000))
-    yield Exchange(2, "few", lambda c: c.read_discrete_inputs(20, 9), cells(discrete_input, 20, 9))
-    yield Exchange(
-        2, "most", lambda c: c.read_discrete_inputs(20, 2000), cells(discrete_input, 20, 2000)
-    )
-    yield Exchange(3, "few", lambda c: c.read_holding_registers(399, 1), [1399])
-    yield Exchange(
-        3, "most", lambda c: c.read_holding_registers(100, 125), cells(holding_register, 100, 125)
-    )
-    yield Exchange(4, "few", lambda c: c.read_input_registers(200, 2), [65335, 65334])
-    yield Exchange(
-        4, "most", lambda c: c.read_input_registers(275, 125), cells(input_register, 275, 125)
-    )
-    for name, address, value in (("on", 10, True), ("off", 12, False)):
-        yield Exchange(
-            5,
-            name,
-            lambda c, address=address, value=value: c.write_coil(address, value),
-            look=lambda c, address=address: c.read_coils(address, 2),
-            seen=[value, coil(address + 1)],
-        )
-    yield Exchange(
-        6,
-        "few",
-        lambda c: c.write_register(101, 65535),
-        look=lambda c: c.read_holding_registers(100, 3),
-        seen=[1100, 65535, 1102],
-    )
-    yield Exchange(
-        15,
-        "few",
-        lambda c: c.write_coils(13, [True, False, True]),
-        look=lambda c: c.read_coils(12, 5),
-        seen=[True, True, False, True, False],
-    )
-    yield Exchange(
-        15,
-        "most",
-        lambda c: c.write_coils(11, [not value for value in cells(coil, 11, 1968)]),
-        look=lambda c: c.read_coils(10, 1970),
-        seen=[
-            coil(10),
-            *(not value for value in cells(coil, 11, 1968)),
-            coil(11 + 1968),
-        ],
-    )
-    yield Exchange(
-        16,
-        "few",
-        lambda c: c.write_registers(398, [0, 65535]),
-        look=lambda c: c.read_holding_registers(397, 3),
-        seen=[1397, 0, 65535],
-    )
-    yield Exchange(
-        16,
-        "most",
-        lambda c: c.write_registers(101, range(123)),
-        look=lambda c: c.read_holding_registers(100, 125),
-        seen=[1100, *range(123), 1224],
-    )
-    yield Exchange(
-        22,
-        "few",
-        lambda c: c.mask_write_register(250, 0x00F0, 0xA50F),  # 1250 is 04E2h
-        look=lambda c: c.read_holding_registers(249, 3),
-        seen=[1249, 0xA5EF, 1251],
-    )
-    yield Exchange(
-        23,
-        "few",
-        lambda c: c.read_write_registers(100, 2, 101, [7]),
-        [1100, 7],
-        look=lambda c: c.read_holding_registers(101, 2),
-        seen=[7, 1102],
-    )
-    yield Exchange(
-        23,
-        "most",
-        lambda c: c.read_write_registers(100, 125, 104, range(121)),
-        [1100, 1101, 1102, 1103, *range(121)],
-        look=lambda c: c.read_holding_registers(224, 2),
-        seen=[120, 1225],
-    )
+    for function, method, cell, few, most in (
+        (1, "read_coils", coil, (12, 3), (10, 2000)),
+        (2, "read_discrete_inputs", discrete_input, (20, 9), (20, 2000)),
+        (3, "read_holding_registers", holding_register, (399, 1), (100, 125)),
+        (4, "read_input_registers", input_register, (200, 2), (275, 125)),
+    ):
+        for name, span in (("few", few), ("most", most)):
+            yield Exchange(function, name, call(method, *span), cells(cell, *span))
+    coils, registers = partial(call, "read_coils"), partial(call, "read_holding_registers")
+    other = [not value for value in cells(coil, 11, 1968)]
+    most_coils = [coil(10), *other, coil(11 + 1968)]
+    few_coils = [True, True, False, True, False]
+    most_registers = [1100, *range(123), 1224]
+    for function, name, ask, look, seen in (
+        (5, "on", call("write_coil", 10, True), coils(10, 2), [True, coil(11)]),
+        (5, "off", call("write_coil", 12, False), coils(12, 2), [False, coil(13)]),
+        (6, "few", call("write_register", 101, 65535), registers(100, 3), [1100, 65535, 1102]),
+        (15, "few", call("write_coils", 13, [True, False, True]), coils(12, 5), few_coils),
+        (15, "most", call("write_coils", 11, other), coils(10, 1970), most_coils),
+        (16, "few", call("write_registers", 398, [0, 65535]), registers(397, 3), [1397, 0, 65535]),
+        (16, "most", call("write_registers", 101, range(123)), registers(100, 125), most_registers),
+        # 1250 is 04E2h
+        (
+            *(22, "few", call("mask_write_register", 250, 0x00F0, 0xA50F)),
+            *(registers(249, 3), [1249, 0xA5EF, 1251]),
+        ),
+    ):
+        yield Exchange(function, name, ask, None, look, seen)
+    ask = call("read_write_registers", 100, 2, 101, [7])
+    yield Exchange(23, "few", ask, [1100, 7], registers(101, 2), [7, 1102])
+    ask = call("read_write_registers", 100, 125, 104, range(121))
+    answer = [1100, 1101, 1102, 1103, *range(121)]
+    yield Exchange(23, "most", ask, answer, registers(224, 2), [120, 1225])
 
 
 def refusals() -> Iterator[Exchange]:
     """Requests for addresses that the device does not have, the standard functions all."""
     for function, ask in (
-        (1, lambda c: c.read_coils(3000, 1)),
-        (2, lambda c: c.read_discrete_inputs(2119, 20)),
-        (3, lambda c: c.read_holding_registers(399, 2)),
-        (4, lambda c: c.read_input_registers(199, 2)),
-        (5, lambda c: c.write_coil(3000, True)),
-        (6, lambda c: c.write_register(99, 1)),
-        (15, lambda c: c.write_coils(2109, [True] * 20)),
-        (16, lambda c: c.write_registers(399, [1, 2])),
-        (22, lambda c: c.mask_write_register(400, 0, 0)),
-        (23, lambda c: c.read_write_registers(100, 1, 400, [1])),
+        (1, call("read_coils", 3000, 1)),
+        (2, call("read_discrete_inputs", 2119, 20)),
+        (3, call("read_holding_registers", 399, 2)),
+        (4, call("read_input_registers", 199, 2)),
+        (5, call("write_coil", 3000, True)),
+        (6, call("write_register", 99, 1)),
+        (15, call("write_coils", 2109, [True] * 20)),
+        (16, call("write_registers", 399, [1, 2])),
+        (22, call("mask_write_register", 400, 0, 0)),
+        (23, call("read_write_registers", 100, 1, 400, [1])),
     ):
         yield Exchange(function, "refused", ask)
