@@ -19,7 +19,6 @@ from tests.tools.simulator.simulated_units import HOLDING
 
 FAULT = "[[unit]]\n[[unit.fault]]\n"
 INPUT = "[[unit.input_registers]]\naddress = 0\n"
-COPY = HOLDING + "copy = { table = 'input_registers', address = 0 }\n"
 MAPPED = "[[unit]]\nmap = 'meter.csv'\n"
 
 METER = """name,table,address,type,scale,unit,access
