@@ -189,8 +189,8 @@ def check_device_file(text: str) -> None:
 
 
 FILES: dict[str, Callable[[str], list[Exception]]] = {
-    "map.toml": lambda text: list(map_file.FORMS[".toml"](text, 20).mistakes),
-    "map.csv": lambda text: list(map_file.FORMS[".csv"](text, 20).mistakes),
+    "map.toml": lambda text: list(map_file.contents_of_text(text, ".toml", 20, {}).mistakes),
+    "map.csv": lambda text: list(map_file.contents_of_text(text, ".csv", 20, {}).mistakes),
     "gateway.toml": lambda text: _mistakes(lambda: gateway_file.parse(text)),
     "fleet.toml": lambda text: _mistakes(lambda: fleet_files.FILE.read((), read_toml(text))),
     "devices.csv": lambda text: _mistakes(

@@ -2,7 +2,9 @@
 CSV as people and programs write it: one line with headings, then one row per line.
 
 Cells are separated by commas, semicolons, tabs or bars; empty lines, lines that begin with ``#``
-(in quotes it begins a cell) and a byte order mark are ignored.
+(in quotes it begins a cell) and a byte order mark are ignored. Lines above the headings, such as a
+title, are skipped: the headings are the first line in which two of them are known. Where semicolons
+separate the cells, a comma in a number is a decimal comma.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import io
 import re
 import reprlib
 from collections.abc import Callable, Iterable, Iterator
+from itertools import islice
 from typing import Any, Literal, NamedTuple
 
 from ...protocol.mistakes import WrongValue
@@ -21,6 +24,9 @@ from .file_error import FileError, FilePlace
 __all__ = ["CELLS", "CsvRow", "CsvText", "csv_rows", "flag_in", "number_in", "whole_in"]
 
 DELIMITERS = ",;\t|"
+
+# The most lines above the headings.
+MOST_TITLES = 30
 
 # Control characters, which editors and terminals obey and no table contains.
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
@@ -40,7 +46,7 @@ class CsvText:
     Args:
         text: the whole content.
         is_known: returns True for a known heading. The delimiter is the one with the
-            most of these.
+            most of these, and the headings are the first line with two of them.
         kind: the class of the errors.
         names_first: True if the first cell may be a name such as ``#12``, which must be quoted,
             because without quotes it could be a comment.
@@ -48,6 +54,7 @@ class CsvText:
     Attributes:
         head: the row with the headings; without cells if there is none.
         delimiter: between cells.
+        skipped: how many rows stand above the headings.
 
     Raises:
         FileError: of `kind`: the text contains control characters, or is not CSV.
@@ -70,11 +77,16 @@ class CsvText:
         self._text = re.sub(r"\A\ufeff?(sep=[^\r\n](?=[\r\n]))?", "", text)
         self._lines = re.split("\r\n|\r|\n", self._text)
         self._names_first = names_first
-        heads = [(delimiter, self._head(delimiter)) for delimiter in DELIMITERS]
-        self.delimiter, head = max(heads, key=lambda each: _known(each[1], is_known))
+        heads = [(delimiter, *self._head(delimiter, is_known)) for delimiter in DELIMITERS]
+        self.delimiter, head, self.skipped = max(heads, key=lambda each: _known(each[1], is_known))
         if isinstance(head, FileError):
             raise head
         self.head: CsvRow = head
+
+    def number_cell(self, cell: str) -> str:
+        """Return a cell with a point in place of its decimal comma, if it has one."""
+        has_comma = self.delimiter == ";" and _WITH_COMMA.fullmatch(cell)
+        return cell.replace(",", ".") if has_comma else cell
 
     def rows(self) -> Iterator[CsvRow]:
         """
@@ -83,9 +95,9 @@ class CsvText:
         Raises:
             FileError: the rest of the text is not CSV.
         """
-        rows = self._rows(self.delimiter)
-        next(rows, None)
-        yield from rows
+        for row in self._rows(self.delimiter):
+            if row.line > self.head.line:
+                yield row
 
     def cells(self, row: CsvRow) -> list[str]:
         """
@@ -100,11 +112,21 @@ class CsvText:
             raise WrongValue((), f"{reason}: quote what has a {self.delimiter!r} in it")
         return row.cells[:width]
 
-    def _head(self, delimiter: str) -> CsvRow | FileError:
+    def _head(
+        self, delimiter: str, is_known: Callable[[str], bool]
+    ) -> tuple[CsvRow | FileError, int]:
+        """Return the row with the headings, and how many rows stand above it."""
+        first: CsvRow | FileError = CsvRow(1, [])
         try:
-            return next(self._rows(delimiter), CsvRow(1, []))
+            for count, row in enumerate(islice(self._rows(delimiter), MOST_TITLES + 1)):
+                if _known(row, is_known) >= 2:
+                    return row, count
+                if not count:
+                    first = row
         except FileError as error:
-            return error
+            if isinstance(first, CsvRow) and not first.cells:
+                first = error
+        return first, 0
 
     def _rows(self, delimiter: str) -> Iterator[CsvRow]:
         lines = io.StringIO(self._text, newline="")
@@ -155,6 +177,7 @@ def _written(rows: Iterable[Iterable[Any]], quoting: Literal[0, 2]) -> str:
 
 # --- cells ---------------------------------------------------------------------------
 
+_WITH_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+([eE][+-]?[0-9]+)?")
 _DECIMAL = re.compile(r"[+-]?([0-9]{1,40}(\.[0-9]{0,40})?|\.[0-9]{1,40})([eE][+-]?[0-9]{1,3})?")
 
 
@@ -167,7 +190,7 @@ def number_in(cell: str) -> int | float:
     """
     over, slash, under = cell.partition("/")
     if not _DECIMAL.fullmatch(over) or (slash and not _DECIMAL.fullmatch(under)):
-        hint = " with a point, not a comma," if "," in cell else ""
+        hint = " with a point, not a comma," if "," in cell and "." not in cell else ""
         raise WrongValue((), f"must be a number such as 0.1,{hint} not {reprlib.repr(cell)}")
     if not slash:
         return int(over) if re.fullmatch("[+-]?[0-9]+", over) else float(over)

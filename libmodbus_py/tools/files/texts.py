@@ -4,6 +4,7 @@ Reading files: their text, and TOML with the line of each key.
 
 from __future__ import annotations
 
+import codecs
 import re
 import reprlib
 import tomllib
@@ -16,7 +17,7 @@ from typing import Any, TypeVar
 from ...protocol.mistakes import Path, placed
 from .file_error import FileError, FilePlace
 
-__all__ = ["line_of", "load_file", "read_text", "read_toml", "shown_key"]
+__all__ = ["line_of", "load_file", "read_table", "read_text", "read_toml", "shown_key"]
 
 Content = TypeVar("Content")
 
@@ -36,6 +37,33 @@ def read_text(path: str | PathLike[str], kind: type[FileError]) -> str:
     except UnicodeDecodeError as error:
         reason = f'byte {error.start} is not UTF-8; save it as UTF-8, in Excel as "CSV UTF-8"'
         raise kind((), reason, place=place) from None
+
+
+def read_table(path: str | PathLike[str], kind: type[FileError]) -> tuple[str, str]:
+    """
+    Return the text of a file that a spreadsheet may have saved, and a note on its encoding.
+
+    UTF-16 is recognised by its first two bytes. What is not UTF-8 is cp1252, in which Excel saves
+    CSV in Western Europe and America. The note is empty for UTF-8.
+
+    Raises:
+        FileError: of `kind`: the file cannot be read, or has bytes that no such encoding has.
+    """
+    place = FilePlace(fspath(path))
+    try:
+        data = FilePath(path).read_bytes()
+    except OSError as error:
+        raise kind((), f"cannot read {place}: {error.strerror}") from error
+    for encoding in ("utf-16",) if data[:2] in _UTF_16 else ("utf-8", "cp1252"):
+        try:
+            text = data.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+        return text, "" if encoding == "utf-8" else f"read as {encoding}, because it is not UTF-8"
+    raise kind((), "is neither UTF-8, UTF-16 nor cp1252; save it as UTF-8", place=place)
+
+
+_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def load_file(

@@ -94,6 +94,45 @@ TABLES = [
 ]  # fmt: skip
 
 
+# What German Excel saves: a title, an empty row, decimal commas, and its own encoding.
+GERMAN = (
+    "Zähler Halle 3;;;;\r\n;;;;\r\n"
+    "Bezeichnung;Register;Datentyp;Faktor;Einheit\r\n"
+    "Außentemperatur;40001;S16;0,1;°C\r\nZählerstand;40002;U32;-2,5e-3;kWh\r\n"
+)
+NAMED = {"name": "Bezeichnung", "type": "datentyp", "scale": "Faktor", "units": "Einheit"}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+@pytest.mark.parametrize("begin", ["", "sep=;\r\n"])
+def test_a_spreadsheet_as_excel_saves_it(tmp_path: Path, encoding: str, begin: str) -> None:
+    path = tmp_path / "Zähler.csv"
+    path.write_bytes((begin + GERMAN).encode(encoding))
+    assert list(load_map(path, columns=NAMED).values()) == [
+        Point("Außentemperatur", H, 0, type="int16", scale=0.1, units="°C"),
+        Point("Zählerstand", H, 1, type="uint32", scale=-0.0025, units="kWh"),
+    ]
+    notes = contents_of(path, 1, NAMED).notes
+    is_utf_8 = encoding.startswith("utf-8")
+    assert notes == [
+        *([] if is_utf_8 else [f"read as {encoding}, because it is not UTF-8"]),
+        "rows above the headings that are skipped: 1",
+    ]
+
+
+def test_a_column_that_is_named_must_be_there(tmp_path: Path) -> None:
+    path = tmp_path / "map.csv"
+    path.write_text("name,address\na,40001\n")
+    with pytest.raises(MapError, match="line 1: no column Faktor, which is named for scale"):
+        load_map(path, columns={"scale": "Faktor"})
+    with pytest.raises(ValueError, match=r"columns must name some of name, .*, not 'factor'"):
+        load_map(path, columns={"factor": "Faktor"})
+    toml = tmp_path / "map.toml"
+    toml.write_text("")
+    with pytest.raises(ValueError, match="columns are for CSV"):
+        load_map(toml, columns={"name": "Bezeichnung"})
+
+
 @each_case(("text", "points"), TABLES)
 def test_tables_of_vendors(tmp_path: Path, text: str, points: list[Point]) -> None:
     assert list(loaded(tmp_path, text).values()) == points
@@ -165,7 +204,13 @@ REFUSED = [
     ("name;addr;FC;table\na;7;3;ir", "{}, line 2, column FC: function 3 is none of input_"),
     ("name;addr;FC;scale;divide by\na;7;3;2;2", "{}, line 2, column divide by: divisor cannot be"),
     ("name;addr;FC;divide by\na;7;3;0", "{}, line 2, column divide by: divisor must not be 0"),
-    (b"\xff\xfen\0a\0m\0e\0", '{}: byte 0 is not UTF-8; save it as UTF-8, in Excel as "CSV UTF-8"'),
+    (b"name,address\n\x81", "{}: is neither UTF-8, UTF-16 nor cp1252; save it as UTF-8"),
+    ("name;type\na;b", "{}, line 1: no column address; "),
+    ("name,address\na,17", "{}, line 2, column address: address must be a reference such as 40123"
+     " or 300007 where no column says the table, not '17'; a spreadsheet removes the zeros of"
+     " 00017: "),
+    ("name;address;scale\na;40001;1.000,5", "{}, line 2, column scale: scale must be a number such"
+     " as 0.1, not '1.000,5'"),
     (b"PK\x03\x04\x14\0\0\0\x08\0", "{}, line 1: contains the control character 0x03"),
 ]  # fmt: skip
 

@@ -51,12 +51,14 @@ class Contents:
         entries: the entry of each of these points, by name.
         mistakes: all mistakes; the file is not a map if there are any.
         ignored: headings of columns without a known meaning.
+        notes: how the file was read, where that is not the usual way.
     """
 
     points: dict[str, Point] = field(default_factory=dict)
     entries: dict[str, MapEntry] = field(default_factory=dict)
     mistakes: list[MapError] = field(default_factory=list)
     ignored: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     def place(self, name: str) -> FilePlace:
         """Return the place of a point in the file."""
@@ -107,6 +109,7 @@ _REFERENCES = {"holding_registers": range(40001, 50000), "input_registers": rang
 def remarks(contents: Contents) -> Iterator[str]:
     """Yield a line for everything in a file that is allowed, and unlikely."""
     points = list(contents.points.values())
+    yield from contents.notes
     if contents.ignored:
         yield f"columns that mean nothing here: {', '.join(contents.ignored)}"
     for table, span in _REFERENCES.items():

@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import re
 import reprlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from ....maps.point_checks import BYTES, SCALES
@@ -109,32 +109,47 @@ class Columns(NamedTuple):
     ignored: list[str]
 
 
-def opened(text: str) -> CsvText:
+def opened(text: str, named: Mapping[str, str]) -> CsvText:
     """
     Return a text as CSV with headings.
+
+    Args:
+        named: kind of a column -> its heading, where that is none of `COLUMNS`.
 
     Raises:
         MapError: the text is not CSV.
     """
-    return CsvText(text, lambda heading: plain(heading) in COLUMNS, MapError)
+    headings = {plain(heading) for heading in named.values()}
+    return CsvText(text, lambda heading: plain(heading) in COLUMNS.keys() | headings, MapError)
 
 
-def columns_of(head: CsvRow) -> Columns:
+def columns_of(head: CsvRow, named: Mapping[str, str]) -> Columns:
     """
     Return the columns by their kinds.
+
+    Args:
+        named: as for `opened`.
 
     Raises:
         MapError: a column is missing, two are of one kind, or a heading is ambiguous.
     """
+    kinds = {plain(heading): kind for kind, heading in named.items()}
     place = FilePlace(line=head.line)
     columns = Columns({}, [])
     single = [" ".join(cell.split()) for cell in head.cells]
     headings = [(at, heading) for at, heading in enumerate(single) if heading]
+    for wanted, heading in named.items():
+        if plain(heading) not in map(plain, single):
+            raise MapError((), f"no column {heading}, which is named for {wanted}", place=place)
     for at, heading in sorted(headings, key=_rank):
+        if plain(heading) in kinds:
+            columns.places[kinds[plain(heading)]] = at, heading
+            continue
         if instead := AMBIGUOUS.get(plain(heading)):
             reason = f"column {heading} means this or that: call it {instead}"
             raise MapError((), reason, place=place)
         kind = COLUMNS.get(plain(heading))
+        kind = None if kind in named else kind
         other = columns.places.get(kind or "")
         is_more = kind == "description" or (other and _rank(other) < _rank((at, heading)))
         if kind is None or (other and is_more):
@@ -183,7 +198,8 @@ def _entry(text: CsvText, columns: Columns, row: CsvRow) -> MapEntry:
         found = {}
         for key, cell in given.items():
             with inside(key):
-                found[key] = READERS[key](cell)
+                read = READERS[key]
+                found[key] = read(text.number_cell(cell) if read is number_in else cell)
         return _settled(found, given)
 
     return MapEntry((), place, keys)
@@ -222,7 +238,10 @@ def _referred(text: str) -> tuple[str, int]:
         table, address = parse_reference(text)
     except ValueError:
         wanted = "a reference such as 40123 or 300007 where no column says the table"
-        raise WrongValue("address", f"must be {wanted}, not {reprlib.repr(text)}") from None
+        hint = ""
+        if re.fullmatch("[1-9][0-9]{0,3}", text):
+            hint = f"; a spreadsheet removes the zeros of 0{int(text):04}: format cells as text"
+        raise WrongValue("address", f"must be {wanted}, not {reprlib.repr(text)}{hint}") from None
     return table, address
 
 
