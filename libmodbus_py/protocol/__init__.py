@@ -18,10 +18,11 @@ Bottom up:
     framing    unit and PDU as bytes on TCP, UDP, RTU and ASCII lines, and back
     echo       the local echo of a line among received bytes
     tables     the four tables: what they contain, and how much of it a request may carry
-    values     numbers, text, bits and times in registers; references such as 40123
-               (type_names: what type checkers know of them)
+    values     numbers, text, bits and times in registers
+               (type_names: what type checkers know of them; encodings: those of text)
     times      dates and times in registers
                (local_times: those of devices whose clocks show local time)
+    references how manuals number the items of tables, such as 40123
     spelling   values as people read and type them
     plain      values as JSON can contain them, text for terminals, points in time
     json_text  the encoders of JSON

@@ -60,7 +60,7 @@ def in_time_zone(kind: ValueType, zone: tzinfo) -> ValueType:
         is_summer = bool(data[4] & 0x80)
         return _moment(wall + HOUR * is_summer, zone, fold=not is_summer)
 
-    return replace(kind, _pack=pack, _unpack=unpack)
+    return replace(kind, pack=pack, unpack=unpack)
 
 
 def _with_summer(data: bytes) -> bytes:

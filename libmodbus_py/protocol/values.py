@@ -1,5 +1,5 @@
 """
-Values and references: how registers are interpreted, and how manuals number them.
+Values: how registers are interpreted, and how manuals number them (`references`).
 
 Modbus carries 16-bit registers, high byte first. Everything else is a convention of the
 device; this module knows the usual ones. Types are named by strings:
@@ -42,21 +42,24 @@ import struct
 import sys
 from collections.abc import Callable, Iterable, Mapping, Set
 from dataclasses import dataclass, field, replace
-from encodings import normalize_encoding
-from encodings.aliases import aliases
 from typing import TYPE_CHECKING, Any, NamedTuple, SupportsFloat, SupportsIndex
 
 from .checks import are_registers, integer, shown
+from .encodings import ENCODINGS, encoded, fill_of
 from .mistakes import Path, WrongType, WrongValue, item
+from .references import Reference, parse_reference
 from .type_names import (
+    MAX_STRING_BYTES,
     BitsType,
     Layout,
     NumberType,
     Order,
+    StringType,
     TextOptions,
     TextType,
     TimeType,
     TypeName,
+    string_type,
 )
 from .words import ORDER_WORDS, TYPE_WORDS, close_word, order_named, type_named
 
@@ -66,8 +69,8 @@ if TYPE_CHECKING:
 # fmt: off
 __all__ = [
     "ENCODINGS", "ORDERS", "BitsType", "Interpretation", "Layout", "NumberType", "Order",
-    "Reference", "TextOptions", "TextType", "TimeType", "TypeName", "ValueType", "parse_reference",
-    "readings", "value_type",
+    "Reference", "StringType", "TextOptions", "TextType", "TimeType", "TypeName", "ValueType",
+    "parse_reference", "readings", "string_type", "value_type",
 ]
 # fmt: on
 
@@ -130,6 +133,8 @@ class ValueType:
     Attributes:
         name: the name of the type, as in the module's docstring.
         registers: the number of registers of one value, 1..125.
+        pack: returns the bytes of a value in the order ABCD; takes its name for errors, and it.
+        unpack: returns the value of bytes in the order ABCD; raises ValueError.
         order: ABCD, CDAB, BADC or DCBA.
         limits: the lowest and the highest number; None if values are not numbers.
         is_text: True if the registers are in reading order, whatever the order.
@@ -138,22 +143,12 @@ class ValueType:
 
     name: str
     registers: int
-    _pack: Callable[[str | Path, Any], bytes] = field(repr=False)  # the argument's name, the value
-    _unpack: Callable[[bytes], Any] = field(repr=False)  # ValueError says what the bytes are not
+    pack: Callable[[str | Path, Any], bytes] = field(repr=False)
+    unpack: Callable[[bytes], Any] = field(repr=False)
     limits: tuple[int, int] | tuple[float, float] | None = None
     is_text: bool = False
     order: str = "ABCD"
     is_time: bool = False
-
-    @property
-    def pack(self) -> Callable[[str | Path, Any], bytes]:
-        """The function that returns the bytes of a value, in the order ABCD; its name first."""
-        return self._pack
-
-    @property
-    def unpack(self) -> Callable[[bytes], Any]:
-        """The function that returns the value of bytes in the order ABCD; raises ValueError."""
-        return self._unpack
 
     def encode(self, value: Any) -> list[int]:
         """
@@ -218,7 +213,7 @@ class ValueType:
         return self._from_registers(cells)
 
     def _to_registers(self, name: str | Path, value: object) -> list[int]:
-        data = self._reordered(self._pack(name, value))
+        data = self._reordered(self.pack(name, value))
         return list(struct.unpack(f">{self.registers}H", data))
 
     def _from_registers(self, cells: list[int]) -> list[Any]:
@@ -240,12 +235,12 @@ class ValueType:
         Raises:
             ValueError: the bytes hold no such value.
         """
-        return self._unpack(self._reordered(data))
+        return self.unpack(self._reordered(data))
 
     @property
     def reader(self) -> Callable[[bytes], Any]:
         """Return a function that does the same as `from_bytes`, with fewer calls if possible."""
-        return self._unpack if self.order == "ABCD" else self.from_bytes
+        return self.unpack if self.order == "ABCD" else self.from_bytes
 
     def to_number(self, data: bytes) -> int:
         """Return the bits of one value of any type as an unsigned number."""
@@ -362,40 +357,13 @@ def _bit(name: str | Path, flag: object) -> int:
     return int(flag) if isinstance(flag, bool) else integer(name, flag, 0, 1)
 
 
-# fmt: off
-ENCODINGS = frozenset((
-    "ascii", "latin_1", "utf_8", "utf_16", "utf_16_be", "utf_16_le", "utf_32", "utf_32_be",
-    "utf_32_le", "cp1250", "cp1251", "cp1252", "cp1253", "cp1254", "cp1255", "cp1256", "cp1257",
-    "cp1258", "cp437", "cp737", "cp775", "cp850", "cp852", "cp855", "cp857", "cp858", "cp860",
-    "cp861", "cp862", "cp863", "cp864", "cp865", "cp866", "cp869", "iso8859_2", "iso8859_3",
-    "iso8859_4", "iso8859_5", "iso8859_6", "iso8859_7", "iso8859_8", "iso8859_9", "iso8859_10",
-    "iso8859_11", "iso8859_13", "iso8859_14", "iso8859_15", "iso8859_16", "koi8_r", "koi8_u",
-    "mac_roman", "tis_620", "shift_jis", "cp932", "euc_jp", "gb2312", "gbk", "gb18030", "big5",
-    "cp950", "euc_kr", "cp949",
-))
-# fmt: on
-"""
-The encodings of strings in registers, by Python's names of their modules. Not all that Python
-knows: some take the square of the text's length (punycode), and every other name would import
-a module.
-"""
-
-
-def _known_encoding(encoding: str) -> bool:
-    # Python drops other characters from the name, though not everywhere; 3.15 warns of them.
-    if not (encoding.isascii() and encoding.isprintable()):
-        return False
-    name = normalize_encoding(encoding.lower())
-    return aliases.get(name, name) in ENCODINGS
-
-
 def _text(size: int, encoding: str, padding: str, fill: bytes) -> ValueType:
     registers = (size + 1) // 2
 
     def pack(name: str | Path, value: object) -> bytes:
         if not isinstance(value, str):
             raise WrongType(name, f"must be a string, not {type(value).__name__}")
-        data = _encoded(name, value, encoding)
+        data = encoded(name, value, encoding)
         room = size - len(data)
         if room < 0:
             given = f"{reprlib.repr(value)} with {len(data)}"
@@ -413,30 +381,6 @@ def _text(size: int, encoding: str, padding: str, fill: bytes) -> ValueType:
             raise ValueError(f"{data[:size].hex(' ').upper()} is no {encoding}") from None
 
     return ValueType(f"string:{size}", registers, pack, unpack, is_text=True)
-
-
-def _encoded(name: str | Path, value: str, encoding: str) -> bytes:
-    try:
-        return value.encode(encoding)
-    except UnicodeError:
-        raise WrongValue(name, f"must be {encoding}, not {reprlib.repr(value)}") from None
-
-
-def _fill(padding: str, encoding: str) -> bytes:
-    """The bytes of one more padding: without the mark that begins UTF-16 text."""
-    for name, given in (("encoding", encoding), ("padding", padding)):
-        if not isinstance(given, str):
-            raise WrongType(name, f"must be a string, not {type(given).__name__}")
-    if len(padding) != 1:
-        raise WrongValue("padding", f"must be one character, not {reprlib.repr(padding)}")
-    if not _known_encoding(encoding):
-        raise WrongValue(
-            "encoding",
-            f"must be ascii, latin-1, utf-8, cp1252 or another of values.ENCODINGS,"
-            f" not {reprlib.repr(encoding)}",
-        )
-    one, two = (_encoded("padding", padding * count, encoding) for count in (1, 2))
-    return two[len(one) :]
 
 
 TIME_REGISTERS = {
@@ -502,9 +446,9 @@ def _string(name: str, encoding: str, padding: str) -> ValueType:
         close = close_word(name, TYPES, TYPE_WORDS)
         raise WrongValue("type", f"must be {wanted}, not {reprlib.repr(name)}{close}")
     size = int(found[1])
-    if not 1 <= size <= 250:
-        raise WrongValue("type", f"string:N: N must be in 1..250, not {size}")
-    return _text(size, encoding, padding, _fill(padding, encoding))
+    if not 1 <= size <= MAX_STRING_BYTES:
+        raise WrongValue("type", f"string:N: N must be in 1..{MAX_STRING_BYTES}, not {size}")
+    return _text(size, encoding, padding, fill_of(padding, encoding))
 
 
 # --- interpretations ----------------------------------------------------------------------
@@ -553,64 +497,3 @@ def readings(registers: Iterable[int]) -> list[Interpretation]:
             # By repr, because a nan is not equal to itself.
             found.setdefault((name, repr(value)), Interpretation(name, order, value))
     return list(found.values())
-
-
-# --- references --------------------------------------------------------------------
-
-TABLES = {
-    "0": "coils",
-    "1": "discrete_inputs",
-    "3": "input_registers",
-    "4": "holding_registers",
-    "6": "file",
-}
-"""First digit of a reference -> table."""
-
-
-class Reference(NamedTuple):
-    """
-    The table and address of a reference.
-
-    Attributes:
-        table: "coils", "discrete_inputs", "input_registers",
-            "holding_registers" or "file" (a reference does not contain the file number).
-        address: the 0-based address, or the record number.
-    """
-
-    table: str
-    address: int
-
-
-def parse_reference(text: str) -> Reference:
-    """
-    Return the table and address of a 5- or 6-digit reference (PI-MBUS-300).
-
-    The first digit is the table, and the rest is the number of the item, counted from 1: "40123"
-    is the holding register with address 122. Only file records are counted from 0: "600007" is
-    record 7.
-
-    Args:
-        text: the reference, as a string because the leading zero of coils matters.
-
-    Raises:
-        TypeError: the argument is not a string.
-        ValueError: the text is not a reference; the message tells what one looks like.
-    """
-    if not isinstance(text, str):
-        given = type(text).__name__
-        raise TypeError(f'a reference must be a string, such as "40123", not {given}')
-    if not re.fullmatch(r"[0-9]{5,6}", text) or text[0] not in TABLES:
-        raise WrongValue(
-            "reference",
-            f"{text!r} must have 5 or 6 digits and begin with 0 (coil), 1 (discrete"
-            " input), 3 (input register), 4 (holding register) or 6 (file record), as in 40123",
-        )
-    table, item = TABLES[text[0]], int(text[1:])
-    if table == "file":
-        if item > 9999:
-            raise WrongValue("reference", f"{text!r}: file records are 600000..609999")
-        return Reference(table, item)
-    if not 1 <= item <= 65536:
-        first, last = f"{text[0]}{'1':0>{len(text) - 1}}", f"{text[0]}65536"
-        raise WrongValue("reference", f"{text!r}: the items are {first}..{last}, counted from 1")
-    return Reference(table, item - 1)

@@ -18,6 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from libmodbus_py import values
+from libmodbus_py.protocol.references import REFERENCE_TABLES
 from libmodbus_py.protocol.values import (
     ORDERS,
     TYPES,
@@ -26,8 +27,10 @@ from libmodbus_py.protocol.values import (
     Order,
     TextType,
     TimeType,
+    TypeName,
     parse_reference,
     readings,
+    string_type,
     value_type,
 )
 from tests.support.cases import each_case
@@ -885,7 +888,7 @@ class TestParseReference:
         assert int(text[1:]) - address == (0 if table == "file" else 1)
 
     def test_tables_are_those_of_mappings(self) -> None:
-        assert values.TABLES == DIGITS
+        assert REFERENCE_TABLES == DIGITS
 
 
 # --- names and limits --------------------------------------------------------------------
@@ -893,8 +896,16 @@ class TestParseReference:
 
 def test_names_for_type_checkers_are_all_there_are() -> None:
     assert {*get_args(NumberType), *get_args(BitsType), *get_args(TimeType)} == set(TYPES)
-    assert get_args(TextType) == tuple(f"string:{size}" for size in range(1, 251))
+    assert all(value_type(name).is_text for name in get_args(get_args(TextType)[0]))
+    assert sum(len(get_args(each)) for each in get_args(TypeName)) < 60  # errors list all of them
     assert set(get_args(Order)) == set(ORDERS)
+
+
+def test_sizes_that_type_checkers_do_not_know_have_a_function() -> None:
+    assert value_type(string_type(77)).name == "string:77"
+    for size in (0, 251, "77"):
+        with pytest.raises((TypeError, ValueError), match=r"size must be .*1\.\.250"):
+            string_type(size)  # type: ignore[arg-type]
 
 
 @each_case("name", get_args(NumberType))

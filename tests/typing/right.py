@@ -41,7 +41,7 @@ from libmodbus_py import (
 from libmodbus_py.bound import Unreadable
 from libmodbus_py.listen import Separator, Transaction, listen
 from libmodbus_py.maps.watched import PolledValues
-from libmodbus_py.protocol.type_names import TypeName
+from libmodbus_py.protocol.type_names import TypeName, string_type
 
 ALL = [
     TcpContext("192.0.2.10", unit=17, timeout=1.0, framing="rtu", native=False),
@@ -110,6 +110,8 @@ def values(plc: TcpContext) -> None:
     plc.read_values("holding_registers", 100, "float32", 2, order="CDAB")
     plc.read_values("input_registers", 100, "string:16", encoding="latin-1", padding=" ")
     plc.write_value("holding_registers", 100, "pump", "string:8", padding=" ")
+    plc.write_value("holding_registers", 100, "pump", string_type(77))
+    assert_type(plc.read_value("holding_registers", 100, string_type(77)), str)
     plc.write_values("holding_registers", 100, [3.14], "float64", order="DCBA")
 
 
