@@ -108,9 +108,10 @@ _FREE = {
 TUNING: dict[str, frozenset[str]] = {
     "of how much is done before others have their turn": frozenset(
         {
-            *("AT_ONCE", "BEHIND_AT_ONCE", "EVENTS_MAX", "FAIR_SIZE", "FOUND_AT_ONCE"),
+            *("AT_ONCE", "BEHIND_AT_ONCE", "EVENTS_MAX", "FAIR_BYTES", "FOUND_AT_ONCE"),
             *("FREED", "GREEDY_AT_ONCE", "MERGED", "MOST_AT_ONCE", "MOST_DELETED"),
-            *("MOST_OF_JOURNAL", "MOST_WRITES", "PIECE", "READ_SIZE", "TOGETHER"),
+            *("GREEDY_BYTES", "MOST_OF_JOURNAL", "MOST_WRITES", "PIECE", "READ_SIZE"),
+            *("RECEIVED_BYTES", "TOGETHER"),
         }
     ),
     "of memory that only floods and failures reach": frozenset(

@@ -36,6 +36,7 @@ from ..protocol.pdu import (
     SubFunction,
     decode_request,
 )
+from ..protocol.ranges import joined, without
 from .access import ACCESSES, Access, Touched, touched
 from .authorization import Asked, Authorization, Authorize, UnauthorizedError
 from .caller import Caller, answer_audited, values_at
@@ -45,7 +46,6 @@ from .hooks import HookLike, Hooks
 from .mapping import Mapping, Table
 from .named_values import NO_POINTS, NamedValues, zeros_for
 from .point_rules import PointIndex, PointRules, RuledCells
-from .ranges import joined, without
 from .reply import Answered, Watched, answer_in_c, make_tally, reply
 from .state import load_state, read_text, replace_file, state_text
 

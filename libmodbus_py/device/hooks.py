@@ -12,9 +12,9 @@ from typing import TypeVar
 from ..protocol.callbacks import checked_callback, finished
 from ..protocol.close_names import named_arguments
 from ..protocol.logs import HarmlessLogger
+from ..protocol.ranges import checked_ranges, joined, touches
 from ..protocol.tables import TABLE_SIZE
 from .access import READABLE, Access, Touched
-from .ranges import checked_ranges, joined, touches
 
 __all__ = ["SLOW", "Hook", "HookLike", "Hooks", "timed"]
 

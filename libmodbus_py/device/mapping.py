@@ -22,10 +22,10 @@ from typing import Any, ClassVar, Generic, Literal, Self, TypeVar, Unpack, overl
 from ..binding.library import ffi, lib
 from ..protocol.checks import integer
 from ..protocol.close_names import named_arguments
+from ..protocol.ranges import checked_ranges, joined, without
 from ..protocol.tables import TABLE_SIZE
 from ..protocol.values import Layout, TypeName, value_type
 from ..system import call_in_children
-from .ranges import checked_ranges, joined, without
 
 __all__ = ["TABLE_NUMBERS", "BitTable", "Mapping", "RegisterTable", "Table", "runs"]
 

@@ -12,9 +12,9 @@ from ..maps.point_plan import sources_of
 from ..maps.register_map import RegisterMap, close_to
 from ..maps.writing import Encoded, check_overlaps, encoded_change
 from ..protocol.mistakes import WrongType, WrongValue
+from ..protocol.ranges import joined
 from ..protocol.tables import TABLES
 from .mapping import Mapping
-from .ranges import joined
 
 # fmt: off
 __all__ = [

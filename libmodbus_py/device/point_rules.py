@@ -13,11 +13,11 @@ from typing import NamedTuple
 from ..maps.point import Point
 from ..maps.writing import check_cells, has_bounds
 from ..protocol.errors import IllegalDataAddress, IllegalDataValue
+from ..protocol.ranges import joined, touches, without
 from ..protocol.tables import TABLES
 from .access import Access, Touched
 from .mapping import Mapping
 from .named_values import cells_after, source_after
-from .ranges import joined, touches, without
 
 __all__ = ["PointIndex", "PointRules", "RuledCells"]
 

@@ -35,12 +35,12 @@ from ..maps.register_map import RegisterMap
 from ..protocol.checks import integer, shown
 from ..protocol.json_text import JSON, each_once
 from ..protocol.mistakes import Path, WrongType, WrongValue, inside
+from ..protocol.ranges import joined, touches
 from ..protocol.tables import TABLE_SIZE, TABLES
 from .access import Access
 from .caller import values_at
 from .functions import RecordFile
 from .mapping import Mapping
-from .ranges import joined, touches
 
 # fmt: off
 __all__ = [

@@ -19,6 +19,7 @@ from ..protocol.close_names import named_arguments
 from ..protocol.errors import ModbusError
 from ..protocol.mistakes import WrongType, WrongValue, inside, placed
 from ..protocol.pdu.fields import checked_span, store
+from ..protocol.ranges import checked_ranges, joined, touches
 from ..protocol.tables import TABLE_SIZE, TABLES, Table, checked_table
 from ..protocol.values import Order, TypeName, ValueType, value_type
 from .holes import Block, BlockPiece, Holes, PartialAnswer, Span, Unreadable
@@ -300,7 +301,7 @@ class Plan:
                     f" than max_registers, {max_registers}"
                 )
             for closed in self._forbidden[read.table]:
-                if _overlap(read.cells, closed):
+                if touches([closed], read.address, len(read.cells)):
                     raise ValueError(f"items[{name!r}]: {read} touches the forbidden {closed}")
 
     def _merge(self, table: str, limit: int) -> None:
@@ -332,11 +333,11 @@ class Plan:
         self._requests += [make(window.start, window.stop - window.start) for window in windows]
 
     def _fits(self, table: str, window: _Window, start: int, stop: int, limit: int) -> bool:
-        between = range(window.stop, start)
+        between = start - window.stop
         return (
             stop <= window.start + limit
-            and len(between) <= self._gap
-            and not any(_overlap(between, closed) for closed in self._forbidden[table])
+            and between <= self._gap
+            and not (between > 0 and touches(self._forbidden[table], window.stop, between))
         )
 
 
@@ -373,10 +374,6 @@ def _size_together(read: Read, limit: int) -> int:
     return len(read.cells) if len(read.cells) <= limit else read.size
 
 
-def _overlap(first: range, second: range) -> bool:
-    return max(first.start, second.start) < min(first.stop, second.stop)
-
-
 def _checked_items(items: object) -> dict[Any, Read]:
     if isinstance(items, Mapping):
         return {name: _checked_item(name, item) for name, item in items.items()}
@@ -398,18 +395,12 @@ def _checked_item(name: object, item: object) -> Read:
         raise placed(error, (f"items[{name!r}]",)) from None
 
 
-def _checked_forbidden(forbidden: object) -> dict[str, list[range]]:
+def _checked_forbidden(forbidden: object) -> dict[str, tuple[range, ...]]:
     closed: dict[str, list[range]] = {table: [] for table in TABLES}
     pairs = list(forbidden) if isinstance(forbidden, Iterable) else [forbidden]
     for at, pair in enumerate(pairs):
         if not isinstance(pair, tuple) or len(pair) != 2 or not isinstance(pair[1], range):
             raise WrongType(("forbidden", at), f"must be a pair (table, range), not {pair!r}")
-        table, cells = pair
         with inside("forbidden", at):
-            table = checked_table(table)
-        if cells.step != 1 or cells.start < 0 or cells.stop > TABLE_SIZE:
-            raise WrongValue.about(
-                ("forbidden", at), "the range must lie in 0..65535 without steps"
-            )
-        closed[table] += [cells] if cells else []
-    return closed
+            closed[checked_table(pair[0])] += checked_ranges("the range", pair[1])
+    return {table: joined(ranges) for table, ranges in closed.items()}

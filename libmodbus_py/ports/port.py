@@ -26,10 +26,13 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "REOPEN_AFTER", "Outage", "Port", "PortSettings", "Silence", "abandoned_in_children", "lost",
-    "make_port",
+    "RECEIVED_BYTES", "REOPEN_AFTER", "Outage", "Port", "PortSettings", "Silence",
+    "abandoned_in_children", "lost", "make_port",
 ]
 # fmt: on
+
+RECEIVED_BYTES = 16_384
+"""Bytes received at once: the answers to all requests usually in flight, in one turn of a loop."""
 
 # Seconds between two attempts to open a port that is gone.
 REOPEN_AFTER = 1.0

@@ -20,7 +20,7 @@ from ..protocol.close_names import unknown_option
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.scan import pause_between_frames
 from ..system import set_odd_baudrate
-from .port import Port, Silence, lost
+from .port import RECEIVED_BYTES, Port, Silence, lost
 from .schemes import SERIAL_DEFAULTS, character_bits, parity_of
 from .waiting import Steps, of_system
 
@@ -32,8 +32,6 @@ __all__ = ["LineSettings", "SerialPort", "SerialSettings"]
 
 Parity = Literal["N", "E", "O", "none", "even", "odd"]
 Rs485 = Literal["kernel", "rts-up", "rts-down"]
-
-READ_SIZE = 4096
 
 # st_rdev of the ports that this process has open: the lock does not show which process has it.
 _open_here: set[int] = set()
@@ -283,7 +281,7 @@ class SerialPort(Port):
 
     def receive(self) -> list[bytes]:
         try:
-            data = os.read(self.descriptor, READ_SIZE)
+            data = os.read(self.descriptor, RECEIVED_BYTES)
         except BlockingIOError:
             return []
         except OSError as error:

@@ -20,7 +20,7 @@ from ..protocol.checks import integer
 from ..protocol.errors import MAX_RECEIVED, ModbusConnectionError
 from ..system import PROBES, TCP_QUICKACK
 from .hosts import Resolve, host_and_port
-from .port import Port, Silence, lost
+from .port import RECEIVED_BYTES, Port, Silence, lost
 from .waiting import WRITE, Ready, Steps, of_system
 
 if TYPE_CHECKING:
@@ -29,14 +29,8 @@ if TYPE_CHECKING:
 
 __all__ = ["StreamPort", "TcpPort", "UdpPort", "keep_alive"]
 
-# Room for the answers to all requests usually in flight, and small enough for one turn.
-READ_SIZE = 16_384
-
 # Datagrams taken in one turn.
 DATAGRAMS = 64
-
-# Empty datagrams since the last request; with more, the port is flooded.
-MAX_EMPTY = 1 << 16
 
 
 class SocketPort(Port):
@@ -184,7 +178,7 @@ class StreamPort(SocketPort):
 
     def receive(self) -> list[bytes]:
         try:
-            data = self._socket.recv(READ_SIZE)
+            data = self._socket.recv(RECEIVED_BYTES)
         except BlockingIOError:
             return []
         except OSError as error:
@@ -300,7 +294,6 @@ class UdpPort(HostPort):
     """
 
     kind = socket.SOCK_DGRAM
-    _empty = 0
 
     @classmethod
     def of(cls, endpoint: Endpoint, _settings: PortSettings) -> Self:
@@ -310,7 +303,6 @@ class UdpPort(HostPort):
     def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
         yield from super()._preparing(made, deadline)
         self._refusal = 0  # the system's number
-        self._empty = 0
 
     def receive(self) -> list[bytes]:
         if self._refusal:
@@ -328,10 +320,6 @@ class UdpPort(HostPort):
             else:
                 if datagram:
                     datagrams.append(datagram)
-                else:
-                    self._empty += 1
-        if self._empty > MAX_EMPTY:
-            raise ModbusConnectionError("flooded with empty datagrams")
         if self._refusal:
             # The system tells it once, and before what was received earlier, which is worth
             # more: the news that the port is closed now comes with the next look.
@@ -341,7 +329,6 @@ class UdpPort(HostPort):
         return datagrams
 
     def send(self, adus: list[bytes], now: float) -> None:
-        self._empty = 0
         for adu in adus:
             try:
                 self._send_now(adu)

@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 from ..protocol.errors import ModbusConnectionError
 from ..security.describing import describe, in_words
 from ..security.security import GivenContext, Security
-from ..security.tunnel import READ_SIZE, Tunnel
+from ..security.tunnel import Tunnel
 from ..system import KEY_REJECTED
 from .endpoint import Endpoint
+from .port import RECEIVED_BYTES
 from .sockets import TcpPort
 from .waiting import READ, WRITE, Ready, Steps, of_system
 
@@ -184,7 +185,7 @@ class TlsPort(TcpPort):
             if is_done:
                 return
             yield from _ready(made, READ, deadline)
-            if not (received := made.recv(READ_SIZE)):
+            if not (received := made.recv(RECEIVED_BYTES)):
                 raise ConnectionResetError(errno.ECONNRESET, "closed by the other side")
             tunnel.feed(received)
 

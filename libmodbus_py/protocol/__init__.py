@@ -18,6 +18,7 @@ Bottom up:
     framing    unit and PDU as bytes on TCP, UDP, RTU and ASCII lines, and back
     echo       the local echo of a line among received bytes
     tables     the four tables: what they contain, and how much of it a request may carry
+    ranges     ranges of addresses: as an argument, joined, and searched
     values     numbers, text, bits and times in registers
                (type_names: what type checkers know of them; encodings: those of text)
     times      dates and times in registers

@@ -16,7 +16,16 @@ from .values import ValueType
 if TYPE_CHECKING:
     from datetime import datetime
 
-__all__ = ["BITS", "bit_of", "decimal_of", "number_of", "shown", "time_of", "units_of", "value_of"]
+__all__ = [
+    "BITS",
+    "bit_of",
+    "decimal_of",
+    "number_of",
+    "text_of",
+    "time_of",
+    "units_of",
+    "value_of",
+]
 
 BITS = {"0": False, "1": True, "off": False, "on": True, "false": False, "true": True}
 
@@ -58,7 +67,7 @@ SHOWN: dict[str, Callable[[Any, ValueType], str]] = {
 """Family of types -> how a value of it is printed; others as numbers."""
 
 
-def shown(value: Any, kind: ValueType) -> str:
+def text_of(value: Any, kind: ValueType) -> str:
     """
     Return a value of a type as text: the shortest number, the lowest bit first, quoted text, times
     as in ISO 8601.
@@ -149,7 +158,7 @@ PARSERS: dict[str, Callable[[str], Any]] = {"float": decimal_of, "bits": _bits, 
 
 def value_of(text: str, kind: ValueType) -> Any:
     """
-    Read a value of a type, as `shown` returns it; text without quotes.
+    Read a value of a type, as `text_of` returns it; text without quotes.
 
     Raises:
         ValueError: it is none; the message begins with "value".

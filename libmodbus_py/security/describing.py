@@ -19,8 +19,15 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "CertificateHolder", "describe", "digest_of", "end_of", "holder_of", "in_words",
-    "require_cryptography", "shown", "time_in",
+    "CertificateHolder",
+    "describe",
+    "digest_of",
+    "end_of",
+    "holder_of",
+    "in_words",
+    "quoted",
+    "require_cryptography",
+    "time_in",
 ]
 # fmt: on
 
@@ -45,7 +52,7 @@ def in_words(error: ssl.SSLError, *, guess: bool = False) -> str:
     return found or reason.lower().replace("_", " ")
 
 
-def shown(what: object) -> str:
+def quoted(what: object) -> str:
     """Quote text that may come from a peer: on one line, in 100 characters, nothing hidden."""
     return _REPR.repr(str(what))
 
@@ -97,7 +104,7 @@ def describe(certificate: bytes) -> str:
 
 
 def _name(name: x509.Name) -> str:
-    return shown(name.rfc4514_string()) if name.rdns else "nameless"
+    return quoted(name.rfc4514_string()) if name.rdns else "nameless"
 
 
 class CertificateHolder(NamedTuple):

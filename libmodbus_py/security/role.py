@@ -7,7 +7,7 @@ errors: access rights depend on a role, so that all programs must read the same 
 
 from __future__ import annotations
 
-from .describing import require_cryptography, shown
+from .describing import quoted, require_cryptography
 
 # fmt: off
 __all__ = [
@@ -63,12 +63,12 @@ def role_of(certificate: bytes) -> str | None:
         return None
     except x509.DuplicateExtension as error:
         oid = error.oid.dotted_string
-        reason = "two roles" if oid == ROLE_OID else f"the extension {shown(oid)} twice"
+        reason = "two roles" if oid == ROLE_OID else f"the extension {quoted(oid)} twice"
         raise RoleError(f"the certificate has {reason}") from None
     except Exception as error:
         # cryptography documents ValueError, and raises others for malformed certificates, too. The
         # peer has sent the certificate, so that each of them means a refusal.
-        raise RoleError(f"the certificate cannot be read: {shown(error)}") from None
+        raise RoleError(f"the certificate cannot be read: {quoted(error)}") from None
     # cryptography does not know this extension, and returns its bytes.
     return decode_role(found.value if isinstance(found, x509.UnrecognizedExtension) else b"")
 
@@ -121,8 +121,8 @@ def check_role(role: str) -> None:
     try:
         size = len(role.encode())
     except UnicodeEncodeError:
-        raise RoleError(f"the role {shown(role)} is not all Unicode") from None
+        raise RoleError(f"the role {quoted(role)} is not all Unicode") from None
     if not 1 <= size <= MAX_ROLE_BYTES:
         raise RoleError(f"the role must have 1..{MAX_ROLE_BYTES} bytes of UTF-8, not {size}")
     if any(character < " " or "\x7f" <= character <= "\x9f" for character in role):
-        raise RoleError(f"the role {shown(role)} has control characters")
+        raise RoleError(f"the role {quoted(role)} has control characters")

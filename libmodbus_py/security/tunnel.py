@@ -10,13 +10,13 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["EXPIRED", "READ_SIZE", "Records", "Tunnel", "expiry", "keep_presented", "name_of"]
+__all__ = ["EXPIRED", "Records", "Tunnel", "expiry", "keep_presented", "name_of"]
 
 # The reason for which a connection ends, in the words of OpenSSL.
 EXPIRED = "certificate has expired"
 
 # The most bytes that a record carries (RFC 8446, 5.1).
-READ_SIZE = 16_384
+RECORD_BYTES = 16_384
 
 # Of RFC 8446: the record type of the handshake (5.1), a message type in it (4), and version 1.3.
 HANDSHAKE, CERTIFICATE, TLS_1_3 = 22, 11, 0x304
@@ -105,7 +105,7 @@ class Tunnel:
             self._tls.presented = b""  # OpenSSL has it, too
         return True
 
-    def receive(self, most: int = READ_SIZE) -> bytes | None:
+    def receive(self, most: int = RECORD_BYTES) -> bytes | None:
         """
         Return received bytes, decrypted; None if there are none, b"" at the end.
 

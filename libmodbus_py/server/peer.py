@@ -25,21 +25,21 @@ from ..security.describing import CertificateHolder
 from ..system import DescriptorPoller
 from .addresses import Address, Idle
 from .limits import Limits, ServerStatistics
-from .service import ENDS, Session, SessionState
+from .service import ENDS, UNREAD, Session, SessionState
 
-__all__ = ["MakePeerSession", "Peer", "Turns"]
+__all__ = ["GREEDY_BYTES", "MakePeerSession", "Peer", "Turns"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Bytes read from one client in a turn, during which the others wait. A client that sends more
 # than the first number is read only when all others are answered, and then up to the second.
-FAIR_SIZE = 256
-READ_SIZE = 1024
+FAIR_BYTES = 256
+GREEDY_BYTES = 1024
 
 # Clients served in a turn, because serial ports and new connections wait for their own turn.
 EVENTS_MAX = 128
 
-# Clients served in a turn that send more than FAIR_SIZE.
+# Clients served in a turn that send more than FAIR_BYTES.
 GREEDY_AT_ONCE = 2
 
 # Clients served in a turn that sent more than is searched or answered at once.
@@ -50,9 +50,6 @@ BEHIND_AT_ONCE = 8
 RESOLUTION = 0.05
 
 UNFINISHED = SessionState.UNFINISHED
-
-WAITING = (SessionState.BEHIND, SessionState.HELD)
-"""States in which a connection is not read."""
 
 MakePeerSession = Callable[["Peer"], Session]
 """Makes the session of a connection."""
@@ -317,7 +314,7 @@ class Peer:
         of requests. One function only, because every request passes through it.
         """
         if data is None:
-            size = READ_SIZE if self.is_greedy else FAIR_SIZE
+            size = GREEDY_BYTES if self.is_greedy else FAIR_BYTES
             try:
                 data = self._socket.recv(size)
             except (BlockingIOError, InterruptedError):
@@ -427,7 +424,7 @@ class Peer:
         if state is SessionState.BEHIND and not (is_held or self._is_behind):
             self._is_behind = True
             self._turns.catch_up_soon(self)
-        read = not (is_held or state in WAITING)
+        read = not (is_held or state in UNREAD)
         if read != self._is_reading:
             self._is_reading = read
             self._watch()

@@ -19,6 +19,7 @@ from .limits import ServerStatistics
 
 __all__ = [
     "ENDS",
+    "UNREAD",
     "Channel",
     "Intercepted",
     "Interception",
@@ -81,6 +82,10 @@ class SessionState(enum.Enum):
     UNFINISHED = "unfinished"
     OWING = "owing"
     READING = "reading"
+
+
+UNREAD = (SessionState.BEHIND, SessionState.HELD)
+"""The states in which a session is given no bytes."""
 
 
 class Session(Protocol):

@@ -22,7 +22,8 @@ from ..security.security import Security
 from ..security.tunnel import Records, Tunnel
 from .audit import Audit
 from .limits import Limits, ServerStatistics, host_of
-from .service import Channel, MakeSession, Session, SessionState
+from .peer import GREEDY_BYTES
+from .service import UNREAD, Channel, MakeSession, Session, SessionState
 
 __all__ = ["Handshakes", "TlsSession"]
 
@@ -31,12 +32,6 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 # The number of unfinished handshakes; each takes about 50 kB. With one more, the oldest is
 # given up, of the address that has most.
 HALF_OPEN = 1000
-
-# Bytes of one record that are answered in a turn.
-READ_SIZE = 1024
-
-WAITING = (SessionState.BEHIND, SessionState.HELD)
-"""States in which the session inside accepts no bytes."""
 
 
 class Wire(Channel, Protocol):
@@ -365,7 +360,7 @@ class TlsSession:
         Args:
             is_one: True if the slice is one record, with nothing behind it.
         """
-        requests, left = 0, READ_SIZE
+        requests, left = 0, GREEDY_BYTES
         self._has_more = False
         try:
             while data := tunnel.receive(left):
@@ -373,7 +368,7 @@ class TlsSession:
                 if is_one or not tunnel.has_more:
                     return requests
                 left -= len(data)
-                if left <= 0 or inner.state in WAITING:
+                if left <= 0 or inner.state in UNREAD:
                     self._has_more = True
                     self._wire.follow()
                     return requests

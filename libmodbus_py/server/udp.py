@@ -16,6 +16,7 @@ from ..ports.endpoint import Endpoint
 from ..ports.hosts import host_and_port, is_loopback
 from ..ports.port import abandoned_in_children
 from ..ports.trace import Trace
+from ..protocol.errors import MAX_RECEIVED
 from ..protocol.framing import Framing, pdu_of
 from ..protocol.pdu import request_length
 from ..security.describing import CertificateHolder
@@ -26,9 +27,6 @@ from .service import ENDS, Service, Session, SessionState
 from .sockets import bound, bound_datagrams
 
 __all__ = ["Sources", "UdpServer"]
-
-# More than a frame has, so that a longer one does not look like one.
-READ_SIZE = 512
 
 ANSWERED_AT_ONCE = 16
 
@@ -104,7 +102,7 @@ class UdpServer:
     def _read(self, local: socket.socket) -> None:
         for _ in range(ANSWERED_AT_ONCE):
             try:
-                data, address = local.recvfrom(READ_SIZE)
+                data, address = local.recvfrom(MAX_RECEIVED)
             except OSError:  # nothing more, or a client that has gone away
                 return
             if data and self._sources.admit(data, address) and len(self._waiting) < WAITING_MAX:

@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 
 from libmodbus_py import ModbusTimeoutError
-from libmodbus_py.ports import sockets
 from tests.support.clients import ALL, asking, read
-from tests.support.peers import UdpPeer, Write, answer, until
+from tests.support.peers import UdpPeer, Write, answer
 
 SCHEMES = pytest.mark.parametrize("scheme", ["udp", "rtu+udp"])
 
@@ -63,22 +62,3 @@ def test_those_that_come_to_an_idle_client_change_nothing(kind: str, scheme: str
         is_silent = False
         assert read(client.for_unit(1, timeout=30), 2) == 2
         assert counted(client) == before
-
-
-@ALL
-def test_a_flood_of_them_is_one(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As of any other datagrams: the port is closed, and the next request uses another."""
-    monkeypatch.setattr(sockets, "MAX_EMPTY", 100)
-
-    def on_request(request: bytes, write: Write) -> None:
-        write(answer(request, "udp"))
-
-    with UdpPeer(on_request, "udp") as peer, asking(kind, peer.url, timeout=30) as client:
-        assert read(client, 1) == 1
-        for _ in range(120):
-            peer._socket.sendto(b"", peer.clients[0])
-        if kind == "asyncio":  # it notices at once
-            until(lambda: client.statistics.lost == 1)
-        assert read(client, 2) == 2
-        assert client.statistics.lost == 1
-        assert peer.clients[0] != peer.clients[-1]

@@ -218,7 +218,6 @@ ALL_FRAMERS: dict[str, Callable[[], AnyFramer]] = {
     "rtu server": lambda: RtuFramer("server"),
     "rtu client": lambda: RtuFramer("client"),
     "ascii": AsciiFramer,
-    "ascii strict": lambda: AsciiFramer(strict=True),
 }
 each_framer = each_case("make", ALL_FRAMERS.values(), ids=ALL_FRAMERS)
 
@@ -817,13 +816,6 @@ class TestAscii:
     def test_lower_case_digits_are_taken(self) -> None:
         assert AsciiFramer().feed(self.good.lower()) == [READ]
         assert AsciiFramer().feed(b":1103006b00037E\r\n") == [READ]
-
-    def test_lower_case_digits_are_refused_when_strict(self) -> None:
-        framer = AsciiFramer(strict=True)
-        for bad in (self.good.lower(), b":1103006B00037e\r\n"):
-            frames, errors = take(framer, bad + self.good)
-            assert frames == [READ]
-            assert len(errors) == 1
 
     @each_case(
         "bad",

@@ -16,7 +16,7 @@ from libmodbus_py.protocol.spelling import (
     bit_of,
     decimal_of,
     number_of,
-    shown,
+    text_of,
     time_of,
     units_of,
     value_of,
@@ -68,7 +68,7 @@ def test_a_response_of_another_function_belongs_to_another_request(
     ],
 )
 def test_a_value_is_shown_as_its_shortest_text(kind: str, value: Any, text: str) -> None:
-    assert shown(value, value_type(kind)) == text
+    assert text_of(value, value_type(kind)) == text
 
 
 @each_case(

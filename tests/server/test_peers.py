@@ -14,7 +14,7 @@ from libmodbus_py.ports.hosts import host_and_port
 from libmodbus_py.protocol.errors import FrameError
 from libmodbus_py.server import peer as module
 from libmodbus_py.server.limits import Limits, ServerStatistics
-from libmodbus_py.server.peer import FAIR_SIZE, READ_SIZE, Peer
+from libmodbus_py.server.peer import FAIR_BYTES, GREEDY_BYTES, Peer
 from libmodbus_py.server.peers import Peers
 from libmodbus_py.server.service import SessionState
 from tests.simulation.stage import Stage, Talker
@@ -127,17 +127,17 @@ def test_who_sends_much_is_read_in_turns_and_later_than_others(
     greedy = [server.talk() for _ in range(3)]
     modest, _ = server.talk()
     for talker, _ in greedy:
-        talker.sendall(bytes(FAIR_SIZE + 4 * READ_SIZE))
+        talker.sendall(bytes(FAIR_BYTES + 4 * GREEDY_BYTES))
     stage.pass_time(0.01)
     numbers = [server.sessions.index(session) for session in server.order]
     # Once for all of them, before anybody is known to send much; then one in each turn.
     assert [sorted(numbers[begin : begin + 3]) for begin in range(0, 15, 3)] == [[0, 1, 2]] * 5
     for _, session in greedy:
-        assert list(map(len, session.received)) == [FAIR_SIZE, *[READ_SIZE] * 4]
+        assert list(map(len, session.received)) == [FAIR_BYTES, *[GREEDY_BYTES] * 4]
 
     server.order.clear()
     for talker, _ in greedy:
-        talker.sendall(bytes(2 * READ_SIZE))
+        talker.sendall(bytes(2 * GREEDY_BYTES))
     modest.sendall(b"one")
     stage.pass_time(0.01)
     assert server.order[0] is server.sessions[3]

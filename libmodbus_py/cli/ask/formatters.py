@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...protocol.plain import plain
-from ...protocol.spelling import shown
+from ...protocol.spelling import text_of
 from ...protocol.values import Interpretation, ValueType, readings, value_type
 from ..failing import CommandError
 from .items import REGISTERS, Item
@@ -313,7 +313,7 @@ def _where(formatter: Formatter, row: FormattedValue) -> str:
 
 
 def _texts(value: Any, kind: ValueType) -> tuple[str, str]:
-    text = shown(value, kind)
+    text = text_of(value, kind)
     return text, value if isinstance(value, str) else text
 
 

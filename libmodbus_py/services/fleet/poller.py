@@ -9,7 +9,7 @@ from enum import Enum
 from typing import Any
 
 from ...client.asynchronous import Submitted
-from ...maps.holes import Holes, PartialAnswer, Steps, Unreadable, is_refusal, reading
+from ...maps.holes import Holes, PartialAnswer, PlanSteps, Unreadable, is_refusal, reading
 from ...maps.plan import unreadable_of
 from ...maps.point_plan import PointPlan
 from ...maps.watched import PointIntervals, Totals
@@ -162,7 +162,7 @@ class Poller:
         self._due: tuple[int, ...] | None = None
         self._plan = reads.plan
         self._requests: Sequence[Any] = reads.plan.requests
-        self._steps: Steps[list[Any]] | None = None
+        self._steps: PlanSteps[list[Any]] | None = None
         self._holes: Holes | None = None
         self._time = 0.0, 1
         self._error: ModbusError | None = None

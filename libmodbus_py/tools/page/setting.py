@@ -13,7 +13,7 @@ from typing import Any
 from ...device.named_values import cells_after
 from ...maps.point import Point
 from ...maps.typed import typed_register, typed_value, typed_values
-from ...protocol.spelling import shown
+from ...protocol.spelling import text_of
 from ...protocol.tables import TABLES
 from ...protocol.values import readings, value_type
 from .refreshing import Refreshing
@@ -85,7 +85,7 @@ def readings_at(unit: ShownUnit, table: str, address: int) -> list[list[str]]:
             place = getattr(mapping, table)
             cells = place[address : address + registers] if place.has(address, registers) else []
         for type, order, value in readings(cells) if cells else []:
-            found.append([type, order, shown(value, value_type(type, order=order))])
+            found.append([type, order, text_of(value, value_type(type, order=order))])
     return found
 
 

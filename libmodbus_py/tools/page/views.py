@@ -15,7 +15,7 @@ from typing import Any
 from ...device.mapping import Table
 from ...device.named_values import source_after
 from ...maps.point import Point
-from ...protocol.spelling import shown
+from ...protocol.spelling import text_of
 from .refreshing import Refreshing
 from .samples import Samples
 from .shown import ShownUnit
@@ -150,7 +150,7 @@ def _text_of(point: Point, value: Any) -> str:
         and not point.is_part
         and (point.scale, point.offset, point.scale_from) == (1, 0, None)
     )
-    return shown(value, kind) if is_plain and kind is not None else str(value)
+    return text_of(value, kind) if is_plain and kind is not None else str(value)
 
 
 class CellsView:

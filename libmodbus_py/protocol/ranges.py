@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from operator import attrgetter
 from typing import Any
 
-from ..protocol.tables import TABLE_SIZE
+from .tables import TABLE_SIZE
 
 __all__ = ["checked_ranges", "contains", "joined", "touches", "without"]
 
