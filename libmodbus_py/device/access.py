@@ -4,7 +4,7 @@ Accesses: the tables, addresses and values that a request reads and writes, for 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -68,72 +68,91 @@ class Touched(NamedTuple):
 Who = tuple[int, str, "str | None"]
 
 
+Find = Callable[[Any, Mapping, Who], Touched]
+
+
 class TouchRule(NamedTuple):
     """
     The accesses of the requests of one class.
 
     Attributes:
         reads, writes: the table (`Access.table`) that they read or write; "" for none.
-        read: returns file, address and count of each range that a request reads.
-        written: returns file, address and values of each range that a request writes.
+        find: returns the accesses of a request, with this unit, peer and role.
     """
 
-    reads: str = ""
-    writes: str = ""
-    read: Callable[[Any], Iterable[tuple[int, int, int]]] = lambda request: [
-        (0, request.address, request.count)
-    ]
-    written: Callable[[Any, Mapping], Iterable[tuple[int, int, tuple[Any, ...]]]] = (
-        lambda request, mapping: [(0, request.address, request.values)]
-    )
-
-    def find(self, request: Any, mapping: Mapping, who: Who) -> Touched:
-        """Return the accesses of a request, with this unit, peer and role."""
-        reads, writes = self.reads, self.writes
-        # Lists, because hooks of each request wait for this, and generators take twice the time.
-        written = [
-            Access(writes, at, len(new), new, file, *who)
-            for file, at, new in (self.written(request, mapping) if writes else ())
-        ]
-        read = [
-            Access(reads, at, count, (), file, *who)
-            for file, at, count in (self.read(request) if reads else ())
-        ]
-        return Touched(tuple(written), tuple(read))
+    reads: str
+    writes: str
+    find: Find
 
 
-def _one_written(request: Any, _: Mapping) -> list[tuple[int, int, tuple[Any, ...]]]:
-    return [(0, request.address, (request.value,))]
+def _reading(table: str) -> TouchRule:
+    """Return the rule of requests that read a range."""
+
+    def find(request: Any, _: Mapping, who: Who) -> Touched:
+        return Touched((), (Access(table, request.address, request.count, (), 0, *who),))
+
+    return TouchRule(table, "", find)
 
 
-def _masked(
-    request: pdu.MaskWriteRegister, mapping: Mapping
-) -> list[tuple[int, int, tuple[Any, ...]]]:
+def _writing(
+    table: str,
+    values: Callable[[Any, Mapping], tuple[Any, ...]] = lambda request, _: request.values,
+) -> TouchRule:
+    """Return the rule of requests that write a range, with a function for the values."""
+
+    def find(request: Any, mapping: Mapping, who: Who) -> Touched:
+        new = values(request, mapping)
+        return Touched((Access(table, request.address, len(new), new, 0, *who),))
+
+    return TouchRule("", table, find)
+
+
+def _one(request: pdu.WriteCoil | pdu.WriteRegister, _: Mapping) -> tuple[int]:
+    return (request.value,)
+
+
+def _masked(request: pdu.MaskWriteRegister, mapping: Mapping) -> tuple[int]:
     registers = mapping.holding_registers
     current = registers[request.address] if registers.has(request.address) else 0
-    value = current & request.and_mask | request.or_mask & ~request.and_mask & 0xFFFF
-    return [(0, request.address, (value,))]
+    return (current & request.and_mask | request.or_mask & ~request.and_mask & 0xFFFF,)
+
+
+def _read_write(request: pdu.ReadWriteRegisters, _: Mapping, who: Who) -> Touched:
+    table, new = "holding_registers", request.values
+    write = Access(table, request.write_address, len(new), new, 0, *who)
+    return Touched(
+        (write,), (Access(table, request.read_address, request.read_count, (), 0, *who),)
+    )
+
+
+def _read_files(request: pdu.ReadFileRecords, _: Mapping, who: Who) -> Touched:
+    found = [Access("file", at, count, (), file, *who) for file, at, count in request.records]
+    return Touched((), tuple(found))
+
+
+def _written_files(request: pdu.WriteFileRecords, _: Mapping, who: Who) -> Touched:
+    found = [Access("file", at, len(new), new, file, *who) for file, at, new in request.records]
+    return Touched(tuple(found))
+
+
+def _fifo(request: pdu.ReadFifoQueue, _: Mapping, who: Who) -> Touched:
+    return Touched((), (Access("fifo", request.address, 1, (), 0, *who),))
 
 
 ACCESSES: dict[type[pdu.Request[Any]], TouchRule] = {
-    pdu.ReadCoils: TouchRule("coils"),
-    pdu.ReadDiscreteInputs: TouchRule("discrete_inputs"),
-    pdu.ReadHoldingRegisters: TouchRule("holding_registers"),
-    pdu.ReadInputRegisters: TouchRule("input_registers"),
-    pdu.WriteCoil: TouchRule(writes="coils", written=_one_written),
-    pdu.WriteRegister: TouchRule(writes="holding_registers", written=_one_written),
-    pdu.WriteCoils: TouchRule(writes="coils"),
-    pdu.WriteRegisters: TouchRule(writes="holding_registers"),
-    pdu.MaskWriteRegister: TouchRule(writes="holding_registers", written=_masked),
-    pdu.ReadWriteRegisters: TouchRule(
-        "holding_registers",
-        "holding_registers",
-        lambda request: [(0, request.read_address, request.read_count)],
-        lambda request, mapping: [(0, request.write_address, request.values)],
-    ),
-    pdu.ReadFileRecords: TouchRule("file", read=lambda request: request.records),
-    pdu.WriteFileRecords: TouchRule(writes="file", written=lambda request, _: request.records),
-    pdu.ReadFifoQueue: TouchRule("fifo", read=lambda request: [(0, request.address, 1)]),
+    pdu.ReadCoils: _reading("coils"),
+    pdu.ReadDiscreteInputs: _reading("discrete_inputs"),
+    pdu.ReadHoldingRegisters: _reading("holding_registers"),
+    pdu.ReadInputRegisters: _reading("input_registers"),
+    pdu.WriteCoil: _writing("coils", _one),
+    pdu.WriteRegister: _writing("holding_registers", _one),
+    pdu.WriteCoils: _writing("coils"),
+    pdu.WriteRegisters: _writing("holding_registers"),
+    pdu.MaskWriteRegister: _writing("holding_registers", _masked),
+    pdu.ReadWriteRegisters: TouchRule("holding_registers", "holding_registers", _read_write),
+    pdu.ReadFileRecords: TouchRule("file", "", _read_files),
+    pdu.WriteFileRecords: TouchRule("", "file", _written_files),
+    pdu.ReadFifoQueue: TouchRule("fifo", "", _fifo),
 }
 """Request class -> the rule for the accesses of its requests."""
 

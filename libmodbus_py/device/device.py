@@ -46,7 +46,7 @@ from .hooks import HookLike, Hooks
 from .mapping import Mapping, Table
 from .named_values import NO_POINTS, NamedValues, zeros_for
 from .point_rules import PointIndex, PointRules, RuledCells
-from .reply import Answered, Watched, answer_in_c, make_tally, reply
+from .reply import Answered, Watched, answer_in_c, make_tally, replier, reply
 from .state import load_state, read_text, replace_file, state_text
 
 __all__ = ["Device", "DeviceOptions"]
@@ -271,13 +271,16 @@ class Device(NamedValues, PythonFunctions):
             if not log.is_serial:
                 log.note_frame()
             return b""
-        log.note_request(broadcast=caller.is_broadcast)
-        listening = log.listen_only
-        restart = pdu[:3] == _RESTART and not caller.is_broadcast
-        is_write = getattr(REQUESTS.get(function), "is_write", False)
-        ignored = (listening and not restart) or (caller.is_broadcast and not is_write)
-        response = b"" if ignored else self._respond_audited(pdu, log, caller)
-        silent = caller.is_broadcast or listening or log.listen_only
+        is_broadcast, listening = caller.is_broadcast, log.listen_only
+        log.note_request(broadcast=is_broadcast)
+        restart = pdu[:3] == _RESTART and not is_broadcast
+        if (listening and not restart) or (is_broadcast and not _may_be_broadcast(function)):
+            response = b""
+        elif caller.auditor is None:
+            response = self._respond(pdu, log, caller)
+        else:
+            response = self._respond_audited(pdu, log, caller)
+        silent = is_broadcast or listening or log.listen_only
         log.note_response(pdu, response, silent=silent)
         if restart and response[:1] == pdu[:1]:
             # The answer is sent before the restart, so that only what came after is counted.
@@ -308,7 +311,9 @@ class Device(NamedValues, PythonFunctions):
             start = integer("start", start, 0, len(data))
             unit = integer("unit", unit, 0, 0xFF)
         with self.mapping.lock:
-            return answer_in_c(self.mapping, self._watched, self._tally, unit, data, start)
+            return answer_in_c(
+                replier(), self.mapping, self._watched, self._tally, unit, data, start
+            )
 
     def refuse(self, pdu: bytes, code: int, caller: Caller = _UNKNOWN) -> bytes:
         """Refuse a request with an exception, 1..255, without executing it; return the response."""
@@ -349,8 +354,6 @@ class Device(NamedValues, PythonFunctions):
         return self._log
 
     def _respond_audited(self, pdu: bytes, log: EventLog, caller: Caller) -> bytes:
-        if caller.auditor is None:
-            return self._respond(pdu, log, caller)
         respond, has_rules = partial(self._respond, pdu, log, caller), self._guard is not None
         return answer_audited(pdu, caller, self.mapping, self.files, respond, has_rules=has_rules)
 
@@ -398,13 +401,13 @@ class Device(NamedValues, PythonFunctions):
             if self._guard is not None:
                 self._authorize(request.function, request, caller)
             if find is not None:
-                touched = find(request, self.mapping, caller.who)
-                for access in touched.writes + touched.reads:
+                touched = writes, reads = find(request, self.mapping, caller.who)
+                for access in writes + reads if writes else reads:
                     self._check_exists(access)
                 if self._has_rules:
                     self._rules.check(touched, self.mapping)
                 if not self._hooks.is_empty:
-                    if touched.writes or self.points is not NO_POINTS:
+                    if writes or self.points is not NO_POINTS:
                         touched = Touched(*(tuple(map(self._described, each)) for each in touched))
                     self._hooks.before(touched)
             if handle is not None:
@@ -448,6 +451,10 @@ class Device(NamedValues, PythonFunctions):
             table: Table[Any] = getattr(self.mapping, access.table)
             if not table.has(access.address, access.count):
                 raise IllegalDataAddress(f"{table} lacks {access.address}+{access.count}")
+
+
+def _may_be_broadcast(function: int) -> bool:
+    return getattr(REQUESTS.get(function), "is_write", False)
 
 
 def _together(

@@ -123,15 +123,17 @@ def replier() -> Replier:
 
 
 def answer_in_c(
-    mapping: Mapping, watched: Watched, tally: Any, unit: int, data: bytes, start: int
+    own: Replier, mapping: Mapping, watched: Watched, tally: Any, unit: int, data: bytes, start: int
 ) -> Answered:
     """
     Answer the requests of Modbus/TCP from ``data[start]`` on, up to the first that
     is not for libmodbus, watched, not for this unit or not complete.
 
     Hold the mapping's lock.
+
+    Args:
+        own: the replier of this thread.
     """
-    own = replier()
     struct = own.struct
     end = lib.answer_chunk(
         struct, mapping._struct, watched.struct, tally, unit, data, start, len(data)
@@ -146,7 +148,7 @@ def reply(pdu: bytes, mapping: Mapping) -> bytes:
     """Answer one request that `decode_request` found good. Hold the mapping's lock."""
     own = replier()
     data = _HEADER.pack(0, 0, 1 + len(pdu), 1) + pdu
-    return answer_in_c(mapping, own.all, own.unused_tally, 1, data, 0)[1][_HEADER.size :]
+    return answer_in_c(own, mapping, own.all, own.unused_tally, 1, data, 0)[1][_HEADER.size :]
 
 
 def _renew_repliers() -> None:
