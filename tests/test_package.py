@@ -365,6 +365,14 @@ class TestLateImports:
                 {"client.options", "client.line", "maps", "ports.endpoint", "protocol.values"},
             ),
             (
+                "from libmodbus_py import Device, Mapping, Server; Server(Device(Mapping(1)))",
+                {"server.serving", "device.mapping"},
+                {
+                    *("maps", "security", "device.state", "device.point_rules", "server.audit"),
+                    *("server.serial", "server.tls", "ports.serial", "ports.tls", "ports.unix"),
+                },
+            ),
+            (
                 "from libmodbus_py import RtuContext; RtuContext('/dev/null').close()",
                 {"ports.serial", "protocol.pdu.function_codes"},
                 {"maps", "protocol.values", "client.asyncio_driver"},
@@ -378,7 +386,7 @@ class TestLateImports:
     )
     def test_what_comes_with_what(self, program: str, wanted: set[str], unwanted: set[str]) -> None:
         found = imported_by(program)
-        if "AsyncClient" not in program:
+        if "AsyncClient" not in program and "Server" not in program:
             assert not found & SLOW
         assert wanted <= {name.removeprefix("libmodbus_py.") for name in found}
         assert not {f"libmodbus_py.{name}" for name in unwanted} & found

@@ -8,15 +8,17 @@ from collections.abc import Callable
 from collections.abc import Mapping as MappingABC
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from ..protocol.errors import IllegalFunction, ServerDeviceFailure
 from ..protocol.pdu import MaskWriteRegister, Request, decode_request
-from ..security.describing import CertificateHolder
 from .access import Access, touched
 from .event_log import EventLog
 from .functions import RecordFile
 from .mapping import Mapping
+
+if TYPE_CHECKING:
+    from ..security.describing import CertificateHolder
 
 __all__ = [
     "Auditor",

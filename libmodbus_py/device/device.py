@@ -15,9 +15,8 @@ from collections.abc import Mapping as MappingABC
 from dataclasses import replace
 from functools import cached_property, partial
 from importlib import import_module
-from typing import Any, Self, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Self, TypedDict, Unpack
 
-from ..maps.register_map import RegisterMap
 from ..protocol.checks import integer
 from ..protocol.close_names import named_arguments
 from ..protocol.errors import (
@@ -39,15 +38,17 @@ from ..protocol.pdu import (
 from ..protocol.ranges import joined, without
 from .access import ACCESSES, Access, Touched, touched
 from .authorization import Asked, Authorization, Authorize, UnauthorizedError
+from .by_name import NamedValues
 from .caller import Caller, answer_audited, values_at
 from .event_log import EventLog
 from .functions import DEFAULT_SERVER_ID, Handlers, PythonFunctions, Records
 from .hooks import HookLike, Hooks
 from .mapping import Mapping, Table
-from .named_values import NO_POINTS, NamedValues, zeros_for
-from .point_rules import PointIndex, PointRules, RuledCells
 from .reply import Answered, Watched, answer_in_c, make_tally, replier, reply
-from .state import load_state, read_text, replace_file, state_text
+
+if TYPE_CHECKING:
+    from ..maps.register_map import RegisterMap
+    from .point_rules import PointIndex, PointRules, RuledCells
 
 __all__ = ["Device", "DeviceOptions"]
 
@@ -150,7 +151,7 @@ class Device(NamedValues, PythonFunctions):
         after_write: HookLike | None = None,
         before_read: HookLike | None = None,
         authorize: Authorize | None = None,
-        points: RegisterMap = NO_POINTS,
+        points: RegisterMap | None = None,
     ) -> None:
         NamedValues.__init__(self, mapping, points)
         PythonFunctions.__init__(
@@ -165,11 +166,15 @@ class Device(NamedValues, PythonFunctions):
 
     def _arrange(self) -> None:
         """Decide which requests rules, hooks and handlers want; C may answer all others."""
-        self._rules = PointRules(self._ruled_cells(), lambda: self.points)
-        self._has_rules = bool(self._rules.reads or self._rules.writes)
+        self._rules: PointRules | None = None
+        reads, writes = self._hooks.reads, self._hooks.writes
+        if ruled := list(self._ruled_cells()):
+            from .point_rules import PointRules  # which brings the maps
+
+            rules = PointRules(ruled, lambda: self.points)
+            reads, writes = _together(reads, rules.reads), _together(writes, rules.writes)
+            self._rules = rules if rules.reads or rules.writes else None
         # Request class -> the rule that finds the accesses for rules and hooks.
-        reads = _together(self._hooks.reads, self._rules.reads)
-        writes = _together(self._hooks.writes, self._rules.writes)
         self._finds = {
             request: kind.find
             for request, kind in ACCESSES.items()
@@ -211,6 +216,8 @@ class Device(NamedValues, PythonFunctions):
             TypeError, ValueError: a value does not fit its point, or an argument is wrong.
             FileError: a ValueError: the file cannot be read, or contains a mistake.
         """
+        from .named_values import zeros_for
+
         points: Any = map
         if isinstance(map, str | os.PathLike):
             # Files are read on a floor above, which a device needs for nothing else.
@@ -230,6 +237,8 @@ class Device(NamedValues, PythonFunctions):
         Raises:
             OSError: the file cannot be written.
         """
+        from .state import replace_file, state_text  # which few programs need
+
         replace_file(path, state_text({None: self}))
 
     def load(self, path: str | os.PathLike[str]) -> None:
@@ -244,6 +253,8 @@ class Device(NamedValues, PythonFunctions):
                 values for addresses, records or points that do not exist here; the message names
                 the file and the key.
         """
+        from .state import load_state, read_text
+
         load_state(os.fspath(path), read_text(path), {None: self})
 
     def first_values(self) -> Iterable[Access]:
@@ -404,10 +415,10 @@ class Device(NamedValues, PythonFunctions):
                 touched = writes, reads = find(request, self.mapping, caller.who)
                 for access in writes + reads if writes else reads:
                     self._check_exists(access)
-                if self._has_rules:
+                if self._rules is not None:
                     self._rules.check(touched, self.mapping)
                 if not self._hooks.is_empty:
-                    if writes or self.points is not NO_POINTS:
+                    if writes or self.has_points:
                         touched = Touched(*(tuple(map(self._described, each)) for each in touched))
                     self._hooks.before(touched)
             if handle is not None:
@@ -430,16 +441,24 @@ class Device(NamedValues, PythonFunctions):
 
     def _described(self, access: Access) -> Access:
         """Return an access with the names of its points and the values before."""
-        names = tuple(point.name for point in self._index.touched(access))
+        names: tuple[str, ...] = ()
+        if self.has_points:
+            names = tuple(point.name for point in self._index.touched(access))
         before = values_at(access, self.mapping, self.files) if access.values else None
         return replace(access, names=names, old_values=before or ())
 
     @cached_property
     def _index(self) -> PointIndex:
+        from .point_rules import PointIndex, RuledCells
+
         return PointIndex(map(RuledCells.of, self.points.values()))
 
     def _ruled_cells(self) -> Iterable[RuledCells]:
         """Return the cells that have a rule: those of all points."""
+        if not self.has_points:
+            return ()
+        from .point_rules import RuledCells
+
         return map(RuledCells.of, self.points.values())
 
     def _check_exists(self, access: Access) -> None:

@@ -1,5 +1,5 @@
 """
-Values of a device by the names of its points: read, and set all or none.
+Values of the cells of named points: read, and set all or none.
 """
 
 from __future__ import annotations
@@ -9,8 +9,9 @@ from typing import Any
 
 from ..maps.point import Point
 from ..maps.point_plan import sources_of
-from ..maps.register_map import RegisterMap, close_to
+from ..maps.register_map import RegisterMap
 from ..maps.writing import Encoded, check_overlaps, encoded_change
+from ..protocol.close_names import close_to
 from ..protocol.mistakes import WrongType, WrongValue
 from ..protocol.ranges import joined
 from ..protocol.tables import TABLES
@@ -18,7 +19,7 @@ from .mapping import Mapping
 
 # fmt: off
 __all__ = [
-    "NO_POINTS", "NamedValues", "Written", "cells_after", "known_point", "source_after",
+    "Written", "cells_after", "check_points", "known_point", "set_values", "source_after",
     "zeros_for",
 ]
 # fmt: on
@@ -28,10 +29,14 @@ Written = MappingABC[tuple[str, int], Any]
 
 NOTHING: Written = {}
 
-NO_POINTS = RegisterMap(())
 
+def check_points(mapping: Mapping, points: object) -> None:
+    """
+    Check that a mapping has the cells of all points.
 
-def _check_points(mapping: Mapping, points: object) -> None:
+    Raises:
+        WrongType, WrongValue: it lacks cells of one, or `points` is no RegisterMap.
+    """
     if not isinstance(points, RegisterMap):
         raise WrongType("points", f"must be a RegisterMap, not {type(points).__name__}")
     for point in points.values():
@@ -106,68 +111,15 @@ def source_after(
     return value
 
 
-class NamedValues:
-    """
-    The part of a `Device` that has values by name: ``device["setpoint"] = 21.5``.
-
-    Raises:
-        TypeError: `mapping` is no Mapping, or `points` no RegisterMap.
-        ValueError: a point has cells that the mapping lacks; the message names it.
-    """
-
-    def __init__(self, mapping: Mapping, points: RegisterMap) -> None:
-        if not isinstance(mapping, Mapping):
-            raise TypeError(f"mapping must be a Mapping, not {type(mapping).__name__}")
-        _check_points(mapping, points)
-        self.mapping = mapping
-        self._points = points
-
-    @property
-    def points(self) -> RegisterMap:
-        """The points by name; empty if none were given."""
-        return self._points
-
-    def __getitem__(self, name: str) -> Any:
-        """
-        Return the value of a point, without calling `before_read`; None if it has none.
-
-        Raises:
-            KeyError: there is no such point.
-            ValueError: its cells hold no value of its type.
-        """
-        point = known_point(self.points, name)
-        with self.mapping.lock:
-            source = source_after(point, self.points, self.mapping)
-            return point.decode(cells_after(point, self.mapping), source=source)
-
-    def __setitem__(self, name: str, value: Any) -> None:
-        """
-        Set the value of a point; no hook is called.
-
-        Raises:
-            KeyError: there is no such point.
-            TypeError, ValueError: as of `Point.encode`; the message names the point.
-        """
-        self.update({name: value})
-
-    def update(self, values: MappingABC[str, Any]) -> None:
-        """
-        Set values of points by name, all of them or none. No hook is called.
-
-        No request is answered while the values are set.
-
-        Raises:
-            KeyError: there is no such point.
-            TypeError, ValueError: a value does not fit its point, or points share cells; the
-                message names the points.
-        """
-        with self.mapping.lock:
-            _set_values(self.mapping, self.points, values)
-
-
-def _set_values(
+def set_values(
     mapping: Mapping, points: MappingABC[str, Point], values: MappingABC[str, Any]
 ) -> None:
+    """
+    Set values of points by name, all of them or none. Hold the mapping's lock.
+
+    Raises:
+        KeyError, TypeError, ValueError: as `NamedValues.update`.
+    """
     if not isinstance(values, MappingABC):
         raise WrongType(
             "values", f"must be a mapping from names to values, not {type(values).__name__}"

@@ -28,10 +28,8 @@ from array import array
 from collections.abc import Iterable, Iterator
 from collections.abc import Mapping as MappingABC
 from itertools import pairwise
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from ..maps.point import Point
-from ..maps.register_map import RegisterMap
 from ..protocol.checks import integer, shown
 from ..protocol.json_text import JSON, each_once
 from ..protocol.mistakes import Path, WrongType, WrongValue, inside
@@ -41,6 +39,10 @@ from .access import Access
 from .caller import values_at
 from .functions import RecordFile
 from .mapping import Mapping
+
+if TYPE_CHECKING:
+    from ..maps.point import Point
+    from ..maps.register_map import RegisterMap
 
 # fmt: off
 __all__ = [

@@ -10,8 +10,7 @@ import os
 import socket
 import stat
 import sys
-import time
-from collections.abc import Iterator
+from collections.abc import AsyncIterator
 from typing import TYPE_CHECKING, Any, Self
 
 from ..system import lock_file, peer_credentials
@@ -31,9 +30,9 @@ MAX_PATH = 107 if sys.platform == "linux" else 103
 # The owner of the socket and its group may connect, which needs the permission to write.
 MODE = 0o660
 
-# Seconds for which another program may lock the folder: it does so while it makes its own socket,
-# which takes less than a millisecond.
-LOCKED_S, RETRY_S = 1.0, 0.01
+# Tries to lock the folder, a hundredth of a second apart: another program holds it while it makes
+# its own socket, which takes less than a millisecond.
+TRIES = 100
 
 
 def _checked(path: str) -> str:
@@ -84,9 +83,9 @@ class UnixListener:
         self._path = _checked(path)
         self._identity: tuple[int, int, int] | None = None
 
-    def open(self) -> socket.socket:
+    async def open(self) -> socket.socket:
         """
-        Return a socket that listens.
+        Return a socket that listens; other tasks of the loop run while its folder is locked.
 
         Raises:
             OSError: a program listens at the path, the file there is no socket, or the folder
@@ -97,7 +96,7 @@ class UnixListener:
             made.setblocking(False)
             with contextlib.suppress(OSError):  # Linux makes the file with the mode of the socket
                 os.fchmod(made.fileno(), 0)
-            with _locked(os.path.dirname(self._path) or "."):
+            async with _locked(os.path.dirname(self._path) or "."):
                 if os.path.lexists(self._path):
                     self._remove_stale()
                 made.bind(self._path)
@@ -147,20 +146,21 @@ def _identity(path: str) -> tuple[int, int, int]:
     return found.st_dev, found.st_ino, found.st_mtime_ns
 
 
-@contextlib.contextmanager
-def _locked(folder: str) -> Iterator[None]:
+@contextlib.asynccontextmanager
+async def _locked(folder: str) -> AsyncIterator[None]:
     """Lock a folder, so that of two programs that find a stale socket there only one removes it."""
+    from asyncio import sleep  # which blocking clients do not import
+
     descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:
-        until = time.monotonic() + LOCKED_S
-        while True:
+        for _ in range(TRIES):
             try:
                 lock_file(descriptor)
                 break
             except BlockingIOError:
-                if time.monotonic() > until:
-                    raise OSError(errno.EBUSY, f"{folder} is locked by another program") from None
-                time.sleep(RETRY_S)
+                await sleep(0.01)
+        else:
+            raise OSError(errno.EBUSY, f"{folder} is locked by another program")
         yield
     finally:
         os.close(descriptor)

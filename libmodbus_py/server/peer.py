@@ -17,15 +17,18 @@ from collections import deque
 from collections.abc import Callable
 from heapq import nsmallest
 from select import POLLERR, POLLHUP, POLLIN, POLLOUT
+from typing import TYPE_CHECKING
 
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
 from ..protocol.logs import HarmlessLogger
-from ..security.describing import CertificateHolder
 from ..system import DescriptorPoller
 from .addresses import Address, Idle
 from .limits import Limits, ServerStatistics
 from .service import ENDS, UNREAD, Session, SessionState
+
+if TYPE_CHECKING:
+    from ..security.describing import CertificateHolder
 
 __all__ = ["GREEDY_BYTES", "MakePeerSession", "Peer", "Turns"]
 

@@ -10,14 +10,17 @@ import math
 import socket
 from collections.abc import Callable
 from select import POLLIN
+from typing import TYPE_CHECKING
 
 from ..ports.port import abandoned_in_children
 from ..system import DescriptorPoller, make_poller, reserve_descriptors
 from .addresses import Address, Addresses, Idle, due
-from .audit import Audit
 from .limits import SPARE_DESCRIPTORS, Limits, ServerStatistics
 from .peer import MakePeerSession, Peer, Turns
 from .service import SessionState
+
+if TYPE_CHECKING:
+    from .audit import Audit
 
 __all__ = ["Peers"]
 

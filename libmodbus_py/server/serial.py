@@ -8,6 +8,7 @@ import asyncio
 import contextlib
 from collections import deque
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from ..ports.endpoint import Endpoint
 from ..ports.port import REOPEN_AFTER, Outage, abandoned_in_children
@@ -15,10 +16,12 @@ from ..ports.serial import SerialPort
 from ..ports.trace import Trace
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.logs import HarmlessLogger
-from ..security.describing import CertificateHolder
 from .framed import Framed
 from .limits import ServerStatistics
 from .service import ENDS, Service, SessionState
+
+if TYPE_CHECKING:
+    from ..security.describing import CertificateHolder
 
 __all__ = ["SerialServer"]
 

@@ -11,19 +11,22 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Mapping
+from typing import TYPE_CHECKING
 
 from ..device.device import Device
 from ..device.reply import replier
 from ..ports.endpoint import Endpoint
 from ..ports.trace import OnTraced
-from ..security.security import Security
-from .audit import Audit, OnAudited
 from .framed import AT_ONCE, SessionSettings
 from .limits import Limits, ServerStatistics
 from .service import Later, MakeSession, Service, explained
 from .serving import Running, Serving
 from .sessions import ByChunk, ByFrame, Singles
 from .units import SerialUnits, TcpUnits, Units, UnknownUnit
+
+if TYPE_CHECKING:
+    from ..security.security import Security
+    from .audit import Audit, OnAudited
 
 __all__ = ["DeviceServer", "Devices", "Running"]
 

@@ -7,15 +7,17 @@ from __future__ import annotations
 import contextlib
 import enum
 from collections.abc import Callable, Iterator
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from ..ports.endpoint import Endpoint
 from ..ports.hosts import reason
 from ..ports.trace import Trace
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.framing import Frame, Framer
-from ..security.describing import CertificateHolder
 from .limits import ServerStatistics
+
+if TYPE_CHECKING:
+    from ..security.describing import CertificateHolder
 
 __all__ = [
     "ENDS",

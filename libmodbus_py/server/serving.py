@@ -18,13 +18,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ..ports.endpoint import Endpoint, parse_to_listen
 from ..ports.schemes import Transport
-from ..ports.tls import security_of
 from ..ports.trace import OnTraced
-from ..ports.unix import UnixListener
 from ..protocol.callbacks import checked_callback
 from ..protocol.logs import HarmlessLogger
-from ..security.security import Security
-from .audit import Audit, OnAudited, audit_of
 from .background import Background
 from .forever import Handler, frozen_garbage, signal_handlers
 from .limits import Limits, ServerStatistics
@@ -35,6 +31,8 @@ from .tracing import TracedService, Traces
 from .udp import Sources, UdpServer
 
 if TYPE_CHECKING:
+    from ..security.security import Security
+    from .audit import Audit, OnAudited
     from .serial import SerialServer
 
 __all__ = ["Running", "Serving"]
@@ -93,7 +91,11 @@ class Serving(ABC):
         self._security = security
         self._secured: weakref.WeakSet[TcpServer] = weakref.WeakSet()
         self._traces = Traces(None if trace is None else _checked(trace))
-        self._auditor = None if audit is None else audit_of(audit)
+        self._auditor: Audit | None = None
+        if audit is not None:
+            from .audit import audit_of
+
+            self._auditor = audit_of(audit)
         self._listening: list[Endpoint] = []
 
     @property
@@ -269,12 +271,23 @@ class Shared(NamedTuple):
     end: Callable[[], None]
 
 
+# Each imports what only its transport needs.
+
+
 def _tls_server(endpoint: Endpoint, service: Service, shared: Shared) -> TcpServer:
+    from ..ports.tls import security_of
+
     security = security_of(endpoint, shared.security)
     server = TcpServer(endpoint, service, shared.peers, security)
     if security is shared.security:
         shared.secured.add(server)
     return server
+
+
+def _unix_server(endpoint: Endpoint, service: Service, shared: Shared) -> TcpServer:
+    from ..ports.unix import UnixListener
+
+    return TcpServer(endpoint, service, shared.peers, listener=UnixListener(endpoint.path))
 
 
 def _serial_server(endpoint: Endpoint, service: Service, shared: Shared) -> SerialServer:
@@ -291,15 +304,15 @@ ENDPOINTS: dict[
         endpoint, service, shared.sources, shared.statistics, shared.end
     ),
     "tls": _tls_server,
-    "unix": lambda endpoint, service, shared: TcpServer(
-        endpoint, service, shared.peers, listener=UnixListener(endpoint.path)
-    ),
+    "unix": _unix_server,
     "serial": _serial_server,
 }
 """Transport -> function that makes the endpoint of a server."""
 
 
 def _check_security(security: object) -> None:
+    from ..security.security import Security
+
     if not isinstance(security, Security):
         raise TypeError(f"security must be Security, not {type(security).__name__}")
 

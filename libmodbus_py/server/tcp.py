@@ -6,19 +6,21 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from ..ports.endpoint import Endpoint
 from ..ports.hosts import host_and_port, reason, tcp_listener
 from ..ports.port import abandoned_in_children
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.logs import HarmlessLogger
-from ..security.security import Security
 from .peer import MakePeerSession
 from .peers import Peers
 from .service import MakeSession, Service
 from .sockets import bound
-from .tls import Handshakes, TlsSession
+
+if TYPE_CHECKING:
+    from ..security.security import Security
+    from .tls import Handshakes
 
 __all__ = ["TcpServer"]
 
@@ -34,7 +36,7 @@ RETRY_AFTER = 0.1
 class StreamListener(Protocol):
     """Listens at an address that is no host, such as a path."""
 
-    def open(self) -> socket.socket:
+    async def open(self) -> socket.socket:
         """Return a socket that listens. Raises OSError."""
         ...
 
@@ -72,11 +74,11 @@ class TcpServer:
         self._service = service
         self._peers = peers
         self._loop = asyncio.get_running_loop()
-        self._handshakes = (
-            None
-            if security is None
-            else Handshakes(security, peers.limits, peers.statistics, peers.auditor)
-        )
+        self._handshakes: Handshakes | None = None
+        if security is not None:
+            from .tls import Handshakes
+
+            self._handshakes = Handshakes(security, peers.limits, peers.statistics, peers.auditor)
         self._listeners: list[socket.socket] = []
         self._retries: dict[socket.socket, asyncio.TimerHandle] = {}
         self._is_short = False  # mostly a lack of descriptors or memory
@@ -90,7 +92,7 @@ class TcpServer:
             self._listeners, endpoint = await bound(endpoint, socket.SOCK_STREAM, tcp_listener)
         else:
             try:
-                self._listeners = [self._listener.open()]
+                self._listeners = [await self._listener.open()]
             except OSError as error:
                 raise ModbusConnectionError(
                     f"cannot listen on {endpoint}: {error.strerror or error}", errno=error.errno
@@ -165,4 +167,6 @@ class TcpServer:
 
 
 def _within(handshakes: Handshakes, make: MakeSession) -> MakePeerSession:
+    from .tls import TlsSession
+
     return lambda peer: TlsSession(peer, handshakes, make)

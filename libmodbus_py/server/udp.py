@@ -11,6 +11,7 @@ import contextlib
 import socket
 from collections import OrderedDict
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from ..ports.endpoint import Endpoint
 from ..ports.hosts import host_and_port, is_loopback
@@ -19,12 +20,14 @@ from ..ports.trace import Trace
 from ..protocol.errors import MAX_RECEIVED
 from ..protocol.framing import Framing, pdu_of
 from ..protocol.pdu import request_length
-from ..security.describing import CertificateHolder
 from .addresses import Address, Addresses, Paused
-from .audit import Audit
 from .limits import Allowance, Limits, ServerStatistics
 from .service import ENDS, Service, Session, SessionState
 from .sockets import bound, bound_datagrams
+
+if TYPE_CHECKING:
+    from ..security.describing import CertificateHolder
+    from .audit import Audit
 
 __all__ = ["Sources", "UdpServer"]
 

@@ -7,12 +7,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import fcntl
 import os
 import socket
 import stat
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,7 @@ from libmodbus_py import (
     Server,
     TcpContext,
 )
+from libmodbus_py.ports import unix
 from libmodbus_py.ports.hosts import host_of_peer
 from libmodbus_py.ports.unix import MAX_PATH, UnixListener, UnixPort
 from tests.support.cases import each_case
@@ -124,7 +127,7 @@ def test_the_file_of_a_server_that_died_is_replaced(path: str) -> None:
 
 def test_a_file_of_another_program_stays(path: str) -> None:
     listener = UnixListener(path)
-    with listener.open():
+    with asyncio.run(listener.open()):
         os.unlink(path)
         with socket.socket(socket.AF_UNIX) as other:
             other.bind(path)
@@ -227,13 +230,13 @@ def test_a_forked_child_neither_removes_the_file_nor_keeps_the_port(path: str) -
 
 # Listens at each line, and lets go at the next, as a program that dies: the file stays.
 LISTENING = """
-import sys
+import asyncio, sys
 from libmodbus_py.ports.unix import UnixListener
 
 while sys.stdin.readline():
     made = None
     try:
-        made = UnixListener(sys.argv[1]).open()
+        made = asyncio.run(UnixListener(sys.argv[1]).open())
         print(0, flush=True)
     except OSError as error:
         print(error.errno, flush=True)
@@ -265,18 +268,32 @@ def test_of_two_processes_that_find_a_dead_socket_one_listens(path: str) -> None
             all_do()
 
 
-def test_a_folder_that_stays_locked_is_an_error(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    import fcntl
-
-    from libmodbus_py.ports import unix
-
-    monkeypatch.setattr(unix, "LOCKED_S", 0.0)
-    descriptor = os.open(os.path.dirname(path), os.O_RDONLY)
+@contextlib.contextmanager
+def locked(folder: str) -> Iterator[None]:
+    descriptor = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
-        refused(path, errno.EBUSY, "locked by another program")
+        yield
     finally:
         os.close(descriptor)
+
+
+def test_a_folder_that_stays_locked_is_an_error(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(unix, "TRIES", 1)
+    with locked(os.path.dirname(path)):
+        refused(path, errno.EBUSY, "locked by another program")
+
+
+def test_a_locked_folder_holds_up_only_its_own_server(path: str) -> None:
+    async def main() -> None:
+        with locked(os.path.dirname(path)):
+            starting = asyncio.ensure_future(UnixListener(path).open())
+            for _ in range(3):
+                await asyncio.sleep(0)
+            assert not starting.done()
+        (await starting).close()
+
+    asyncio.run(main())
 
 
 # --- clients -----------------------------------------------------------------------------------

@@ -5,18 +5,21 @@ The server of a program: devices, and faults in their responses.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
 
 from ...device.device import Device
 from ...ports.trace import OnTraced
 from ...protocol.close_names import named_arguments
-from ...security.security import Security
-from ...server.audit import Audit, OnAudited
 from ...server.limits import Limits
 from ...server.server import DeviceServer
 from ...server.units import UnknownUnit
 from .answers import Faults
 from .fault import Fault
 from .switch import FaultsByUnit, FaultSwitch
+
+if TYPE_CHECKING:
+    from ...security.security import Security
+    from ...server.audit import Audit, OnAudited
 
 __all__ = ["Server"]
 

@@ -53,6 +53,7 @@ class SimulatedDevice(Device):
         moving = [each for each in contents if each.behaviour]
         hook = _refreshing(clockwork, moving) if moving else None
         super().__init__(mapping, before_read=hook, **options)
+        self.has_points = True
         self.name: str = name
         self.description: str = description
         self._definition = definition

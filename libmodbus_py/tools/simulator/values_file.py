@@ -127,7 +127,11 @@ class ValuesFile:
             return
         except OSError as error:
             raise ValueError(f"{self._path}: {error.strerror}") from None
-        load_state(self._path, text, self._units())
+        try:
+            load_state(self._path, text, self._units())
+        except ValueError as error:
+            advice = "rename the file to start without its values"
+            raise ValueError(f"{error}; no value was loaded: {advice}") from None
         self._text = text
 
     def _write(self) -> None:
