@@ -16,8 +16,7 @@ Its files:
     writes          5, 6, 15, 16, 22 and 23
     serial          7, 8, 11, 12 and 17
     files           20, 21 and 24: file records and queues
-    interface       43
-    raw             requests of any function, sent as they are
+    interface       43, and requests of any function, sent as they are
     function_codes  the table REQUESTS, and the functions that look up requests in it
     request         the base class of all requests
     fields          checks and encoding of the fields of a message

@@ -19,8 +19,8 @@ from .function_codes import response_length as response_length
 from .interface import DeviceIdentification as DeviceIdentification
 from .interface import EncapsulatedTransport as EncapsulatedTransport
 from .interface import IdentificationPage as IdentificationPage
+from .interface import RawRequest as RawRequest
 from .interface import ReadDeviceIdentification as ReadDeviceIdentification
-from .raw import RawRequest as RawRequest
 from .reads import ReadCoils as ReadCoils
 from .reads import ReadDiscreteInputs as ReadDiscreteInputs
 from .reads import ReadHoldingRegisters as ReadHoldingRegisters

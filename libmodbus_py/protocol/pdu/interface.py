@@ -1,5 +1,6 @@
 """
-The encapsulated interface: function 43, with device identification (MEI type 14) in it.
+Requests whose data are sent as they are: of any function, and the encapsulated interface, function
+43, with device identification (MEI type 14) in it.
 """
 
 from __future__ import annotations
@@ -12,16 +13,50 @@ from typing import ClassVar, NamedTuple, Self
 from ..checks import integer
 from ..errors import ExceptionResponse, IllegalFunction, InvalidResponse
 from ..scan import lib
-from .fields import MAX_PDU, LengthRule, checked_data, in_c, store
+from .fields import MAX_PDU, LengthRule, checked_data, in_c, store, unknown_length
 from .request import Request, Result
 
 # fmt: off
 __all__ = [
     "DEVICE_IDENTIFICATION", "LEVELS", "OBJECT_NAMES", "DeviceIdentification",
-    "EncapsulatedTransport", "IdentificationPage", "ReadDeviceIdCode", "ReadDeviceIdentification",
-    "pages",
+    "EncapsulatedTransport", "IdentificationPage", "RawRequest", "ReadDeviceIdCode",
+    "ReadDeviceIdentification", "pages",
 ]
 # fmt: on
+
+
+@dataclass(frozen=True, slots=True)
+class RawRequest(Request[bytes]):
+    """
+    A request of any function, 1..127, with up to 252 bytes of `data` that are sent unchanged.
+
+    The result is the bytes after the function code of the response. On RTU lines, a response
+    without a length rule ends where its CRC fits.
+    """
+
+    function: int  # type: ignore[misc]  # here it is data, not the class's own
+    data: bytes = b""
+
+    request_length: ClassVar[LengthRule] = unknown_length
+    response_length: ClassVar[LengthRule] = unknown_length
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "function", integer("function", self.function, 1, 127))
+        checked_data("data", self.data, MAX_PDU - 1)
+
+    def encode(self) -> bytes:
+        return bytes([self.function]) + self.data
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        return cls(pdu[0], pdu[1:])
+
+    def encode_response(self, result: bytes) -> bytes:
+        return bytes([self.function]) + checked_data("result", result, MAX_PDU - 1)
+
+    def _decode_response(self, pdu: bytes) -> bytes:
+        return pdu[1:]
+
 
 CANOPEN = 0x0D
 DEVICE_IDENTIFICATION = 0x0E

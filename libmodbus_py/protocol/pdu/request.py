@@ -1,5 +1,5 @@
 """
-The base of all requests; those that are echoed, and those without arguments.
+The base of all requests, and of those that are echoed.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ import reprlib
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
 from ..errors import ExceptionResponse, InvalidResponse, in_hex
-from .fields import LengthRule, fixed
+from .fields import LengthRule
 
 Result = TypeVar("Result")
 
@@ -136,19 +136,3 @@ class Echoed(Request[None]):
     def _decode_response(self, pdu: bytes) -> None:
         if pdu != self.encode_response():
             raise self._invalid(f"the echo {in_hex(pdu)}")
-
-
-class Bare(Request[Result]):
-    """A read whose request is only the function code."""
-
-    __slots__ = ()
-    repeatable = True
-    changes = False
-    request_length: ClassVar[LengthRule] = fixed(1)
-
-    def encode(self) -> bytes:
-        return bytes([self.function])
-
-    @classmethod
-    def decode(cls, pdu: bytes) -> Self:
-        return cls()

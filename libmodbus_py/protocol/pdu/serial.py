@@ -12,7 +12,7 @@ from typing import ClassVar, NamedTuple, Self
 from ..checks import integer
 from ..scan import lib
 from .fields import MAX_PDU, LengthRule, checked_data, checked_register, counted, fixed, in_c, store
-from .request import Bare, Request
+from .request import Request, Result
 
 # fmt: off
 __all__ = [
@@ -23,9 +23,25 @@ __all__ = [
 
 
 @dataclass(frozen=True, slots=True)
-class ReadExceptionStatus(Bare[int]):
+class _Bare(Request[Result]):
+    """A read whose request is only the function code."""
+
+    repeatable = True
+    changes = False
+    request_length: ClassVar[LengthRule] = fixed(1)
+
+    def encode(self) -> bytes:
+        return bytes([self.function])
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        return cls()
+
+
+class ReadExceptionStatus(_Bare[int]):
     """Function 7, section 6.7: read eight outputs of the device as a byte, the lowest in bit 0."""
 
+    __slots__ = ()
     function = 0x07
     response_length: ClassVar[LengthRule] = fixed(2)
 
@@ -139,10 +155,10 @@ class CommEventCounter(NamedTuple):
     event_count: int
 
 
-@dataclass(frozen=True, slots=True)
-class ReadCommEventCounter(Bare[CommEventCounter]):
+class ReadCommEventCounter(_Bare[CommEventCounter]):
     """Function 11, section 6.9: read the status word and the event counter."""
 
+    __slots__ = ()
     function = 0x0B
     response_length: ClassVar[LengthRule] = fixed(5)
 
@@ -170,10 +186,10 @@ class CommEventLog(NamedTuple):
     events: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class ReadCommEventLog(Bare[CommEventLog]):
+class ReadCommEventLog(_Bare[CommEventLog]):
     """Function 12, section 6.10: read the counters and the last events."""
 
+    __slots__ = ()
     function = 0x0C
     response_length: ClassVar[LengthRule] = counted(2, at=1)
     max_events: ClassVar[int] = 64
@@ -229,10 +245,10 @@ class ServerId(NamedTuple):
         return cls(data[:length], running, data[length + (running is not None) :])
 
 
-@dataclass(frozen=True, slots=True)
-class ReportServerId(Bare[ServerId]):
+class ReportServerId(_Bare[ServerId]):
     """Function 17, section 6.13: read the identifier of the device and its run indicator."""
 
+    __slots__ = ()
     function = 0x11
     response_length: ClassVar[LengthRule] = counted(2, at=1)
 

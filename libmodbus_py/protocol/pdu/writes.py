@@ -7,7 +7,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Generic, Self, TypeVar
 
 from ..checks import integer
 from .fields import (
@@ -31,26 +31,31 @@ from .fields import (
 )
 from .request import Echoed, Request
 
+Value = TypeVar("Value", bool, int)
+
 
 @dataclass(frozen=True, slots=True)
-class WriteCoil(Echoed):
-    """Function 5, section 6.5: write one coil; `value` is True, False, 1 or 0."""
-
+class _WriteOne(Echoed, Generic[Value]):
     address: int
-    value: bool
+    value: Value
 
-    function = 0x05
     request_length: ClassVar[LengthRule] = fixed(5)
     response_length: ClassVar[LengthRule] = fixed(5)
     echoed = 5
-    wire_values: ClassVar[dict[int, bool]] = {0x0000: False, 0xFF00: True}
+    _check: ClassVar[Any]
 
     def __post_init__(self) -> None:
-        store(
-            self,
-            value=checked_bit("value", self.value),
-            address=checked_span("address", self.address, "", 1),
-        )
+        value = type(self)._check("value", self.value)
+        store(self, value=value, address=checked_span("address", self.address, "", 1))
+
+
+class WriteCoil(_WriteOne[bool]):
+    """Function 5, section 6.5: write one coil; `value` is True, False, 1 or 0."""
+
+    __slots__ = ()
+    function = 0x05
+    wire_values: ClassVar[dict[int, bool]] = {0x0000: False, 0xFF00: True}
+    _check = staticmethod(checked_bit)
 
     def encode(self) -> bytes:
         return struct.pack(">BHH", self.function, self.address, 0xFF00 if self.value else 0)
@@ -63,24 +68,12 @@ class WriteCoil(Echoed):
         return cls(address, cls.wire_values[value])
 
 
-@dataclass(frozen=True, slots=True)
-class WriteRegister(Echoed):
+class WriteRegister(_WriteOne[int]):
     """Function 6, section 6.6: write one holding register; `value` is 0..65535."""
 
-    address: int
-    value: int
-
+    __slots__ = ()
     function = 0x06
-    request_length: ClassVar[LengthRule] = fixed(5)
-    response_length: ClassVar[LengthRule] = fixed(5)
-    echoed = 5
-
-    def __post_init__(self) -> None:
-        store(
-            self,
-            value=checked_register("value", self.value),
-            address=checked_span("address", self.address, "", 1),
-        )
+    _check = staticmethod(checked_register)
 
     def encode(self) -> bytes:
         return struct.pack(">BHH", self.function, self.address, self.value)
@@ -91,30 +84,35 @@ class WriteRegister(Echoed):
 
 
 @dataclass(frozen=True, slots=True)
-class WriteCoils(Echoed):
-    """Function 15, section 6.11: write 1..1968 coils from `address` on."""
-
+class _WriteSeveral(Echoed, Generic[Value]):
     address: int
-    values: tuple[bool, ...]
+    values: tuple[Value, ...]
 
-    limit: ClassVar[int] = MOST_COILS_WRITTEN
-    function = 0x0F
+    limit: ClassVar[int]
     request_length: ClassVar[LengthRule] = counted(6, at=5)
     response_length: ClassVar[LengthRule] = fixed(5)
     echoed = 5
+    _check: ClassVar[Any]
+    _pack: ClassVar[Any]
 
     def __post_init__(self) -> None:
-        values = checked_bits("values", self.values, self.limit)
-        store(
-            self,
-            values=values,
-            address=checked_span("address", self.address, "len(values)", len(values)),
-        )
+        values = type(self)._check("values", self.values, self.limit)
+        address = checked_span("address", self.address, "len(values)", len(values))
+        store(self, values=values, address=address)
 
     def encode(self) -> bytes:
-        data = pack_bits(self.values)
+        data: bytes = type(self)._pack(self.values)
         head = struct.pack(">BHHB", self.function, self.address, len(self.values), len(data))
         return head + data
+
+
+class WriteCoils(_WriteSeveral[bool]):
+    """Function 15, section 6.11: write 1..1968 coils from `address` on."""
+
+    __slots__ = ()
+    function = 0x0F
+    limit = MOST_COILS_WRITTEN
+    _check, _pack = staticmethod(checked_bits), staticmethod(pack_bits)
 
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
@@ -124,31 +122,13 @@ class WriteCoils(Echoed):
         return cls(address, tuple(unpack_bits(pdu[6:], count)))
 
 
-@dataclass(frozen=True, slots=True)
-class WriteRegisters(Echoed):
+class WriteRegisters(_WriteSeveral[int]):
     """Function 16, section 6.12: write 1..123 holding registers from `address` on."""
 
-    address: int
-    values: tuple[int, ...]
-
-    limit: ClassVar[int] = MOST_REGISTERS_WRITTEN
+    __slots__ = ()
     function = 0x10
-    request_length: ClassVar[LengthRule] = counted(6, at=5)
-    response_length: ClassVar[LengthRule] = fixed(5)
-    echoed = 5
-
-    def __post_init__(self) -> None:
-        values = checked_registers("values", self.values, self.limit)
-        store(
-            self,
-            values=values,
-            address=checked_span("address", self.address, "len(values)", len(values)),
-        )
-
-    def encode(self) -> bytes:
-        data = pack_registers(self.values)
-        head = struct.pack(">BHHB", self.function, self.address, len(self.values), len(data))
-        return head + data
+    limit = MOST_REGISTERS_WRITTEN
+    _check, _pack = staticmethod(checked_registers), staticmethod(pack_registers)
 
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
@@ -223,18 +203,8 @@ class ReadWriteRegisters(Request[list[int]]):
 
     def encode(self) -> bytes:
         data = pack_registers(self.values)
-        return (
-            struct.pack(
-                ">BHHHHB",
-                self.function,
-                self.read_address,
-                self.read_count,
-                self.write_address,
-                len(self.values),
-                len(data),
-            )
-            + data
-        )
+        where = self.read_address, self.read_count, self.write_address
+        return struct.pack(">BHHHHB", self.function, *where, len(self.values), len(data)) + data
 
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
