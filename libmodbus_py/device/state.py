@@ -58,9 +58,6 @@ EVERY = "every"
 # Cells that are compared at once: most of them are equal.
 BLOCK_CELLS = 256
 
-# The most characters of an error about a file, whose keys may be any text.
-REASON_CHARACTERS = 500
-
 # The end of the name of a temporary file.
 TEMPORARY = ".new"
 
@@ -240,7 +237,7 @@ def load_state(file: str, text: str, devices: Devices) -> None:
     except (TypeError, ValueError) as error:
         reason = str(error)
         reason = reason if reason.isprintable() else ascii(reason)[1:-1]
-        raise ValueError(f"{file}: {reason[:REASON_CHARACTERS]}") from None
+        raise ValueError(f"{file}: {reason}") from None
     for unit, device in devices.items():
         _set_values(device, units.get(unit, ()))
 

@@ -41,7 +41,7 @@ class Point:
         scale, offset: for numbers, value = raw * scale + offset, computed with the decimal
             numbers as they are written: 2305 times 0.1 is 230.5. Integers stay integers if both
             are whole. Each is -1e30..1e30, and the scale is not nearer to 0 than 1e-30.
-        units: the units of the value, such as "V" or "kWh", up to 50 characters.
+        units: the units of the value, such as "V" or "kWh", up to 100 characters.
         access: what clients may do: "read", "write" or "read_write". If it is not given,
             "read" for discrete inputs and input registers, and "read_write" for others.
         minimum, maximum: the lowest and the highest scaled value that may be written; None for

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from logging import Logger
 
 WIRE = "libmodbus_py.wire"
-DEBUG = 10  # of logging
 
 _wire: Logger | None = None
 
@@ -150,4 +149,4 @@ def _is_logged() -> bool:
         import logging
 
         _wire = logging.getLogger(WIRE)
-    return _wire is not None and _wire.isEnabledFor(DEBUG)
+    return _wire is not None and _wire.isEnabledFor(10)  # logging.DEBUG

@@ -53,9 +53,6 @@ SERIAL_SETTINGS = frozenset(
 )
 """Settings that are part of the URL of a serial port, for classes that take none of them."""
 
-LONGEST = 64
-"""Characters of a name that is compared with others; comparing longer ones takes long."""
-
 URLS = frozenset(("url", "to", "devices", "routes", "security"))
 """Names of arguments beside which a setting of a serial port may be expected."""
 
@@ -69,8 +66,7 @@ def close_to(name: object, known: Iterable[str], prefix: str = "") -> str:
     """
     from difflib import get_close_matches
 
-    is_comparable = isinstance(name, str) and len(name) <= LONGEST
-    close = get_close_matches(str(name), known, 3) if is_comparable else []
+    close = get_close_matches(name, known, 3) if isinstance(name, str) else []
     return f"; did you mean {' or '.join(prefix + each for each in close)}?" if close else ""
 
 

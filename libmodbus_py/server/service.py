@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ENDS",
+    "TURN_EVENTS",
     "UNREAD",
     "Channel",
     "Intercepted",
@@ -36,6 +37,10 @@ __all__ = [
 
 # Raised by a hook to end the program; any other exception is an answer, or a defect of ours.
 ENDS = (SystemExit, KeyboardInterrupt)
+
+
+TURN_EVENTS = 16
+"""Connections accepted, or datagrams answered, before other clients have their turn."""
 
 
 class Channel(Protocol):

@@ -55,9 +55,6 @@ IN6_PKTINFO = struct.Struct("=16si")
 
 ROOM = socket.CMSG_SPACE(max(IN_PKTINFO.size, IN6_PKTINFO.size))
 
-# The index of no interface: any may be taken.
-ANYWHERE = 0
-
 
 class DatagramSource(tuple[Any, ...]):
     """
@@ -89,15 +86,15 @@ class AllAddresses(socket.socket):
 @lru_cache(64)
 def _choice(level: int, kind: int, info: bytes) -> tuple[int, int, bytes]:
     """Return the control data that answer what came with these."""
-    # An interface overrides the routes, and the client may be reached through another one.
+    # Interface 0 is any. Another one overrides the routes, though the client may be elsewhere.
     if level == socket.IPPROTO_IP:
         _, own, target = IN_PKTINFO.unpack(info)
-        return level, kind, IN_PKTINFO.pack(ANYWHERE, own, target)
+        return level, kind, IN_PKTINFO.pack(0, own, target)
     own, interface = IN6_PKTINFO.unpack(info)
     address = IPv6Address(own)
     if address.is_multicast:  # no address of this machine: the system chooses one
         own = bytes(16)
-    return level, kind, IN6_PKTINFO.pack(own, interface if address.is_link_local else ANYWHERE)
+    return level, kind, IN6_PKTINFO.pack(own, interface if address.is_link_local else 0)
 
 
 def bound_datagrams(family: socket.AddressFamily, address: tuple[str, int]) -> socket.socket:

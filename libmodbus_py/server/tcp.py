@@ -15,7 +15,7 @@ from ..protocol.errors import ModbusConnectionError
 from ..protocol.logs import HarmlessLogger
 from .peer import MakePeerSession
 from .peers import Peers
-from .service import MakeSession, Service
+from .service import TURN_EVENTS, MakeSession, Service
 from .sockets import bound
 
 if TYPE_CHECKING:
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 __all__ = ["TcpServer"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
-
-# Connections accepted in a turn of the loop, so that other clients have their turn.
-ACCEPTED_AT_ONCE = 16
 
 # Seconds without accepting when the process has no descriptors left.
 RETRY_AFTER = 0.1
@@ -134,7 +131,7 @@ class TcpServer:
         self._listeners.clear()
 
     def _accept(self, listener: socket.socket) -> None:
-        for _ in range(ACCEPTED_AT_ONCE):
+        for _ in range(TURN_EVENTS):
             try:
                 client, address = listener.accept()
             except (BlockingIOError, InterruptedError, ConnectionAbortedError):

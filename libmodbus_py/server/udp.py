@@ -22,7 +22,7 @@ from ..protocol.framing import Framing, pdu_of
 from ..protocol.pdu import request_length
 from .addresses import Address, Addresses, Paused
 from .limits import Allowance, Limits, ServerStatistics
-from .service import ENDS, Service, Session, SessionState
+from .service import ENDS, TURN_EVENTS, Service, Session, SessionState
 from .sockets import bound, bound_datagrams
 
 if TYPE_CHECKING:
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from .audit import Audit
 
 __all__ = ["Sources", "UdpServer"]
-
-ANSWERED_AT_ONCE = 16
 
 # The number of delayed answers; further requests are dropped.
 WAITING_MAX = 1024
@@ -103,7 +101,7 @@ class UdpServer:
         self._sockets.clear()
 
     def _read(self, local: socket.socket) -> None:
-        for _ in range(ANSWERED_AT_ONCE):
+        for _ in range(TURN_EVENTS):
             try:
                 data, address = local.recvfrom(MAX_RECEIVED)
             except OSError:  # nothing more, or a client that has gone away

@@ -135,7 +135,6 @@ DAMAGED = [
     (text_of({"1": UNIT}), "units.1: no such unit is served, only every"),
     (text_of({"a\nb": UNIT}), r"units.a\\nb: no such unit is served"),
     (text_of({"\ud800": UNIT}), r"units.\\ud800: no such unit is served"),
-    (text_of({"x" * 100_000: UNIT}), "units.x{100,500}$"),
     (text_of({})[:-1] + "9" * 5000 + "}", "line 1, column [0-9]+: "),
     (text_of({}).replace("1", "9" * 5000), "Exceeds the limit"),
     (text_of({"every": [1]}), r"units.every must be an object, not \[1\]"),

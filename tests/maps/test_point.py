@@ -156,7 +156,7 @@ REFUSED = [
     ({"type": "bits16", "minimum": 2}, "minimum must be left out for bits16"),
     ({"minimum": 2, "maximum": 1}, "minimum must not be above maximum, 1: 2"),
     ({"minimum": "2"}, "minimum must be a number, not str"),
-    ({"units": "V" * 51}, "units must have 0..50 characters, not 51"),
+    ({"units": "V" * 101}, "units must have 0..100 characters, not 101"),
     ({"access": "RW"}, "access must be one of read, write, read_write, not 'RW'"),
     ({"table": "input_registers", "access": "write"}, "access must be read for input_registers"),
     ({"table": "discrete_inputs", "access": "read_write"}, "access must be read for discrete"),
