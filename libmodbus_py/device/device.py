@@ -370,7 +370,14 @@ class Device(NamedValues, PythonFunctions):
 
     def _respond(self, pdu: bytes, log: EventLog, caller: Caller) -> bytes:
         try:
-            return self._execute(self._decoded(pdu, caller), pdu, log, caller)
+            try:
+                request = decode_request(pdu)
+            except Exception:
+                # A client without the right to this function learns nothing else of the request.
+                with self.mapping:
+                    self._authorize(pdu[0], None, caller)
+                raise
+            return self._execute(request, pdu, log, caller)
         except ExceptionResponse as refusal:
             if isinstance(refusal.code, int) and 1 <= refusal.code <= 0xFF:
                 return bytes([pdu[0] | 0x80, refusal.code])
@@ -382,15 +389,6 @@ class Device(NamedValues, PythonFunctions):
         except BaseException:
             self._log_failure(pdu)
         return bytes([pdu[0] | 0x80, ServerDeviceFailure.code])
-
-    def _decoded(self, pdu: bytes, caller: Caller) -> Request[Any]:
-        try:
-            return decode_request(pdu)
-        except Exception:
-            # A client without the right to this function learns nothing else about the request.
-            with self.mapping:
-                self._authorize(pdu[0], None, caller)
-            raise
 
     def _authorize(self, function: int, request: Request[Any] | None, caller: Caller) -> None:
         if self._guard is None:
@@ -429,7 +427,7 @@ class Device(NamedValues, PythonFunctions):
                 response = reply(pdu, self.mapping)
             else:
                 raise IllegalFunction(function=request.function)
-            if touched is not None:
+            if touched is not None and touched.writes:
                 self._hooks.after(touched)
         return response
 

@@ -65,8 +65,10 @@ class Event(IntFlag):
     RESTARTED = 0x00
 
 
-# Plain numbers, because enumerations would take most of the time of a note.
+# Plain numbers, because enumerations would take most of the time of a note; for the same reason the
+# notes that each request makes call nothing.
 RECEIVED, BROADCAST, SENT = int(Event.RECEIVED), int(Event.BROADCAST), int(Event.SENT)
+LISTEN_ONLY, EVENT_COUNTER = int(Event.LISTEN_ONLY), ReadCommEventCounter.function
 SERVER_MESSAGES = int(SubFunction.SERVER_MESSAGE_COUNT)
 BUS_MESSAGES = int(SubFunction.BUS_MESSAGE_COUNT)
 
@@ -136,7 +138,8 @@ class EventLog:
         if not self.is_serial:
             counters[BUS_MESSAGES] = counters[BUS_MESSAGES] + 1 & 0xFFFF
         counters[SERVER_MESSAGES] = counters[SERVER_MESSAGES] + 1 & 0xFFFF
-        self._log(RECEIVED | BROADCAST if broadcast else RECEIVED)
+        event = RECEIVED | BROADCAST if broadcast else RECEIVED
+        self._events.appendleft(event | LISTEN_ONLY if self.listen_only else event)
 
     def note_response(self, request: bytes, response: bytes, *, silent: bool) -> None:
         """
@@ -153,11 +156,12 @@ class EventLog:
             counter = COUNTED_EXCEPTIONS.get(response[1])
             if counter is not None and not silent:
                 self._count(counter)
-        elif response and request[0] != ReadCommEventCounter.function:
-            self._count(EVENT_COUNT)
+        elif response and request[0] != EVENT_COUNTER:
+            self._counters[EVENT_COUNT] = self._counters[EVENT_COUNT] + 1 & 0xFFFF
         if silent:
             self._count(SubFunction.SERVER_NO_RESPONSE_COUNT)
-        self._log(SENT | SENT_EXCEPTIONS.get(response[1], 0) if refused and not silent else SENT)
+        event = SENT | SENT_EXCEPTIONS.get(response[1], 0) if refused and not silent else SENT
+        self._events.appendleft(event | LISTEN_ONLY if self.listen_only else event)
 
     def note_exchanges(self, requests: int, refused: int, latest: Iterable[int]) -> None:
         """
@@ -180,7 +184,7 @@ class EventLog:
         self._counters[counter] = self._counters[counter] + times & 0xFFFF
 
     def _log(self, event: int) -> None:
-        self._events.appendleft(event | Event.LISTEN_ONLY if self.listen_only else event)
+        self._events.appendleft(event | LISTEN_ONLY if self.listen_only else event)
 
     # --- functions 8, 11 and 12 -------------------------------------------------------------
 

@@ -97,11 +97,9 @@ class Hook:
 
     def wants(self, access: Access) -> bool:
         """Return True if the hook is called for an access."""
-        if self.places is None:
-            return True
         is_file = access.table == "file"
         first, count = (access.file, 1) if is_file else (access.address, access.count)
-        return touches(self.places.get(access.table, ()), first, count)
+        return touches(self.in_table(access.table), first, count)
 
 
 HookLike = Hook | Callable[[Access], object]
@@ -143,9 +141,8 @@ class Hooks:
             _call(self._before_read, touched.reads)
 
     def after(self, touched: Touched) -> None:
-        """Call the hook for accesses that were carried out."""
-        if touched.writes:
-            _call(self._after_write, touched.writes)
+        """Call the hook for writes that were carried out."""
+        _call(self._after_write, touched.writes)
 
 
 def _hook(name: str, hook: HookLike | None) -> Called | None:
@@ -159,9 +156,9 @@ def _hook(name: str, hook: HookLike | None) -> Called | None:
 
 def _call(hook: Called | None, accesses: tuple[Access, ...]) -> None:
     if hook is not None:
-        wants, call = hook[0].wants, hook[1]
+        of, call = hook
         for access in accesses:
-            if wants(access):
+            if of.places is None or of.wants(access):
                 call(access)
 
 
