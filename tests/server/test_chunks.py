@@ -198,7 +198,7 @@ def in_pieces(data: bytes, cuts: list[int]) -> list[bytes]:
     return [data[start:end] for start, end in zip([0, *ends], ends, strict=False)]
 
 
-@settings(max_examples=160)
+@settings(max_examples=80)
 @given(streams(), st.lists(st.integers(0, 4000), max_size=4), st.booleans())
 def test_same_answers_contents_counters_and_statistics(
     stream: bytes, cuts: list[int], one_for_all: bool
@@ -214,7 +214,7 @@ def test_same_answers_contents_counters_and_statistics(
     assert ends[0] == ends[1]
 
 
-@settings(max_examples=80)
+@settings(max_examples=40)
 @given(
     st.lists(st.tuples(bodies(), st.sampled_from([1, 1, 1, 2, 9, 3])), min_size=1, max_size=12),
     st.integers(0, 30),
@@ -244,7 +244,7 @@ def test_same_for_connections_that_send_one_request_each(
     assert states[0] == states[1]
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(streams(), st.lists(st.integers(0, 4000), max_size=4), st.sampled_from([WHOLE, HOLES]))
 def test_hooks_change_no_answer(stream: bytes, cuts: list[int], holds: Any) -> None:
     """A device with hooks answers in Python what one without answers in C."""
@@ -540,7 +540,7 @@ def touched(body: bytes) -> set[int]:
 TABLE_OF = {1: "coils", 5: "coils", 15: "coils", 2: "discrete_inputs", 4: "input_registers"}
 
 
-@settings(max_examples=240)
+@settings(max_examples=120)
 @given(st.one_of(reads(), single_writes(), writes(), read_writes(), mask_writes))
 def test_holes_are_answered_with_exception_2_and_stay_as_they_are(body: bytes) -> None:
     """Other reasons for a refusal take precedence."""
@@ -564,7 +564,7 @@ def test_holes_are_answered_with_exception_2_and_stay_as_they_are(body: bytes) -
             assert not any(view[at - first] for at in own.addresses if not own.has(at))
 
 
-@settings(max_examples=120)
+@settings(max_examples=60)
 @given(st.binary(min_size=1, max_size=600), st.lists(st.integers(0, 600), max_size=4))
 def test_same_for_bytes_that_are_no_requests(data: bytes, cuts: list[int]) -> None:
     """Where a length makes no sense both stop, and what came before is answered."""

@@ -19,7 +19,7 @@ from tests.support.cases import each
 from tests.support.talk import ascii_frame, rtu
 
 FRAMES = {"rtu": rtu, "ascii": ascii_frame}
-COUNT = 200
+COUNT = 20
 TCP = "10.0.0.1:502"
 URLS = {
     "rtu": "rtu:///dev/line?baudrate=115200",
