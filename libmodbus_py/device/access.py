@@ -14,7 +14,7 @@ from .mapping import Mapping
 
 # fmt: off
 __all__ = [
-    "ACCESSES", "READABLE", "WRITABLE", "Access", "TouchRule", "Touched", "Who", "touched",
+    "ACCESSES", "READABLE", "WRITABLE", "Access", "Touched", "Who", "touched",
     "touched_by",
 ]
 # fmt: on

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from ..maps.register_map import RegisterMap
     from .point_rules import PointIndex, PointRules, RuledCells
 
-__all__ = ["Device", "DeviceOptions"]
+__all__ = ["Device"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

@@ -27,7 +27,7 @@ from ..protocol.tables import TABLE_SIZE
 from ..protocol.values import Layout, TypeName, value_type
 from ..system import call_in_children
 
-__all__ = ["TABLE_NUMBERS", "BitTable", "Mapping", "RegisterTable", "Table", "runs"]
+__all__ = ["TABLE_NUMBERS", "Mapping", "RegisterTable", "Table", "runs"]
 
 TABLE_NUMBERS: dict[str, int] = {
     "coils": lib.COILS,

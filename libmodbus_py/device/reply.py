@@ -15,7 +15,7 @@ from ..binding.library import check, ffi, lib, make
 from ..system import call_in_children
 from .mapping import TABLE_NUMBERS, Mapping, runs
 
-__all__ = ["Answered", "Replier", "Watched", "answer_in_c", "make_tally", "replier", "reply"]
+__all__ = ["Answered", "Watched", "answer_in_c", "make_tally", "replier", "reply"]
 
 _HEADER = struct.Struct(">HHHB")
 

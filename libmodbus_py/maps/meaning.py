@@ -17,7 +17,7 @@ from ..protocol.pdu.fields import checked_bit
 from ..protocol.values import ValueType
 from .scaling import Scaling
 
-__all__ = ["CellChange", "Judged", "Meaning", "NoValue", "Part", "Reason", "part_of"]
+__all__ = ["CellChange", "Judged", "Meaning", "NoValue", "Part", "part_of"]
 
 Reason = Literal["Missing", "Implausible", "InvalidTime", "BadScale"]
 

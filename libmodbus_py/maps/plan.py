@@ -26,7 +26,7 @@ from .holes import Block, BlockPiece, Holes, PartialAnswer, Span, Unreadable
 
 # fmt: off
 __all__ = [
-    "Forbidden", "Item", "Items", "Key", "Named", "Plan", "PlanOptions",
+    "Item", "Items", "Key", "Named", "Plan", "PlanOptions",
     "Read", "Strict", "Tolerant", "Values", "planned", "unreadable_of",
 ]
 # fmt: on

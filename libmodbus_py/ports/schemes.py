@@ -22,10 +22,8 @@ __all__ = [
 ]
 # fmt: on
 
-DEFAULT_PORT = 502
-
-# The port of Modbus Security.
-SECURE_PORT = 802
+DEFAULT_PORT, SECURE_PORT = 502, 802
+"""The ports of Modbus/TCP and of Modbus Security."""
 
 Scheme = Literal["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu+udp", "tls", "unix", "rtu", "ascii"]
 

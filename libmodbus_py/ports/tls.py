@@ -29,7 +29,7 @@ Given = TypeVar("Given", bound=ClientSecurity)
 if TYPE_CHECKING:
     from .port import PortSettings
 
-__all__ = ["TlsPort", "named_security", "security_of"]
+__all__ = ["TlsPort", "security_of"]
 
 # The ends of OpenSSL's reasons for alerts by which the other side refuses our certificate.
 OF_OUR_CERTIFICATE = (
@@ -72,10 +72,10 @@ def security_of(endpoint: Endpoint, given: Given | None) -> Security | Given:
         return given
     if given is not None:
         raise ValueError(f"{endpoint}: security is given as such and in the URL")
-    return named_security(str(endpoint), endpoint.options)
+    return _named_security(str(endpoint), endpoint.options)
 
 
-def named_security(place: str, options: Mapping[str, str]) -> Security:
+def _named_security(place: str, options: Mapping[str, str]) -> Security:
     """
     Return the security described by options of URLs.
 

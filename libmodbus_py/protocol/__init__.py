@@ -6,7 +6,7 @@ Bottom up:
     errors     the exceptions, grouped by cause
     mistakes   errors that contain the path of the wrong value
     checks     numbers that callers give, and durations that people type
-    words      names of tables, types and orders as vendors write them
+    words      names of tables, types and orders as vendors write them; references such as 40123
     close_names  names that are close to one that does not exist
     extras     optional dependencies, and how each is added to this installation
     callbacks  functions of users: which are refused, and what is logged when one fails
@@ -23,7 +23,6 @@ Bottom up:
                (type_names: what type checkers know of them; encodings: those of text)
     times      dates and times in registers
                (local_times: those of devices whose clocks show local time)
-    references how manuals number the items of tables, such as 40123
     spelling   values as people read and type them
     plain      values as JSON can contain them, text for terminals, points in time
     json_text  the encoders of JSON

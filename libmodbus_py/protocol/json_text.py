@@ -13,13 +13,10 @@ from typing import Any
 
 from .mistakes import WrongValue
 
-__all__ = ["ASCII_JSON", "COMPACT_JSON", "JSON", "SORTED_JSON", "each_once", "json_text"]
+__all__ = ["COMPACT_JSON", "JSON", "SORTED_JSON", "each_once", "json_text"]
 
 JSON = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
 """Encodes text as it is."""
-
-ASCII_JSON = json.JSONEncoder(allow_nan=False)
-"""Encodes text in ASCII."""
 
 COMPACT_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
 """Encodes text in ASCII, without spaces."""
@@ -27,7 +24,8 @@ COMPACT_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
 SORTED_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"), sort_keys=True)
 """Encodes the same for equal values, without spaces."""
 
-json_text = ASCII_JSON.encode
+json_text = json.JSONEncoder(allow_nan=False).encode
+"""Returns a value as JSON, in ASCII."""
 
 
 def each_once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:

@@ -14,8 +14,8 @@ from .words import TABLE_WORDS, close_word, table_named
 
 # fmt: off
 __all__ = [
-    "REGISTER_TABLES", "TABLES", "TABLE_SIZE", "RegisterTable", "Table", "TableRules",
-    "WritableTable", "checked_table",
+    "REGISTER_TABLES", "TABLES", "TABLE_SIZE", "RegisterTable", "Table", "WritableTable",
+    "checked_table",
 ]
 # fmt: on
 

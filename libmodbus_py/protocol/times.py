@@ -19,6 +19,7 @@ __all__ = ["TIMES", "checked_time", "pack_time", "unpack_time"]
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 CENTURY = 2000
+"""The year from which dates in bytes count; CP56Time2a and others have no century."""
 
 
 class TimeForm(NamedTuple):

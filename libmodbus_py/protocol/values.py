@@ -1,5 +1,5 @@
 """
-Values: how registers are interpreted, and how manuals number them (`references`).
+Values: how registers are interpreted, and how manuals number them (`words`).
 
 Modbus carries 16-bit registers, high byte first. Everything else is a convention of the
 device; this module knows the usual ones. Types are named by strings:
@@ -47,7 +47,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, SupportsFloat, SupportsIndex
 from .checks import are_registers, integer, shown
 from .encodings import ENCODINGS, encoded, fill_of
 from .mistakes import Path, WrongType, WrongValue, item
-from .references import Reference, parse_reference
 from .type_names import (
     MAX_STRING_BYTES,
     BitsType,
@@ -61,7 +60,15 @@ from .type_names import (
     TypeName,
     string_type,
 )
-from .words import ORDER_WORDS, TYPE_WORDS, close_word, order_named, type_named
+from .words import (
+    ORDER_WORDS,
+    TYPE_WORDS,
+    Reference,
+    close_word,
+    order_named,
+    parse_reference,
+    type_named,
+)
 
 if TYPE_CHECKING:
     from datetime import datetime
@@ -384,14 +391,8 @@ def _text(size: int, encoding: str, padding: str, fill: bytes) -> ValueType:
 
 
 TIME_REGISTERS = {
-    "unix32": 2,
-    "unix64": 4,
-    "ms64": 4,
-    "iec870": 4,
-    "date48": 3,
-    "bcddate48": 3,
-    "date96": 6,
-}
+    "unix32": 2, "unix64": 4, "ms64": 4, "iec870": 4, "date48": 3, "bcddate48": 3, "date96": 6,
+}  # fmt: skip
 """Types of times -> their registers; `times` has their forms."""
 
 TYPES: dict[str, ValueType] = {

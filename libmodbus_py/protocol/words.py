@@ -1,7 +1,8 @@
 """
-The words of tables, types and orders, as vendors and other tools write them.
+The words of tables, types and orders, as vendors and other tools write them; and references, such
+as 40123, by which manuals number the items of tables.
 
-They are taken wherever a table, a type or an order is: by the clients, in register maps and device
+Words are taken wherever a table, a type or an order is: by the clients, in register maps and device
 files, and on the command line. Only words that every vendor means alike are here: a "long" has 32
 bits or 64, and a wrong guess would be a wrong value.
 """
@@ -10,13 +11,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from typing import NamedTuple
 
 from .close_names import close_to
+from .mistakes import WrongValue
 
 # fmt: off
 __all__ = [
-    "ORDER_WORDS", "TABLE_WORDS", "TYPE_WORDS", "by_word", "close_word", "order_named", "plain",
-    "table_named", "type_named",
+    "ORDER_WORDS", "REFERENCE_TABLES", "TABLE_WORDS", "TYPE_WORDS", "Reference", "by_word",
+    "close_word", "order_named", "parse_reference", "plain", "table_named", "type_named",
 ]
 # fmt: on
 
@@ -118,3 +121,64 @@ def type_named(text: object) -> str | None:
 def order_named(text: object) -> str | None:
     """Return the name of an order, such as "ABCD" for "big endian"; None if it is none."""
     return ORDER_WORDS.get(plain(text)) if isinstance(text, str) else None
+
+
+# --- references ----------------------------------------------------------------------------
+
+REFERENCE_TABLES = {
+    "0": "coils",
+    "1": "discrete_inputs",
+    "3": "input_registers",
+    "4": "holding_registers",
+    "6": "file",
+}
+"""First digit of a reference -> table."""
+
+
+class Reference(NamedTuple):
+    """
+    The table and address of a reference.
+
+    Attributes:
+        table: "coils", "discrete_inputs", "input_registers",
+            "holding_registers" or "file" (a reference does not contain the file number).
+        address: the 0-based address, or the record number.
+    """
+
+    table: str
+    address: int
+
+
+def parse_reference(text: str) -> Reference:
+    """
+    Return the table and address of a 5- or 6-digit reference (PI-MBUS-300).
+
+    The first digit is the table, and the rest is the number of the item, counted from 1: "40123"
+    is the holding register with address 122. Only file records are counted from 0: "600007" is
+    record 7.
+
+    Args:
+        text: the reference, as a string because the leading zero of coils matters.
+
+    Raises:
+        TypeError: the argument is not a string.
+        ValueError: the text is not a reference; the message tells what one looks like.
+    """
+    if not isinstance(text, str):
+        given = type(text).__name__
+        raise TypeError(f'a reference must be a string, such as "40123", not {given}')
+    if not re.fullmatch(r"[0-9]{5,6}", text) or text[0] not in REFERENCE_TABLES:
+        raise WrongValue(
+            "reference",
+            f"{text!r} must have 5 or 6 digits and begin with 0 (coil), 1 (discrete"
+            " input), 3 (input register), 4 (holding register) or 6 (file record), as in 40123",
+        )
+    table, item = REFERENCE_TABLES[text[0]], int(text[1:])
+    if table == "file":
+        if item > 9999:
+            raise WrongValue("reference", f"{text!r}: file records are 600000..609999")
+        return Reference(table, item)
+    if not 1 <= item <= 65536:
+        first, last = f"{text[0]}{'1':0>{len(text) - 1}}", f"{text[0]}65536"
+        raise WrongValue("reference", f"{text!r}: the items are {first}..{last}, counted from 1")
+    return Reference(table, item - 1)

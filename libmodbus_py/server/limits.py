@@ -23,7 +23,6 @@ __all__ = [
     "ServerStatistics",
     "counted_host",
     "host_of",
-    "plain_host",
 ]
 
 # Descriptors that are reserved for the rest of the process, unless max_connections is given.
@@ -114,7 +113,7 @@ class Limits:
         """Return True if clients with this address are served; paths are in no network."""
         if not self._networks or host.startswith("/"):
             return True
-        address = ip_address(plain_host(host).partition("%")[0])
+        address = ip_address(_plain_host(host).partition("%")[0])
         return any(address in network for network in self._networks)
 
     def connections(self) -> int:
@@ -130,7 +129,7 @@ class Limits:
         return max(LEAST_OF_ADDRESS, self.connections() // 10)
 
 
-def plain_host(host: str) -> str:
+def _plain_host(host: str) -> str:
     """Return the IPv4 address that an IPv6 address contains, because one client may use both."""
     if not host.startswith("::ffff:"):
         return host
@@ -145,7 +144,7 @@ def counted_host(host: str) -> str:
     One machine may use all addresses of its /64 (RFC 4291, 2.5.4; RFC 8981), but the machines of a
     link share the /64 of their link-local addresses.
     """
-    host = plain_host(host)
+    host = _plain_host(host)
     try:
         address = IPv6Address(host)
     except ValueError:

@@ -18,7 +18,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from libmodbus_py import values
-from libmodbus_py.protocol.references import REFERENCE_TABLES
 from libmodbus_py.protocol.values import (
     ORDERS,
     TYPES,
@@ -33,6 +32,7 @@ from libmodbus_py.protocol.values import (
     string_type,
     value_type,
 )
+from libmodbus_py.protocol.words import REFERENCE_TABLES
 from tests.support.cases import each_case
 from tests.support.vectors import BYTE_ORDERS, REFERENCES, ByteOrder, Reference, rows
 

@@ -58,8 +58,10 @@ class RawRequest(Request[bytes]):
         return pdu[1:]
 
 
+# MEI types (section 6.19).
 CANOPEN = 0x0D
 DEVICE_IDENTIFICATION = 0x0E
+"""The MEI type of device identification."""
 
 OBJECT_NAMES = {
     0: "VendorName",
