@@ -7,10 +7,11 @@ from __future__ import annotations
 from collections.abc import Mapping as MappingABC
 from typing import Any
 
+from ..maps.meaning import CellChange
 from ..maps.point import Point
 from ..maps.point_plan import sources_of
 from ..maps.register_map import RegisterMap
-from ..maps.writing import Encoded, check_overlaps, encoded_change
+from ..maps.writing import check_overlaps
 from ..protocol.close_names import close_to
 from ..protocol.mistakes import WrongType, WrongValue
 from ..protocol.ranges import joined
@@ -127,19 +128,16 @@ def set_values(
     changed = {name: known_point(points, name) for name in values}
     # What scales comes first: the others are scaled by what its cells then hold.
     scales = [name for name in sources_of(changed.values(), points) if name in changed]
-    encoded: list[Encoded] = []
+    changes: list[tuple[Point, CellChange]] = []
     written: dict[tuple[str, int], Any] = {}
     for name in dict.fromkeys([*scales, *changed]):
         point = changed[name]
-        change = encoded_change(point, values[name], source_after(point, points, mapping, written))
-        encoded.append(change)
-        cells = change.cells
-        if change.masks is not None:  # all other bits stay as they are
-            before = cells_after(point, mapping, written)
-            parts = zip(before, change.masks, cells, strict=True)
-            cells = [old & ~mask | bits for old, mask, bits in parts]
+        source = source_after(point, points, mapping, written)
+        change = point.change(values[name], source=source)
+        changes.append((point, change))
+        cells = change.over(cells_after(point, mapping, written))
         written |= {(point.table, at): cell for at, cell in zip(point.cells, cells, strict=True)}
-    check_overlaps(encoded)
+    check_overlaps(changes)
     for point in changed.values():
         table, cells = getattr(mapping, point.table), cells_after(point, mapping, written)
         table[point.cells.start : point.cells.stop] = cells

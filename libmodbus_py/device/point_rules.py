@@ -11,7 +11,7 @@ from collections.abc import Mapping as MappingABC
 from typing import NamedTuple
 
 from ..maps.point import Point
-from ..maps.writing import check_cells, has_bounds
+from ..maps.writing import check_cells
 from ..protocol.errors import IllegalDataAddress, IllegalDataValue
 from ..protocol.ranges import joined, touches, without
 from ..protocol.tables import TABLES
@@ -104,7 +104,7 @@ class PointRules:
         bounded = [
             each
             for each in given
-            if has_bounds(each.point)
+            if each.point.has_bounds
             and each.access != "read"
             and each.point.is_writable
             and each.place[0] in TABLES

@@ -172,6 +172,13 @@ class CellChange(NamedTuple):
     cells: list[Any]
     masks: list[int] | None
 
+    def over(self, before: Sequence[Any]) -> list[Any]:
+        """Return the cells after the change, where bits that do not change stay as before."""
+        if self.masks is None:
+            return self.cells
+        changed = zip(before, self.cells, self.masks, strict=True)
+        return [int(old) & ~mask | bits for old, bits, mask in changed]
+
 
 class Meaning:
     """

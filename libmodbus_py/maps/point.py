@@ -130,6 +130,11 @@ class Point:
         return self.access != "read"
 
     @property
+    def has_bounds(self) -> bool:
+        """True if the point has a minimum or a maximum."""
+        return self.minimum is not None or self.maximum is not None
+
+    @property
     def is_part(self) -> bool:
         """True if the point is a part of its registers: writing leaves the other bits alone."""
         return self.meaning.is_part
@@ -295,23 +300,6 @@ class Point:
             kind = WrongType if isinstance(error, TypeError) else WrongValue
             raise kind.about(self.name, str(error)) from None
 
-    def put(self, before: Sequence[Any], value: Any, *, source: float | None = None) -> list[Any]:
-        """
-        Return the cells of a value, where bits that are not part of the point stay as before.
-
-        Args:
-            before: the cells that the point has.
-            value, source: as for `encode`.
-
-        Raises:
-            TypeError, ValueError: as `encode`.
-        """
-        cells, masks = self.change(value, source=source)
-        if masks is None:
-            return cells
-        changed = zip(before, cells, masks, strict=True)
-        return [int(cell) & ~mask | bits for cell, bits, mask in changed]
-
     def cells_of(self, value: Any, scaling: Scaling | None = None) -> list[Any]:
         """
         Return the cells of a value, as `encode` does.
@@ -357,7 +345,7 @@ class Point:
     def _change_of_one(self, value: Any, scaling: Scaling | None) -> CellChange:
         scaling = scaling or self._scaling
         change = self.meaning.change(value, scaling)
-        if self.minimum is not None or self.maximum is not None:
+        if self.has_bounds:
             self.check_bounds(value)
             if scaling is not None and self.step:
                 # 0.25 at a scale of 0.1 is written as 0.2.

@@ -7,18 +7,15 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from ..protocol import pdu
 from ..protocol.mistakes import WrongValue
 from ..protocol.tables import TABLES
+from .meaning import CellChange
 from .point import Point
 
-# fmt: off
-__all__ = [
-    "Encoded", "check_cells", "check_overlaps", "encoded_change", "has_bounds", "write_requests",
-]
-# fmt: on
+__all__ = ["check_cells", "check_overlaps", "write_requests"]
 
 # Table -> the requests that write one cell, and several.
 _WRITES: dict[str, tuple[Any, Any]] = {
@@ -83,9 +80,9 @@ def write_requests(
     """
     runs: list[_Run | _Masked] = []
     masked: dict[int, _Masked] = {}
-    encoded = [encoded_change(*change) for change in changes]
-    check_overlaps(encoded)
-    for point, cells, masks in encoded:
+    made = [(point, point.change(value, source=source)) for point, value, source in changes]
+    check_overlaps(made)
+    for point, (cells, masks) in made:
         if masks is not None:
             runs += _mask(point, cells, masks, masked)
             continue
@@ -96,34 +93,6 @@ def write_requests(
             else:
                 runs.append(piece)
     return [run.request(multiple) for run in runs]
-
-
-class Encoded(NamedTuple):
-    """
-    The new value of a point.
-
-    Attributes:
-        point: the point.
-        cells: its cells; of a part of registers, with all other bits 0.
-        masks: the bits that change in each register; None if all do.
-    """
-
-    point: Point
-    cells: list[Any]
-    masks: list[int] | None
-
-
-def encoded_change(point: Point, value: Any, source: Any) -> Encoded:
-    """
-    Return a point with the cells of its new value.
-
-    Args:
-        source: the value of the point that scales it, or None.
-
-    Raises:
-        TypeError, ValueError: the value does not fit the point, which the message names.
-    """
-    return Encoded(point, *point.change(value, source=source))
 
 
 def _mask(
@@ -152,17 +121,17 @@ def _pieces(point: Point, cells: list[Any]) -> Iterator[_Run]:
         yield _Run(point.table, point.address + at, cells[at : at + step])
 
 
-def check_overlaps(encoded: Iterable[Encoded]) -> None:
+def check_overlaps(changes: Iterable[tuple[Point, CellChange]]) -> None:
     """
-    Check that no two points share cells.
+    Check that no two changes of points share cells.
 
     Raises:
         ValueError: two points share cells, or bits of them; the message names both.
     """
-    ordered = sorted(encoded, key=lambda each: (each.point.table, each.point.address))
+    ordered = sorted(changes, key=lambda change: (change[0].table, change[0].address))
     # Bits that are taken in the cells of the table, and the point that takes them first.
     taken: dict[tuple[str, int], tuple[int, str]] = {}
-    for point, _, masks in ordered:
+    for point, (_, masks) in ordered:
         for at, address in enumerate(point.cells):
             mask = 0xFFFF if masks is None else masks[at]
             before, first = taken.get((point.table, address), (0, point.name))
@@ -171,11 +140,6 @@ def check_overlaps(encoded: Iterable[Encoded]) -> None:
                     f"{first} and {point.name} share {point.table} {address}: write one of them"
                 )
             taken[point.table, address] = before | mask, first
-
-
-def has_bounds(point: Point) -> bool:
-    """Return True if a point has a minimum or a maximum."""
-    return point.minimum is not None or point.maximum is not None
 
 
 def check_cells(point: Point, cells: Sequence[Any], *, source: Any = None) -> None:
@@ -191,7 +155,7 @@ def check_cells(point: Point, cells: Sequence[Any], *, source: Any = None) -> No
         ValueError: a value is outside, is not a number, or the cells hold none; the message names
             the point and the bounds. Or `source` is not a scale.
     """
-    if not has_bounds(point):
+    if not point.has_bounds:
         return
     scaling = point.scaling_for(source)
     try:

@@ -155,7 +155,7 @@ def _image(
             source = source_value(point, given)
             before = image[point.table][point.cells.start : point.cells.stop]
             point.cells_of(value, point.scaling_for(source))  # whose errors begin with "value"
-            cells = point.put(before, value, source=source)
+            cells = point.change(value, source=source).over(before)
         except (TypeError, ValueError) as error:
             raise placed(error, ()).renamed(where) from None
         image[point.table][point.cells.start : point.cells.stop] = array("H", map(int, cells))

@@ -19,7 +19,6 @@ from ...device.point_rules import RuledCells
 from ...maps.point import Point
 from ...maps.point_plan import sources_of
 from ...maps.register_map import RegisterMap
-from ...maps.writing import has_bounds
 from ...protocol.mistakes import WrongValue
 from ...protocol.tables import TABLES
 from ..faults.fault import Fault
@@ -128,7 +127,7 @@ class SimulatedDevice(Device):
         # Points that share cells with others are in pieces there, which have no bounds.
         whole = {id(each.point) for each in self._contents}
         for point in self._mapped.values():
-            if has_bounds(point) and id(point) not in whole:
+            if point.has_bounds and id(point) not in whole:
                 yield RuledCells.of(point)._replace(access=None)
 
     def first_values(self) -> Iterator[Access]:

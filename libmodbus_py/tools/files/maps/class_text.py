@@ -203,7 +203,7 @@ def _about(point: Point) -> str:
     many = f"{point.count} values of " if point.count > 1 else ""
     facts = [f"{many}{point.type or 'bit'}"]
     facts += [point.units] if point.units else []
-    if point.minimum is not None or point.maximum is not None:
+    if point.has_bounds:
         low, high = ("" if each is None else each for each in (point.minimum, point.maximum))
         facts.append(f"{low}..{high}")
     facts += ["read-only"] if not point.is_writable else []
