@@ -5,12 +5,21 @@ Values as JSON can contain them.
 from __future__ import annotations
 
 import json
+import math
+import re
+import time
+from collections.abc import Iterator
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
+
+import pytest
 
 from libmodbus_py import pdu
 from libmodbus_py.client.reconnecting import State
-from libmodbus_py.protocol.plain import plain, without_controls
+from libmodbus_py.protocol.json_text import COMPACT_JSON, SORTED_JSON, each_once, json_text
+from libmodbus_py.protocol.mistakes import WrongValue
+from libmodbus_py.protocol.plain import clock_text, plain, time_text, without_controls
 from tests.support.cases import each_case
 
 
@@ -52,3 +61,82 @@ def test_each_value_is_one_that_json_has(value: Any, made: Any) -> None:
 
 def test_what_a_terminal_would_obey_is_shown_instead() -> None:
     assert without_controls("a\x1b[2J\x9b\tb\nc \xe4") == "a\\x1b[2J\\x9b\\x09b\nc \xe4"
+
+
+# --- JSON ---------------------------------------------------------------------------------
+
+
+def test_text_is_in_ascii_and_numbers_are_finite() -> None:
+    assert json_text({"b": "°C", "a": [1]}) == '{"b": "\\u00b0C", "a": [1]}'
+    assert COMPACT_JSON.encode({"b": "ü", "a": [1]}) == '{"b":"\\u00fc","a":[1]}'
+    assert SORTED_JSON.encode({"b": 1, "a": [1, 2]}) == '{"a":[1,2],"b":1}'
+
+
+@each_case("value", [math.nan, math.inf, [-math.inf]])
+def test_what_json_has_no_number_for_is_refused(value: object) -> None:
+    for encode in (json_text, COMPACT_JSON.encode, SORTED_JSON.encode):
+        with pytest.raises(ValueError, match="not JSON compliant"):
+            encode(value)
+
+
+def test_a_name_that_occurs_twice_is_refused() -> None:
+    assert json.loads('{"a": 1, "b": {"a": 2}}', object_pairs_hook=each_once) == {
+        "a": 1,
+        "b": {"a": 2},
+    }
+    with pytest.raises(WrongValue, match=r"^a: occurs twice"):
+        json.loads('{"a": 1, "a": 1}', object_pairs_hook=each_once)
+
+
+# --- points in time -----------------------------------------------------------------------
+
+
+PACKAGE = Path(__file__).parents[2] / "libmodbus_py"
+
+OTHERS = {
+    *("protocol/plain.py", "protocol/spelling.py", "protocol/times.py"),  # values of registers
+    "services/fleet/journal/journal_file.py",  # SQL
+}
+
+
+@pytest.fixture
+def berlin(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    with monkeypatch.context() as patch:
+        patch.setenv("TZ", "Europe/Berlin")
+        time.tzset()
+        yield
+    time.tzset()
+
+
+@each_case(
+    ("seconds", "text"),
+    [
+        (0.0004, "1970-01-01T00:00:00.000Z"),
+        (1_700_000_000, "2023-11-14T22:13:20.000Z"),
+        (1_700_000_000.1239, "2023-11-14T22:13:20.123Z"),
+    ],
+)
+def test_times_are_iso_8601_in_utc(berlin: None, seconds: float, text: str) -> None:
+    assert time_text(seconds) == text
+
+
+def test_a_clock_is_that_of_the_place(berlin: None) -> None:
+    assert clock_text(1_700_000_000) == "23:13:20"
+    assert clock_text(1_700_000_000.25, with_milliseconds=True) == "23:13:20.250"
+    assert clock_text(1_700_000_000.9996, with_milliseconds=True) == "23:13:21.000"
+
+
+@each_case("seconds", [-1e11, 253_402_300_800.0, 18_446_744_073_709.551, 1e300])
+def test_a_time_that_no_calendar_has_is_shown_in_seconds(seconds: float) -> None:
+    """A capture holds any time of 64 bits."""
+    assert time_text(seconds) == clock_text(seconds) == f"{seconds:.3f}s"
+
+
+def test_no_other_file_formats_times() -> None:
+    forms = re.compile(r"strftime\(|\.isoformat\(|fromtimestamp\(")
+    found = {
+        str(path.relative_to(PACKAGE))
+        for path in PACKAGE.rglob("*.py")
+        if forms.search(path.read_text())
+    }
+    assert found == OTHERS

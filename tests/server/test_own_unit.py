@@ -14,8 +14,21 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, Device, Fault, Mapping, Server, pdu
+from libmodbus_py import (
+    Context,
+    Device,
+    Fault,
+    GatewayTargetFailedToRespond,
+    Mapping,
+    ModbusTimeoutError,
+    Server,
+    TcpContext,
+    pdu,
+)
 from libmodbus_py.protocol import errors
+from libmodbus_py.protocol.framing import Frame
+from libmodbus_py.tools.faults.answers import Faults
+from tests.simulation.stage import Stage
 
 MESSAGES = pdu.SubFunction.BUS_MESSAGE_COUNT
 both = pytest.mark.parametrize("scheme", ["tcp", "udp"])
@@ -215,3 +228,127 @@ def test_a_message_that_cannot_be_answered_is_one(scheme: str) -> None:
             peer.sendall(adu(b"\x83\2", 1, 1))
             peer.sendall(adu(b"\x08\0\x0b\0\0", 2, 1))
             assert peer.recv(100) == adu(b"\x08\0\x0b\0\2", 2, 1)
+
+
+# --- which units are answered -------------------------------------------------------------
+
+
+def test_unknown_unit_is_answered_with_exception_11_on_tcp(port: int) -> None:
+    for native in (True, False):
+        with TcpContext("127.0.0.1", port, unit=18, native=native) as context:
+            for _ in range(2):
+                with pytest.raises(GatewayTargetFailedToRespond):
+                    context.read_coils(0, 1)
+
+
+def test_one_device_answers_every_unit_on_tcp(device: Device) -> None:
+    with (
+        Server(device).background("tcp://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0]) as context,
+    ):
+        for unit in (0, 1, 2, 247, 248, 254, 255):
+            for _ in range(2):
+                assert context.for_unit(unit).read_holding_registers(100, 1) == [1000]
+
+
+@pytest.mark.parametrize("kind", ["rtu", "ascii"])
+def test_several_units_on_one_port_and_silence_for_others(stage: Stage, kind: str) -> None:
+    devices = {unit: Device(Mapping(holding_registers=10, coils=8)) for unit in (1, 2)}
+    line = f"{kind}:///dev/line?baudrate=115200"
+    with Server(devices).background(line), Context.from_url(line, timeout=200) as context:
+        for unit in (1, 2):
+            context.for_unit(unit).write_register(0, unit)
+        begun = stage.now
+        with pytest.raises(ModbusTimeoutError):
+            context.for_unit(3).read_coils(0, 1)
+        assert stage.now - begun >= 200
+        for unit in (1, 2):
+            assert context.for_unit(unit).read_holding_registers(0, 1) == [unit]
+        context.for_unit(0).write_registers(1, [7, 8])
+        context.for_unit(0).write_coil(3, True)
+        stage.pass_time(1)
+        for device in devices.values():
+            assert device.mapping.holding_registers[1:3] == [7, 8]
+            assert device.mapping.coils[3]
+
+
+# --- which numbers units may have ---------------------------------------------------------
+
+
+READ = b"\3\0\0\0\1"
+
+
+@pytest.mark.parametrize("unit", [0, 255])
+def test_units_are_a_byte(unit: int) -> None:
+    device = Device(Mapping(1, 1, 1, 1))
+    made = Server({unit: device}, {unit: [Fault("no_answer")]}, own_unit=unit)
+    assert made.statistics.requests == 0
+
+
+@pytest.mark.parametrize("unit", [-1, 256])
+def test_other_units_are_refused(unit: int) -> None:
+    device = Device(Mapping(1, 1, 1, 1))
+    with pytest.raises(ValueError, match="unit"):
+        Server({unit: device})
+    with pytest.raises(ValueError, match="unit"):
+        Server({1: device}, {unit: [Fault("no_answer")]})
+    with pytest.raises(ValueError, match="own_unit"):
+        Server({1: device, 2: device}, own_unit=unit)
+
+
+def test_one_device_for_all_units_is_none_of_them() -> None:
+    with pytest.raises(ValueError, match="own_unit cannot be given"):
+        Server(Device(Mapping(1, 1, 1, 1)), own_unit=0)
+
+
+def test_a_fault_that_cannot_happen_leaves_others_their_turn() -> None:
+    """Serial lines have no transactions."""
+    transaction, answer = Fault("wrong_transaction"), Fault("no_answer")
+    for has_transaction, expected in ((True, transaction), (False, answer)):
+        faults = Faults({1: [transaction, answer]})
+        found = faults.due(Frame(1, READ), has_transaction=has_transaction)
+        assert found == expected
+
+
+def test_a_fault_of_another_function_leaves_others_their_turn() -> None:
+    faults = Faults({1: [Fault("no_answer", function=6), Fault("exception", code=2)]})
+    found = faults.due(Frame(1, READ), has_transaction=True)
+    assert found is not None
+    assert found.kind == "exception"
+
+
+def test_the_faults_of_a_unit_come_before_those_of_all() -> None:
+    faults = Faults({None: [Fault("no_answer")], 1: [Fault("exception", code=2, every=2)]})
+    kinds = []
+    for _ in range(4):
+        found = faults.due(Frame(1, READ), has_transaction=True)
+        assert found is not None
+        kinds.append(found.kind)
+    assert kinds == ["no_answer", "exception", "no_answer", "exception"]
+
+
+def test_faults_that_are_given_again_go_on_counting() -> None:
+    third, other = Fault("no_answer", every=3), Fault("exception", code=2, every=3)
+    before = Faults({1: [third]})
+    for _ in range(2):
+        assert before.due(Frame(1, READ), has_transaction=True) is None
+    after = Faults({1: [third, third, other]}, before)
+    found = [after.due(Frame(1, READ), has_transaction=True) for _ in range(3)]
+    assert found == [third, None, third]
+
+
+def test_no_faults_are_none() -> None:
+    assert not Faults({})
+    assert not Faults({1: [], None: []})
+    assert Faults({1: [], 2: [Fault("no_answer")]})
+    faults = Faults({1: [Fault("no_answer")]})
+    assert [faults.concerns(unit) for unit in (0, 1, 2)] == [False, True, False]
+    assert Faults({None: [Fault("no_answer")]}).concerns(7)
+
+
+@pytest.mark.parametrize("pdu", [b"\x41\1", b"\x08\0\0\0\7", b"\x07", b"\3"])
+def test_a_fault_everywhere_happens_to_requests_without_an_address(pdu: bytes) -> None:
+    everywhere = Faults({1: [Fault("no_answer")]})
+    assert everywhere.due(Frame(1, pdu), has_transaction=True) is not None
+    in_a_table = Faults({1: [Fault("no_answer", table="coils")]})
+    assert in_a_table.due(Frame(1, pdu), has_transaction=True) is None

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import signal
 import socket
 import subprocess
@@ -14,12 +15,15 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import FrameType
+from typing import Any
 
 import pytest
 
 from libmodbus_py import Device, Mapping, ModbusConnectionError, Server, TcpContext
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.serve import Running
+from libmodbus_py.server.forever import signal_handlers
 
 HEAD = """
 import logging, signal, sys, threading
@@ -187,3 +191,56 @@ def test_all_ways_log_where_they_listen(caplog: pytest.LogCaptureFixture) -> Non
     with Server(Device(Mapping())).background("tcp://127.0.0.1:0") as running:
         time.sleep(0)
     assert caplog.messages == [f"listening on {running.urls[0]}"]
+
+
+# --- signals ------------------------------------------------------------------------------
+
+
+NUMBERS = (signal.SIGTERM, signal.SIGHUP)
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_the_handlers_of_a_program_are_back_afterwards(fails: bool) -> None:
+    def own(number: int, frame: FrameType | None) -> None: ...
+
+    before = {number: signal.signal(number, own) for number in NUMBERS}
+    called: list[signal.Signals] = []
+
+    async def main() -> None:
+        came = asyncio.Event()
+
+        def note() -> None:
+            called.append(signal.SIGHUP)
+            came.set()
+
+        with signal_handlers({signal.SIGTERM: came.clear, signal.SIGHUP: note}):
+            os.kill(os.getpid(), signal.SIGHUP)
+            await came.wait()
+            if fails:
+                raise ZeroDivisionError
+
+    try:
+        if fails:
+            with pytest.raises(ZeroDivisionError):
+                asyncio.run(main())
+        else:
+            asyncio.run(main())
+        assert called == [signal.SIGHUP]
+        assert [signal.getsignal(number) for number in NUMBERS] == [own, own]
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def test_in_another_thread_signals_are_left_alone() -> None:
+    before = [signal.getsignal(number) for number in NUMBERS]
+    seen: list[Any] = []
+
+    async def main() -> None:
+        with signal_handlers(dict.fromkeys(NUMBERS, lambda: None)):
+            seen.extend(signal.getsignal(number) for number in NUMBERS)
+
+    thread = threading.Thread(target=lambda: asyncio.run(main()))
+    thread.start()
+    thread.join()
+    assert seen == before

@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 
 from libmodbus_py.tools.listener.separator import LineFraming, Separator
-from tests.server.test_functions_without_a_request import BODIES, MADE
+from tests.server.test_server import BODIES, MADE
 from tests.support.talk import rtu
 
 ASK, ANSWER = "02 03 0000 0001", "02 03 02 0001"
