@@ -146,15 +146,23 @@ class Resolve(NamedTuple):
 
 
 class Question:
-    """A name that is looked up in a thread, for all that ask for it meanwhile."""
+    """
+    A name that is looked up in a thread, for all that ask for it meanwhile.
+
+    Attributes:
+        notes: called in that thread when the result is there; they must not block.
+
+    Raises:
+        OSError: the system has no thread left.
+    """
 
     def __init__(self, wanted: Resolve) -> None:
+        self.notes: list[Callable[[], object]] = []
         self._wanted = wanted
         self._found: list[Any] | Exception = []
-        self.notes: list[Callable[[], object]] = []
+        start_thread(threading.Thread(target=self._look_up, name="look-up", daemon=True))
 
-    def look_up(self) -> None:
-        """Set the result, and call all `notes`."""
+    def _look_up(self) -> None:
         host, port, kind, _, flags = self._wanted
         try:
             self._found = socket.getaddrinfo(host, port, type=kind, flags=flags)
@@ -162,8 +170,7 @@ class Question:
             self._found = error
         with _lock:
             _asked.pop(self._wanted, None)
-            notes, self.notes = self.notes, []
-        for note in notes:
+        for note in self.notes:
             with contextlib.suppress(Exception):  # a loop that was closed meanwhile
                 note()
 
@@ -188,18 +195,15 @@ def ask(wanted: Resolve, note: Callable[[], object]) -> Question:
     Look up a name, or share a look-up that is under way; its end need not be waited for.
 
     Args:
-        note: called in another thread when the question has its result. It must not block.
+        note: added to the `notes` of the question.
 
     Raises:
         OSError: the system has no thread left.
     """
     key = wanted._replace(deadline=0.0)
     with _lock:
-        question = _asked.get(key)
-        if question is None:
-            question = Question(key)
-            start_thread(threading.Thread(target=question.look_up, name="look-up", daemon=True))
-            _asked[key] = question
+        question = _asked.get(key) or Question(key)
+        _asked[key] = question
         question.notes.append(note)
     return question
 

@@ -21,7 +21,7 @@ from ..protocol.errors import MAX_RECEIVED, ModbusConnectionError
 from ..system import PROBES, TCP_QUICKACK
 from .hosts import Resolve, host_and_port
 from .port import RECEIVED_BYTES, Port, Silence, lost
-from .waiting import WRITE, Ready, Steps, of_system
+from .waiting import WRITE, Ready, Steps, of_system, timed_out
 
 if TYPE_CHECKING:
     from .endpoint import Endpoint
@@ -138,7 +138,7 @@ def _connecting(made: socket.socket, address: Any, deadline: float) -> Steps[Non
     number = made.connect_ex(address)
     if number == errno.EINPROGRESS:
         if not (yield Ready(made.fileno(), WRITE, deadline)):
-            raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+            raise timed_out()
         number = made.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
     if number == 0 and _is_own(made):
         if made.type == socket.SOCK_STREAM:  # reset: an orderly end keeps the port for a minute

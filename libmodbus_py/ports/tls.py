@@ -21,7 +21,7 @@ from ..system import KEY_REJECTED
 from .endpoint import Endpoint
 from .port import RECEIVED_BYTES
 from .sockets import TcpPort
-from .waiting import READ, WRITE, Ready, Steps, of_system
+from .waiting import READ, WRITE, Ready, Steps, of_system, timed_out
 
 ClientSecurity = Security | GivenContext
 Given = TypeVar("Given", bound=ClientSecurity)
@@ -346,4 +346,4 @@ def _ready(made: socket.socket, events: int, deadline: float) -> Steps[None]:
     # A flooding peer always has bytes ready.
     in_time = time.monotonic() < deadline and (yield Ready(made.fileno(), events, deadline))
     if not in_time:
-        raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+        raise timed_out()

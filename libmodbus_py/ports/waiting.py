@@ -21,7 +21,7 @@ from .hosts import Resolve, ask, numeric
 # fmt: off
 __all__ = [
     "LONGEST", "READ", "WRITE", "Ready", "Steps", "Waker", "Woken", "milliseconds", "of_system",
-    "run",
+    "run", "timed_out",
 ]
 # fmt: on
 
@@ -161,19 +161,26 @@ def run(steps: Steps[Result], waker: Waker) -> Result:
 
 def _wait(wanted: Ready | Resolve, waker: Waker) -> Any:
     if isinstance(wanted, Resolve):
-        return numeric(wanted) or _look_up(wanted, waker)
+        return _look_up(wanted, waker)
     return waker.wait(*wanted)
 
 
 def _look_up(wanted: Resolve, waker: Waker) -> list[Any]:
+    if found := numeric(wanted):
+        return found
     done = Waker()
     try:
         question = ask(wanted, done.wake)
         if not waker.wait(done.descriptor, READ, wanted.deadline):
-            raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+            raise timed_out()
         return question.result()
     finally:
         done.close()  # an error that the caller keeps would keep it open
+
+
+def timed_out() -> TimeoutError:
+    """Return the error of the system for a wait that took too long."""
+    return TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
 
 
 def of_system(error: OSError) -> OSError:

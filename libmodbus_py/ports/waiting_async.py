@@ -6,14 +6,12 @@ asyncio.
 from __future__ import annotations
 
 import asyncio
-import errno
 import math
-import os
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 from .hosts import Resolve, ask, numeric
-from .waiting import READ, Ready, Steps, of_system
+from .waiting import READ, Ready, Steps, of_system, timed_out
 
 __all__ = ["Alarm", "look_up", "resolve", "run_async"]
 
@@ -41,17 +39,19 @@ async def run_async(steps: Steps[Result]) -> Result:
 
 async def _wait_async(wanted: Ready | Resolve) -> Any:
     if isinstance(wanted, Resolve):
-        return numeric(wanted) or await look_up(wanted)
+        return await look_up(wanted)
     return await _ready(wanted)
 
 
 async def look_up(wanted: Resolve) -> list[Any]:
     """
-    Look up a name.
+    Return what getaddrinfo finds for a name or an address.
 
     Raises:
         OSError: the name is not known, or cannot be looked up; TimeoutError: not in time.
     """
+    if found := numeric(wanted):
+        return found
     loop = asyncio.get_running_loop()
     ready = loop.create_future()
     timeout = asyncio.timeout_at(None if wanted.deadline == math.inf else wanted.deadline)
@@ -62,7 +62,7 @@ async def look_up(wanted: Resolve) -> list[Any]:
     except TimeoutError as error:
         if not timeout.expired():
             raise
-        raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT)) from error
+        raise timed_out() from error
     return question.result()
 
 

@@ -16,7 +16,7 @@ from ipaddress import IPv6Address, ip_address
 from typing import Any
 
 from ..ports.endpoint import Endpoint
-from ..ports.hosts import Make, Resolve, bind_all, numeric, reason
+from ..ports.hosts import Make, Resolve, bind_all, reason
 from ..ports.waiting_async import look_up
 from ..protocol.errors import ModbusConnectionError
 from ..system import IP_PKTINFO
@@ -34,7 +34,8 @@ async def bound(
         ModbusConnectionError: the host is unknown, or an address cannot be bound.
     """
     try:
-        sockets = bind_all(await _addresses(endpoint, kind), endpoint.port, make)
+        wanted = Resolve(endpoint.host, endpoint.port, kind, math.inf, socket.AI_PASSIVE)
+        sockets = bind_all(await look_up(wanted), endpoint.port, make)
     except OSError as error:
         raise ModbusConnectionError(
             f"cannot listen on {endpoint}: {reason(error)}", errno=error.errno
@@ -42,11 +43,6 @@ async def bound(
     for each in sockets:
         each.setblocking(False)
     return sockets, replace(endpoint, port=sockets[0].getsockname()[1])
-
-
-async def _addresses(endpoint: Endpoint, kind: socket.SocketKind) -> list[Any]:
-    wanted = Resolve(endpoint.host, endpoint.port, kind, math.inf, socket.AI_PASSIVE)
-    return numeric(wanted) or await look_up(wanted)
 
 
 # struct in_pktinfo: interface, the own address, the target; struct in6_pktinfo: target, interface.

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py.ports.hosts import Question, Resolve, ask
+from libmodbus_py.ports.hosts import Resolve, ask
 from libmodbus_py.ports.waiting import Steps, Waker, run
 from libmodbus_py.ports.waiting_async import look_up, run_async
 from tests.support.peers import until
@@ -177,8 +177,8 @@ def test_whatever_a_look_up_raises_is_told(
         raise error
 
     monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)
-    question = Question(wanted("name"))
-    question.look_up()
+    question = ask(wanted("name"), lambda: None)
+    until(lambda: threads() == 0)
     with pytest.raises(OSError, match=str(error)):
         question.result()
 
