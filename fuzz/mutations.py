@@ -126,7 +126,7 @@ TUNING: dict[str, frozenset[str]] = {
         {
             *("COARSEST", "EXACTNESS", "FADING", "FIRST_PAUSE", "FORCED", "GATHERED", "LAST_WAIT"),
             *("LEAVING", "LONGEST_PAUSE", "LOOK", "MOST_DOUBLINGS", "MOST_TRIES", "PAUSE", "QUICK"),
-            *("RESOLUTION", "SAMPLED", "SHORTEST_TRIAL", "SLEPT_S"),
+            *("RESOLUTION", "SAMPLED", "SHORTEST_TRIAL_S", "SLEPT_S"),
         }
     ),
 }

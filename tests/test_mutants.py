@@ -195,23 +195,23 @@ def test_tests_in_folders_of_the_test_folder_are_beside_too() -> None:
 
 
 def test_tests_with_the_name_of_the_module_come_first() -> None:
-    path = Path("libmodbus_py/services/waiting_room.py")
+    path = Path("libmodbus_py/services/line.py")
     mutant = next(each for each in mutants(path) if "misses - 1" in str(each))
     (function,) = [each for each in functions(path) if each.key.endswith(":.rest_after")]
     seconds = {
         "tests/services/test_turns.py::fast": 0.1,
-        "tests/services/test_waiting_room.py::slow": 3.0,
-        "tests/services/test_full_waiting_room.py::fast": 0.2,
+        "tests/services/test_line.py::slow": 3.0,
+        "tests/services/test_full_line.py::fast": 0.2,
         "tests/services/test_turns.py::slow": 0.3,
-        "tests/server/test_waiting_room.py::elsewhere": 0.1,
+        "tests/server/test_line.py::elsewhere": 0.1,
     }
     covering = Covering(seconds=seconds)
     covering.tests[function.key] = {str(mutant.line - function.first): list(seconds)}
     covering.digests[function.key] = {name.partition("::")[0]: function.digest for name in seconds}
     names = [name.rpartition("/")[2] for name in Trial(covering, Path("."), 1).tests_of(mutant)]
     assert names == [
-        "test_full_waiting_room.py::fast",
-        "test_waiting_room.py::slow",
+        "test_full_line.py::fast",
+        "test_line.py::slow",
         "test_turns.py::fast",
         "test_turns.py::slow",
     ]
@@ -224,7 +224,7 @@ from fuzz.covering import Covering
 from fuzz.mutants import Trial
 from fuzz.mutations import mutants
 
-path = Path("libmodbus_py/services/waiting_room.py")
+path = Path("libmodbus_py/services/line.py")
 (mutant,) = [each for each in mutants(path) if str(each).endswith("misses - 1 -> (misses + 1)")]
 for file in sys.argv[1:]:
     trial = Trial(Covering(), Path("."), 1)
@@ -245,7 +245,7 @@ def test_a_mutant_is_killed_by_a_test_that_notices(tmp_path: Path) -> None:
     for folder in ("libmodbus_py", "fuzz"):
         (tmp_path / folder).symlink_to(ROOT / folder)
     for kind, body in BODIES.items():
-        head = "import threading\nfrom libmodbus_py.services.waiting_room import rest_after\n"
+        head = "import threading\nfrom libmodbus_py.services.line import rest_after\n"
         (tmp_path / f"test_{kind}.py").write_text(f"{head}\n\ndef test_it():\n    {body}\n")
     command = [sys.executable, "-c", TRYING, *(f"test_{kind}.py" for kind in BODIES)]
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, cwd=tmp_path)

@@ -8,7 +8,7 @@ Services: programs that run for months, and integrations with other software.
     workers        several machines that share the devices of a fleet
     engine         the connection to NATS, through which workers coordinate
     integrations   metrics for Prometheus; a backend for Home Assistant's modbus-connection
-    waiting_room   the order of requests on a line of a gateway or a fleet
+    line           one connection that is shared: which request is sent next, and when
     tasks          cancels tasks, and waits for their end
     server_url     URLs of brokers, databases and NATS servers
     loading        loads files of any kind: maps, devices, gateways, fleets

@@ -17,7 +17,7 @@ from libmodbus_py.client.line import Line, Pair
 from libmodbus_py.protocol.errors import InvalidResponse
 from libmodbus_py.protocol.framing import Frame
 from libmodbus_py.services.gateway.silent_units import SilentUnits, UnitState
-from libmodbus_py.services.waiting_room import FairByHost
+from libmodbus_py.services.line import FairQueue
 from libmodbus_py.services.workers.worker import Worker
 
 from .world import Options
@@ -82,13 +82,13 @@ def _any_unit_answers() -> Iterator[None]:
 @contextlib.contextmanager
 def _only_one_queue() -> Iterator[None]:
     """Serve hosts in the order of their requests."""
-    put = FairByHost.put
+    put = FairQueue.put
 
     def put_together(self: Any, each: Any) -> bool:
         each.host = each.client = "all"
         return put(self, each)
 
-    with patch.object(FairByHost, "put", put_together):
+    with patch.object(FairQueue, "put", put_together):
         yield
 
 

@@ -353,7 +353,7 @@ class Fleet:
         self._timetable.remove(poller)
         line = self._lines.get(device.connection_key)
         if line is not None and device.name in line.pollers:
-            line.remove(device.name)
+            line.withdraw_device(device.name)
         self._count(poller.state, -1)
         self.statistics.devices -= 1
 

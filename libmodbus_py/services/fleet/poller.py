@@ -1,5 +1,5 @@
 """
-One device while it is polled: the state of its poll, and of the device.
+One device while it is polled: the requests of a poll, the state of the device, and its readings.
 """
 
 from __future__ import annotations
@@ -8,20 +8,19 @@ from collections.abc import Collection, Iterable, Sequence
 from enum import Enum
 from typing import Any
 
-from ...client.asynchronous import Submitted
 from ...maps.holes import Holes, PartialAnswer, PlanSteps, Unreadable, is_refusal, reading
 from ...maps.plan import unreadable_of
 from ...maps.point_plan import PointPlan
 from ...maps.watched import PointIntervals, Totals
 from ...protocol.errors import ModbusError
-from ..waiting_room import rest_after
+from ..line import LineRequest, rest_after
 from .config import DeviceConfig
 from .readings import NO_LABELS, Changes, Reading, is_down, judged
 
-__all__ = ["LONGEST_REST", "DeviceState", "Poller", "Reads"]
+__all__ = ["DeviceState", "OnePoll", "Poller", "Reads", "offline"]
 
-LONGEST_REST = 60.0
-"""Seconds between two trials of a device that does not answer, unless its interval is longer."""
+LONGEST_REST_S = 60.0
+"""The time between two trials of a device that does not answer, unless its interval is longer."""
 
 
 MOST_PLANS = 64
@@ -70,169 +69,85 @@ class Reads:
         return self._plans[due]
 
 
-class Poller:
+class OnePoll:
     """
-    Produces the requests of a device and takes their outcomes; sends nothing itself.
+    One poll of a device: requests, each after the outcome of the one before, and the values.
+
+    The poll ends if its first request is not answered. If the device refuses a request, the poll
+    goes on until it is known which points are refused.
 
     Args:
-        config: of the device.
-        reads: the requests and points of the device.
+        plan: the points.
+        holes: what the device refused in earlier polls; None for nothing.
+        first: the index of the request that is asked first.
+        now: the time in seconds, of any steady clock.
+        connects: how many connections the client of the device has made.
 
     Attributes:
-        name: of the device.
-        unit: of the device.
-        next_request: of the current poll; None when the poll is over.
-        state: NEW until its first poll is over.
-        told_state: the state that the statistics count.
-        error: the first error of the last poll, or that of a point that was left out; None if all
-            points were read.
-        at: when the device is polled next, or was polled last.
-        planned: when the current poll was due; None without one.
-        misses: polls in a row without an answer.
-        submitted: the request that is in flight, or None.
-        asked_at: when the request in flight was sent.
-        answered_at: when the last poll that was answered was over, in seconds since the epoch; 0
-            before the first.
-        since: since when the device is up or down, in seconds since the epoch; 0 if NEW.
-        rest_until: when the next request may be sent to the device.
-        waits_since: when the current poll was due.
-        news: sentences about points that the device was found to refuse, until they are logged.
+        request: the next request; None when the poll is over.
+        error: the first error; None if all requests, and parts of them, were answered.
+        is_answered: True if the device answered, even if it refused.
+        holes: what the device refuses, as far as it is known.
+        news: sentences about points that the device was found to refuse.
     """
 
-    # fmt: off
     __slots__ = (
-        "_answers",
-        "_changes",
-        "_due",
-        "_error",
-        "_first",
-        "_has_answered",
-        "_holes",
-        "_pace",
-        "_plan",
-        "_requests",
-        "_steps",
-        "_taken",
-        "_time",
-        "_totals",
-        "answered_at",
-        "asked_at",
-        "at",
-        "config",
-        "error",
-        "is_trial",
-        "misses",
-        "name",
-        "news",
-        "next_request",
-        "planned",
-        "reads",
-        "rest_until",
-        "since",
-        "state",
-        "submitted",
-        "told_state",
-        "unit",
-        "waits_since",
+        *("_answers", "_first", "_plan", "_requests", "_steps", "_taken", "_time"),
+        *("error", "holes", "is_answered", "news", "request"),
     )
-    # fmt: on
 
-    def __init__(self, config: DeviceConfig, reads: Reads) -> None:
-        self.config: DeviceConfig = config
-        self.name: str = config.name
-        self.unit: int = config.unit
-        self.next_request: Any = None
-        self.reads: Reads = reads
-        self.state: DeviceState = DeviceState.NEW
-        self.told_state: DeviceState = DeviceState.NEW
-        self.error: Exception | None = None
-        self.at: float = 0.0
-        self.planned: float | None = None
-        self.misses: int = 0
-        self.is_trial: bool = False
-        self.submitted: Submitted | None = None
-        self.answered_at: float = 0.0
-        self.since: float = 0.0
-        self.asked_at: float = 0.0
-        self.rest_until: float = 0.0
-        self.waits_since: float = 0.0
+    def __init__(
+        self,
+        plan: PointPlan,
+        holes: Holes | None = None,
+        *,
+        first: int = 0,
+        now: float = 0.0,
+        connects: int = 1,
+    ) -> None:
+        self.error: ModbusError | None = None
+        self.is_answered: bool = False
+        self.holes: Holes | None = holes
         self.news: list[str] = []
-        self._answers: list[Any] = []
-        self._pace = reads.pace(config.interval)
-        self._due: tuple[int, ...] | None = None
-        self._plan = reads.plan
-        self._requests: Sequence[Any] = reads.plan.requests
-        self._steps: PlanSteps[list[Any]] | None = None
-        self._holes: Holes | None = None
-        self._time = 0.0, 1
-        self._error: ModbusError | None = None
-        self._first = 0
-        self._taken: list[Any] = []
-        self._has_answered = False
-        self._changes = _changes(config, reads)
-        self._totals = _totals(config, reads)
-
-    @property
-    def interval(self) -> float:
-        """Seconds from one poll to the next."""
-        return self.config.interval if self._pace is None else self._pace.interval
-
-    @property
-    def has_begun(self) -> bool:
-        return self._has_answered or bool(self._taken)
-
-    @property
-    def unreadable(self) -> list[Unreadable]:
-        """The points that the device refuses, and that are left out until they are tried again."""
-        if self._holes is None:
-            return []
-        device = f"{self.config.endpoint}, unit {self.config.unit}"
-        return unreadable_of(self.reads.plan, self._holes, device)
-
-    def begin(self, now: float = 0.0, connects: int = 1) -> None:
-        """
-        Begin a poll; earlier responses are dropped.
-
-        Args:
-            now: the time in seconds, of any steady clock.
-            connects: how many connections the client of the device has made.
-        """
+        self._plan = plan
+        self._first = first
         self._time = now, connects
-        self._answers, self._taken = [], []
-        self._has_answered = False
-        self._error = None
-        if self._pace is not None:
-            self._due = self._pace.due(now if self.planned is None else self.planned)
-            self._plan = self.reads.plan_of(self._due)
-        self._steps, self._requests = None, self._plan.requests
-        if self._holes:
-            self._requests = self._new_steps(self._holes)
+        self._answers: list[Any] = []
+        self._taken: list[Any] = []
+        self._steps: PlanSteps[list[Any]] | None = None
+        self._requests: Sequence[Any] = plan.requests
+        if holes:
+            self._requests = self._new_steps(holes)
         self._advance()
 
-    def _new_steps(self, holes: Holes) -> Sequence[Any]:
-        """Begin to leave out what is refused; return the first requests."""
-        self._steps = reading(self._plan.blocks, holes, *self._time, tell=self.news.append)
-        return next(self._steps)
-
     def take(self, outcome: Any) -> None:
-        """Take a response or an error; a poll ends if its first request is not answered."""
+        """Take the response to the request, or its error."""
         is_error = isinstance(outcome, ModbusError)
-        if is_error and self._error is None:
-            self._error = outcome
+        if is_error and self.error is None:
+            self.error = outcome
         self._taken.append(outcome)
         if not (is_error and is_down(outcome)):
-            self._has_answered = True
-        elif not self._has_answered:
+            self.is_answered = True
+        elif not self.is_answered:
             self._taken += [outcome] * (len(self._requests) - len(self._taken))
         if len(self._taken) == len(self._requests):
             self._go_on()
         self._advance()
 
+    def values(self) -> dict[str, Any]:
+        """Return the values by the names of the points, with errors in place of missing ones."""
+        found: dict[str, Any] = self._plan.results(self._answers, return_exceptions=True)
+        return found
+
     def _advance(self) -> None:
-        """Set the next request: each poll begins where the one before it was not answered."""
         taken, requests = len(self._taken), self._requests
-        over = taken == len(requests)
-        self.next_request = None if over else requests[(self._first + taken) % len(requests)]
+        is_over = taken == len(requests)
+        self.request: Any = None if is_over else requests[(self._first + taken) % len(requests)]
+
+    def _new_steps(self, holes: Holes) -> Sequence[Any]:
+        """Begin to leave out what is refused; return the first requests."""
+        self._steps = reading(self._plan.blocks, holes, *self._time, tell=self.news.append)
+        return next(self._steps)
 
     def _go_on(self) -> None:
         """Search for what was refused, or end the poll."""
@@ -243,42 +158,143 @@ class Poller:
             self._answers = taken
             if not any(map(is_refusal, taken)):
                 return
-            self._holes = self._holes or Holes()
-            self._new_steps(self._holes)
+            self.holes = self.holes or Holes()
+            self._new_steps(self.holes)
         assert self._steps is not None
         try:
             self._requests, self._taken = self._steps.send(taken), []
         except StopIteration as done:
             self._answers = done.value
-            if self._error is None:
-                self._error = next(filter(None, map(_error_of, self._answers)), None)
+            if self.error is None:
+                self.error = next(filter(None, map(_error_of, self._answers)), None)
 
-    def conclude(self, now: float) -> None:
-        """End a poll: set the state of the device, its error and its rest."""
-        self.error = self._error
-        self.misses = 0 if self._has_answered else self.misses + 1
+
+class Poller(LineRequest):
+    """
+    A device of a fleet: its current poll, its state, and what was reported of it.
+
+    Args:
+        config: of the device.
+        reads: the requests and points of the device.
+
+    Attributes:
+        name: of the device.
+        request: of the current poll; None when no poll is under way.
+        state: NEW until its first poll is over.
+        told_state: the state that the statistics count.
+        error: the first error of the last poll, or that of a point that was left out; None if all
+            points were read.
+        at: when the device is polled next, or was polled last.
+        misses: polls in a row without an answer.
+        answered_at: when the last poll that was answered was over, in seconds since the epoch; 0
+            before the first.
+        since: since when the device is up or down, in seconds since the epoch; 0 if NEW.
+        rest_until: when the next request may be sent to the device.
+        waits_since: when the current poll was due.
+        news: sentences about points that the device was found to refuse, until they are logged.
+    """
+
+    __slots__ = (
+        *("_changes", "_due", "_first", "_holes", "_pace", "_poll", "_totals"),
+        *("answered_at", "at", "config", "error", "name", "news", "reads", "rest_until"),
+        *("since", "state", "told_state"),
+    )
+
+    def __init__(self, config: DeviceConfig, reads: Reads) -> None:
+        super().__init__(config.unit)
+        self.config: DeviceConfig = config
+        self.name: str = config.name
+        self.reads: Reads = reads
+        self.at: float = 0.0
+        self.answered_at: float = 0.0
+        self.rest_until: float = 0.0
+        self.news: list[str] = []
+        self._pace = reads.pace(config.interval)
+        self._due: tuple[int, ...] | None = None
+        self._poll: OnePoll | None = None
+        self._holes: Holes | None = None
+        self._first = 0
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the state of the device, and what was reported of it."""
+        self.state: DeviceState = DeviceState.NEW
+        self.told_state: DeviceState = DeviceState.NEW
+        self.since: float = 0.0
+        self.error: Exception | None = None
+        names, config = self.reads.names, self.config
+        self._changes = Changes(config.on_change, [config.dead_bands.get(each) for each in names])
+        self._totals = Totals(at for at, each in enumerate(names) if config.map[each].never_falls)
+
+    @property
+    def interval(self) -> float:
+        """Seconds from one poll to the next."""
+        return self.config.interval if self._pace is None else self._pace.interval
+
+    @property
+    def pause(self) -> float:
+        """Seconds that the device rests after a poll without an answer."""
+        return rest_after(self.misses, self.interval, LONGEST_REST_S)
+
+    @property
+    def is_refused(self) -> bool:
+        """True if the device answered, but refused a request."""
+        return self.state is DeviceState.UP and self.error is not None
+
+    @property
+    def unreadable(self) -> list[Unreadable]:
+        """The points that the device refuses, and that are left out until they are tried again."""
+        if self._holes is None:
+            return []
+        device = f"{self.config.endpoint}, unit {self.config.unit}"
+        return unreadable_of(self.reads.plan, self._holes, device)
+
+    def begin(self, planned: float = 0.0, connects: int = 1) -> None:
+        """
+        Begin a poll.
+
+        Args:
+            planned: when it is due, in seconds of any steady clock.
+            connects: how many connections the client of the device has made.
+        """
+        self.waits_since = planned
+        if self._pace is not None:
+            self._due = self._pace.due(planned)
+        plan = self.reads.plan_of(self._due)
+        self._poll = OnePoll(plan, self._holes, first=self._first, now=planned, connects=connects)
+        self.request = self._poll.request
+
+    def take(self, outcome: Any, now: float) -> None:
+        """Take the outcome of the request; with the last one, the state of the device changes."""
+        poll = self._poll
+        assert poll is not None
+        poll.take(outcome)
+        self.request = poll.request
+        self.rest_until = now + self.config.spacing
+        if poll.request is not None:
+            return
+        self._holes = poll.holes
+        self.news += poll.news
+        self.error = poll.error
+        self.misses = 0 if poll.is_answered else self.misses + 1
         if self.misses:
             # The device may be silent about this request only, so that another one comes first.
             self._first += 1
         self.state = DeviceState.DOWN if self.misses else DeviceState.UP
-        self.rest_until = now + self.config.spacing
-        self._steps = None
 
     def readings(self, time: float, first: int = 0) -> list[Reading]:
         """
-        Return the readings of the poll.
+        Return the readings of the poll that is over.
 
         Args:
             time: when it was completed, in seconds since the epoch.
             first: the id of the first reading; the others have the next ones. 0 for no ids.
         """
-        device, names, units = self.name, self.reads.names, self.reads.units
-        labels = self.config.labels or NO_LABELS
-        found = self._plan.results(self._answers, return_exceptions=True)
-        values = list(found.values())
-        if self._pace is not None:
-            values = [found.get(name) for name in names]
-        self._answers = []
+        poll, self._poll = self._poll, None
+        assert poll is not None
+        names, units = self.reads.names, self.reads.units
+        found = poll.values()
+        values = list(found.values()) if self._pace is None else [*map(found.get, names)]
         doubtful, fell = self._totals.take(values)
         if self._pace is not None:
             lost = {at for at, value in enumerate(values) if _is_lost(value)}
@@ -288,7 +304,7 @@ class Poller:
         told = self._changes.pick(values, self._due)
         if doubtful:
             told = [at for at in told if at not in doubtful]
-        readings = []
+        device, labels, readings = self.name, self.config.labels or NO_LABELS, []
         for number, at in enumerate(told, first):
             value, quality, reason = judged(values[at])
             if at in fell:
@@ -304,24 +320,6 @@ class Poller:
         units = zip(self.reads.names, self.reads.units, strict=True)
         return offline(self.config, [each for each in units if each[0] not in still_read], time)
 
-    def forget(self) -> None:
-        """Forget the state of the device, and what was reported of it."""
-        self.state = self.told_state = DeviceState.NEW
-        self.since = 0.0
-        self.error = None
-        self._changes = _changes(self.config, self.reads)
-        self._totals = _totals(self.config, self.reads)
-
-    @property
-    def pause(self) -> float:
-        """Seconds that the device rests after a poll without an answer."""
-        return rest_after(self.misses, self.interval, LONGEST_REST)
-
-    @property
-    def is_refused(self) -> bool:
-        """True if the device answered, but refused a request."""
-        return self.state is DeviceState.UP and self.error is not None
-
 
 def _is_lost(value: object) -> bool:
     """Return True if there is an error in place of a value that the next poll may have."""
@@ -333,15 +331,6 @@ def _error_of(answer: Any) -> ModbusError | None:
     if isinstance(answer, PartialAnswer):
         return next(iter(answer.errors.values()), None)
     return answer if isinstance(answer, ModbusError) else None
-
-
-def _changes(config: DeviceConfig, reads: Reads) -> Changes:
-    bands = config.dead_bands
-    return Changes(config.on_change, [bands.get(name) for name in reads.names])
-
-
-def _totals(config: DeviceConfig, reads: Reads) -> Totals:
-    return Totals(at for at, name in enumerate(reads.names) if config.map[name].never_falls)
 
 
 def offline(device: DeviceConfig, points: Iterable[tuple[str, str]], time: float) -> list[Reading]:

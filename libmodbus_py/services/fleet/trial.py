@@ -14,6 +14,7 @@ from ...ports.endpoint import Endpoint
 from ...protocol.errors import ModbusError
 from ...protocol.framing import Frame, make_framer
 from .config import DeviceConfig, by_connection
+from .poller import OnePoll
 
 if TYPE_CHECKING:
     from ...ports.serial import SerialPort
@@ -163,10 +164,13 @@ async def _try_line(
 async def _try(client: AsyncClient, device: DeviceConfig) -> Tried:
     now = asyncio.get_running_loop().time
     plan, start = device.plan(), now()
+    poll = OnePoll(plan)
     unit = client.for_unit(device.unit, timeout=device.timeout)
-    problem = ""
-    try:
-        await unit.read_many(plan, max_in_flight=1)
-    except (ModbusError, ValueError) as error:
-        problem = str(error)
+    while poll.request is not None:
+        try:
+            poll.take(await unit.execute(poll.request))
+        except ModbusError as error:
+            poll.take(error)
+    errors = [each for each in poll.values().values() if isinstance(each, Exception)]
+    problem = next(map(str, filter(None, [*errors, poll.error])), "")
     return Tried(device, len(plan.requests), now() - start, problem)

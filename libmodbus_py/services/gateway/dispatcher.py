@@ -283,12 +283,12 @@ class Broadcast:
             if line.put(part):
                 self.told(part, b"\x80")
 
-    def drop(self, forwarded: Forwarded) -> None:
+    def leave(self, forwarded: Forwarded) -> None:
         """Take no response; and send no more, if the client waited for it to be sent."""
         forwarded.asker = None
         if self._session.has_ids:
             for part, line in self._parts.items():
-                line.drop(part)
+                line.leave(part)
 
     def told(self, forwarded: Forwarded, response: bytes | None) -> None:
         self._left -= 1
@@ -314,7 +314,7 @@ class ForwardingSession(Framed):
     earlier response is dropped, because the client would take it for the response to the new one.
 
     Attributes:
-        asked: the unanswered requests, and what drops them: their lines, or their broadcasts.
+        asked: the unanswered requests, and what they leave: their lines, or their broadcasts.
     """
 
     def __init__(self, dispatcher: Dispatcher, settings: SessionSettings, channel: Channel) -> None:
@@ -392,4 +392,4 @@ class ForwardingSession(Framed):
         place = self.asked.pop(forwarded)
         if forwarded.request.changes:
             self.record(forwarded.from_unit, forwarded.request, b"")
-        place.drop(forwarded)
+        place.leave(forwarded)

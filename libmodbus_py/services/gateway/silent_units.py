@@ -7,11 +7,12 @@ from __future__ import annotations
 import math
 from enum import Enum
 
-from ..waiting_room import rest_after
+from ..line import rest_after
 
 __all__ = ["SilentUnits", "UnitState"]
 
-LONGEST_REST = 30.0
+LONGEST_REST_S = 30.0
+"""The longest rest between two trials, unless the first one is longer."""
 
 
 class UnitState(Enum):
@@ -58,7 +59,7 @@ class Rest:
         if now < self.until < math.inf:
             return False
         self.misses += 1
-        self.length = rest_after(self.misses, first, LONGEST_REST)
+        self.length = rest_after(self.misses, first, LONGEST_REST_S)
         self.until = now + self.length
         self.function = function
         self.others_wait = False
@@ -68,7 +69,7 @@ class Rest:
 class SilentUnits:
     """
     A unit that gives no answer rests: for `first_rest` seconds, then twice as long, and so on up to
-    `LONGEST_REST`, until it answers. Between two rests it is due: one request tries it.
+    `LONGEST_REST_S`, until it answers. Between two rests it is due: one request tries it.
 
     A function rests while the unit answers another one, because devices leave functions that
     they do not know without an answer. When none of the functions that it answered is answered
@@ -77,22 +78,22 @@ class SilentUnits:
     Args:
         first_rest: seconds; no shorter than the delay of a late response.
 
-    Attributes:
-        answering: the units, and functions of them, whose last request was answered. Of these
-            nothing rests, and another answer changes nothing.
     """
 
     def __init__(self, first_rest: float) -> None:
         self._first = first_rest
         self._units: dict[int, Rest] = {}
         self._functions: dict[tuple[int, int], Rest] = {}
-        self.answering: set[tuple[int, int]] = set()
+        # The units, and functions of them, whose last request was answered: nothing of these rests.
+        self._answering: set[tuple[int, int]] = set()
 
     def rests(self, unit: int) -> bool:
         """Return True if the whole unit is silent."""
         return unit in self._units
 
     def state(self, unit: int, function: int, now: float) -> UnitState:
+        if (unit, function) in self._answering:
+            return UnitState.GOOD
         rest = self._rest(unit, function)
         return UnitState.GOOD if rest is None else rest.state(function, now)
 
@@ -111,7 +112,9 @@ class SilentUnits:
 
     def note_answer(self, unit: int, function: int) -> bool:
         """Note an answer; return True if the unit or the function was silent before."""
-        self.answering.add((unit, function))
+        if (unit, function) in self._answering:
+            return False
+        self._answering.add((unit, function))
         if self._units.pop(unit, None) is None:
             return self._functions.pop((unit, function), None) is not None
         # What was silent together with the unit may answer again together with it.
@@ -126,8 +129,8 @@ class SilentUnits:
         Returns:
             True if the unit, or the function of a unit that answers others, was not silent yet.
         """
-        self.answering.discard((unit, function))
-        if any(each == unit for each, _ in self.answering):
+        self._answering.discard((unit, function))
+        if any(each == unit for each, _ in self._answering):
             rest = self._functions.setdefault((unit, function), Rest(function))
         else:
             rest = self._units.setdefault(unit, Rest(function))

@@ -45,12 +45,11 @@ class Polled:
     def poll(self, error: Exception | None = None, *, at: int | None = None) -> dict[str, Any]:
         self.asked = []
         self.poller.begin(self.now)
-        while (request := self.poller.next_request) is not None:
+        while (request := self.poller.request) is not None:
             self.asked.append(request.address)
             failed = error if at in (None, request.address) else None
             cells = [self.cells[request.address + each] for each in range(request.count)]
-            self.poller.take(failed or cells)
-        self.poller.conclude(self.now)
+            self.poller.take(failed or cells, self.now)
         self.now += self.poller.interval
         return {each.name: (each.value, each.reason) for each in self.poller.readings(self.now)}
 
@@ -64,16 +63,6 @@ def test_points_are_asked_and_reported_at_their_intervals() -> None:
             assert device.asked == [0]
         assert set(device.poll()) == {"v", "energy"}
     assert device.asked == [0, 10]
-
-
-def test_times_count_from_when_polls_are_due() -> None:
-    """A poll waits while its line is busy; the one after a minute may wait less."""
-    device = Polled()
-    for number in range(13):
-        device.poller.planned = 10.0 * number
-        device.now = 10.0 * number + (9.5 if number % 6 == 0 else 0)
-        found = device.poll()
-        assert ("energy" in found) == (number % 6 == 0)
 
 
 def test_no_point_is_asked_sooner_than_its_interval() -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from libmodbus_py import Fleet, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig
-from libmodbus_py.services import waiting_room
+from libmodbus_py.services import line as shared_line
 from libmodbus_py.services.fleet.poller import DeviceState
 from libmodbus_py.services.fleet.schedule import first_time
 from tests.services.fleet.fleets import while_polled
@@ -150,6 +150,23 @@ def test_the_requests_of_a_poll_go_out_one_after_the_other() -> None:
     plant.run(main, *(plant.device(unit, MAP, interval=0.25) for unit in (1, 2, 3)))
 
 
+def test_intervals_of_points_count_from_when_polls_are_due() -> None:
+    """A poll waits while its line is busy; the one after three seconds may wait less."""
+    points = RegisterMap(
+        [Point("near", "holding_registers", 0), Point("far", "holding_registers", 9, interval=3)]
+    )
+    plant = Plant()
+
+    async def main() -> None:
+        plant.delays[2] = 0.4
+        await asyncio.sleep(90)
+        far = [at for at, unit, address in plant.asked if (unit, address) == (1, 9)]
+        assert {round(each) for each in gaps(far)} == {3}
+        assert max(gaps(far)) > 3.1
+
+    plant.run(main, plant.device(1, points), plant.device(2, interval=0.7))
+
+
 def test_a_device_rests_between_its_requests_and_others_are_asked() -> None:
     plant = Plant()
 
@@ -261,7 +278,7 @@ class TestSilentDevices:
 
     def test_one_try_in_some_waits_to_the_end(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """It may have become slower than all others, and would never be found."""
-        monkeypatch.setattr(waiting_room, "TRIALS_BEFORE_LONG", 6)
+        monkeypatch.setattr(shared_line, "TRIALS_BEFORE_LONG", 6)
         plant = Plant()
 
         async def main() -> None:
@@ -392,7 +409,7 @@ class TestChanges:
             since = plant.now + 0.6
             await asyncio.sleep(3)
             assert set(plant.units(since)) == {3}
-            assert line._room.in_flight <= 1
+            assert line.in_flight <= 1
             assert list(line.pollers) == ["device 3"]
 
         plant.run(main, *devices)

@@ -50,9 +50,8 @@ class Polls:
 
     def readings(self, *cells: int) -> list[Reading]:
         self._poller.begin()
-        while self._poller.next_request is not None:
-            self._poller.take(list(cells))
-        self._poller.conclude(0.0)
+        while self._poller.request is not None:
+            self._poller.take(list(cells), 0.0)
         return self._poller.readings(0.0)
 
 

@@ -38,10 +38,9 @@ def poll(poller: Poller, *outcomes: Any, now: float = 0.0) -> list[int]:
     poller.begin(now)
     asked = []
     for outcome in outcomes:
-        asked.append(poller.next_request.address)
-        poller.take(outcome)
-    assert poller.next_request is None
-    poller.conclude(now)
+        asked.append(poller.request.address)
+        poller.take(outcome, now)
+    assert poller.request is None
     return asked
 
 
@@ -50,7 +49,7 @@ def test_a_new_device_has_no_state(poller: Poller) -> None:
     assert (poller.misses, poller.since, poller.answered_at, poller.at) == (0, 0.0, 0.0, 0.0)
     assert (poller.asked_at, poller.rest_until, poller.waits_since) == (0.0, 0.0, 0.0)
     assert poller.error is None
-    assert poller.planned is None
+    assert poller.request is None
     assert poller.submitted is None
     assert not poller.is_trial
     assert not poller.is_refused
@@ -98,15 +97,12 @@ def test_a_device_that_answered_and_fell_silent_is_up_and_asked_on(poller: Polle
 
 def test_a_refusal_is_an_answer(poller: Poller) -> None:
     poller.begin()
-    assert not poller.has_begun
-    poller.take(REFUSED)
-    assert poller.has_begun
-    assert poller.next_request.address == 500
+    poller.take(REFUSED, 1.0)
+    assert poller.request.address == 500
     for _ in range(2):
-        poller.take(REFUSED)
-    while poller.next_request is not None:  # it looks for what exactly is refused
-        poller.take(REFUSED)
-    poller.conclude(1.0)
+        poller.take(REFUSED, 1.0)
+    while poller.request is not None:  # it looks for what exactly is refused
+        poller.take(REFUSED, 1.0)
     assert poller.state is DeviceState.UP
     assert poller.is_refused
     assert poller.misses == 0
@@ -124,13 +120,10 @@ def test_the_first_error_of_a_poll_is_told_and_the_next_poll_forgets_it(poller: 
 
 def test_a_poll_begins_without_what_came_in_the_last_one(poller: Poller) -> None:
     poller.begin()
-    poller.take([1])
-    assert poller.has_begun
+    poller.take([1], 0.0)
     poller.begin()
-    assert not poller.has_begun
-    assert poller.next_request.address == 0
-    poller.take(SILENT)
-    poller.conclude(0.0)
+    assert poller.request.address == 0
+    poller.take(SILENT, 0.0)
     assert poller.state is DeviceState.DOWN
 
 

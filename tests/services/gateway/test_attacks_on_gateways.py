@@ -196,7 +196,7 @@ def test_a_forked_child_has_nothing_of_its_lines(back: str) -> None:
         assert context.read_holding_registers(0, 1) == [0]
         answering = through.gateway._answering_now
         assert answering is not None
-        descriptor = answering.lines[0]._client._driver._port.descriptor
+        descriptor = answering.lines[0].client._driver._port.descriptor
         mine = os.readlink(f"/proc/self/fd/{descriptor}")
         child = os.fork()
         if not child:

@@ -52,25 +52,35 @@ def test_an_answer_that_is_too_old_is_not_given_again(stage: Stage) -> None:
 def test_the_answer_that_was_kept_first_is_dropped_for_one_too_many() -> None:
     cache = Cache()
     for number in range(MOST):
-        cache.keep(1, bytes([3, *divmod(number, 256)]), b"old", 1.0, cache.state(1))
+        cache.keep(1, bytes([3, *divmod(number, 256)]), b"old", 1.0)
     first, second = b"\3\0\0", b"\3\0\1"
     assert cache.get(1, first, 9.0, 1.0) == b"old"
-    cache.keep(1, first, b"new", 2.0, cache.state(1))
-    cache.keep(1, b"one more", b"new", 2.0, cache.state(1))
+    cache.keep(1, first, b"new", 2.0)
+    cache.keep(1, b"one more", b"new", 2.0)
     assert cache.get(1, first, 9.0, 2.0) == b"new"
     assert cache.get(1, second, 9.0, 2.0) is None
     assert cache.get(1, b"\3\0\2", 9.0, 2.0) == b"old"
 
 
+def test_an_answer_is_that_of_its_unit_and_request_and_no_older_than_wanted() -> None:
+    cache = Cache()
+    cache.keep(1, b"ask", b"answer", 10.0)
+    assert cache.get(1, b"ask", 0.5, 10.5) == b"answer"
+    assert cache.get(1, b"ask", 0.5, 10.6) is None
+    assert cache.get(2, b"ask", 0.5, 10.0) is None
+    assert cache.get(1, b"other", 0.5, 10.0) is None
+
+
 def test_a_write_to_one_unit_leaves_the_others_and_a_broadcast_none() -> None:
     cache = Cache()
     units = (0, 1, 2, 255)
-    for written, left in ((1, {0, 2, 255}), (0, set())):
-        states = {unit: cache.state(unit) for unit in units}
+    for now, written, left in ((2.0, 1, {0, 2, 255}), (4.0, 0, set())):
         for unit in units:
-            cache.keep(unit, b"ask", b"answer", 1.0, states[unit])
-        cache.forget(written)
-        assert {unit for unit in units if cache.get(unit, b"ask", 1.0, 1.0)} == left
+            cache.keep(unit, b"ask", b"answer", now - 1)
+        cache.forget(written, now)
+        assert {unit for unit in units if cache.get(unit, b"ask", 9.0, now)} == left
         for unit in units:  # an answer that was on its way
-            cache.keep(unit, b"ask", b"answer", 1.0, states[unit])
-        assert {unit for unit in units if cache.get(unit, b"ask", 1.0, 1.0)} == left
+            cache.keep(unit, b"ask", b"answer", now)
+        assert {unit for unit in units if cache.get(unit, b"ask", 9.0, now)} == left
+    cache.keep(1, b"ask", b"answer", 4.1)
+    assert cache.get(1, b"ask", 9.0, 5.0) == b"answer"

@@ -10,7 +10,6 @@ import logging
 import pytest
 
 from libmodbus_py.services.gateway.line import NO_ANSWER
-from libmodbus_py.services.gateway.silent_units import SilentUnits, UnitState
 from tests.services.gateway.test_line import READ, TIMEOUT, Asker, Plant
 from tests.simulation.scripted import Write
 
@@ -128,29 +127,3 @@ def test_the_function_answers_again(caplog: pytest.LogCaptureFixture) -> None:
         assert caplog.messages[-1].endswith("unit 9 answers function 8 again")
 
     plant.run(main)
-
-
-def test_the_next_trial_of_a_unit_is_made_with_another_function_that_was_wanted() -> None:
-    """Or who asks what the unit does not know would take every trial of it."""
-    units = SilentUnits(1.0)
-    units.note_silence(3, 7, 0.0)
-    assert units.state(3, 7, 0.5) is UnitState.RESTING
-    assert units.state(3, 4, 0.5) is UnitState.RESTING
-    assert units.state(3, 7, 1.0) is UnitState.RESTING
-    assert units.state(3, 4, 1.0) is UnitState.DUE
-    # ... but not for ever, if nobody wants it any more.
-    assert units.state(3, 7, 2.0) is UnitState.DUE
-    units.start_trial(3, 4)
-    assert units.note_answer(3, 4)
-    assert units.state(3, 7, 2.0) is UnitState.GOOD
-
-
-def test_a_trial_of_a_function_that_was_dropped_leaves_it_due() -> None:
-    units = SilentUnits(1.0)
-    units.note_answer(3, 4)
-    assert units.note_silence(3, 7, 0.0)
-    assert units.start_trial(3, 7) == 1
-    assert units.state(3, 7, 9.0) is UnitState.RESTING
-    assert units.state(3, 4, 9.0) is UnitState.GOOD
-    units.cancel_trial(3, 7, 9.0)
-    assert units.state(3, 7, 9.0) is UnitState.DUE

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.services import waiting_room
+from libmodbus_py.services import line as shared_line
 from libmodbus_py.services.gateway import line as gateway_line
 from libmodbus_py.services.gateway.line import BUSY, NO_ANSWER, Forwarded, GatewayLine
 from libmodbus_py.services.gateway.options import GatewayOptions
@@ -127,7 +127,7 @@ class TestWhoIsGone:
             dropped = plant.ask(2, second)
             plant.ask(3, third)
             assert plant.line.statistics.waiting == 2
-            plant.line.drop(dropped)
+            plant.line.leave(dropped)
             assert plant.line.statistics.waiting == 1
             await asyncio.sleep(2)
             assert plant.asked == [1, 3]
@@ -144,7 +144,7 @@ class TestWhoIsGone:
             asker = Asker()
             asked = plant.ask(1, asker)
             await asyncio.sleep(0.01)
-            plant.line.drop(asked)
+            plant.line.leave(asked)
             await asyncio.sleep(1)
             assert plant.asked == [1]
             assert asker.answers == []
@@ -162,7 +162,7 @@ class TestWhoIsGone:
             shared = plant.ask(2, second, merge=True)
             joined = plant.ask(2, third, merge=True)
             assert plant.unit(2).merged == 1
-            plant.line.drop(shared)
+            plant.line.leave(shared)
             await asyncio.sleep(1)
             assert plant.asked == [1, 2]
             assert (second.answers, third.answers) == ([], [answer_of(2, 2)])
@@ -178,8 +178,8 @@ class TestWhoIsGone:
             plant.ask(1, Asker())
             shared = plant.ask(2, Asker(), merge=True)
             joined = plant.ask(2, Asker(), merge=True)
-            plant.line.drop(joined)
-            plant.line.drop(shared)
+            plant.line.leave(joined)
+            plant.line.leave(shared)
             await asyncio.sleep(1)
             assert plant.asked == [1]
 
@@ -196,7 +196,7 @@ class TestWhoIsGone:
             trial = plant.ask(9, Asker())
             await asyncio.sleep(0.01)
             assert plant.asked == [9, 1]
-            plant.line.drop(trial)
+            plant.line.leave(trial)
             plant.silent.clear()
             asker = Asker()
             plant.ask(9, asker)
@@ -320,7 +320,7 @@ class TestSilentUnits:
 
     def test_one_trial_in_some_waits_to_the_end(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """The unit may have become slower than all others, and would never be found."""
-        monkeypatch.setattr(waiting_room, "TRIALS_BEFORE_LONG", 3)
+        monkeypatch.setattr(shared_line, "TRIALS_BEFORE_LONG", 3)
         plant = Plant()
 
         async def main() -> None:
@@ -445,7 +445,7 @@ class TestTurns:
         class Leaving(Asker):
             def told(self, forwarded: Forwarded, response: bytes | None) -> None:
                 super().told(forwarded, response)
-                plant.line.drop(joined.pop())
+                plant.line.leave(joined.pop())
 
         asker = Leaving()
         joined: list[Forwarded] = []

@@ -1,39 +1,42 @@
 """
-Units that rest, and answers that are given again: with times from a list.
+Units that rest, and functions that a unit leaves without an answer: with times from a list.
 """
 
 from __future__ import annotations
 
-from libmodbus_py.services.gateway.cache import Cache
+import random
+
+import pytest
+
 from libmodbus_py.services.gateway.silent_units import SilentUnits, UnitState
 
-# --- silent units -----------------------------------------------------------------------------
+GOOD, RESTING, DUE = UnitState.GOOD, UnitState.RESTING, UnitState.DUE
 
 
 def test_a_silent_unit_rests_longer_each_time_until_it_answers() -> None:
     units = SilentUnits(0.5)
-    assert units.state(7, 3, 0.0) is UnitState.GOOD
+    assert units.state(7, 3, 0.0) is GOOD
     assert units.note_silence(7, 3, 1.0)
     now, pause = 1.0, 0.5
     for _ in range(10):
-        assert units.state(7, 3, now + 0.99 * pause) is UnitState.RESTING
+        assert units.state(7, 3, now + 0.99 * pause) is RESTING
         now += pause
-        assert units.state(7, 3, now) is UnitState.DUE
+        assert units.state(7, 3, now) is DUE
         units.start_trial(7, 3)
-        assert units.state(7, 3, now) is UnitState.RESTING  # one trial is enough
+        assert units.state(7, 3, now) is RESTING  # one trial is enough
         assert not units.note_silence(7, 3, now)
         pause = min(2 * pause, 30.0)
     assert units.note_answer(7, 3)
-    assert units.state(7, 3, now) is UnitState.GOOD
+    assert units.state(7, 3, now) is GOOD
     assert not units.note_answer(7, 3)
-    assert units.state(8, 3, now) is UnitState.GOOD
+    assert units.state(8, 3, now) is GOOD
 
 
 def test_requests_that_were_in_flight_with_it_do_not_make_it_rest_longer() -> None:
     units = SilentUnits(1.0)
     assert units.note_silence(3, 3, 0.0)
     assert not units.note_silence(3, 3, 0.1)
-    assert units.state(3, 3, 1.0) is UnitState.DUE
+    assert units.state(3, 3, 1.0) is DUE
 
 
 def test_a_trial_that_was_not_made_leaves_it_due() -> None:
@@ -41,40 +44,105 @@ def test_a_trial_that_was_not_made_leaves_it_due() -> None:
     units.note_silence(3, 3, 0.0)
     units.start_trial(3, 3)
     units.cancel_trial(3, 3, 1.5)
-    assert units.state(3, 3, 1.5) is UnitState.DUE
+    assert units.state(3, 3, 1.5) is DUE
 
 
-# --- the cache --------------------------------------------------------------------------------
+def test_a_function_rests_alone_while_the_unit_answers_others() -> None:
+    units = SilentUnits(1.0)
+    assert not units.note_answer(7, 3)
+    assert units.note_silence(7, 4, 0.0)
+    assert not units.rests(7)
+    assert [units.state(7, function, 0.5) for function in (3, 4, 5)] == [GOOD, RESTING, GOOD]
+    assert units.state(8, 4, 0.5) is GOOD
+    assert units.state(7, 4, 1.0) is DUE
+    assert units.note_answer(7, 4)
+    assert units.state(7, 4, 1.0) is GOOD
 
 
-def test_an_answer_is_given_again_while_it_is_fresh() -> None:
-    cache = Cache()
-    cache.keep(1, b"ask", b"answer", 10.0, cache.state(1))
-    assert cache.get(1, b"ask", 0.5, 10.5) == b"answer"
-    assert cache.get(1, b"ask", 0.5, 10.6) is None
-    assert cache.get(2, b"ask", 0.5, 10.0) is None
-    assert cache.get(1, b"other", 0.5, 10.0) is None
+def test_a_unit_rests_when_nothing_that_it_answered_is_answered_any_more() -> None:
+    units = SilentUnits(1.0)
+    for function in (3, 4):
+        units.note_answer(7, function)
+    assert units.note_silence(7, 3, 0.0)
+    assert not units.rests(7)
+    assert units.note_silence(7, 4, 0.1)
+    assert units.rests(7)
+    assert units.state(7, 16, 0.5) is RESTING
+    # When it is back, so is all that was silent with it.
+    assert units.note_answer(7, 16)
+    assert not units.rests(7)
+    assert [units.state(7, function, 0.5) for function in (3, 4, 16)] == [GOOD] * 3
 
 
-def test_a_write_has_answers_forgotten_and_those_that_were_on_their_way() -> None:
-    cache = Cache()
-    before = cache.state(1)
-    cache.keep(1, b"ask", b"old", 10.0, before)
-    cache.keep(2, b"ask", b"other", 10.0, cache.state(2))
-    cache.forget(1)
-    assert cache.get(1, b"ask", 9, 10.0) is None
-    cache.keep(1, b"ask", b"old", 10.0, before)
-    assert cache.get(1, b"ask", 9, 10.0) is None
-    assert cache.get(2, b"ask", 9, 10.0) == b"other"
-    state = cache.state(2)
-    cache.forget(0)  # a broadcast
-    cache.keep(2, b"ask", b"other", 10.0, state)
-    assert cache.get(2, b"ask", 9, 10.0) is None
+def test_a_function_that_rested_first_is_tried_again_with_its_unit() -> None:
+    units = SilentUnits(1.0)
+    units.note_answer(7, 3)
+    units.note_silence(7, 4, 0.0)
+    assert units.start_trial(7, 4) == 1
+    units.note_silence(7, 3, 0.5)
+    assert units.rests(7)
+    assert not units.note_silence(7, 4, 0.6)  # it was in flight with the other one
+    assert units.state(7, 4, 1.5) is DUE
+    assert units.start_trial(7, 4) == 1
+    assert units.note_answer(7, 4)
+    assert units.state(7, 3, 1.5) is GOOD
 
 
-def test_it_does_not_grow_without_bound() -> None:
-    cache = Cache()
-    for number in range(20_000):
-        cache.keep(1, number.to_bytes(4, "big"), b"answer", 0.0, 0)
-    assert len(cache._answers) <= 4096
-    assert cache.get(1, (19_999).to_bytes(4, "big"), 1, 0.0) == b"answer"
+def test_others_that_were_refused_try_next() -> None:
+    """The unit may answer only those."""
+    units = SilentUnits(1.0)
+    units.note_silence(7, 3, 0.0)
+    assert units.state(7, 4, 0.5) is RESTING
+    assert [units.state(7, function, 1.0) for function in (3, 4)] == [RESTING, DUE]
+    # If no other one comes for as long again, the first may try.
+    assert [units.state(7, 3, at) for at in (1.99, 2.0)] == [RESTING, DUE]
+    units.start_trial(7, 4)
+    units.note_silence(7, 4, 2.0)
+    # Nobody was refused in this rest, which began with function 4 and is twice as long.
+    assert [units.state(7, 4, at) for at in (3.99, 4.0)] == [RESTING, DUE]
+    assert units.state(7, 3, 3.0) is RESTING
+    assert [units.state(7, function, 4.0) for function in (4, 3)] == [RESTING, DUE]
+
+
+def test_a_trial_that_was_not_sent_lets_whoever_comes_next_try() -> None:
+    units = SilentUnits(1.0)
+    units.note_silence(7, 3, 0.0)
+    units.state(7, 4, 0.5)
+    units.start_trial(7, 4)
+    units.cancel_trial(7, 4, 1.2)
+    assert [units.state(7, function, 1.2) for function in (3, 4)] == [DUE, DUE]
+    units.cancel_trial(7, 4, 9.0)  # nothing tries now
+    assert units.state(7, 3, 1.3) is DUE
+
+
+def test_misses_are_counted_by_trial() -> None:
+    units = SilentUnits(0.5)
+    now = 0.0
+    units.note_silence(7, 3, now)
+    for misses in range(1, 4):
+        now += 60
+        assert units.start_trial(7, 3) == misses
+        assert not units.note_silence(7, 3, now)
+    now += 60
+    units.start_trial(7, 3)
+    units.note_answer(7, 3)
+    assert units.note_silence(7, 3, now)
+    assert units.state(7, 3, now + 0.5) is DUE
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_nothing_rests_of_what_was_answered_last(seed: int) -> None:
+    chance = random.Random(seed)
+    units, now = SilentUnits(0.5), 0.0
+    answered: dict[tuple[int, int], bool] = {}
+    for _ in range(500):
+        asked = chance.randrange(2), chance.randrange(3)
+        now += chance.random()
+        answered[asked] = chance.random() < 0.5
+        if answered[asked]:
+            units.note_answer(*asked)
+        else:
+            units.note_silence(*asked, now)
+        for each in (each for each, is_good in answered.items() if is_good):
+            assert units.state(*each, now) is GOOD
+            assert not units.rests(each[0])

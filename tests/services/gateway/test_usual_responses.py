@@ -4,14 +4,11 @@ Responses to reads that a gateway passes on again and again.
 
 from __future__ import annotations
 
-import random
-
 import pytest
 
 from libmodbus_py import ExceptionResponse, InvalidResponse
 from libmodbus_py.pdu import ReadHoldingRegisters
 from libmodbus_py.services.gateway.raw_request import RequestBytes, request_of
-from libmodbus_py.services.gateway.silent_units import SilentUnits, UnitState
 from tests.support.cases import each_case
 
 # Requests of the application protocol, sections 6.1 to 6.4, with good responses.
@@ -94,22 +91,3 @@ def test_the_echo_of_a_write_must_be_that_of_this_write() -> None:
 )
 def test_what_may_change_a_device_is_known_before_it_is_sent(request: str, changes: bool) -> None:
     assert request_of(bytes.fromhex(request)).changes is changes
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_nothing_rests_of_what_was_answered_last(seed: int) -> None:
-    chance = random.Random(seed)
-    units, now = SilentUnits(0.5), 0.0
-    answered: dict[tuple[int, int], bool] = {}
-    for _ in range(500):
-        asked = chance.randrange(2), chance.randrange(3)
-        now += chance.random()
-        answered[asked] = chance.random() < 0.5
-        if answered[asked]:
-            units.note_answer(*asked)
-        else:
-            units.note_silence(*asked, now)
-        assert units.answering == {each for each, is_good in answered.items() if is_good}
-        for each in units.answering:
-            assert units.state(*each, now) is UnitState.GOOD
-            assert not units.rests(each[0])

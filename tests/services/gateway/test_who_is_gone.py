@@ -45,7 +45,7 @@ def test_a_request_that_waits_for_the_connection_is_not_sent(url: str) -> None:
         ]
         await asyncio.sleep(CONNECT_DELAY / 2)
         for each in asked:
-            plant.line.drop(each)
+            plant.line.leave(each)
         assert plant.line.statistics.in_flight == 0
         await asyncio.sleep(2 * CONNECT_DELAY)
         assert plant.peer.requests == []
@@ -63,7 +63,7 @@ def test_a_request_without_an_answer_is_not_sent_again(url: str) -> None:
     async def main() -> None:
         gone = plant.ask(1, Asker())
         await asyncio.sleep(0.1)
-        plant.line.drop(gone)
+        plant.line.leave(gone)
         await asyncio.sleep(5)
         assert len(plant.peer.requests) == 1
 
@@ -82,7 +82,7 @@ def test_a_trial_that_waits_for_the_connection_is_not_sent(url: str) -> None:
         await asyncio.sleep(0.1)
         trial = plant.ask(9, Asker())
         await asyncio.sleep(CONNECT_DELAY / 2)
-        plant.line.drop(trial)
+        plant.line.leave(trial)
         await asyncio.sleep(2 * CONNECT_DELAY)
         assert len(plant.peer.requests) == 1
         again = Asker()  # the unit is still due
@@ -108,7 +108,7 @@ def test_requests_behind_a_write_are_not_sent() -> None:
         gone = [plant.ask(unit, Asker()) for unit in (1, 2, 3)]
         await asyncio.sleep(0.1)
         for each in gone:
-            plant.line.drop(each)
+            plant.line.leave(each)
         await asyncio.sleep(2)
         assert plant.asked == [1, 1, 1, 9]
 
@@ -127,7 +127,7 @@ def test_a_read_that_was_lost_beside_others_is_not_sent_again() -> None:
         plant.ask(1, other)
         await asyncio.sleep(0.1)
         assert plant.asked == [1, 9, 1]
-        plant.line.drop(gone)
+        plant.line.leave(gone)
         plant.ask(1, next_one)
         await asyncio.sleep(2)
         assert plant.asked == [1, 9, 1, 1]

@@ -1,0 +1,412 @@
+"""
+One connection to a line or a device that is shared: which request is sent next, and when.
+
+A request waits, is in flight, and is over. There are two kinds:
+
+* Others: requests to units that answered the last time. They take turns (`FairQueue`): hosts,
+  within each host its clients, and each client's requests keep their order. Urgent ones come first.
+* Trials: requests to units that gave no answer the last time.
+
+The rules:
+
+1. As many requests are in flight as the client has room for, at least one.
+2. On a line without transaction ids a unit is not asked while its late answer may still come
+   (`AsyncClient.ready_at`); requests to other units overtake it.
+3. A trial is sent when no other request waits. When that does not happen, it is sent after it
+   waited for one timeout, but no two trials in a row.
+4. A trial that others wait for ends after the time of the slowest answers on this line, because
+   it must not cost more than one of them. One in sixteen has its whole timeout: the unit may have
+   become slower than all others.
+5. A request that no client waits for any more, or that waited for too long, is not sent.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Hashable, Iterator
+from functools import partial
+from typing import Any, Generic, TypeVar
+
+from ..client.asynchronous import AsyncClient, Submitted
+from ..ports.waiting_async import Alarm
+from ..protocol.errors import ExceptionResponse, ModbusTimeoutError
+
+__all__ = ["FairQueue", "LineRequest", "SharedLine", "rest_after"]
+
+SHORTEST_TRIAL_S = 0.02
+"""The least time of a trial that others wait for: a few requests of a fast line."""
+
+FADING = 0.95
+"""The share of a unit's longest response time that is kept with each further answer."""
+
+TRIALS_BEFORE_LONG = 16
+"""One trial of a unit in so many has its whole timeout."""
+
+MOST_DOUBLINGS = 20
+"""The most doublings of a rest, so that no number grows without bound."""
+
+
+def rest_after(misses: int, first: float, longest: float) -> float:
+    """
+    Return how many seconds a unit is left alone that gave no answer so many times in a row.
+
+    Args:
+        misses: 1 or more.
+        first: the rest after one; it is doubled for each further one.
+        longest: the longest rest, unless `first` is longer.
+    """
+    rest: float = first * 2 ** min(misses - 1, MOST_DOUBLINGS)
+    return min(rest, max(longest, first))
+
+
+class LineRequest:
+    """
+    A request that a line sends, or several, one after the other.
+
+    Attributes:
+        unit: the unit that is asked.
+        request: the request to send next.
+        host, client: who asks; hosts and their clients take turns.
+        is_urgent: True to be asked before all others.
+        is_trial: True if the unit gave no answer the last time.
+        misses: how many times in a row it gave none.
+        waits_since: when it began to wait.
+        asked_at: when it was sent.
+        submitted: the request in flight; None while none is.
+    """
+
+    # fmt: off
+    __slots__ = (
+        "asked_at", "client", "host", "is_trial", "is_urgent", "misses", "request", "submitted",
+        "unit", "waits_since",
+    )
+    # fmt: on
+
+    def __init__(
+        self, unit: int, request: Any = None, *, host: Hashable = None, client: Hashable = None
+    ) -> None:
+        self.unit: int = unit
+        self.request: Any = request
+        self.host: Hashable = host
+        self.client: Hashable = client
+        self.is_urgent: bool = False
+        self.is_trial: bool = False
+        self.misses: int = 0
+        self.waits_since: float = 0.0
+        self.asked_at: float = 0.0
+        self.submitted: Submitted | None = None
+
+
+Each = TypeVar("Each", bound=LineRequest)
+
+
+class FairQueue(Generic[Each]):
+    """
+    Requests that wait. Hosts take turns, within each host its clients, and the requests of each
+    client keep their order.
+
+    Args:
+        most_of_client: how many requests of one client may wait; infinite for any number.
+        most: how many in all.
+    """
+
+    def __init__(self, most_of_client: float = math.inf, most: float = math.inf) -> None:
+        self._most_of_client = most_of_client
+        self._most = most
+        # The host, and within it the client, whose turn is next is first.
+        self._hosts: dict[Hashable, dict[Hashable, deque[Each]]] = {}
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __iter__(self) -> Iterator[Each]:
+        return (each for host in self._hosts.values() for queue in host.values() for each in queue)
+
+    def put(self, each: Each) -> bool:
+        """Add a request; return False if too many wait."""
+        clients = self._hosts.get(each.host, {})
+        queue = clients.get(each.client, deque())
+        if self._count >= self._most or len(queue) >= self._most_of_client:
+            return False
+        queue.append(each)
+        self._hosts[each.host] = clients
+        clients[each.client] = queue
+        self._count += 1
+        return True
+
+    def pick(self, may_ask: Callable[[Each], bool]) -> Each | None:
+        """Remove and return the first request that may be asked now; None if none may."""
+        each = next(filter(may_ask, self), None)
+        if each is not None:
+            self.remove(each)
+            clients = self._hosts.pop(each.host, None)
+            if clients is not None:
+                if each.client in clients:
+                    clients[each.client] = clients.pop(each.client)
+                self._hosts[each.host] = clients
+        return each
+
+    def remove(self, each: Each) -> bool:
+        """Remove a request; return False if it does not wait here."""
+        clients = self._hosts.get(each.host, {})
+        queue = clients.get(each.client, deque())
+        if each not in queue:
+            return False
+        queue.remove(each)
+        self._count -= 1
+        if not queue:
+            del clients[each.client]
+            if not clients:
+                del self._hosts[each.host]
+        return True
+
+
+class SharedLine(ABC, Generic[Each]):
+    """
+    One connection, and the requests that share it.
+
+    Args:
+        client: of the connection.
+        make_queue: makes the queues of urgent requests and of the others.
+        longest_wait: seconds that a request may wait, trials excepted.
+        most_trials: how many trials may be in flight at the same time.
+
+    Attributes:
+        in_flight: how many requests are in flight.
+        is_closed: True if nothing is sent any more.
+    """
+
+    def __init__(
+        self,
+        client: AsyncClient,
+        make_queue: Callable[[], FairQueue[Each]],
+        *,
+        longest_wait: float = math.inf,
+        most_trials: float = math.inf,
+    ) -> None:
+        self.client: AsyncClient = client
+        self.in_flight: int = 0
+        self.is_closed: bool = False
+        self._loop = asyncio.get_running_loop()
+        self._has_ids = client.has_ids
+        self._longest_wait = longest_wait
+        self._most_trials = most_trials
+        self._urgent, self._usual = make_queue(), make_queue()
+        self._trials: deque[Each] = deque()
+        self._trying: dict[Each, None] = {}  # the trials in flight, in their order
+        self._was_trial = False  # the request that was sent last
+        # Unit -> the longest time that its answers took, fading.
+        self._took: dict[int, float] = {}
+        self._done: list[Each] = []
+        self._alarm = Alarm(self.go_on)
+        self._next_at = math.inf
+
+    # --- what the users of a line decide ------------------------------------------------------
+
+    @abstractmethod
+    def conclude(self, each: Each, outcome: Any, now: float) -> None:
+        """Take the outcome of a request: its result, or an exception."""
+
+    def client_of(self, each: Each) -> AsyncClient:
+        """Return the client that sends a request, with the timeout of the request."""
+        return self.client
+
+    def give_up(self, each: Each, now: float) -> None:
+        """Conclude a trial that made way for others."""
+        self.conclude(each, ModbusTimeoutError("no answer while others waited"), now)
+
+    def expire(self, each: Each, now: float) -> None:
+        """Conclude a request that waited for too long, and was not sent."""
+        self.conclude(each, ModbusTimeoutError("not sent: others took too long"), now)
+
+    # --- requests -----------------------------------------------------------------------------
+
+    @property
+    def waiting(self) -> int:
+        """The number of requests that wait, trials excepted."""
+        return len(self._urgent) + len(self._usual)
+
+    def others(self) -> list[Each]:
+        """Return the requests that wait, trials excepted."""
+        return [*self._urgent, *self._usual]
+
+    def ask(self, each: Each, now: float) -> bool:
+        """Send a request now, or when it is its turn; return False if too many wait."""
+        if self._may_begin(each, now):
+            self._send(each, now)
+            return True
+        if each.is_trial and not each.is_urgent:
+            self._trials.append(each)
+        elif not (self._urgent if each.is_urgent else self._usual).put(each):
+            return False
+        self.go_on()
+        return True
+
+    def drop(self, each: Each) -> bool:
+        """Do not send a request; return False if it was sent, and its outcome is still to come."""
+        if each.submitted is None:
+            return self.remove(each)
+        if not each.submitted.send_no_more():
+            return False
+        self._end(each)
+        self._go_on_soon()
+        return True
+
+    def withdraw(self, each: Each) -> None:
+        """Forget a request, in whatever state it is."""
+        if each.submitted is None:
+            self.remove(each)
+            return
+        if each in self._done:
+            self._done.remove(each)
+        else:
+            each.submitted.withdraw()
+        self._end(each)
+        self._go_on_soon()
+
+    def remove(self, each: Each) -> bool:
+        """Remove a request that waits; return False if it does not."""
+        if each in self._trials:
+            self._trials.remove(each)
+            return True
+        return self._urgent.remove(each) or self._usual.remove(each)
+
+    def stop(self) -> list[Each]:
+        """Send nothing any more; remove and return all requests that wait."""
+        self.is_closed = True
+        self._alarm.cancel()
+        waiting = [*self._urgent, *self._usual, *self._trials]
+        for each in waiting:
+            self.remove(each)
+        return waiting
+
+    async def close(self) -> None:
+        """Close the connection for good; requests in flight are concluded with its error."""
+        self.stop()
+        await self.client.close()
+        self._finish()
+
+    # --- who is next --------------------------------------------------------------------------
+
+    def go_on(self) -> None:
+        """Send what may be sent now, and set the alarm for what may be sent later."""
+        if self.is_closed:
+            return
+        now = self._loop.time()
+        while (each := self._pick(now)) is not None:
+            if each.is_trial or now - each.waits_since <= self._longest_wait:
+                self._send(each, now)
+            else:
+                self.expire(each, now)
+        if self._trying:
+            self._end_overstayed(now)
+        if self._next_at < self._alarm.at:
+            self._alarm.set(self._next_at, self._loop)
+
+    def _may_begin(self, each: Each, now: float) -> bool:
+        """Return True if a new request need not wait."""
+        if each.is_trial or self.is_closed or self._trials or self.waiting or self._is_full():
+            return False
+        return self._ready_at(each) <= now
+
+    def _is_full(self) -> bool:
+        return self.in_flight > 0 and self.in_flight >= self.client.room
+
+    def _ready_at(self, each: Each) -> float:
+        if self._has_ids:
+            return 0.0
+        return self.client.ready_at(each.unit, each.request.function)
+
+    def _pick(self, now: float) -> Each | None:
+        """Remove and return the request to send now; None if none may be."""
+        self._next_at = math.inf
+        if not (self._trials or self.waiting) or self._is_full():
+            return None
+
+        def may_ask(each: Each) -> bool:
+            at = self._ready_at(each)
+            if at > now:
+                self._next_at = min(self._next_at, at)
+            return at <= now
+
+        each = self._pick_trial(may_ask) if self._is_trial_due(now) else None
+        if each is None:
+            each = self._urgent.pick(may_ask) or self._usual.pick(may_ask)
+        if each is None and len(self._trying) < self._most_trials:
+            each = self._pick_trial(may_ask)
+        return each
+
+    def _is_trial_due(self, now: float) -> bool:
+        """Return True if a trial is to be sent before others, which wait."""
+        if not self._trials or self._trying or self._was_trial:
+            return False
+        first = self._trials[0]
+        return now - first.waits_since >= self.client_of(first).timeout
+
+    def _pick_trial(self, may_ask: Callable[[Each], bool]) -> Each | None:
+        each = next(filter(may_ask, self._trials), None)
+        if each is not None:
+            self._trials.remove(each)
+        return each
+
+    def _end_overstayed(self, now: float) -> None:
+        """End a trial that others have waited for, for long enough."""
+        each = next((each for each in self._trying if each.misses % TRIALS_BEFORE_LONG), None)
+        if each is None or not self.waiting or not self._is_full():
+            return
+        took = max([SHORTEST_TRIAL_S, *self._took.values()])
+        until = each.asked_at + min(self.client_of(each).timeout, took)
+        if until > now:
+            self._next_at = min(self._next_at, until)
+            return
+        assert each.submitted is not None
+        if not (each.submitted.is_answered or each in self._done):
+            each.submitted.withdraw()
+            self._end(each)
+            self.give_up(each, now)
+            self.go_on()
+
+    # --- in flight ----------------------------------------------------------------------------
+
+    def _send(self, each: Each, now: float) -> None:
+        self.in_flight += 1
+        self._was_trial = each.is_trial
+        if each.is_trial:
+            self._trying[each] = None
+        each.asked_at = now
+        each.submitted = self.client_of(each).submit(
+            each.unit, each.request, partial(self._note_done, each)
+        )
+
+    def _end(self, each: Each) -> None:
+        each.submitted = None
+        self.in_flight -= 1
+        self._trying.pop(each, None)
+
+    def _note_done(self, each: Each) -> None:
+        self._go_on_soon()
+        self._done.append(each)
+
+    def _go_on_soon(self) -> None:
+        if not self._done:
+            self._loop.call_soon(self._finish)
+
+    def _finish(self) -> None:
+        """Conclude the requests that are done, all at once, and send the next ones."""
+        done, self._done = self._done, []
+        now = self._loop.time()
+        for each in done:
+            assert each.submitted is not None
+            outcome: Any = each.submitted.outcome
+            self._end(each)
+            if isinstance(outcome, ExceptionResponse) or not (
+                outcome is None or isinstance(outcome, BaseException)
+            ):
+                took = self._took.get(each.unit, 0.0)
+                self._took[each.unit] = max(now - each.asked_at, FADING * took)
+            self.conclude(each, outcome, now)
+        self.go_on()
