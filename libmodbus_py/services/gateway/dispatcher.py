@@ -5,6 +5,7 @@ The service of a gateway: sends each request to the line of its unit; responses 
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 
@@ -38,6 +39,9 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # What follows the function in the answer to a request that is not allowed.
 _NOT_ALLOWED = bytes([IllegalFunction.code])
+
+RETURN_S = 1.0
+"""The time after a broadcast in which it may come back through other gateways."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +107,8 @@ class Dispatcher:
         self.now: Callable[[], float] = asyncio.get_running_loop().time
         self._guard = None if authorize is None else Authorization(authorize)
         self._has_failed = False
+        # PDU -> the broadcast of it that is being sent, or was sent a moment ago.
+        self._broadcasts: dict[bytes, Broadcast] = {}
 
     def sessions(
         self, endpoint: Endpoint, statistics: ServerStatistics, later: Later | None = None
@@ -238,7 +244,9 @@ class Dispatcher:
         """
         Send a write to all lines, if the rules of all routes allow it.
 
-        Other requests are refused, because they would get no response.
+        Other requests are refused, because they would get no response. A write is refused while an
+        equal one of another client is sent, and for a second after it, because it may be the same
+        one: gateways that lead to each other would send it round for ever.
         """
         routes = self.answering.routes.values()
         lines = [line for line in {route.line: None for route in routes} if not session.is_at(line)]
@@ -248,9 +256,27 @@ class Dispatcher:
         for allow in {id(route.allow): route.allow for route in routes}.values():
             if code := self._check(session, 0, request, allow):
                 return self._exception(session, frame.pdu, code)
+        now = self.now()
+        if self._may_have_come_back(session, request, now):
+            return self._exception(session, frame.pdu, ServerDeviceBusy.code)
         self.statistics.broadcasts += 1
-        Broadcast(session, frame, request, self.now()).ask(lines)
+        broadcast = self._broadcasts[request.pdu] = Broadcast(session, frame, request, now)
+        broadcast.ask(lines)
         return None
+
+    def _may_have_come_back(
+        self, session: ForwardingSession, request: RequestBytes, now: float
+    ) -> bool:
+        while self._broadcasts:
+            pdu, first = next(iter(self._broadcasts.items()))
+            if now < first.done_at + RETURN_S:
+                break
+            del self._broadcasts[pdu]
+        before = self._broadcasts.pop(request.pdu, None)
+        if before is None or before.session is session:
+            return False
+        self._broadcasts[request.pdu] = before
+        return True
 
 
 def _allows(allow: Allow, asked: Asked) -> bool:
@@ -260,15 +286,21 @@ def _allows(allow: Allow, asked: Asked) -> bool:
 
 class Broadcast:
     """
-    A write to all units of all lines; it is done when all lines have sent it.
+    A write to all units of all lines.
+
+    Attributes:
+        session: of the client.
+        done_at: when all lines had sent it; infinite before.
     """
 
     def __init__(
         self, session: ForwardingSession, frame: Frame, request: RequestBytes, since: float
     ) -> None:
         self.host: Hashable = session.host
-        self._session = session
+        self.session: ForwardingSession = session
+        self.done_at: float = math.inf
         self._request = request
+        self._now = asyncio.get_running_loop().time
         self._whole = Forwarded(session, frame.transaction, 0, 0, request, since)
         self._parts: dict[Forwarded, GatewayLine] = {}
         self._left = 0
@@ -276,7 +308,7 @@ class Broadcast:
 
     def ask(self, lines: list[GatewayLine]) -> None:
         self._left = len(lines)
-        self._session.asked[self._whole] = self
+        self.session.asked[self._whole] = self
         for line in lines:
             part = Forwarded(self, 0, 0, 0, self._request, self._whole.waits_since)
             self._parts[part] = line
@@ -286,17 +318,19 @@ class Broadcast:
     def leave(self, forwarded: Forwarded) -> None:
         """Take no response; and send no more, if the client waited for it to be sent."""
         forwarded.asker = None
-        if self._session.has_ids:
+        if self.session.has_ids:
             for part, line in self._parts.items():
                 line.leave(part)
+            self.done_at = self._now()
 
     def told(self, forwarded: Forwarded, response: bytes | None) -> None:
         self._left -= 1
         self._has_failed = self._has_failed or (response is not None and response[0] >= 0x80)
         if self._left:
             return
+        self.done_at = self._now()
         refusal = bytes([self._request.function | 0x80, GatewayTargetFailedToRespond.code])
-        is_told = self._has_failed and self._session.has_ids
+        is_told = self._has_failed and self.session.has_ids
         self._whole.tell(refusal if is_told else None)
 
 

@@ -42,7 +42,9 @@ class Gateway(Serving):
     A unit that does not answer rests, longer each time, and is then tried when no other request
     waits; until it answers, requests to it get exception 11 at once.
 
-    Unit 0 is a broadcast unless it has a route: writes are sent to every line.
+    Unit 0 is a broadcast unless it has a route: writes are sent to every line. A broadcast gets
+    exception 6 while an equal one of another client is sent, and for a second after it, because it
+    may have come back through another gateway.
 
     Args:
         routes: the lines, and the units that are reached over each.

@@ -4,6 +4,8 @@ Broadcasts through a gateway: to every line, and done when all lines have sent t
 
 from __future__ import annotations
 
+import contextlib
+
 import pytest
 
 from libmodbus_py import (
@@ -143,3 +145,50 @@ def test_a_broadcast_does_not_go_back_to_the_machine_that_sent_it(stage: Stage) 
         stage.pass_time(1)
         assert device.mapping.holding_registers[0] == 7
         assert sent == []
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu+tcp"])
+def test_a_broadcast_does_not_go_round_between_gateways_that_lead_to_each_other(
+    stage: Stage, scheme: str
+) -> None:
+    device = small()
+    start = f"{scheme}://127.0.0.1:0"
+    with (
+        Server({1: device}).background(LINE),
+        gateway([Route(LINE, "1")], start) as (first, url),
+        gateway([Route(url, "2")], start) as (second, other),
+        Context.from_url(url, unit=0, timeout=5) as context,
+    ):
+        first.change_routes([Route(LINE, "1"), Route(other, "2")])
+        for value in (7, 8, 7):
+            with contextlib.suppress(GatewayTargetFailedToRespond):  # the other did not pass it on
+                context.write_register(0, value)
+            stage.pass_time(0.5)
+            assert device.mapping.holding_registers[0] == value
+        stage.pass_time(60)
+        assert (first.traffic.broadcasts, second.traffic.broadcasts) == (3, 3)
+
+
+def test_a_broadcast_may_be_repeated_by_its_client_and_by_others_after_a_second(
+    stage: Stage,
+) -> None:
+    write = bytes.fromhex("0007 0000 0006 00 06 0000 0007")
+    busy = bytes.fromhex("0007 0000 0003 00 86 06")
+    other_write = write[:-1] + b"\x08"
+    with (
+        Server({1: small()}).background(LINE),
+        gateway([Route(LINE, "1")], "tcp://10.0.0.1:0") as (made, url),
+        stage.talk(url) as client,
+        stage.talk(url) as other,
+    ):
+        for _ in range(3):
+            client.sendall(write)
+            assert client.receive(len(write)) == write
+        other.sendall(write)
+        assert other.receive(len(busy)) == busy
+        other.sendall(other_write)
+        assert other.receive(len(write)) == other_write
+        stage.pass_time(1.1)
+        other.sendall(write)
+        assert other.receive(len(write)) == write
+        assert made.traffic.broadcasts == 5
