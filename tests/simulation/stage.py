@@ -21,7 +21,7 @@ from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.waiting import Woken
 from libmodbus_py.server import limits
 from libmodbus_py.server.serving import Serving
-from libmodbus_py.services.gateway import gateway, loops
+from libmodbus_py.services.gateway import gateway, routes
 
 from .lines import Party, SerialLine
 from .loop import complaints_of
@@ -68,8 +68,8 @@ class Stage(Network):
         background = lambda server, *urls: self._serving(server, *urls)  # noqa: E731
         stack.enter_context(patch.object(Serving, "background", background))
         stack.enter_context(patch.object(limits, "most_descriptors", lambda: DESCRIPTORS))
-        stack.enter_context(patch.object(gateway, "check_line", loops.check_line))
-        stack.enter_context(patch.object(loops, "os", SimpleNamespace(path=self._paths())))
+        stack.enter_context(patch.object(gateway, "check_line", routes.check_line))
+        stack.enter_context(patch.object(routes, "os", SimpleNamespace(path=self._paths())))
         return self
 
     def __exit__(self, *raised: Any) -> None:

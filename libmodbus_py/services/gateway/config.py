@@ -28,9 +28,7 @@ from ...tools.files.file_error import FileError
 from ...tools.files.schema import Key, Keys, keys_of
 from ...tools.files.texts import load_file, read_toml
 from .gateway import Gateway
-from .loops import check_line
-from .options import GatewayOptions
-from .routes import Route, check_routes
+from .routes import GatewayOptions, Route, check_line, check_routes
 
 __all__ = ["FILE", "ROUTE", "GatewayFile", "GatewayFileError", "load", "parse"]
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from ...device.authorization import Asked, Authorization, Authorize, UnauthorizedError
 from ...device.caller import Auditor, Caller, Executed, changes_of
@@ -31,9 +31,10 @@ from ...server.limits import ServerStatistics, host_of
 from ...server.service import Channel, Later, MakeSession
 from .line import Forwarded, GatewayLine
 from .raw_request import RequestBytes, request_of
+from .routes import Route
 from .statistics import GatewayStatistics
 
-__all__ = ["Answering", "Dispatcher", "ForwardingSession", "ResolvedRoute"]
+__all__ = ["Dispatcher", "ResolvedRoute"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -44,40 +45,14 @@ RETURN_S = 1.0
 """The time after a broadcast in which it may come back through other gateways."""
 
 
-@dataclass(frozen=True, slots=True)
-class ResolvedRoute:
+class ResolvedRoute(NamedTuple):
     """
-    The line and the options of one unit.
-
-    Attributes:
-        unit: its number on the line.
-        cache: how old a response may be, in seconds.
-        merge: True to send equal reads that wait only once.
-        allow: the accesses that are allowed; None for all.
+    The line of one unit, its number there, and the route with its options.
     """
 
     line: GatewayLine
     unit: int
-    cache: float = 0.0
-    merge: bool = False
-    allow: Allow | None = None
-
-
-@dataclass(slots=True)
-class Answering:
-    """
-    The routes of a gateway; they may be changed while sessions last.
-
-    Attributes:
-        routes: by unit.
-        lines: all lines, for broadcasts.
-        own: the gateway itself as a device; `own_units` are its units.
-    """
-
-    own: Device
-    own_units: frozenset[int]
-    routes: dict[int, ResolvedRoute] = field(default_factory=dict)
-    lines: list[GatewayLine] = field(default_factory=list)
+    route: Route
 
 
 class Dispatcher:
@@ -85,26 +60,33 @@ class Dispatcher:
     See `Service`.
 
     Args:
-        answering: the routes.
+        own: the gateway itself as a device; `own_units` are its units.
         most_of_session: the most unanswered requests of one connection.
         authorize: raises for a request that is not allowed; None to allow all.
         statistics: counts requests.
         auditor: told of each change, and of each request that is not allowed.
+
+    Attributes:
+        routes: by unit; they may be changed while sessions last.
+        lines: all lines, for broadcasts.
     """
 
     def __init__(
         self,
-        answering: Answering,
+        own: Device,
+        own_units: frozenset[int],
         most_of_session: int,
         authorize: Authorize | None,
         statistics: GatewayStatistics,
         auditor: Auditor | None = None,
     ) -> None:
         self.auditor = auditor
-        self.answering = answering
-        self.most_of_session = most_of_session
+        self.routes: dict[int, ResolvedRoute] = {}
+        self.lines: list[GatewayLine] = []
         self.statistics = statistics
         self.now: Callable[[], float] = asyncio.get_running_loop().time
+        self._own, self._own_units = own, own_units
+        self._most_of_session = most_of_session
         self._guard = None if authorize is None else Authorization(authorize)
         self._has_failed = False
         # PDU -> the broadcast of it that is being sent, or was sent a moment ago.
@@ -120,7 +102,7 @@ class Dispatcher:
 
     def has(self, unit: int) -> bool:
         """Return True if a unit is the gateway itself, or has a route."""
-        return unit in self.answering.routes or unit in self.answering.own_units
+        return unit in self.routes or unit in self._own_units
 
     def refuses(self, unit: int) -> bool:
         """Return True: units that have no route are refused, except on a serial line."""
@@ -132,67 +114,49 @@ class Dispatcher:
         self.statistics.requests += 1
         if pdu[0] & 0x80:
             return None
-        answering = self.answering
-        route = answering.routes.get(unit)
-        if route is None:
-            if unit in answering.own_units:
+        way = self.routes.get(unit)
+        if way is None:
+            if unit in self._own_units:
                 caller = session.caller(unit)._replace(auditor=self.auditor)
-                return answering.own.answer(pdu, caller) or None
-            if unit or not answering.lines:
+                return self._own.answer(pdu, caller) or None
+            if unit or not self.lines:
                 return self._refuse_route(session, pdu)
         try:
             request = request_of(pdu)
         except ExceptionResponse as refusal:
             self.statistics.malformed += 1
             return self._exception(session, pdu, refusal.code)
-        if self.auditor is None:
-            return self._forward(session, frame, request, route)
-        return self._forward_audited(session, frame, request, route, self.auditor)
-
-    def _forward_audited(
-        self,
-        session: ForwardingSession,
-        frame: Frame,
-        request: RequestBytes,
-        route: ResolvedRoute | None,
-        auditor: Auditor,
-    ) -> bytes | None:
-        """Forward a request, and record it if it is refused at once; if not, `told` does."""
-        changes = request.changes
-        response: bytes | None
-        if changes and not auditor.may_change():
-            response = self._exception(session, frame.pdu, ServerDeviceFailure.code)
+        auditor = self.auditor
+        if auditor is not None and request.changes and not auditor.may_change():
+            response: bytes | None = self._exception(session, pdu, ServerDeviceFailure.code)
+        elif way is None:
+            response = self._broadcast(session, frame, request)
         else:
-            response = self._forward(session, frame, request, route)
-        if response is not None and (changes or response[1:] == _NOT_ALLOWED):
-            session.record(frame.unit, request, response, is_change=changes)
+            response = self._forward(session, frame, request, way)
+        if response is not None and (request.changes or response[1:] == _NOT_ALLOWED):
+            session.record(unit, request, response, is_change=request.changes)
         return response
 
     def _forward(
-        self,
-        session: ForwardingSession,
-        frame: Frame,
-        request: RequestBytes,
-        route: ResolvedRoute | None,
+        self, session: ForwardingSession, frame: Frame, request: RequestBytes, way: ResolvedRoute
     ) -> bytes | None:
         """Return the response PDU; None if it comes later, or never."""
         unit, pdu, number = frame
-        if route is None:
-            return self._broadcast(session, frame, request)
+        line, device_unit, route = way
         if (self._guard or route.allow) and (
             code := self._check(session, unit, request, route.allow)
         ):
             return self._exception(session, pdu, code)
         now = self.now()
         age = route.cache if request.is_read else 0.0
-        if age and (answer := route.line.cached(route.unit, request, age, now)):
+        if age and (answer := line.cached(device_unit, request, age, now)):
             return answer
-        if len(session.asked) >= self.most_of_session:
-            route.line.statistics.full += 1
+        if len(session.asked) >= self._most_of_session:
+            line.statistics.full += 1
             return self._exception(session, pdu, ServerDeviceBusy.code)
-        forwarded = Forwarded(session, number, unit, route.unit, request, now, age)
-        session.asked[forwarded] = route.line
-        code = route.line.put(forwarded, merge=route.merge and request.is_read)
+        forwarded = Forwarded(session, number, unit, device_unit, request, now, age)
+        session.asked[forwarded] = line
+        code = line.put(forwarded, merge=route.merge and request.is_read)
         if not code:
             return None
         session.asked.pop(forwarded, None)
@@ -248,12 +212,12 @@ class Dispatcher:
         equal one of another client is sent, and for a second after it, because it may be the same
         one: gateways that lead to each other would send it round for ever.
         """
-        routes = self.answering.routes.values()
-        lines = [line for line in {route.line: None for route in routes} if not session.is_at(line)]
+        ways = self.routes.values()
+        lines = [line for line in {way.line: None for way in ways} if not session.is_at(line)]
         if not request.is_write or not lines:
             return self._refuse_route(session, frame.pdu)
         # A unit of each route would carry it out. `Allow` has no hash.
-        for allow in {id(route.allow): route.allow for route in routes}.values():
+        for allow in {id(way.route.allow): way.route.allow for way in ways}.values():
             if code := self._check(session, 0, request, allow):
                 return self._exception(session, frame.pdu, code)
         now = self.now()
@@ -273,7 +237,7 @@ class Dispatcher:
                 break
             del self._broadcasts[pdu]
         before = self._broadcasts.pop(request.pdu, None)
-        if before is None or before.session is session:
+        if before is None or before.session.peer == session.peer:
             return False
         self._broadcasts[request.pdu] = before
         return True

@@ -19,12 +19,10 @@ from ...server.audit import Audit, OnAudited
 from ...server.limits import Limits
 from ...server.service import Service
 from ...server.serving import Serving
-from .dispatcher import Answering, Dispatcher, ResolvedRoute
+from .dispatcher import Dispatcher, ResolvedRoute
 from .line import GatewayLine
-from .loops import check_line
-from .options import GatewayOptions
 from .own_device import own_device
-from .routes import Route, check_routes
+from .routes import GatewayOptions, Route, check_line, check_routes
 from .statistics import GatewayStatistics, UnitStatistics
 
 __all__ = ["Gateway"]
@@ -95,7 +93,7 @@ class Gateway(Serving):
             checked_callback("authorize", authorize)
         self._authorize = authorize
         self.traffic: GatewayStatistics = GatewayStatistics()
-        self._answering_now: Answering | None = None
+        self._dispatcher: Dispatcher | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._closing: set[asyncio.Task[None]] = set()
 
@@ -120,24 +118,26 @@ class Gateway(Serving):
 
     @contextlib.asynccontextmanager
     async def _answering(self, endpoints: list[Endpoint]) -> AsyncIterator[Service]:
-        if self._answering_now is not None:
+        if self._dispatcher is not None:
             raise RuntimeError("this gateway is already serving; make another one")
         self._check_lines(self._routes, endpoints)
         own = own_device(self.traffic, self.statistics, self._unit_statistics, self._authorize)
-        answering = self._answering_now = Answering(own, self._options.own)
+        # As many requests as may wait, and as many as may be in flight.
+        most = 2 * self._options.queue + 16
+        dispatcher = self._dispatcher = Dispatcher(
+            own, self._options.own, most, self._authorize, self.traffic, self._auditor
+        )
         self._loop = asyncio.get_running_loop()
         try:
             self._change_lines()
-            # As many requests as may wait, and as many as may be in flight.
-            most = 2 * self._options.queue + 16
-            yield Dispatcher(answering, most, self._authorize, self.traffic, self._auditor)
+            yield dispatcher
         finally:
-            self._loop = self._answering_now = None
+            self._loop = self._dispatcher = None
             async with (
                 contextlib.AsyncExitStack() as stack
             ):  # close each, even if another one fails
                 stack.push_async_callback(_all, list(self._closing))
-                for line in answering.lines:
+                for line in dispatcher.lines:
                     stack.push_async_callback(line.close)
 
     def _check_lines(self, routes: Iterable[Route], listening: list[Endpoint]) -> None:
@@ -145,31 +145,29 @@ class Gateway(Serving):
             check_line(("routes", at, "to"), route.endpoint, listening)
 
     def _change_lines(self) -> None:
-        answering = self._answering_now
-        if answering is None:
+        dispatcher = self._dispatcher
+        if dispatcher is None:
             return
-        before = {line.key: line for line in answering.lines}
+        before = {line.key: line for line in dispatcher.lines}
         lines: dict[str, GatewayLine] = {}
         ways: dict[int, ResolvedRoute] = {}
         for route in self._routes:
             key = route.endpoint.url
-            line = lines.get(key) or before.pop(key, None) or self._line(route)
-            lines[key] = line
+            if key in before:
+                lines[key] = before.pop(key)
+            elif key not in lines:
+                lines[key] = GatewayLine(route.endpoint, self._options)
             for unit, device_unit in route.ways.items():
-                ways[unit] = ResolvedRoute(line, device_unit, route.cache, route.merge, route.allow)
-        answering.lines, answering.routes = list(lines.values()), ways
+                ways[unit] = ResolvedRoute(lines[key], device_unit, route)
+        dispatcher.lines, dispatcher.routes = list(lines.values()), ways
         self.traffic.lines = {line.url: line.statistics for line in lines.values()}
         for line in before.values():
             closing = asyncio.get_running_loop().create_task(line.close())
             self._closing.add(closing)
             closing.add_done_callback(self._closing.discard)
 
-    def _line(self, route: Route) -> GatewayLine:
-        return GatewayLine(route.endpoint, self._options)
-
     def _unit_statistics(self, unit: int) -> UnitStatistics | None:
-        answering = self._answering_now
-        way = None if answering is None else answering.routes.get(unit)
+        way = None if self._dispatcher is None else self._dispatcher.routes.get(unit)
         return None if way is None else way.line.statistics.units.get(way.unit)
 
 

@@ -27,8 +27,8 @@ from ...protocol.errors import (
 from ...protocol.logs import HarmlessLogger
 from ..line import FairQueue, LineRequest, SharedLine
 from .cache import Cache
-from .options import GatewayOptions
 from .raw_request import RequestBytes
+from .routes import GatewayOptions
 from .silent_units import SilentUnits, UnitState
 from .statistics import LineStatistics, UnitStatistics
 

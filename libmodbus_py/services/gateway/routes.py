@@ -1,10 +1,11 @@
 """
-Routes: the line of each unit, and the requests that are allowed.
+Routes: the line of each unit, and the requests that are allowed; options for all lines.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import os
+from collections.abc import Iterable, Sequence, Sized
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -12,13 +13,14 @@ from ...client.options import CheckedOptions
 from ...device.access import Access
 from ...device.rules import Allow
 from ...ports.endpoint import Endpoint, parse
+from ...ports.hosts import EVERYWHERE, is_loopback, is_this_machine
 from ...ports.port import make_port
 from ...protocol.checks import integer, seconds
 from ...protocol.close_names import named_arguments
-from ...protocol.mistakes import WrongType, WrongValue, inside, placed
+from ...protocol.mistakes import Path, WrongType, WrongValue, inside, placed
 from ...protocol.spelling import units_of as units_in
 
-__all__ = ["Route", "check_routes", "parse_route", "units_of"]
+__all__ = ["GatewayOptions", "Route", "check_line", "check_routes", "parse_route"]
 
 # Functions that are forwarded although they access no table: they do not change a device.
 HARMLESS: tuple[int | str, ...] = (
@@ -193,3 +195,60 @@ def check_routes(routes: Iterable[Route], name: str = "routes") -> None:
                 reason = f"an earlier route has unit {unit} already"
                 raise WrongValue.about((name, at, "units"), reason)
             known.add(unit)
+
+
+def check_line(name: Path, line: Endpoint, listening: Iterable[Endpoint]) -> None:
+    """
+    Check that a line does not lead to the gateway itself.
+
+    Args:
+        name: the path of the line, for errors.
+        line: the endpoint of the line.
+        listening: the endpoints that the gateway listens on.
+
+    Raises:
+        ValueError: there is no such serial port, or the gateway itself listens on this endpoint.
+    """
+    if line.is_serial and not os.path.exists(line.path):
+        raise WrongValue.about(name, f"there is no serial port {line.path}")
+    for own in listening:
+        if _is_same(line, own):
+            raise WrongValue.about(name, f"the gateway itself listens on {own}")
+
+
+def _is_same(line: Endpoint, own: Endpoint) -> bool:
+    if line.key == own.key:
+        return True
+    if line.key[0] != own.key[0] or line.port != own.port:
+        return False
+    if line.has_path:
+        return os.path.realpath(line.path) == os.path.realpath(own.path)
+    if own.host in EVERYWHERE:
+        return is_this_machine(line.host)
+    is_here = line.host in EVERYWHERE or is_loopback(line.host)
+    return is_here and is_loopback(own.host)
+
+
+@dataclass(frozen=True)
+class GatewayOptions:
+    """
+    Options of a gateway; the documentation of `Gateway` describes them.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range.
+    """
+
+    own_units: str | Iterable[int] = (255,)
+    queue: int = 16
+    longest_wait: float = 5.0
+    writes_first: bool = False
+    own: frozenset[int] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        given = self.own_units
+        units = [] if isinstance(given, Sized) and not len(given) else units_of("own_units", given)
+        object.__setattr__(self, "own", frozenset(units))
+        integer("queue", self.queue, 1, 1024)
+        seconds("longest_wait", self.longest_wait)
+        if not isinstance(self.writes_first, bool):
+            raise WrongType("writes_first", f"must be True or False, not {self.writes_first!r}")

@@ -194,7 +194,7 @@ def test_a_forked_child_has_nothing_of_its_lines(back: str) -> None:
     """Else a device would not see the gateway go."""
     with passage("tcp", back, {1: small()}) as through, through.context(1) as context:
         assert context.read_holding_registers(0, 1) == [0]
-        answering = through.gateway._answering_now
+        answering = through.gateway._dispatcher
         assert answering is not None
         descriptor = answering.lines[0].client._driver._port.descriptor
         mine = os.readlink(f"/proc/self/fd/{descriptor}")

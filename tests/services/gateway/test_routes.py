@@ -14,9 +14,7 @@ from libmodbus_py.ports import hosts
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.services.gateway.config import MOST_ROUTES
 from libmodbus_py.services.gateway.config import parse as parse_file
-from libmodbus_py.services.gateway.loops import check_line
-from libmodbus_py.services.gateway.options import GatewayOptions
-from libmodbus_py.services.gateway.routes import check_routes
+from libmodbus_py.services.gateway.routes import GatewayOptions, check_line, check_routes
 
 TCP, LINE = "tcp://192.0.2.1", "rtu:///dev/ttyUSB0"
 
