@@ -9,7 +9,8 @@ From the fleet file to the wire, and back::
     fleet          polls devices and passes readings to outputs: Fleet
       schedule     the times of polls; no clock
       line         one connection: the order in which its devices are polled
-        poller     ... one device: its next request, and the outcome of the last one
+        poller     ... one device: its polls, its state, and what was reported of it
+      receivers    passes readings to the journal, to outputs, and to iterators
     readings       values of devices, and the choice of those that are reported: Reading
     buffer         readings that wait for an output; the oldest are dropped if there are too many
     journal        readings on the disk, a folder of its own

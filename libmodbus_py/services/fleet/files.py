@@ -20,7 +20,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple
@@ -204,7 +204,7 @@ class _Reader:
                 base = self._folder if keys["map"] is self._defaults.get("map") else folder
                 with inside("map"):
                     keys["map"] = self._map(base / map_file(keys["map"]))
-            return DeviceConfig(**keys)
+            return _with_default_bands(DeviceConfig(**keys), self._defaults.get("dead_bands", {}))
         except (TypeError, ValueError) as error:
             raise origin.of(error) from None
 
@@ -285,21 +285,21 @@ def _filled(key: str, value: Any) -> Any:
 
 
 def _with_defaults(defaults: Mapping[str, Any], keys: dict[str, Any]) -> dict[str, Any]:
-    """Return the keys of a device with the defaults; labels and dead bands are merged."""
-    merged = {**defaults, **keys}
-    for key in ("labels", "dead_bands"):
-        ours, own = defaults.get(key), keys.get(key)
-        if isinstance(ours, dict) and isinstance(own, dict):
-            merged[key] = {**ours, **own}
-    if "dead_bands" in defaults and "items" in keys and isinstance(merged["dead_bands"], dict):
-        items = keys["items"]  # default bands of points that this device does not read are left out
-        own = keys.get("dead_bands", {})
-        merged["dead_bands"] = {
-            name: band
-            for name, band in merged["dead_bands"].items()
-            if name in own or name in items
-        }
-    return merged
+    """Return the keys of a device with the defaults, but for dead bands; labels are merged."""
+    usual = {key: value for key, value in defaults.items() if key != "dead_bands"}
+    labels, own = usual.get("labels"), keys.get("labels")
+    if isinstance(labels, dict) and isinstance(own, dict):
+        return {**usual, **keys, "labels": {**labels, **own}}
+    return {**usual, **keys}
+
+
+def _with_default_bands(device: DeviceConfig, bands: Any) -> DeviceConfig:
+    """Return a device with the default dead bands of the points that it reads."""
+    if not isinstance(bands, dict):
+        raise WrongType("dead_bands", f"must be a table, not {type(bands).__name__}")
+    names = device.names
+    read = {name: band for name, band in bands.items() if name in names}
+    return replace(device, dead_bands={**read, **device.dead_bands}) if read else device
 
 
 # --- the keys ----------------------------------------------------------------------------

@@ -5,11 +5,9 @@ The fleet: devices on many lines, polled when they are due; readings are passed 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import time
 import weakref
-from collections import Counter
-from collections.abc import AsyncIterator, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from os import PathLike
 from typing import Any, Self
 
@@ -17,22 +15,20 @@ from ...maps.register_map import RegisterMap
 from ...maps.typed import json_value
 from ...protocol.close_names import named_arguments
 from ...protocol.logs import HarmlessLogger
-from .buffer import MOST_KEPT, Buffer
+from .buffer import MOST_KEPT
 from .commands import Commands
 from .config import DeviceConfig, by_connection, checked
 from .files import load
 from .journal.journal import Journal
-from .journal.place import JournalPlace
 from .line import FleetLine, MayAsk
-from .outputs.exclusive import check_exclusive
-from .outputs.output import Commanded, Described, Output
-from .outputs.pump import Pump
+from .outputs.output import Output
 from .poller import DeviceState, Poller, Reads, offline
 from .readings import Reading
+from .receivers import Readings, Receivers
 from .schedule import Timetable, first_time, next_time
 from .statistics import FleetStatistics
 
-__all__ = ["Fleet", "Readings"]
+__all__ = ["Fleet"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -92,17 +88,10 @@ class Fleet:
         may_ask: MayAsk | None = None,
     ) -> None:
         self._devices: dict[str, DeviceConfig] = {each.name: each for each in checked(devices)}
-        self._outputs = list(outputs)
-        self._journal = journal
-        check_exclusive(self._outputs, journal)
         self._may_ask = may_ask
         self.statistics: FleetStatistics = FleetStatistics()
-        self.statistics.journal = journal.statistics if journal else None
         self.commands: Commands = Commands(self)
-        self._pumps: list[Pump] = []
-        # Of outputs that read nothing from the journal.
-        self._live: list[Buffer] = []
-        self._buffers: weakref.WeakSet[Buffer] = weakref.WeakSet()
+        self._receivers = Receivers(outputs, journal, self.statistics)
         self._lines: dict[str, FleetLine] = {}
         self._pollers: dict[str, Poller] = {}
         self._timetable: Timetable[Poller] = Timetable()
@@ -114,8 +103,9 @@ class Fleet:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._timer_at = 0.0
+        # The devices that are still to be polled, if each is polled once.
         self._once: set[str] | None = None
-        self._all_once: asyncio.Event | None = None
+        self._is_over = asyncio.Event()
         # Seconds from the time of the event loop to the time of day when the fleet started:
         # phases are the same on all machines, and setting the clock moves no poll.
         self._wall = 0.0
@@ -155,63 +145,23 @@ class Fleet:
         """
         if once:
             self._once = set(self._devices)
-            self._all_once = asyncio.Event()
         async with self:
-            if not (once and not self._devices):
-                await self._until_over()
+            self._end_if_all_polled()
+            await self._receivers.ended(self._is_over)
 
-    async def _until_over(self) -> None:
-        ends: list[asyncio.Future[Any]] = [
-            asyncio.ensure_future(each.ended()) for each in self._pumps
-        ]
-        event = self._all_once or asyncio.Event()
-        ends.append(asyncio.ensure_future(event.wait()))
-        try:
-            done, _ = await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
-            for each in done:
-                each.result()
-        finally:
-            for each in ends:
-                each.cancel()
-            await asyncio.gather(*ends, return_exceptions=True)
+    def _end_if_all_polled(self) -> None:
+        if self._once is not None and not self._once:
+            self._is_over.set()
 
     async def _start(self) -> None:
         if self._loop is not None:
             raise RuntimeError("this fleet is already polling; make another one")
-        self._describe(self._devices)
-        places = await self._places()
+        self._receivers.describe(self._devices)
+        await self._receivers.start(self.commands)
         self._loop = asyncio.get_running_loop()
         self._wall = time.time() - self._loop.time()
-        names = _unlike(each.name for each in self._outputs)
-        for at, output in enumerate(self._outputs):
-            if isinstance(output, Commanded) and output.takes_commands:
-                output.attach(self.commands)
-            pump = Pump(output, waiting=places.get(at))
-            self.statistics.outputs[names[at]] = pump.statistics
-            self._pumps.append(pump)
-            if isinstance(pump.buffer, Buffer):
-                self._live.append(pump.buffer)
-            pump.start()
         for device in self._devices.values():
             self._begin(device)
-
-    async def _places(self) -> Mapping[int, JournalPlace]:
-        """Open the journal; return the places of the outputs that read from it, by their index."""
-        if self._journal is None:
-            return {}
-        names = _unlike(getattr(each, "identity", each.name) for each in self._outputs)
-        kept = {
-            at: names[at]
-            for at, output in enumerate(self._outputs)
-            if not getattr(output, "is_live", False)
-        }
-        return dict(zip(kept, await self._journal.open([*kept.values()]), strict=True))
-
-    def _describe(self, devices: Mapping[str, DeviceConfig]) -> None:
-        """Pass the devices to the outputs; raise ValueError if one lacks a label."""
-        for output in self._outputs:
-            if isinstance(output, Described):
-                output.describe(devices)
 
     async def _stop(self) -> None:
         if self._timer is not None:
@@ -219,20 +169,10 @@ class Fleet:
             self._timer = None
         for key in list(self._lines):
             self._end_line(key)
-        for buffer in self._buffers:
-            buffer.close()
-        for pump in self._pumps:
-            pump.close(is_patient=self._all_once is not None and self._all_once.is_set())
         try:
-            # A second cancellation ends the outputs at once.
-            await _all([*self._closing, *(pump.task for pump in self._pumps)])
+            await self._receivers.stop(self._closing, is_patient=self._is_over.is_set())
         finally:
-            for pump in self._pumps:
-                pump.task.cancel()
-            self._pumps, self._live = [], []
             self._loop = None
-            if self._journal is not None:
-                await self._journal.close()
 
     # --- devices ------------------------------------------------------------------------------
 
@@ -272,16 +212,16 @@ class Fleet:
         """
         after = {each.name: each for each in checked(devices)}
         before = self._devices
-        if self._loop is not None:
-            try:
-                self._describe(after)
-            except ValueError:
-                self._describe(before)
-                raise
-        self._devices = after
         if self._loop is None:
+            self._devices = after
             return
-        self._tell(self._withdrawn(before, after, passed_on))
+        try:
+            self._receivers.describe(after)
+        except ValueError:
+            self._receivers.describe(before)
+            raise
+        self._devices = after
+        self._receivers.put(self._withdrawn(before, after, passed_on))
         moved = self._moved(after)
         for name, device in before.items():
             if after.get(name) != device or device.connection_key in moved:
@@ -292,6 +232,7 @@ class Fleet:
         used = {each.connection_key for each in after.values()}
         for key in [key for key in self._lines if key not in used]:
             self._end_line(key)
+        self._end_if_all_polled()
 
     def take_back(self) -> None:
         """
@@ -300,7 +241,7 @@ class Fleet:
         """
         now = time.time()
         for poller in self._pollers.values():
-            self._tell(poller.withdrawn(now))
+            self._receivers.put(poller.withdrawn(now))
             self._count(poller.told_state, -1)
             poller.forget()
 
@@ -309,7 +250,7 @@ class Fleet:
         now = time.time()
         for device in devices:
             points = [(name, device.map[name].units) for name in device.names]
-            self._tell(offline(device, points, now))
+            self._receivers.put(offline(device, points, now))
 
     def _withdrawn(
         self,
@@ -342,6 +283,7 @@ class Fleet:
         now = self._loop.time()
         interval = poller.interval
         if self._once is not None:
+            self._once.add(device.name)
             interval = min(interval, len(self._devices) / ONCE_A_SECOND)
         poller.at = first_time(device.name, interval, now, now + self._wall)
         self._put(poller)
@@ -351,6 +293,8 @@ class Fleet:
         if poller is None:
             return
         self._timetable.remove(poller)
+        if self._once is not None:
+            self._once.discard(device.name)
         line = self._lines.get(device.connection_key)
         if line is not None and device.name in line.pollers:
             line.withdraw_device(device.name)
@@ -415,14 +359,12 @@ class Fleet:
         if was_sent:
             now = time.time()
             self._note(poller, now)
-            first = self._journal.next_id if self._journal else 0
-            self._tell(poller.readings(now, first))
+            self._receivers.put(poller.readings(now, self._receivers.next_id))
             if poller.misses:
                 self._let_rest(poller)
         if self._once is not None:
             self._once.discard(poller.name)
-            if not self._once and self._all_once is not None:
-                self._all_once.set()
+            self._end_if_all_polled()
 
     def _note(self, poller: Poller, now: float) -> None:
         statistics = self.statistics
@@ -469,17 +411,6 @@ class Fleet:
 
     # --- readings ----------------------------------------------------------------------------
 
-    def _tell(self, readings: list[Reading]) -> None:
-        if not readings:
-            return
-        self.statistics.readings += len(readings)
-        if self._journal is not None:
-            readings = self._journal.put(readings)
-        for live in self._live:
-            live.put(readings)
-        for buffer in self._buffers:
-            buffer.put(readings)
-
     def readings(self, buffer: int = MOST_KEPT) -> Readings:
         """
         Return the readings from now on, until the fleet stops, for ``async for``.
@@ -491,9 +422,7 @@ class Fleet:
         Raises:
             TypeError, ValueError: `buffer` has the wrong type or range.
         """
-        kept = Buffer(buffer)
-        self._buffers.add(kept)
-        return Readings(kept)
+        return self._receivers.iterate(buffer)
 
     def unknown(self, device: str, point: str) -> str:
         """Return which of two names is unknown, in a sentence; "" if the device has the point."""
@@ -541,45 +470,3 @@ def _value_of(points: RegisterMap, name: str, value: Any) -> Any:
         return json_value(points[name], value)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
-
-
-class Readings(AsyncIterator[Reading]):
-    """
-    An asynchronous iterator over the readings of a fleet.
-
-    Args:
-        buffer: contains the readings that wait.
-    """
-
-    def __init__(self, buffer: Buffer) -> None:
-        self._buffer = buffer
-
-    @property
-    def dropped(self) -> int:
-        """Number of readings dropped because the buffer was full."""
-        return self._buffer.dropped
-
-    def __aiter__(self) -> Self:
-        return self
-
-    async def __anext__(self) -> Reading:
-        while not self._buffer.is_over:
-            if found := await self._buffer.take(1):
-                return found[0]
-        raise StopAsyncIteration
-
-
-async def _all(tasks: Iterable[asyncio.Task[None]]) -> None:
-    """Wait for tasks; their errors are ignored."""
-    with contextlib.suppress(asyncio.InvalidStateError):
-        await asyncio.gather(*tasks, return_exceptions=True)
-
-
-def _unlike(names: Iterable[str]) -> list[str]:
-    """Return names with numbers behind those that others have too."""
-    counts: Counter[str] = Counter()
-    found: list[str] = []
-    for name in names:
-        counts[name] += 1
-        found.append(f"{name} ({counts[name]})" if counts[name] > 1 else name)
-    return found

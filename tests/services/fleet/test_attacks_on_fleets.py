@@ -168,7 +168,7 @@ def test_an_output_that_adds_and_removes_devices_while_it_is_told() -> None:
 
                 async def close(self) -> None: ...
 
-            fleet._outputs.append(Changing())
+            fleet._receivers.outputs.append(Changing())
             async with fleet:
                 await until(lambda: len(one.connections) > 5 and len(two.connections) > 5)
             assert len(fleet.devices) == 0

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -353,6 +354,23 @@ def test_once_polls_each_once_and_ends() -> None:
             told = [each async for each in kept]
             assert Counter(each.quality for each in told) == {"good": 15, "down": 15}
             await Fleet().run(once=True)
+
+    simulated_run(go())
+
+
+@pytest.mark.parametrize("is_replaced", [False, True])
+def test_once_ends_if_what_was_not_polled_yet_is_removed(is_replaced: bool) -> None:
+    async def go() -> None:
+        async with Peer(even) as peer:
+            silent = meter("silent", f"{peer.url}?timeout=50", unit=1)
+            good = meter("good", f"{peer.url}?timeout=50", unit=2)
+            fleet = Fleet([silent, good])
+            polling = asyncio.create_task(fleet.run(once=True))
+            await until(lambda: {1, 2} <= set(peer.units))
+            fleet.replace([replace(good, name="other")] if is_replaced else [good])
+            async with asyncio.timeout(40):
+                await polling
+            assert peer.units.count(2) == 1 + is_replaced
 
     simulated_run(go())
 

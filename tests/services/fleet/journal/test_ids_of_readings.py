@@ -8,9 +8,7 @@ import json
 
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.forms import COLUMNS, as_csv, as_json, payload
-from libmodbus_py.services.fleet.poller import Poller, Reads
 from libmodbus_py.services.workers.stream import _messages
-from tests.services.fleet.fleets import meter
 
 NUMBERED = Reading(100.0, "a", "voltage", 230.5, "V", "good", "", 17)
 DOWN = Reading(100.0, "a", "power", None, "W", "down", "ModbusTimeoutError", 18)
@@ -40,13 +38,3 @@ def test_columns_of_csv_are_the_same_with_a_journal() -> None:
     assert "id" not in COLUMNS
     assert as_csv([NUMBERED]) == as_csv([NUMBERED._replace(id=0)])
     assert len(as_csv([NUMBERED]).decode().split(",")) == len(COLUMNS)
-
-
-def test_readings_of_a_poll_have_ids_in_their_order() -> None:
-    config = meter("a", "tcp://192.0.2.1")
-    poller = Poller(config, Reads(config))
-    for first, ids in ((41, [41, 42, 43]), (0, [0, 0, 0])):
-        poller.forget()
-        poller.begin()
-        poller._answers = [[2305, 5, 20]]
-        assert [each.id for each in poller.readings(100.0, first)] == ids

@@ -151,7 +151,7 @@ def test_who_iterates_no_more_loses_the_oldest() -> None:
                 first = await anext(kept)
             rest = [first, *[each async for each in kept]]
             assert len(rest) == 10
-            assert len(fleet._buffers) == 1
+            assert len(fleet._receivers._iterated) == 1
 
     simulated_run(go())
 

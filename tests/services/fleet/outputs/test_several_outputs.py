@@ -46,7 +46,7 @@ def test_a_file_may_have_several_outputs_of_each_kind(tmp_path: Path) -> None:
             f'{SERVER}database = "a"\nmeasurement = "raw"\n[[output.influx]]\npath = "a.lines"\n',
         )
     )
-    assert len(Fleet(file.devices, outputs=file.made_outputs())._outputs) == 11
+    assert len(Fleet(file.devices, outputs=file.made_outputs())._receivers.outputs) == 11
 
 
 @each_case(
