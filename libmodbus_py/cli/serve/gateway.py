@@ -19,11 +19,10 @@ from ...protocol.logs import HarmlessLogger
 from ...services.gateway import config
 from ...services.gateway.gateway import Gateway
 from ...services.gateway.routes import Route, parse_route
-from ...tools.files.rereading import reread
+from ...tools.files.rereading import compared, reread
 from .. import arguments, logs
 from ..connecting import with_options
 from ..help import VerbatimHelp
-from ..output import counted
 from ..tracing import print_frame
 from . import audit, limits, metrics, page
 from .announcing import announcing
@@ -189,8 +188,9 @@ def _overridden(
 
 def _read_again(gateway: Gateway, path: str, before: config.GatewayFile) -> None:
     def use(file: config.GatewayFile) -> list[str]:
+        earlier, now = ({each.units: each for each in of} for of in (gateway.routes, file.routes))
         gateway.change_routes(file.routes)
-        lines = [f"{path}: {counted(len(file.routes), 'route')}"]
+        lines = [compared(path, "route", earlier, now)]
         if (file.listen, repr(file.options)) != (before.listen, repr(before.options)):
             lines.append(f"{path}: changes that are not routes need a restart of the gateway")
         return lines

@@ -26,10 +26,9 @@ from ...services.fleet.outputs.kinds import KINDS, made
 from ...services.fleet.outputs.last_values import LastValues
 from ...services.fleet.outputs.output import Output, OutputError
 from ...services.fleet.outputs.writer_thread import WriterThread
-from ...services.fleet.statistics import JournalStatistics, OutputStatistics
 from ...services.fleet.trial import Tried, overloads, trying
 from ...system import allow_all_descriptors
-from ...tools.files.rereading import reread
+from ...tools.files.rereading import compared, reread
 from .. import arguments, logs, tracing
 from ..failing import CommandError
 from ..help import VerbatimHelp
@@ -76,8 +75,8 @@ def add_command(commands: Any) -> None:
         "the file. Without an output, readings are printed as lines of JSON, except on\n"
         "a terminal.",
         epilog="The exit code is 0, or 1 if a device did not answer --once or --check, an output\n"
-        "lost readings of --once, a line cannot keep its intervals, or the standard\n"
-        f"output was closed.\n\n{EXAMPLES}",
+        "did not take all readings of --once, a line cannot keep its intervals, or the\n"
+        f"standard output was closed.\n\n{EXAMPLES}",
         formatter_class=VerbatimHelp,
     )
     command.add_argument("file", metavar="FILE", help="fleet file, such as fleet.toml")
@@ -150,19 +149,28 @@ def _start(options: argparse.Namespace, hangup: Hangup) -> int:
             raise CommandError(str(error)) from None
     if not options.once:
         return 0
-    return 1 if _is_anything_lost(fleet) or fleet.statistics.failures else 0
+    return 1 if _is_anything_left(fleet) or fleet.statistics.failures else 0
 
 
-def _is_anything_lost(fleet: Fleet) -> bool:
-    """Print the parts of a fleet that have lost readings, and return True if there is one."""
-    parts = dict[str, OutputStatistics | JournalStatistics](fleet.statistics.outputs)
-    if fleet.statistics.journal is not None:
-        parts["journal"] = fleet.statistics.journal
-    lost = {name: each for name, each in parts.items() if each.dropped}
-    for name, output in lost.items():
-        trouble = f": {output.trouble}" if output.trouble else ""
-        complain(f"{name}: {counted(output.dropped, 'reading')} lost{trouble}")
-    return bool(lost)
+def _is_anything_left(fleet: Fleet) -> bool:
+    """Print which readings outputs did not take, and return True if there are any."""
+    statistics = fleet.statistics
+    lines = [
+        f"{name}: {counted(count, 'reading')} {fate}{_behind(each.trouble)}"
+        for name, each in statistics.outputs.items()
+        for count, fate in ((each.dropped, "lost"), (each.waiting, "wait in the journal"))
+        if count
+    ]
+    if statistics.journal is not None and statistics.journal.dropped:
+        lost = counted(statistics.journal.dropped, "reading")
+        lines.append(f"journal: {lost} lost{_behind(statistics.journal.trouble)}")
+    for line in lines:
+        complain(line)
+    return bool(lines)
+
+
+def _behind(trouble: str) -> str:
+    return f": {trouble}" if trouble else ""
 
 
 def _poll_with_others(
@@ -344,8 +352,10 @@ class Reloading:
             reread(loading.result, self._use, logger.warning)
 
     def _use(self, file: FleetFile) -> list[str]:
+        before = {name: each.config for name, each in self._fleet.devices.items()}
         self._fleet.replace(file.devices)
-        lines = [f"{self._path}: {counted(len(file.devices), 'device')}"]
+        after = {each.name: each for each in file.devices}
+        lines = [compared(self._path, "device", before, after)]
         if (file.outputs, file.journal) != self._kept:
             lines.append(f"{self._path}: its outputs have changed; they are used after a restart")
         return lines
@@ -420,11 +430,11 @@ def _summary(fleet: Fleet, seconds: float) -> str:
         f" {statistics.readings} readings"
     ]
     for name, output in statistics.outputs.items():
-        trouble = f": {output.trouble}" if output.trouble else ""
+        trouble = _behind(output.trouble)
         lines.append(f"{name}: {output.written} written, {output.dropped} dropped{trouble}")
     if statistics.journal is not None:
         journal = statistics.journal
-        trouble = f": {journal.trouble}" if journal.trouble else ""
+        trouble = _behind(journal.trouble)
         waiting = max((each.waiting for each in statistics.outputs.values()), default=0)
         lines.append(
             f"journal: {journal.written} written, {journal.dropped} dropped,"

@@ -97,6 +97,11 @@ class Gateway(Serving):
         self._loop: asyncio.AbstractEventLoop | None = None
         self._closing: set[asyncio.Task[None]] = set()
 
+    @property
+    def routes(self) -> list[Route]:
+        """The lines, and the units that are reached over each."""
+        return list(self._routes)
+
     def change_routes(self, routes: Iterable[Route]) -> None:
         """
         Replace the routes, from any thread.

@@ -69,7 +69,7 @@ def test_hangup_has_the_file_read_again_and_nobody_notices(behind: str, tmp_path
         until(lambda: has(2))
         write("1-300")
         process.send_signal(signal.SIGHUP)
-        assert process.stderr.readline() == f"{path}: 1 route\n"
+        assert process.stderr.readline() == f"{path}: read again, 1 route: 1 new, 1 removed\n"
         said = process.stderr.readline()
         assert said == (
             f"nothing is changed: {path}, line 4: "

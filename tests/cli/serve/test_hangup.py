@@ -28,7 +28,7 @@ FILES = {
 COMMANDS = {
     "serve": (["tcp://127.0.0.1:0", "--device", "serve.toml"], "serve.toml"),
     "gateway": (["--config", "gateway.toml"], "gateway.toml"),
-    "poll": (["poll.toml"], "poll.toml: 1 device"),
+    "poll": (["poll.toml"], "poll.toml: read again, 1 device"),
 }
 
 # Has its standard input for a terminal, as what is started in one has.

@@ -206,7 +206,7 @@ def test_sighup_reads_the_file_again(fleet: Path) -> None:
         assert polling.stderr.readline().startswith("nothing is changed: ")
         fleet.write_text(text.replace('"two"', '"renamed"'))
         polling.send_signal(signal.SIGHUP)
-        assert polling.stderr.readline() == f"{fleet}: 3 devices\n"
+        assert polling.stderr.readline() == f"{fleet}: read again, 3 devices: 1 new, 1 removed\n"
         while json.loads(polling.stdout.readline())["device"] != "renamed":
             pass
         polling.terminate()

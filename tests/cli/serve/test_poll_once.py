@@ -1,5 +1,5 @@
 """
-poll --once: it ends with 1 if an output has lost readings.
+poll --once: it ends with 1 if an output has not taken all readings.
 """
 
 from __future__ import annotations
@@ -51,3 +51,11 @@ def test_nothing_is_lost(fleet: Path) -> None:
         "volts",
         "amperes",
     ]
+
+
+def test_an_output_that_takes_nothing_while_a_journal_keeps_all(fleet: Path) -> None:
+    fleet.write_text(f'journal = "fleet.db"\n{fleet.read_text()}')
+    done = ended("poll", fleet, "--once", "--json", "/nowhere/at/all")
+    assert done.code == 1
+    waiting = "json /nowhere/at/all: 2 readings wait in the journal: /nowhere/at/all: No such file"
+    assert waiting in done.err

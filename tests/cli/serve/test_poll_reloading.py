@@ -101,7 +101,7 @@ def test_it_may_come_while_the_command_starts(command: Started) -> None:
     command.process.stdin.write("\n")
     command.process.stdin.flush()
     command.read()
-    assert command.said() == f"{command.fleet}: 1 device"
+    assert command.said() == f"{command.fleet}: read again, 1 device: no change"
     assert command.polled() == "one"
 
 
@@ -120,9 +120,9 @@ def test_devices_are_polled_while_the_file_is_read(command: Started) -> None:
     assert command.process.stdin is not None
     command.process.stdin.write("\n")
     command.process.stdin.flush()
-    assert command.said() == f"{command.fleet}: 1 device"
+    assert command.said() == f"{command.fleet}: read again, 1 device: 1 new, 1 removed"
     command.read()
-    assert command.said() == f"{command.fleet}: 1 device"
+    assert command.said() == f"{command.fleet}: read again, 1 device: no change"
     while command.polled() != "two":
         pass
 
@@ -142,11 +142,11 @@ def test_outputs_that_have_changed_are_told(command: Started) -> None:
     for _ in range(2):
         command.hang_up()
         command.read()
-        assert command.said() == f"{command.fleet}: 1 device"
+        assert command.said() == f"{command.fleet}: read again, 1 device: no change"
         told = f"{command.fleet}: its outputs have changed; they are used after a restart"
         assert command.said() == told
     command.fleet.write_text(text)
     command.hang_up()
     command.read()
-    assert command.said() == f"{command.fleet}: 1 device"
+    assert command.said() == f"{command.fleet}: read again, 1 device: no change"
     assert not (command.fleet.parent / "readings.csv").exists()
