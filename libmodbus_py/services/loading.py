@@ -5,7 +5,7 @@ Loads files of any kind: register maps, devices, gateways and fleets.
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Callable
+from importlib import import_module
 from os import PathLike, fspath
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
@@ -40,14 +40,14 @@ def load(path: str | PathLike[str]) -> RegisterMap | Simulation | GatewayFile | 
     """
     name = fspath(path)
     if PurePath(name).suffix.lower() in (".csv", ".tsv", ".txt"):
-        return _map(path)  # type: ignore[no-any-return]
+        return _loaded(_LOADERS["point"], path)  # type: ignore[no-any-return]
     try:
         content = read_toml(read_text(path, FileError))
     except FileError:
         raise
     except ValueError as error:
         raise FileError.of(error, FilePlace(name)) from None
-    kinds = {load: None for key in content if (load := _LOADERS.get(key)) is not None}
+    kinds = {_LOADERS[key] for key in content if key in _LOADERS}
     if len(kinds) != 1:
         found = reprlib.repr(list(content))
         reason = (
@@ -55,40 +55,20 @@ def load(path: str | PathLike[str]) -> RegisterMap | Simulation | GatewayFile | 
             f" ({', '.join(_LOADERS)}), not {found}"
         )
         raise FileError((), reason, place=FilePlace(name))
-    (loader,) = kinds
-    return loader(path)  # type: ignore[no-any-return]
+    return _loaded(kinds.pop(), path)  # type: ignore[no-any-return]
 
 
-def _map(path: str | PathLike[str]) -> Any:
-    from ..tools.files.maps.map_file import load_map
-
-    return load_map(path)
-
-
-def _devices(path: str | PathLike[str]) -> Any:
-    from ..tools.simulator import device_file
-
-    return device_file.load(path)
+def _loaded(loader: str, path: str | PathLike[str]) -> Any:
+    module, _, function = loader.partition(":")
+    return getattr(import_module(f"...{module}", __name__), function)(path)
 
 
-def _gateway(path: str | PathLike[str]) -> Any:
-    from .gateway import config
-
-    return config.load(path)
-
-
-def _fleet(path: str | PathLike[str]) -> Any:
-    from .fleet import files
-
-    return files.load(path)
-
-
-_LOADERS: dict[str, Callable[[str | PathLike[str]], Any]] = {
-    "point": _map,
-    "unit": _devices,
-    "route": _gateway,
-    "listen": _gateway,
-    "device": _fleet,
-    "devices": _fleet,
+_LOADERS: dict[str, str] = {
+    "point": "tools.files.maps.map_file:load_map",
+    "unit": "tools.simulator.device_file:load",
+    "route": "services.gateway.config:load",
+    "listen": "services.gateway.config:load",
+    "device": "services.fleet.files:load",
+    "devices": "services.fleet.files:load",
 }
-"""Key at the top level of a TOML file -> the function that loads such a file."""
+"""Key at the top level of a TOML file -> module and function that load such a file."""

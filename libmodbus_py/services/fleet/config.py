@@ -179,35 +179,39 @@ def readable(points: RegisterMap) -> tuple[str, ...]:
     return tuple(name for name, point in points.items() if point.access != "write")
 
 
-def _items(given: object, points: RegisterMap) -> tuple[str, ...]:
+def _names(key: str, given: object, check: Callable[[str], str]) -> tuple[str, ...]:
+    """Return names as a tuple; `check` returns what is wrong with one."""
     if isinstance(given, str) or not isinstance(given, Iterable):
-        raise WrongType("items", f"must be a list of names, not {type(given).__name__}")
-    items = tuple(given)
-    for at, name in enumerate(items):
+        raise WrongType(key, f"must be a list of names, not {type(given).__name__}")
+    names = tuple(given)
+    for at, name in enumerate(names):
+        reason = check(name) or (f"{name!r} is given twice" if name in names[:at] else "")
+        if reason:
+            raise WrongValue.about((key, at), reason)
+    return names
+
+
+def _items(given: object, points: RegisterMap) -> tuple[str, ...]:
+    def check(name: str) -> str:
         if name not in points:
-            reason = f"the map has no {name!r}; it has {_some(points)}"
-            raise WrongValue.about(("items", at), reason)
-        if points[name].access == "write":
-            raise WrongValue.about(("items", at), f"{name!r} can only be written")
-        if name in items[:at]:
-            raise WrongValue.about(("items", at), f"{name!r} is given twice")
+            return f"the map has no {name!r}; it has {_some(points)}"
+        return f"{name!r} can only be written" if points[name].access == "write" else ""
+
+    items = _names("items", given, check)
     if not (items or readable(points)):
         raise WrongValue.about("map", "the map has no point that can be read")
     return items
 
 
 def _groups(given: object, points: RegisterMap) -> tuple[str, ...]:
-    if isinstance(given, str) or not isinstance(given, Iterable):
-        raise WrongType("groups", f"must be a list of names, not {type(given).__name__}")
-    groups = tuple(given)
-    for at, name in enumerate(groups):
+    def check(name: str) -> str:
         try:
             points.group(name)
         except ValueError as error:
-            raise WrongValue.about(("groups", at), str(error)) from None
-        if name in groups[:at]:
-            raise WrongValue.about(("groups", at), f"{name!r} is given twice")
-    return groups
+            return str(error)
+        return ""
+
+    return _names("groups", given, check)
 
 
 def _some(names: Iterable[str], most: int = 8) -> str:

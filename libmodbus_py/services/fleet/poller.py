@@ -4,11 +4,11 @@ One device while it is polled: the requests of a poll, the state of the device, 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Generator, Iterable, Sequence
 from enum import Enum
 from typing import Any
 
-from ...maps.holes import Holes, PartialAnswer, PlanSteps, Unreadable, is_refusal, reading
+from ...maps.holes import Holes, PartialAnswer, Unreadable, is_refusal, reading
 from ...maps.plan import unreadable_of
 from ...maps.point_plan import PointPlan
 from ...maps.watched import PointIntervals, Totals
@@ -114,7 +114,7 @@ class OnePoll:
         self._time = now, connects
         self._answers: list[Any] = []
         self._taken: list[Any] = []
-        self._steps: PlanSteps[list[Any]] | None = None
+        self._steps: Generator[Any, Any, list[Any]] | None = None
         self._requests: Sequence[Any] = plan.requests
         if holes:
             self._requests = self._new_steps(holes)

@@ -124,16 +124,16 @@ class Changes:
             for any change with `on_change`, and for every value without.
     """
 
-    __slots__ = ("_are_good", "_bands", "_last", "_on_change", "_reasons")
+    __slots__ = ("_bands", "_has_errors", "_is_filtering", "_last", "_reasons")
 
     def __init__(self, on_change: bool, bands: Sequence[float | None]) -> None:
-        self._on_change = on_change
-        self._bands = bands if any(band is not None for band in bands) else None
-        self._last: list[Any] | None = None
-        if self._on_change or self._bands:
-            self._last = [None] * len(bands)
+        self._bands = [0.0 if band is None and on_change else band for band in bands]
+        self._is_filtering = any(band is not None for band in self._bands)
+        # What was reported last of each point: a good value, and the reason of an error; None for
+        # the reason before anything was reported.
+        self._last: list[Any] = [None] * len(bands)
         self._reasons: list[str | None] = [None] * len(bands)
-        self._are_good = False
+        self._has_errors = True
 
     def pick(self, values: Sequence[Any], due: Sequence[int] | None = None) -> Sequence[int]:
         """
@@ -143,30 +143,24 @@ class Changes:
             values: of all points.
             due: the indexes of those that were read; None for all.
         """
-        are_good = True not in [isinstance(value, Exception) for value in values]
         indexes = range(len(values)) if due is None else due
-        if self._last is None and are_good and self._are_good:
+        has_errors = any(isinstance(value, Exception) for value in values)
+        if not (has_errors or self._has_errors or self._is_filtering):
             return indexes
         told = [at for at in indexes if self._is_told(at, values[at])]
-        self._are_good = are_good and not any(self._reasons)
+        self._has_errors = has_errors or any(self._reasons)
         return told
 
     def _is_told(self, at: int, value: Any) -> bool:
         reason = reason_of(value) if isinstance(value, Exception) else ""
-        if self._reasons[at] == reason and (reason or not self._is_news(at, value)):
+        before, self._reasons[at] = self._reasons[at], reason
+        if reason:
+            return reason != before
+        band = self._bands[at]
+        if before == "" and band is not None and not _differs(self._last[at], value, band):
             return False
-        self._reasons[at] = reason
-        if self._last is not None and not reason:
-            self._last[at] = value
+        self._last[at] = value
         return True
-
-    def _is_news(self, at: int, value: Any) -> bool:
-        if self._last is None:
-            return True
-        band = None if self._bands is None else self._bands[at]
-        if band is None and not self._on_change:
-            return True
-        return _differs(self._last[at], value, band or 0.0)
 
 
 def _differs(last: Any, value: Any, band: float) -> bool:
