@@ -247,12 +247,14 @@ class SharedLine(ABC, Generic[Each]):
         return True
 
     def drop(self, each: Each) -> bool:
-        """Do not send a request; return False if it was sent, and its outcome is still to come."""
+        """Do not send a request; return False if it was sent already, or is over."""
         if each.submitted is None:
-            return self.remove(each)
-        if not each.submitted.send_no_more():
+            if not self.remove(each):
+                return False
+        elif each.submitted.send_no_more():
+            self._end(each)
+        else:
             return False
-        self._end(each)
         self._go_on_soon()
         return True
 
@@ -260,12 +262,12 @@ class SharedLine(ABC, Generic[Each]):
         """Forget a request, in whatever state it is."""
         if each.submitted is None:
             self.remove(each)
-            return
-        if each in self._done:
-            self._done.remove(each)
         else:
-            each.submitted.withdraw()
-        self._end(each)
+            if each in self._done:
+                self._done.remove(each)
+            else:
+                each.submitted.withdraw()
+            self._end(each)
         self._go_on_soon()
 
     def remove(self, each: Each) -> bool:

@@ -11,30 +11,8 @@ import pytest
 from libmodbus_py import Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig, Reading
 from libmodbus_py.services.fleet.buffer import Buffer
-from libmodbus_py.services.fleet.statistics import LATENESS_BOUNDS, FleetStatistics
 from libmodbus_py.tools.files.csv_text import CELLS
 from tests.support.cases import each_case
-
-
-def test_polls_are_counted_by_how_late_they_began() -> None:
-    statistics = FleetStatistics()
-    for late in (0.0, 0.001, 0.0011, 0.005, 1.0, 5.0, 5.1):
-        statistics.note_start(late)
-    assert statistics.lateness == [2, 2, 0, 0, 0, 0, 0, 0, 1, 1, 1]
-    assert statistics.late_seconds == pytest.approx(11.1071)
-    assert statistics.within(0.001) == 2 / 7
-    assert statistics.within(0.005) == 4 / 7
-    assert statistics.within(0.5) == 4 / 7
-    assert statistics.within(LATENESS_BOUNDS[-1]) == 6 / 7
-    assert FleetStatistics().within(1.0) == 0.0
-
-
-def test_the_worst_is_of_the_time_since_it_was_asked_for() -> None:
-    statistics = FleetStatistics()
-    for late in (0.1, 0.3, 0.2):
-        statistics.note_start(late)
-    assert statistics.take_worst() == 0.3
-    assert statistics.take_worst() == 0.0
 
 
 @pytest.mark.parametrize("most", [1, 10_000_000])

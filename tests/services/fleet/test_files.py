@@ -417,17 +417,3 @@ def test_other_text_is_refused(text: str) -> None:
 def test_bad_device_is_named(keys: Any, named: str) -> None:
     with pytest.raises((TypeError, ValueError), match=named):
         DeviceConfig(**{"name": "a", "url": "tcp://h", "map": METER, **keys})
-
-
-@pytest.mark.parametrize(
-    ("one", "other"),
-    [
-        ("tcp://192.0.2.1", "tcp://192.0.2.1:502"),
-        ("rtu:///dev/ttyUSB0", "ascii:///dev/ttyUSB0"),
-        ("rtu:///dev/ttyUSB0", "rtu:///dev/../dev//ttyUSB0"),
-        ("tcp://[::1]", "tcp://[::1]:502?timeout=3"),
-    ],
-)
-def test_one_place_is_one_connection(one: str, other: str) -> None:
-    assert meter("a", one).connection_key == meter("b", other).connection_key
-    assert meter("a", one).connection_key != meter("b", "tcp://192.0.2.9").connection_key

@@ -7,7 +7,6 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from dataclasses import replace
-from itertools import pairwise
 
 import pytest
 
@@ -16,12 +15,10 @@ from libmodbus_py import (
     Fleet,
     IllegalDataAddress,
     Mapping,
-    ModbusConnectionError,
     Point,
     RegisterMap,
     Server,
 )
-from libmodbus_py.services.fleet import poller
 from libmodbus_py.services.fleet.poller import DeviceState
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.services.fleet.fleets import (
@@ -72,24 +69,6 @@ def test_units_of_a_place_share_a_connection() -> None:
             async with polling(*devices, meter("other", other.url)):
                 await until(lambda: set(one.units) == set(range(1, 21)) and other.requests)
                 assert len(one.connections) == len(other.connections) == 1
-
-    simulated_run(go())
-
-
-def test_a_poll_with_several_requests_is_not_torn() -> None:
-    """Twenty units of a line, each with three requests: one follows the other."""
-    far = RegisterMap([Point(f"p{at}", "holding_registers", 100 * at) for at in range(3)])
-
-    async def go() -> None:
-        async with Peer() as peer:
-            url = f"{peer.url}?max_in_flight=1"
-            devices = [meter(f"{unit}", url, unit=unit, map=far) for unit in range(1, 21)]
-            async with polling(*devices):
-                await until(lambda: len(peer.requests) > 150)
-            for at in range(0, 150, 3):
-                three = peer.requests[at : at + 3]
-                assert [each[8:10] for each in three] == [b"\0\0", b"\0\x64", b"\0\xc8"]
-                assert len({each[6] for each in three}) == 1
 
     simulated_run(go())
 
@@ -165,31 +144,6 @@ def test_fifty_dead_units_on_a_gateway_cost_the_others_nothing() -> None:
     simulated_run(go())
 
 
-def test_a_dead_unit_on_a_line_costs_others_an_answer() -> None:
-    """Not its timeout, which is two seconds."""
-
-    async def go() -> None:
-        units = {1: simulated(), 3: simulated()}
-        url = "rtu:///dev/line?baudrate=115200"
-        async with (
-            Server(units).serving(url),
-            polling(*(meter(f"{unit}", f"{url}&timeout=2", unit=unit) for unit in (1, 2, 3))) as (
-                fleet,
-                _,
-            ),
-        ):
-            await until(lambda: fleet.statistics.down == 1 and fleet.statistics.up == 2)
-            polls = fleet.statistics.polls
-            await until(lambda: fleet.statistics.polls > polls + 4)  # who waited for the first
-            tries = fleet.statistics.failures
-            fleet.statistics.take_worst()
-            await until(lambda: fleet.statistics.failures >= tries + 3)
-            # As long as an answer of the others takes, and the silence after it.
-            assert fleet.statistics.take_worst() < 0.1
-
-    simulated_run(go())
-
-
 def test_real_connections_are_polled() -> None:
     """Over TCP, and on a line with a unit that is not there."""
 
@@ -218,80 +172,7 @@ def test_real_connections_are_polled() -> None:
     asyncio.run(asyncio.wait_for(go(), 60))
 
 
-def test_who_is_back_is_told_and_polled_as_before() -> None:
-    async def go() -> None:
-        is_there = True
-
-        async def answer(request: bytes) -> bytes | None:
-            return await good(request) if is_there else None
-
-        async with Peer(answer) as peer:
-            device = meter("a", f"{peer.url}?timeout=0.05", items=("power",))
-            async with polling(device) as (fleet, readings):
-                await until(lambda: len(readings) >= 3)
-                is_there = False
-                await until(lambda: readings[-1].quality == "down")
-                assert readings[-1][2:7] == ("power", None, "W", "down", "ModbusTimeoutError")
-                before = len(readings)
-                await until(lambda: fleet.devices["a"].misses >= 3)
-                # It rests for 0.4 s then, not 0.1.
-                assert fleet.devices["a"].at - asyncio.get_running_loop().time() > 0.15
-                assert len(readings) == before
-                is_there = True
-                await until(lambda: len(readings) >= before + 3)
-                assert {each.quality for each in readings[before:]} == {"good"}
-                assert fleet.statistics.up == 1
-                assert fleet.statistics.down == 0
-
-    simulated_run(go())
-
-
-def test_a_connection_that_is_back_ends_the_rest_of_all_on_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Nineteen rest for a thousand seconds; one is tried, and has them all polled."""
-
-    def rest(misses: int, interval: float, longest: float) -> float:
-        return 0.1 if interval < 0.15 else 1000.0
-
-    monkeypatch.setattr(poller, "rest_after", rest)
-
-    async def go() -> None:
-        async with Peer() as peer:
-            port = peer.port
-        url = f"tcp://127.0.0.1:{port}?max_pause=0.1"
-        devices = [meter(f"{unit}", url, unit=unit, interval=0.2) for unit in range(2, 21)]
-        async with polling(meter("1", url), *devices) as (fleet, _):
-            await until(lambda: fleet.statistics.down == 20)
-            assert isinstance(fleet.devices["1"].error, ModbusConnectionError)
-            server = Server({unit: simulated() for unit in range(1, 21)})
-            async with server.serving(f"tcp://127.0.0.1:{port}"):
-                await until(lambda: fleet.statistics.up == 20)
-
-    simulated_run(go())
-
-
 # --- what is late --------------------------------------------------------------------------
-
-
-def test_late_polls_are_skipped_never_piled_up() -> None:
-    async def go() -> None:
-        waiting = most = 0
-
-        async def slow(request: bytes) -> bytes:
-            nonlocal waiting, most
-            waiting += 1
-            most = max(most, waiting)
-            await asyncio.sleep(0.25)
-            waiting -= 1
-            return await good(request)
-
-        async with Peer(slow) as peer, polling(meter("a", peer.url, interval=0.05)) as (fleet, _):
-            await until(lambda: fleet.statistics.polls >= 4)
-            assert most == 1
-            assert fleet.statistics.skipped >= 8
-
-    simulated_run(go())
 
 
 def test_a_loop_that_stood_still_skips_and_counts() -> None:
@@ -306,19 +187,6 @@ def test_a_loop_that_stood_still_skips_and_counts() -> None:
                 # Ten devices each missed nine or ten, and are polled once for all of them.
                 assert 60 <= fleet.statistics.skipped - before <= 200
                 assert fleet.statistics.take_worst() > 0.5
-
-    simulated_run(go())
-
-
-def test_a_device_rests_between_its_requests() -> None:
-    far = RegisterMap([Point(f"p{at}", "holding_registers", 100 * at) for at in range(3)])
-
-    async def go() -> None:
-        async with Peer() as peer, polling(meter("a", peer.url, map=far, spacing=0.05)):
-            await until(lambda: len(peer.times) > 6)
-        rests = [after - before for before, after in pairwise(peer.times)]
-        # From the end of an answer on, which takes twice the way here: 0.2 ms.
-        assert min(rests) == pytest.approx(0.0504)
 
     simulated_run(go())
 

@@ -58,24 +58,6 @@ def test_each_poll_counts_once(name: str) -> None:
     plant.run(main, plant.device(1, interval=interval, **points), may_ask=given.get("may_ask"))
 
 
-def test_a_device_that_gives_no_answer_is_down_until_it_does() -> None:
-    plant = Plant()
-    plant.silent = {1}
-
-    async def main() -> None:
-        await asyncio.sleep(2 * INTERVAL)
-        statistics = plant.fleet.statistics
-        assert (statistics.up, statistics.down) == (0, 1)
-        assert statistics.failures == statistics.polls > 0
-        assert statistics.readings == statistics.polls  # that there is no value, and why
-        plant.silent.clear()
-        await asyncio.sleep(5 * INTERVAL)
-        assert (statistics.up, statistics.down) == (1, 0)
-        assert statistics.polls > statistics.failures
-
-    plant.run(main, plant.device(1))
-
-
 def test_a_poll_is_as_late_as_the_one_before_it_takes() -> None:
     plant = Plant()
     plant.delay = 0.2

@@ -106,6 +106,7 @@ SAME = [
     ("udp://[2001:DB8::A]", "udp://[2001:db8:0:0::a]:502"),
     ("tcp://PLC.example", "tcp://plc.example:502"),
     ("rtu:///dev/../dev/ttyS0", "rtu:///dev/ttyS0"),
+    ("rtu:///dev/ttyS0", "ascii:///dev/ttyS0"),
 ]
 
 

@@ -16,12 +16,10 @@ import pytest
 from libmodbus_py import (
     Context,
     Device,
-    ExceptionResponse,
     Gateway,
     GatewayTargetFailedToRespond,
     Limits,
     Mapping,
-    ModbusConnectionError,
     Route,
     Server,
 )
@@ -156,29 +154,6 @@ def test_bytes_on_a_line_that_are_no_frame_cost_that_request_only(stage: Stage) 
                 assert context.read_holding_registers(0, 1) == [0]
         stage.pass_time(1)
         assert through.gateway.statistics.bad_frames > 0
-
-
-def test_a_hook_that_raises_is_an_exception_and_one_that_ends_ends_it() -> None:
-    raised: list[BaseException] = [RuntimeError("no"), KeyError("x"), SystemExit(3)]
-
-    def authorize(asked: object) -> bool:
-        raise raised.pop(0)
-
-    def use(device: str) -> None:
-        gateway = Gateway([Route(device)], authorize=authorize)
-        with (
-            gateway.background("tcp://127.0.0.1:0") as running,
-            Context.from_url(running.urls[0], unit=1, timeout=2) as context,
-        ):
-            for _ in range(2):
-                with pytest.raises(ExceptionResponse) as seen:
-                    context.read_holding_registers(0, 1)
-                assert seen.value.code == 4
-            with pytest.raises(ModbusConnectionError):
-                context.read_holding_registers(0, 1)
-
-    with Server({1: small()}).background("tcp://127.0.0.1:0") as behind, pytest.raises(SystemExit):
-        use(behind.urls[0])
 
 
 def where(descriptor: str) -> str:

@@ -120,24 +120,6 @@ def test_mistakes_are_told_with_file_line_and_key(tmp_path: Path, name: str) -> 
     assert said in str(seen.value)
 
 
-def test_a_line_that_leads_back_is_seen_by_device_and_port(tmp_path: Path) -> None:
-    (tmp_path / "port").symlink_to("/dev/null")
-    for listen, to in (
-        ("rtu:///dev/null", f"rtu://{tmp_path / 'port'}?timeout=2"),
-        ("udp://[::]:1502", "udp://127.0.0.1:1502"),
-        ("tls://127.0.0.1:802", "tcp://127.0.0.1:802"),
-        ("rtu+tcp://0.0.0.0:1502", "tcp://127.0.0.5:1502"),
-    ):
-        with pytest.raises(config.GatewayFileError, match="the gateway itself listens"):
-            config.parse(f'listen = ["{listen}"]\n[[route]]\nto = "{to}"\n')
-    for listen, to in (
-        ("udp://0.0.0.0:1502", "tcp://127.0.0.1:1502"),
-        ("tcp://127.0.0.1:1502", "tcp://127.0.0.1:1503"),
-        ("tcp://0.0.0.0:1502", "tcp://192.0.2.1:1502"),
-    ):
-        config.parse(f'listen = ["{listen}"]\n[[route]]\nto = "{to}"\n')
-
-
 @pytest.mark.parametrize(
     ("text", "ways"),
     [

@@ -16,7 +16,7 @@ from libmodbus_py import (
     Server,
 )
 from libmodbus_py.ports.trace import Traced
-from tests.services.gateway.gates import LINE, READ_ONE, adu, gateway, numbered, small
+from tests.services.gateway.gates import LINE, READ_ONE, adu, gated, gateway, numbered, small
 from tests.simulation.stage import Stage
 from tests.support.gateways import passage
 
@@ -172,3 +172,16 @@ def test_a_rule_that_ends_the_program_ends_it(stage: Stage, error: type[BaseExce
 
     with pytest.raises(error):
         ask()
+
+
+@pytest.mark.parametrize(("writes_first", "place"), [(True, 1), (False, 6)])
+def test_writes_overtake_reads_where_they_may(stage: Stage, writes_first: bool, place: int) -> None:
+    with (
+        gated(stage, writes_first=writes_first) as (gate, line, url),
+        stage.talk(url) as client,
+    ):
+        client.sendall(adu(READ_ONE) * 6 + adu(bytes.fromhex("06 0000 0001"), 9))
+        assert stage.until(lambda: line.waiting == 6)
+        gate.open()
+        client.receive(6 * 11 + 12)
+        assert gate.kinds.index("write") == place

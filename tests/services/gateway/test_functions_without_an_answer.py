@@ -34,29 +34,6 @@ class Choosy(Plant):
             super()._answer(request, write)
 
 
-@pytest.mark.parametrize("url", ["rtu:///dev/line?timeout=0.5", "tcp://10.0.0.1"])
-def test_a_client_that_asks_an_unknown_function_costs_others_no_read(url: str) -> None:
-    plant = Choosy(url, {8})
-
-    async def main() -> None:
-        reader, asker = Asker("192.0.2.1"), Asker("192.0.2.2")
-        plant.ask(9, reader)
-        for step in range(200):
-            await asyncio.sleep(0.1)
-            plant.ask(9, reader)
-            if step % 10 == 0:
-                plant.ask(9, asker, UNKNOWN)
-        await asyncio.sleep(3 * TIMEOUT)
-        assert len(reader.answers) == 201
-        assert [each for each in reader.answers if each is None or each[:4] != "0302"] == []
-        assert set(asker.answers) == {f"88{NO_ANSWER:02x}", f"code {NO_ANSWER}"}
-        # Its rest is doubled each time: 1, 2, 4, ... seconds.
-        assert 3 <= plant.asked.count(-8) <= 6
-        assert not plant.unit(9).is_silent
-
-    plant.run(main)
-
-
 def test_a_unit_that_answers_nothing_rests(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, logger="libmodbus_py.services.gateway")
     plant = Choosy("rtu:///dev/line?timeout=0.5", set())

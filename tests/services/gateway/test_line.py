@@ -168,6 +168,7 @@ class TestWhoIsGone:
             assert (second.answers, third.answers) == ([], [answer_of(2, 2)])
             assert plant.line.statistics.unwanted == 1
             assert joined.asker is None
+            assert joined.first is None  # nothing holds requests together that were answered
 
         plant.run(main)
 

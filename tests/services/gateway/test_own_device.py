@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from dataclasses import fields
 from typing import Any
 
 import pytest
@@ -61,14 +60,6 @@ def run(main: Callable[[Trial], None]) -> None:
 
 def words(*numbers: int) -> list[int]:
     return [word for number in numbers for word in divmod(number, 0x10000)]
-
-
-def test_nothing_is_counted_at_first() -> None:
-    for statistics in (GatewayStatistics(), UnitStatistics()):
-        found = [getattr(statistics, each.name) for each in fields(statistics)]
-        assert not any(found)
-    line = LineStatistics("url", Statistics())
-    assert not any(getattr(line, name) for name in ("waiting", "in_flight", "full", "unwanted"))
 
 
 def test_the_gateway_comes_first() -> None:

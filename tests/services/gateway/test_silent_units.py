@@ -39,14 +39,6 @@ def test_requests_that_were_in_flight_with_it_do_not_make_it_rest_longer() -> No
     assert units.state(3, 3, 1.0) is DUE
 
 
-def test_a_trial_that_was_not_made_leaves_it_due() -> None:
-    units = SilentUnits(1.0)
-    units.note_silence(3, 3, 0.0)
-    units.start_trial(3, 3)
-    units.cancel_trial(3, 3, 1.5)
-    assert units.state(3, 3, 1.5) is DUE
-
-
 def test_a_function_rests_alone_while_the_unit_answers_others() -> None:
     units = SilentUnits(1.0)
     assert not units.note_answer(7, 3)

@@ -12,7 +12,7 @@ from libmodbus_py import Context, Route, Server
 from libmodbus_py.serve import AuditEvent
 from libmodbus_py.services.gateway.line import GatewayLine
 from tests.services.gateway.gates import LINE, adu, gated, gateway, small
-from tests.services.gateway.test_line import READ, TIMEOUT, Asker, Plant, answer_of
+from tests.services.gateway.test_line import Asker, Plant, answer_of
 from tests.simulation.stage import Stage
 
 WRITE_ALL = bytes.fromhex("06 0001 0007")
@@ -181,17 +181,3 @@ def test_a_gateway_has_ended_when_all_its_lines_are_closed(
         stage.pass_time(1)
         assert closed == []
     assert sorted(closed) == lines
-
-
-def test_a_request_for_an_end_that_came_is_told_so() -> None:
-    plant = Plant()
-
-    async def main() -> None:
-        await plant.line.close()
-        late = Asker()
-        plant.ask(1, late, READ)
-        assert late.answers == ["code 11"]
-        await asyncio.sleep(2 * TIMEOUT)
-        assert plant.asked == []
-
-    plant.run(main)
