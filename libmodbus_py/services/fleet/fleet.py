@@ -296,7 +296,7 @@ class Fleet:
         if self._once is not None:
             self._once.discard(device.name)
         line = self._lines.get(device.connection_key)
-        if line is not None and device.name in line.pollers:
+        if line is not None:
             line.withdraw_device(device.name)
         self._count(poller.state, -1)
         self.statistics.devices -= 1

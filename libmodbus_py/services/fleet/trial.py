@@ -5,7 +5,7 @@ Checks before a fleet runs: which devices answer, and which serial lines are ove
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Iterable, Sequence
+from collections.abc import AsyncGenerator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 __all__ = ["Overload", "Tried", "overloads", "trying"]
 
-# Connections that are tried at the same time.
 MOST_AT_ONCE = 64
+"""Connections that are tried at the same time."""
 
-# Serial line, 2.5.1.1: frames are this many characters apart.
 SILENCE = 3.5
+"""Characters between two frames of RTU (serial line, 2.5.1.1)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ def overloads(devices: Iterable[DeviceConfig]) -> list[Overload]:
             continue
         shares = [share for device in group for share in _shares(device)]
         shortest = min(interval for interval, _ in shares)
-        needed = sum(_seconds(*of) * shortest / interval for interval, of in shares)
+        needed = sum(seconds * shortest / interval for interval, seconds in shares)
         if needed > shortest:
             found.append(Overload(endpoint.url, _port(endpoint).baudrate, needed, shortest))
     return found
@@ -91,56 +91,43 @@ def _port(endpoint: Endpoint) -> SerialPort:
     return SerialPort(endpoint.path, **endpoint.serial_settings)
 
 
-def _shares(device: DeviceConfig) -> list[tuple[float, tuple[DeviceConfig, list[str]]]]:
-    """Return the intervals of the points of a device, with the names that each has."""
+def _shares(device: DeviceConfig) -> Iterator[tuple[float, float]]:
+    """Yield the intervals of the points of a device, and the seconds of a poll of each."""
     names: dict[float, list[str]] = {}
     for name in device.names:
         own = device.map[name].interval
         names.setdefault(device.interval if own is None else own, []).append(name)
-    return [(interval, (device, some)) for interval, some in names.items()]
+    for interval, some in names.items():
+        yield interval, _seconds(device, some)
 
 
 def _seconds(device: DeviceConfig, names: list[str]) -> float:
     """Return the seconds of a poll on a serial line: characters, and silence between frames."""
     endpoint = device.endpoint
-    character = _port(endpoint).character
     framer = make_framer(endpoint.framing, "client")
     silence = SILENCE if endpoint.framing == "rtu" else 0.0
-    sizes = [
-        len(framer.encode(Frame(device.unit, pdu))) + silence
-        for request in device.plan(names).requests
-        for pdu in (request.encode(), request.encode_response([0] * _count(request)))
+    requests: Sequence[Any] = device.plan(names).requests
+    pdus = [
+        pdu for each in requests for pdu in (each.encode(), each.encode_response([0] * each.count))
     ]
-    return sum(sizes) * character
-
-
-def _count(request: Any) -> int:
-    count: int = request.count
-    return count
+    characters = sum(len(framer.encode(Frame(device.unit, pdu))) + silence for pdu in pdus)
+    return characters * _port(endpoint).character
 
 
 async def trying(devices: Sequence[DeviceConfig]) -> AsyncGenerator[Tried, None]:
     """Poll each device once, those of a line one after the other; yield results as they come."""
-    found: asyncio.Queue[Tried | BaseException] = asyncio.Queue()
-
-    def note_end(task: asyncio.Task[None]) -> None:
-        if not task.cancelled() and (error := task.exception()) is not None:
-            found.put_nowait(error)
-
+    found: asyncio.Queue[Tried | Exception] = asyncio.Queue()
     free = asyncio.Semaphore(MOST_AT_ONCE)
     tasks = [
         asyncio.create_task(_try_line(group, free, found))
         for group in by_connection(devices).values()
     ]
-    for task in tasks:
-        task.add_done_callback(note_end)
     try:
         for _ in devices:
             result = await found.get()
-            if isinstance(result, BaseException):
+            if isinstance(result, Exception):
                 raise result  # a defect, after which no more results of its line come
             yield result
-        await asyncio.gather(*tasks)
     finally:
         for task in tasks:
             task.cancel()
@@ -150,13 +137,15 @@ async def trying(devices: Sequence[DeviceConfig]) -> AsyncGenerator[Tried, None]
 async def _try_line(
     devices: list[DeviceConfig],
     free: asyncio.Semaphore,
-    found: asyncio.Queue[Tried | BaseException],
+    found: asyncio.Queue[Tried | Exception],
 ) -> None:
     async with free:
         client = AsyncClient(devices[0].endpoint.url)
         try:
             for device in devices:
                 found.put_nowait(await _try(client, device))
+        except Exception as error:
+            found.put_nowait(error)
         finally:
             await client.close()
 
