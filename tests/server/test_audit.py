@@ -39,20 +39,11 @@ from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.serve import Allow, Audit, AuditEvent, AuditFile
 from tests.support import certificates
 from tests.support.certificates import Identity, Papers
+from tests.support.events import Events
 from tests.support.peers import until
 from tests.support.tls import TlsClient, context, serving
 
 TRANSPORTS = ("tcp", "rtu+tcp", "ascii+tcp", "udp")
-
-
-class Events(list[AuditEvent]):
-    """The events of peers, and in `own` those of the server itself."""
-
-    def __init__(self) -> None:
-        self.own: list[AuditEvent] = []
-
-    def append(self, event: AuditEvent) -> None:
-        (super() if event.peer else self.own).append(event)
 
 
 @pytest.fixture

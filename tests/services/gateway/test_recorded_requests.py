@@ -20,21 +20,22 @@ from libmodbus_py import (
     IllegalFunction,
     Rules,
 )
-from libmodbus_py.serve import Allow, AuditEvent
+from libmodbus_py.serve import Allow
 from tests.services.gateway.gates import READ_ONE, adu, gated, small
 from tests.simulation.stage import Stage
+from tests.support.events import Events
 from tests.support.gateways import passage
 
 WRITE = bytes.fromhex("06 0001 0007")
 
 
 @pytest.fixture
-def events() -> list[AuditEvent]:
-    return []
+def events() -> Events:
+    return Events()
 
 
 @contextlib.contextmanager
-def recorded(stage: Stage, events: list[AuditEvent], **options: Any) -> Iterator[Context]:
+def recorded(stage: Stage, events: Events, **options: Any) -> Iterator[Context]:
     """Return a client of unit 1 behind a gateway, which appends what it records to `events`."""
     with (
         passage(
@@ -51,11 +52,11 @@ def recorded(stage: Stage, events: list[AuditEvent], **options: Any) -> Iterator
         yield context
 
 
-def told(events: list[AuditEvent]) -> list[tuple[str, int | None, int | None, str]]:
+def told(events: Events) -> list[tuple[str, int | None, int | None, str]]:
     return [(each.event, each.unit, each.function, each.result) for each in events]
 
 
-def test_a_write_is_recorded_with_its_outcome(stage: Stage, events: list[AuditEvent]) -> None:
+def test_a_write_is_recorded_with_its_outcome(stage: Stage, events: Events) -> None:
     with recorded(stage, events) as context:
         context.write_register(0, 5)
         with pytest.raises(GatewayTargetFailedToRespond):
@@ -73,9 +74,7 @@ def test_a_write_is_recorded_with_its_outcome(stage: Stage, events: list[AuditEv
     ]
 
 
-def test_reads_are_recorded_that_a_rule_refuses_and_no_others(
-    stage: Stage, events: list[AuditEvent]
-) -> None:
+def test_reads_are_recorded_that_a_rule_refuses_and_no_others(stage: Stage, events: Events) -> None:
     rules = Rules({None: Allow(read=[Access("holding_registers", 0, 100)])})
     with recorded(stage, events, authorize=rules) as context:
         context.read_holding_registers(0, 1)
@@ -92,9 +91,7 @@ def test_reads_are_recorded_that_a_rule_refuses_and_no_others(
     assert told(events) == [("refused", 1, 1, refused), ("write", 1, 6, refused)]
 
 
-def test_a_write_whose_client_is_gone_is_recorded_once(
-    stage: Stage, events: list[AuditEvent]
-) -> None:
+def test_a_write_whose_client_is_gone_is_recorded_once(stage: Stage, events: Events) -> None:
     """While it waits, and after it was sent."""
     with gated(stage, audit=events.append) as (gate, _, url):
         with stage.talk(url) as first, stage.talk(url) as second:

@@ -9,7 +9,6 @@ import asyncio
 import pytest
 
 from libmodbus_py import Context, Route, Server
-from libmodbus_py.serve import AuditEvent
 from libmodbus_py.services.gateway.line import GatewayLine
 from tests.services.gateway.gates import LINE, adu, gated, gateway, small
 from tests.services.gateway.test_line import Asker, Plant, answer_of
@@ -133,7 +132,7 @@ def test_a_unit_that_had_most_of_the_timeout_is_silent(monkeypatch: pytest.Monke
 
 
 def test_a_client_that_is_gone_has_its_broadcast_recorded_once(stage: Stage) -> None:
-    events: list[AuditEvent] = []
+    events = Events()
     with gated(stage, audit=events.append) as (gate, _, url):
         with stage.talk(url) as other, stage.talk(url) as client:
             other.sendall(adu(bytes.fromhex("03 0000 0001")))
