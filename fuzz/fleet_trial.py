@@ -29,7 +29,7 @@ from fuzz.nats_servers import NatsServers, Way
 from libmodbus_py.services.engine.buckets import open_bucket
 from libmodbus_py.services.engine.connection import connected
 from libmodbus_py.services.engine.errors import EngineGone
-from libmodbus_py.services.workers.polling import BUCKET
+from libmodbus_py.services.workers.records import BUCKET
 from libmodbus_py.services.workers.status import fleet_status
 
 INTERVAL = 2.0

@@ -18,6 +18,7 @@ from libmodbus_py.protocol.errors import InvalidResponse
 from libmodbus_py.protocol.framing import Frame
 from libmodbus_py.services.gateway.silent_units import SilentUnits, UnitState
 from libmodbus_py.services.line import FairQueue
+from libmodbus_py.services.workers.decisions import _Deciding
 from libmodbus_py.services.workers.worker import Worker
 
 from .world import Options
@@ -130,7 +131,7 @@ BREAKS: tuple[Break, ...] = (
     Break(
         "who waits for the end of another worker's lease looks at it then",
         ("workers",),
-        lambda: patch.object(Worker, "_is_before", lambda self, at, now: now < at),
+        lambda: patch.object(_Deciding, "has_passed", lambda self, at: self.now >= at),
     ),
     Break(
         "a resting unit is not asked",

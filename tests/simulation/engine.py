@@ -24,7 +24,7 @@ from nats.js import api
 
 from libmodbus_py.services.engine.buckets import Bucket
 from libmodbus_py.services.engine.connection import PAUSE, TIMEOUT
-from libmodbus_py.services.workers.polling import BUCKET
+from libmodbus_py.services.workers.records import BUCKET
 from libmodbus_py.services.workers.view import Entry
 
 from .network import Network

@@ -24,9 +24,9 @@ from ...services.fleet.fleet import Fleet
 from ...services.fleet.journal.errors import JournalError
 from ...services.fleet.journal.journal import Journal
 from ...services.fleet.outputs.output import Output
-from ...services.workers.polling import BUCKET, Polling
+from ...services.workers.polling import Polling
 from ...services.workers.pushing import Pushed, changes, connections_of, push, seen_now
-from ...services.workers.records import Connection, FleetSettings, in_key
+from ...services.workers.records import BUCKET, Connection, FleetSettings, in_key
 from ...services.workers.status import fleet_status, tables
 from .. import arguments
 from ..failing import CommandError

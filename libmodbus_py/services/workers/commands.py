@@ -1,25 +1,32 @@
 """
-Commands to write points. The worker that polls the device answers them; if no worker polls it,
-another worker answers.
+Commands to write points, which one of the workers answers.
+
+The worker that polls the device carries it out, while its lease is valid. Commands to devices that
+do not exist, or whose slots have no worker, are refused by the worker with the lowest id. Commands
+to the devices of a worker that has just died are not answered: it may have carried them out.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import re
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from ..fleet.commands import Commands, encoded, wanted_of
 from ..tasks import end_tasks
+from .records import Connection
 from .stream import WRITE, asked_about, written
+from .worker import Worker
 
 if TYPE_CHECKING:
     from nats.aio.client import Client
     from nats.aio.msg import Msg
     from nats.aio.subscription import Subscription
 
-__all__ = ["CommandService"]
+__all__ = ["CommandService", "Locations"]
 
 # Outcomes are sent only to inboxes: _INBOX.ID, inboxes with a prefix that a client has chosen, and
 # those that servers make between accounts and clusters. A worker may publish to $JS.API and $KV; a
@@ -52,7 +59,7 @@ class CommandService:
     async def begin(self) -> None:
         """Subscribe to commands. The client subscribes again after each reconnection."""
         self._is_open = True
-        self._subscription = await self._client.subscribe(f"{WRITE}.*.*", cb=self._note)
+        self._subscription = await self._client.subscribe(f"{WRITE}.*.*", cb=self._receive)
 
     def stop(self) -> None:
         """Carry out no more commands, not even those that were already received."""
@@ -69,7 +76,7 @@ class CommandService:
             with contextlib.suppress(Exception):
                 await subscription.unsubscribe()
 
-    async def _note(self, message: Msg) -> None:
+    async def _receive(self, message: Msg) -> None:
         if self._is_open and len(self._tasks) < MOST_WAITING:
             task = asyncio.create_task(self._answer(message))
             self._tasks.add(task)
@@ -87,3 +94,55 @@ class CommandService:
             if _INBOX.fullmatch(message.reply):
                 await self._client.publish(message.reply, data)
             await self._client.publish(written(*names), data)
+
+
+class Locations:
+    """
+    Finds the worker that answers commands to devices that this worker does not poll.
+
+    Args:
+        worker: its view of the bucket is searched.
+    """
+
+    def __init__(self, worker: Worker) -> None:
+        self._worker = worker
+        # The connection of each device, as of this revision.
+        self._connections: dict[str, Connection] = {}
+        self._as_of = -1
+
+    def refusal(self, device: str, now: float) -> str:
+        """
+        Return the reason to refuse a command to a device that this worker does not poll; "" if
+        another worker answers the command, or none does.
+        """
+        worker = self._worker
+        if not worker.is_first(now):
+            return ""
+        connection = self._connection_of(device)
+        if connection is None:
+            return f"there is no device {device!r}"
+        holder = worker.view.holder(connection.slot)
+        if holder is None or holder.state == "ended" or worker.is_mine(connection.slot):
+            return f"no worker polls {device!r} now"
+        return ""
+
+    def _connection_of(self, device: str) -> Connection | None:
+        view = self._worker.view
+        if self._as_of != view.last_touched:
+            self._as_of = view.last_touched
+            self._connections = {
+                name: connection
+                for connection in view.connections
+                for name in _names(connection.devices)
+            }
+        return self._connections.get(device)
+
+
+def _names(devices: str) -> Iterator[str]:
+    """Yield the names of devices in JSON, which any program may have written to the bucket."""
+    found = json.loads(devices)
+    listed = found.get("devices") if isinstance(found, dict) else None
+    for each in listed if isinstance(listed, list) else ():
+        name = each.get("name") if isinstance(each, dict) else None
+        if isinstance(name, str):
+            yield name

@@ -1,5 +1,5 @@
 """
-Runs a worker: carries out the decisions of `worker` with a clock, a bucket and a fleet.
+Runs a worker: carries out its decisions with a clock, a bucket and a fleet.
 """
 
 from __future__ import annotations
@@ -10,57 +10,50 @@ import os
 import re
 import secrets
 import socket
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ...protocol.logs import HarmlessLogger
 from ...system import boot_time
-from ..engine.buckets import Bucket, Change, Watch
+from ..engine.buckets import Bucket, Change
 from ..engine.errors import EngineError, what
-from ..fleet.config import DeviceConfig, checked, devices_from_json
+from ..fleet.config import DeviceConfig
 from ..fleet.fleet import Fleet
 from ..fleet.journal.journal import Journal
 from ..fleet.outputs.output import Output
 from ..tasks import end_tasks
-from .commands import CommandService
-from .lease import OWN_PART
-from .locations import Locations
+from .commands import CommandService, Locations
+from .decisions import step
+from .pushing import devices_of
 from .records import Connection, FleetSettings
 from .stream import Stream
-from .unserved import Unserved
 from .view import Entry
-from .worker import Put, Worker
+from .worker import OWN_PART, Put, Worker
 
 if TYPE_CHECKING:
     from nats.aio.client import Client
 
-__all__ = ["BUCKET", "Polling", "clock"]
+__all__ = ["Polling"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-BUCKET = "modbus-fleet"
-
 # The precision of timers: a fraction of a lease, but at most so many seconds.
-EXACTNESS, COARSEST = 0.01, 0.1
+EXACTNESS, COARSEST_S = 0.01, 0.1
 
 # No timer is set for more seconds than this.
-LONGEST_PAUSE = 60.0
+LONGEST_PAUSE_S = 60.0
 
 # The most writes that may be pending; the worker repeats those that are left out.
 MOST_WRITES = 512
 
 # Seconds before the bucket is watched again.
-PAUSE = 0.25
+PAUSE_S = 0.25
 
 # Seconds within which the whole bucket must arrive, and a leaving worker must announce its end.
-TIMEOUT = 3.0
+TIMEOUT_S = 3.0
 
 # Seconds before the same line is logged again.
-SAID_AGAIN = 60.0
-
-
-clock = boot_time
-"""The clock for leases, which also advances while the machine is suspended."""
+SAID_AGAIN_S = 60.0
 
 
 class Polling:
@@ -75,7 +68,8 @@ class Polling:
         zones: zones whose devices this worker polls, besides devices without a zone.
         outputs: outputs that get all readings, besides the stream of NATS.
         journal: keeps the readings on the disk of this machine; None for no journal.
-        clock: returns the time in seconds, for leases.
+        clock: returns the time in seconds, for leases; by default that of the clock that also
+            advances while the machine is suspended.
     """
 
     def __init__(
@@ -88,7 +82,7 @@ class Polling:
         zones: Collection[str] = (),
         outputs: Sequence[Output] = (),
         journal: Journal | None = None,
-        clock: Callable[[], float] = clock,
+        clock: Callable[[], float] = boot_time,
     ) -> None:
         self.now: Callable[[], float] = clock
         self._client = client
@@ -99,30 +93,30 @@ class Polling:
         self.fleet: Fleet = Fleet(
             outputs=[results, *outputs], journal=journal, may_ask=self._may_ask
         )
+        self._locations = Locations(self.worker)
         self.fleet.commands.refusal = self._refusal
         self._service = CommandService(client, self.fleet.commands)
         self._takes_commands = settings.commands
         self._switched = asyncio.Event()
-        # Set when a step is due before the planned time.
+        # Set when a decision is due before the planned time.
         self._woken = asyncio.Event()
         self._planned = math.inf
-        # Set when the watch may have to be replaced.
+        # Set when the bucket must be watched anew; and whether the whole of it has arrived.
         self._doubted = asyncio.Event()
+        self._is_whole = False
         self._closed = asyncio.Event()
-        self._is_unsettled = False
         self._has_ended = False
         self._late: asyncio.TimerHandle | None = None
-        self._active: dict[str, Connection] = {}
-        self._connections: dict[str, Connection] = {}
+        self._active: Mapping[str, Connection] = {}
         self._devices: dict[str, list[DeviceConfig]] = {}
+        # The keys of the connections that were reported "offline" because no worker polls them.
+        self._unserved: set[str] = set()
         self._writes: set[asyncio.Task[None]] = set()
-        self._told: dict[str, float] = {}
+        self._said: dict[str, float] = {}
         self._was_valid = True
-        self._polls = 0
-        self._polls_at = self.now()
+        # The number of polls at a time, and the rate up to then.
+        self._polls: tuple[int, float] = 0, self.now()
         self._rate = 0.0
-        self._locations = Locations(self.worker)
-        self._unserved = Unserved(self.worker)
 
     def _new_id(self) -> str:
         return f"{self._name}.{secrets.token_hex(4)}"
@@ -142,16 +136,14 @@ class Polling:
             JournalError: the journal cannot be used.
             OutputError: an output failed and cannot be opened again.
         """
-        tasks = [
-            asyncio.create_task(each())
-            for each in (
-                self.fleet.run,
-                self._keep_watching,
-                self._keep_turning,
-                self._keep_listening,
-                self._until_closed,
-            )
-        ]
+        parts = (
+            self.fleet.run,
+            self._keep_watching,
+            self._keep_deciding,
+            self._keep_listening,
+            self._until_closed,
+        )
+        tasks = [asyncio.create_task(part()) for part in parts]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -167,7 +159,7 @@ class Polling:
         """Stop polling, announce it to the other workers, and end within three seconds."""
         self.worker.leave()
         self._woken.set()
-        self._late = asyncio.get_running_loop().call_later(TIMEOUT, self._end)
+        self._late = asyncio.get_running_loop().call_later(TIMEOUT_S, self._end)
 
     async def _until_closed(self) -> None:
         await self._closed.wait()
@@ -181,47 +173,48 @@ class Polling:
         """Watch the bucket anew, because the connection was lost, established or closed."""
         if self._client.is_closed:
             self._closed.set()
-        self._is_unsettled = True
         self._doubted.set()
 
     # --- the bucket ----------------------------------------------------------------------------
 
     async def _keep_watching(self) -> None:
         while True:
-            self._is_unsettled = False
+            self._is_whole = False
+            self._doubted.clear()
             try:
-                watch = await self._bucket.watch(_Told(self), self._doubted.set)
-                await self._until_useless(watch)
+                watch = await self._bucket.watch(self._receiver(), self._doubted.set)
+                timer = asyncio.get_running_loop().call_later(TIMEOUT_S, self._demand_whole)
+                try:
+                    await self._doubted.wait()
+                finally:
+                    timer.cancel()
+                    await watch.end()
             except EngineError as error:
                 self._say(f"the engine: {error}")
-            await asyncio.sleep(PAUSE)
+            await asyncio.sleep(PAUSE_S)
 
-    async def _until_useless(self, watch: Watch) -> None:
-        """Wait until a watch must be replaced, then end it."""
-        timer = asyncio.get_running_loop().call_later(TIMEOUT, self._demand_all)
-        try:
-            while not (watch.is_broken or self._is_unsettled or self.worker.is_blind(self.now())):
-                self._doubted.clear()
-                await self._doubted.wait()
-        finally:
-            timer.cancel()
-            await watch.end()
+    def _receiver(self) -> Callable[[Change | None], None]:
+        """Return what a watch calls: the first change begins a snapshot, None ends it."""
+        has_begun = False
 
-    def _demand_all(self) -> None:
-        if self.worker.is_reading:
-            self.engine_changed()
+        def receive(change: Change | None) -> None:
+            nonlocal has_begun
+            if not has_begun:
+                has_begun = True
+                self.worker.begins()
+            if change is None:
+                self._is_whole = True
+                self.worker.is_synced(self.now())
+            else:
+                self.worker.saw(Entry(*change), self.now())
+            self._follow_settings()
+            self._look()
 
-    def changed(self, entry: Entry) -> None:
-        """Process a change of the bucket."""
-        self.worker.saw(entry, self.now())
-        self._follow_settings()
-        self._look()
+        return receive
 
-    def synced(self) -> None:
-        """Process the end of the snapshot: the whole bucket has arrived."""
-        self.worker.is_synced(self.now())
-        self._follow_settings()
-        self._look()
+    def _demand_whole(self) -> None:
+        if not self._is_whole:
+            self._doubted.set()
 
     def _follow_settings(self) -> None:
         settings = self.worker.view.settings
@@ -242,35 +235,34 @@ class Polling:
                 await self._switched.wait()
             except Exception as error:
                 self._say(f"commands: {what(error)}")
-                await asyncio.sleep(PAUSE)
+                await asyncio.sleep(PAUSE_S)
 
-    def _look(self) -> None:
-        """Wake `_keep_turning` if a step is due before the planned time."""
-        if self.worker.due < self._planned:
-            self._woken.set()
+    # --- decisions ------------------------------------------------------------------------------
 
-    async def _keep_turning(self) -> None:
+    async def _keep_deciding(self) -> None:
         while not (self.worker.left or self._has_ended):
-            now = self.now()
-            puts = self.worker.step(now, self._report)
+            decision = step(self.worker, self.now(), self._report())
             # First, because other workers may poll a connection as soon as its slot is written.
-            self._poll()
-            for put in puts:
+            self._poll(decision.active)
+            for put in decision.puts:
                 self._write(put)
-            self._tell_of_lease()
-            for connection in self._unserved.found(now):
-                self.fleet.report_offline(self._read(connection))
-            if self.worker.is_blind(now):
+            self._log_lease()
+            self._report_unserved(decision.unserved)
+            if decision.is_blind and self._is_whole:
                 self._doubted.set()
             await self._until_due()
 
+    def _look(self) -> None:
+        """Wake `_keep_deciding` if a decision is due before the planned time."""
+        if self.worker.due < self._planned:
+            self._woken.set()
+
     async def _until_due(self) -> None:
-        """Wait until a step of the worker is due."""
         loop, settings = asyncio.get_running_loop(), self.worker.view.settings
-        shortest = min(COARSEST, EXACTNESS * settings.lease if settings else COARSEST)
+        shortest = min(COARSEST_S, EXACTNESS * settings.lease if settings else COARSEST_S)
         while True:
             now = self.now()
-            pause = min(LONGEST_PAUSE, max(shortest, self.worker.due - now))
+            pause = min(LONGEST_PAUSE_S, max(shortest, self.worker.due - now))
             self._planned = now + pause
             timer = loop.call_later(pause, self._woken.set)
             try:
@@ -290,30 +282,25 @@ class Polling:
     async def _written(self, put: Put) -> None:
         try:
             revision = await self._bucket.put(put.key, put.value, put.last)
+        except EngineError as error:
+            self._say(f"the engine: {error}")
+        else:
             if revision:
                 self.worker.was_written(put, revision)
                 self._look()
-        except EngineError as error:
-            self._say(f"the engine: {error}")
 
     # --- devices --------------------------------------------------------------------------------
 
-    def _poll(self) -> None:
+    def _poll(self, active: Mapping[str, Connection]) -> None:
         """Set the devices of the fleet to those of the active connections."""
-        active = self.worker.active
-        if active is self._active:
+        if active == self._active:
             return
+        self._devices = {
+            key: self._devices[key] if self._active.get(key) == each else self._read(each)
+            for key, each in active.items()
+        }
         self._active = active
-        devices: dict[str, list[DeviceConfig]] = {}
-        for key, connection in active.items():
-            known = self._connections.get(key)
-            if known == connection and key in self._devices:
-                devices[key] = self._devices[key]
-            else:
-                devices[key] = self._read(connection)
-        self._connections = dict(active)
-        self._devices = devices
-        self.fleet.replace(self._named_once(devices), passed_on=self._passed_on())
+        self.fleet.replace(self._named_once(), passed_on=self._passed_on())
 
     def _passed_on(self) -> set[str]:
         """Return the connections that other workers can poll."""
@@ -321,46 +308,60 @@ class Polling:
         zones = {
             zone
             for member in view.members.values()
-            if member.id != me and self.worker.is_heard(member, now)
+            if member.id != me and view.is_heard(member, now)
             for zone in member.zones
         }
         return {each.key for each in view.connections if each.zone in zones}
 
-    def _named_once(self, devices: dict[str, list[DeviceConfig]]) -> list[DeviceConfig]:
+    def _named_once(self) -> list[DeviceConfig]:
         """Return the devices; of those with one name, only the first connection's are kept."""
         names: dict[str, str] = {}
-        for key, group in devices.items():
+        found: list[DeviceConfig] = []
+        for key, group in self._devices.items():
             for each in group:
-                if names.setdefault(each.name, key) != key:
+                if names.setdefault(each.name, key) == key:
+                    found.append(each)
+                else:
                     self._say(
                         f"{key}: device {each.name!r} is not polled, because"
                         f" {names[each.name]} has a device of the same name"
                     )
-        return [each for key, group in devices.items() for each in group if names[each.name] == key]
+        return found
 
     def _read(self, connection: Connection) -> list[DeviceConfig]:
         try:
-            devices = devices_from_json(connection.devices)
-            if any(each.connection_key != connection.key for each in devices):
-                raise ValueError("a device belongs to another connection")
-            checked(devices)
-        except Exception as error:
+            return devices_of(connection)
+        except ValueError as error:
             # No record may stop a worker: others would take over the connection, and stop as well.
-            self._say(f"{connection.key}: its devices in the bucket are invalid: {error}")
+            self._say(str(error))
             return []
-        return devices
+
+    def _report_unserved(self, connections: Sequence[Connection]) -> None:
+        """Report the devices of connections that no worker polls "offline", each once."""
+        for each in connections:
+            if each.key not in self._unserved:
+                self.fleet.report_offline(self._read(each))
+        self._unserved = {each.key for each in connections}
+
+    def _refusal(self, device: str) -> str | None:
+        """Return the refusal of a command, as `Commands` needs it."""
+        if device not in self.fleet.devices:
+            return self._locations.refusal(device, self.now())
+        # After its lease, another worker may have carried out the same command.
+        return None if self.worker.may_poll(self.now()) else ""
 
     def _report(self) -> dict[str, Any]:
         statistics, now = self.fleet.statistics, self.now()
-        if now - self._polls_at >= 1.0:
-            self._rate = (statistics.polls - self._polls) / (now - self._polls_at)
-            self._polls, self._polls_at = statistics.polls, now
+        polls, at = self._polls
+        if now - at >= 1.0:
+            self._rate = (statistics.polls - polls) / (now - at)
+            self._polls = statistics.polls, now
         outputs = {
             name: {"waiting": each.waiting, "dropped": each.dropped}
             for name, each in statistics.outputs.items()
         }
         return {
-            "connections": len(self._connections),
+            "connections": len(self._active),
             "devices": statistics.devices,
             "up": statistics.up,
             "down": statistics.down,
@@ -370,17 +371,12 @@ class Polling:
             "outputs": outputs,
         }
 
-    def _refusal(self, device: str) -> str | None:
-        """Return the refusal of a command, as `Commands` needs it."""
-        if device in self.fleet.devices:
-            return None
-        return self._locations.refusal(device, self.now())
-
     # --- log ------------------------------------------------------------------------------------
 
-    def _tell_of_lease(self) -> None:
-        is_valid = self.now() < self.worker.lease.until
-        if is_valid != self._was_valid and self.worker.lease.joined:
+    def _log_lease(self) -> None:
+        lease = self.worker.lease
+        is_valid = self.now() < lease.until
+        if is_valid != self._was_valid and lease.joined:
             self._was_valid = is_valid
             if is_valid:
                 logger.warning("%s: the lease is valid again", self._name)
@@ -392,40 +388,16 @@ class Polling:
 
     def _take_back(self) -> None:
         """Report the devices as "offline", unless other workers may poll them already."""
-        settings, lease = self.worker.view.settings, self.worker.lease
-        if settings is None or settings.on_engine_loss == "continue":
-            return
-        if self.now() < lease.until + (1.0 - OWN_PART) * settings.lease:
+        now, settings, lease = self.now(), self.worker.view.settings, self.worker.lease
+        is_early = settings is not None and now < lease.until + (1.0 - OWN_PART) * settings.lease
+        if is_early and not self.worker.may_poll(now):
             self.fleet.take_back()
 
     def _say(self, text: str) -> None:
         """Log a line, unless it was logged within the last minute."""
         now = self.now()
-        if now > self._told.get(text, -SAID_AGAIN) + SAID_AGAIN:
-            if len(self._told) > 100:
-                self._told.clear()
-            self._told[text] = now
+        if now > self._said.get(text, -math.inf) + SAID_AGAIN_S:
+            if len(self._said) > 100:
+                self._said.clear()
+            self._said[text] = now
             logger.warning("%s", text)
-
-
-class _Told:
-    """
-    Passes the changes of a watch to a worker. The first change begins a snapshot.
-
-    Args:
-        polling: runs the worker.
-    """
-
-    def __init__(self, polling: Polling) -> None:
-        self._polling = polling
-        self._has_begun = False
-
-    def __call__(self, change: Change | None) -> None:
-        worker = self._polling.worker
-        if not self._has_begun:
-            self._has_begun = True
-            worker.begins()
-        if change is None:
-            self._polling.synced()
-        else:
-            self._polling.changed(Entry(*change))

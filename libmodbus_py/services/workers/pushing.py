@@ -1,5 +1,5 @@
 """
-Writes a fleet file to the bucket; only records that differ are written.
+Devices as records of the bucket, and back; a push writes those of a fleet file that differ.
 """
 
 from __future__ import annotations
@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, NamedTuple
 from ...client.options import CheckedOptions
 from ..engine.buckets import Bucket
 from ..engine.errors import EngineError, EngineGone
-from ..fleet.config import DeviceConfig, by_connection, devices_to_json
+from ..fleet.config import (
+    DeviceConfig,
+    by_connection,
+    checked,
+    devices_from_json,
+    devices_to_json,
+)
 from .records import SETTINGS, Connection, FleetSettings, in_key
 from .view import BucketView, Entry
 from .worker import Put
@@ -19,7 +25,7 @@ from .worker import Put
 if TYPE_CHECKING:
     from ..engine.buckets import Change
 
-__all__ = ["Pushed", "changes", "connections_of", "push", "seen_now"]
+__all__ = ["Pushed", "changes", "connections_of", "devices_of", "push", "seen_now"]
 
 # The most attempts while other programs change the bucket at the same time.
 MOST_TRIES = 5
@@ -70,6 +76,23 @@ def _connection(key: str, devices: list[DeviceConfig], lease: float) -> Connecti
             f" {timeout / LONGEST_ANSWER:.3g} s or more, not {lease:g}"
         )
     return Connection(first.zone, key, timeout, devices_to_json(devices))
+
+
+def devices_of(connection: Connection) -> list[DeviceConfig]:
+    """
+    Return the devices of a connection, which any program may have written to the bucket.
+
+    Raises:
+        ValueError: they cannot be read, or do not belong to this connection.
+    """
+    try:
+        devices = devices_from_json(connection.devices)
+        if any(each.connection_key != connection.key for each in devices):
+            raise ValueError("a device belongs to another connection")
+        return checked(devices)
+    except Exception as error:
+        text = f"{connection.key}: its devices in the bucket are invalid: {error}"
+        raise ValueError(text) from None
 
 
 def changes(

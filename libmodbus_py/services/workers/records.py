@@ -16,6 +16,7 @@ import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal, NamedTuple, get_args
 
 from ...protocol.checks import number
@@ -23,6 +24,7 @@ from ...protocol.json_text import SORTED_JSON, json_text
 from ..fleet.engine_table import LONGEST_LEASE, SHORTEST_LEASE, OnLoss
 
 __all__ = [
+    "BUCKET",
     "SETTINGS",
     "Connection",
     "FleetSettings",
@@ -37,6 +39,9 @@ __all__ = [
     "in_key",
     "slot_of",
 ]
+
+BUCKET = "modbus-fleet"
+"""The name of the bucket."""
 
 FORMAT = 1
 """The version of the format of all records. A bucket with another version is refused."""
@@ -127,7 +132,7 @@ class Connection:
     def bucket_key(self) -> str:
         return f"connection.{in_key(self.zone)}.{digest_of(self.key)}"
 
-    @property
+    @cached_property
     def slot(self) -> Slot:
         return slot_of(self.zone, digest_of(self.key))
 

@@ -21,7 +21,10 @@ from .records import (
     slot_of,
 )
 
-__all__ = ["BucketView", "Entry", "Seen"]
+__all__ = ["HEARD_PART", "BucketView", "Entry"]
+
+HEARD_PART = 0.5
+"""The fraction of a lease for which a worker that has renewed it counts as heard."""
 
 
 class Entry(NamedTuple):
@@ -65,6 +68,8 @@ class BucketView:
         unreadable: the keys with invalid values, each with the reason. Their previous values
             are forgotten.
         changes: the number of changes, without those that only renew the lease of a worker.
+        since: the time at which the view was complete.
+        longest_lease: the longest lease that any worker ever had, in seconds.
     """
 
     def __init__(self) -> None:
@@ -82,6 +87,8 @@ class BucketView:
         self.last_touched: int = 0
         self._in_slot: Counter[Slot] = Counter()
         self.changes: int = 0
+        self.since: float = float("inf")
+        self.longest_lease: float = 0.0
 
     def add(self, entry: Entry, at: float) -> bool:
         """
@@ -103,8 +110,16 @@ class BucketView:
         self.changes += known is None or member is None or not member.is_as(known)
         return True
 
-    def keep_times(self, before: BucketView, at: float) -> None:
-        """Take over the times of changes from the view that this one replaces."""
+    def is_older_than(self, other: BucketView) -> bool:
+        """Return True if this is the view of another bucket, or of one that lost changes."""
+        return self.revision < other.revision
+
+    def follow(self, before: BucketView, at: float) -> None:
+        """Replace another view at this time; keep what that one knows about the same bucket."""
+        self.since = at
+        self.longest_lease = max(self.longest_lease, before.longest_lease)
+        if self.is_older_than(before):
+            return
         for key, seen in before.seen.items():
             mine = self.seen.get(key)
             if mine is None:
@@ -119,6 +134,14 @@ class BucketView:
             if name not in self.members and member.state != "ended":
                 self.vanished[name] = at
         self.vanished = {**before.vanished, **self.vanished}
+
+    def heard_until(self, member: Member) -> float:
+        """Return the time at which a worker is not heard any more unless it renews its lease."""
+        return self.seen_at(member.bucket_key).at + member.lease * HEARD_PART
+
+    def is_heard(self, member: Member, now: float) -> bool:
+        """Return True if a worker has renewed its lease recently, and has not ended."""
+        return member.state != "ended" and now < self.heard_until(member)
 
     @property
     def connections(self) -> Iterator[Connection]:
@@ -183,8 +206,10 @@ class BucketView:
             return
         if isinstance(record, FleetSettings):
             self.settings = record
+            self.longest_lease = max(self.longest_lease, record.lease)
         elif isinstance(record, Member):
             self.members[record.id] = record
+            self.longest_lease = max(self.longest_lease, record.lease)
             self.vanished.pop(record.id, None)
         elif isinstance(record, Connection):
             digest = key.rpartition(".")[2]

@@ -1,57 +1,21 @@
 """
-The decisions of a worker: its lease, its slots, and the connections that it may poll. It uses
-neither sockets nor clocks: the caller passes the changes that were seen, and the time, and gets
-the values to write.
-
-Why no two workers poll one connection
---------------------------------------
-Workers know about each other only from the bucket, whose changes all of them see in the same
-order. A write succeeds only if its key has not changed.
-
-* A worker holds its slots while its lease is valid. It counts the lease from just before it sent
-  the value that it then saw, or that was confirmed, and uses `OWN_PART` of it, less the timeout of
-  the device. Other workers count the lease from when they saw the value, and wait for `OTHERS_PART`
-  of it before they write that the worker has ended. Each uses its own clock, which may be wrong by
-  7 %. This write succeeds only if the value is still the one that they saw. The worker itself, if
-  it still runs, sees the write, and begins anew with another id.
-* A slot passes to another worker when its holder writes so, after closing its connections, or when
-  it is recorded, by the holder or by another worker, that the holder has ended. A slot without a
-  known holder may be held by a worker whose key was deleted: it is taken after the longest lease.
-* A connection that appears in a slot may have been in another slot before. It is polled when all
-  workers have acknowledged the revision with which it appeared. The same holds for a slot whose
-  holder changed in any other way: because another program wrote to the bucket, or because the
-  bucket lost confirmed writes.
+The knowledge of a worker: the bucket as it sees it, its lease, and its own writes. It uses neither
+sockets nor clocks: the caller passes what was seen, and the time.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import replace
-from typing import Any, NamedTuple
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import NamedTuple
 
-from .lease import AGAIN, OTHERS_PART, Lease
-from .records import Connection, Member, Slot, State, encode_holder
-from .sharing import share
-from .view import BucketView, Entry
+from .records import Connection, Slot
+from .view import HEARD_PART, BucketView, Entry
 
-__all__ = ["Put", "Worker"]
+__all__ = ["OWN_PART", "Decision", "Lease", "Put", "Worker"]
 
-# The fraction of a lease after which a worker that has not renewed it gets no slots.
-FRESH = 0.5
-
-# The fraction of a lease after which a worker that does not see its own values reads the bucket
-# again.
-BLIND = 0.3
-
-# The time after which the bucket is read again, in leases: no change reports that a key was purged.
-READ_AGAIN = 60
-
-# Failed attempts to write a key after which the bucket is read again.
-MOST_TRIES = 3
-
-# Seconds for which ended workers stay in the bucket, for `fleet status`.
-REMEMBERED = 60.0
+OWN_PART = 0.9
+"""The fraction of a lease that its holder uses, counted from just before it sent the renewal."""
 
 
 class Put(NamedTuple):
@@ -71,6 +35,87 @@ class Put(NamedTuple):
     beat: int = 0
 
 
+class Attempt(NamedTuple):
+    """A write whose success was not seen yet: the `last` of it, when it was sent, and how often."""
+
+    last: int
+    at: float
+    tries: int
+
+
+class Decision(NamedTuple):
+    """
+    The connections that a worker polls now, and its writes.
+
+    Attributes:
+        active: the connections that it polls, by their keys. Polling of others must have stopped
+            before anything is written.
+        puts: what it writes into the bucket.
+        due: the time of the next decision, unless something changes.
+        is_eager: True if even a value that only renews the lease of a worker may change something.
+        is_blind: True if changes may be missing, so that the bucket should be read again.
+        unserved: connections that no worker has polled for long. Only one worker finds any.
+    """
+
+    active: Mapping[str, Connection]
+    puts: Sequence[Put] = ()
+    due: float = math.inf
+    is_eager: bool = True
+    is_blind: bool = False
+    unserved: Sequence[Connection] = ()
+
+
+class Lease:
+    """
+    The lease of a worker, as the worker itself counts it. Each confirmed value extends it.
+
+    Args:
+        id: the id of the worker, which no worker must have used before.
+
+    Attributes:
+        until: the time at which the lease expires.
+        joined: True once a value of this worker was seen in the bucket.
+        revision: the revision of the last confirmed value.
+        beat, sent_at: the number and the time of the last value that was sent.
+    """
+
+    def __init__(self, id: str) -> None:
+        self.id = id
+        self.key: str = f"worker.{id}"
+        self.until: float = -math.inf
+        self.joined: bool = False
+        self.revision: int = 0
+        self.beat: int = 0
+        self.sent_at: float = -math.inf
+        # By number of each unconfirmed value: when it was sent, and the length of the lease.
+        self._sent: dict[int, tuple[float, float]] = {}
+
+    def sends(self, beat: int, length: float, now: float) -> None:
+        """Count a value that is sent now."""
+        self.beat, self.sent_at = beat, now
+        # Older values cannot extend the lease any more.
+        self._sent = {
+            each: (at, lease) for each, (at, lease) in self._sent.items() if now < at + lease
+        }
+        self._sent[beat] = now, length
+
+    def came_back(self, beat: int) -> None:
+        """Extend the lease, because this value was seen in the bucket."""
+        self.joined = True
+        self._extend(beat)
+
+    def is_confirmed(self, beat: int, revision: int) -> None:
+        """Apply the revision of a written value; extend the lease if this worker has joined."""
+        self.revision = max(self.revision, revision)
+        if self.joined:
+            self._extend(beat)
+
+    def _extend(self, beat: int) -> None:
+        if beat in self._sent:
+            sent, length = self._sent[beat]
+            self.until = max(self.until, sent + length * OWN_PART)
+
+
 class Worker:
     """
     One of the workers that share the connections of a fleet.
@@ -82,34 +127,33 @@ class Worker:
     Attributes:
         view: the known contents of the bucket.
         lease: the lease of this worker.
-        active: the connections that it polls since the last step, by their keys.
-        waiting: keys of connections that other workers have not acknowledged yet.
+        active: the connections that it polls since the last decision, by their keys.
+        attempts: its writes whose success was not seen yet, by key.
+        hears_since: since when it has seen its own values without a gap: the silence of other
+            workers counts only from then.
+        is_leaving: True after `leave`.
         left: True once it has ended after `leave`.
-        due: the time at which the next `step` may decide something. Changes of the bucket and
-            confirmed writes may lower it.
+        due: the time of the next decision; minus infinity after something changed.
     """
 
     def __init__(self, new_id: Callable[[], str], zones: Collection[str]) -> None:
         self.view: BucketView = BucketView()
+        self.zones: tuple[str, ...] = tuple(sorted(zones))
+        self.hears_since: float = -math.inf
+        self.is_leaving: bool = False
         self.left: bool = False
-        self.due: float = -math.inf
         self._new_id = new_id
-        self._zones = tuple(sorted(zones))
         self._snapshot: BucketView | None = None
-        # When the last snapshot of the bucket was complete.
-        self._since = math.inf
-        # When it last saw its own value, and since when it has seen its values without a gap: the
-        # silence of other workers counts only from then.
-        self._heard_at = self._hears_since = -math.inf
-        self._longest_lease = 0.0
-        self._leaving = False
-        self._goes_on = False
-        # The last result of `_shared`, after all that it depends on.
-        self._shared_before: tuple[tuple[Any, ...], dict[Slot, str]] | None = None
-        self._silent: set[str] = set()
-        self.active: dict[str, Connection] = {}
-        self.waiting: set[str] = set()
+        self._heard_at = -math.inf
         self._join()
+
+    def _join(self) -> None:
+        """Begin anew with another id, without slots."""
+        self.lease: Lease = Lease(self._new_id())
+        self.active: Mapping[str, Connection] = {}
+        self.attempts: dict[str, Attempt] = {}
+        self.due: float = -math.inf
+        self._is_eager = True
 
     # Input
 
@@ -124,316 +168,95 @@ class Worker:
             return
         changes = self.view.changes
         if self.view.add(entry, now):
-            self._is_old |= not entry.key.startswith("worker.")
             self._follow_own_record()
             if entry.key == self.lease.key:
-                self._hear(now)
-                self._was_heard()
-            if self.view.changes != changes or self._awaits(entry.key):
-                self._due_at(-math.inf)
+                if now > self._heard_at + self.view.longest_lease * HEARD_PART:
+                    self.hears_since = now
+                self._heard_at = now
+            if self._is_eager or self.view.changes != changes:
+                self.due = -math.inf
 
     def is_synced(self, now: float) -> None:
         """End the snapshot; later changes are new ones."""
         if self._snapshot is None:
             return
-        view, before, self._snapshot = self._snapshot, self.view, None
-        self.view = view
-        if view.revision < before.revision:
+        before, self.view, self._snapshot = self.view, self._snapshot, None
+        if self.view.is_older_than(before):
             # This is another bucket, or it has lost confirmed writes.
             self._join()
-        else:
-            view.keep_times(before, now)
-        self._is_old = True
-        self._since = now
-        self._tries = 0
-        self._asked.clear()
+        self.view.follow(before, now)
+        # What was written in vain is written again at once, and handed-over slots stay closed.
+        self.attempts = {
+            key: Attempt(each.last, -math.inf, 0)
+            for key, each in self.attempts.items()
+            if each.last == self.view.seen_at(key).revision
+        }
         self._follow_own_record()
-        self._due_at(-math.inf)
+        self.due = -math.inf
 
     def was_written(self, put: Put, revision: int) -> None:
         """
         Apply the confirmation of a write. It extends the lease even if this worker sees no changes,
         because it proves that no other worker had recorded the end of this one.
         """
-        if put.beat and put.key == self.lease.key and not self._leaving:
+        if put.beat and put.key == self.lease.key and not self.is_leaving:
             self.lease.is_confirmed(put.beat, revision)
-            self._was_heard()
+            if self._is_eager:
+                self.due = -math.inf
+
+    def decided(self, decision: Decision, now: float) -> None:
+        """Remember a decision that is carried out now."""
+        self.active, self.due, self._is_eager = decision.active, decision.due, decision.is_eager
+        for put in decision.puts:
+            if put.beat:
+                assert self.view.settings is not None
+                self.lease.sends(put.beat, self.view.settings.lease, now)
+            else:
+                known = self.attempts.get(put.key)
+                tries = known.tries if known and known.last == put.last else 0
+                self.attempts[put.key] = Attempt(put.last, now, tries + 1)
 
     def leave(self) -> None:
-        """Stop polling. The next step records the end of this worker; others take its slots."""
-        self._leaving = True
+        """Stop polling. The next decision records the end of this worker."""
+        self.is_leaving = True
         self.active = {}
-        self._due_at(-math.inf)
+        self.due = -math.inf
+
+    def _follow_own_record(self) -> None:
+        me = self.view.members.get(self.lease.id)
+        if me is not None and me.state != "ended":
+            self.lease.came_back(me.beat)
+        elif me is not None or self.lease.joined:
+            self.left = self.is_leaving
+            self._join()
 
     # State
-
-    @property
-    def heard_at(self) -> float:
-        """The time at which it last saw its own value in the bucket."""
-        return self.view.seen_at(self.lease.key).at
 
     @property
     def is_reading(self) -> bool:
         """True while a snapshot is incomplete."""
         return self._snapshot is not None
 
-    def is_heard(self, member: Member, now: float) -> bool:
-        """Return True if a worker, perhaps this one, has renewed its lease recently."""
-        return member.state != "ended" and now < self._heard_until(member)
-
-    def is_blind(self, now: float) -> bool:
-        """Return True if the bucket should be read again, because changes may be missing."""
+    def may_poll(self, now: float) -> bool:
+        """Return True if the lease is valid, or not needed because NATS cannot be reached."""
+        if now < self.lease.until:
+            return True
         settings = self.view.settings
-        if self._snapshot is not None or settings is None:
-            return False
-        return now >= self._blind_at(settings.lease) or self._tries >= MOST_TRIES
+        return settings is not None and settings.on_engine_loss == "continue"
 
     def may_ask(self, connection: str, now: float) -> bool:
         """Return True if a request may be sent over a connection now."""
         known = self.active.get(connection)
-        if known is None:
-            return False
-        return self._goes_on or now + known.timeout < self.lease.until
+        # The answer must come within the lease.
+        return known is not None and self.may_poll(now + known.timeout)
 
-    def step(self, now: float, report: Callable[[], Mapping[str, Any]] = dict) -> list[Put]:
-        """
-        Return what to write, and update `active`. The caller must stop polling connections that are
-        no longer in `active` before it writes.
+    def is_first(self, now: float) -> bool:
+        """Return True if this worker has the lowest id of those that have renewed their leases."""
+        living = (each.id for each in self.view.members.values() if self.view.is_heard(each, now))
+        return min(living, default="") == self.lease.id
 
-        Args:
-            report: returns numbers about the devices, for `fleet status`.
-        """
-        self.due = math.inf
-        settings = self.view.settings
-        if settings is None or self._snapshot is not None or self.left:
-            return []
-        self._longest_lease = max(
-            self._longest_lease,
-            settings.lease,
-            *(member.lease for member in self.view.members.values()),
-        )
-        puts: list[Put] = []
-        self._is_valid = self._is_before(self.lease.until, now)
-        if self._is_valid and not self._leaving:
-            puts += self._ends(now)
-            puts += self._slots(self._shared(now), now)
-            puts += self._forgotten(now)
-        self._choose(now)
-        # Last, because it acknowledges all changes up to the revision of the view.
-        puts += self._beats(now, settings.lease, report)
-        self._is_before(self._blind_at(settings.lease), now)
-        return puts
-
-    # When a step is due
-
-    def _due_at(self, at: float) -> None:
-        self.due = min(self.due, at)
-
-    def _is_before(self, at: float, now: float) -> bool:
-        """Return True if a time is in the future, and make a step due at that time."""
-        if now < at:
-            self._due_at(at)
-            return True
-        return False
-
-    def _was_heard(self) -> None:
-        """Update `due` after a value of this worker was seen or confirmed."""
-        settings = self.view.settings
-        if settings is not None:
-            self._due_at(self.lease.next_at(settings.lease, hurry=False))
-        if not self._is_valid:
-            self._due_at(-math.inf)
-
-    def _awaits(self, key: str) -> bool:
-        """Return True if a change of this key may matter even if it only renews a lease."""
-        return bool(self.waiting) or not self._is_valid or key in self._silent
-
-    def _heard_until(self, member: Member) -> float:
-        return self.view.seen_at(member.bucket_key).at + member.lease * FRESH
-
-    def _blind_at(self, lease: float) -> float:
-        heard = max(self.heard_at, self._since)
-        return min(heard + lease * BLIND, self._since + lease * READ_AGAIN)
-
-    # Its lease
-
-    def _join(self) -> None:
-        """Begin anew with another id, without slots."""
-        self.lease: Lease = Lease(self._new_id())
-        self.active = {}
-        self.waiting = set()
-        self._closed: dict[Slot, int] = {}
-        self._asked: dict[str, tuple[int, float, int]] = {}
-        self._tries = 0
-        self._is_old = True
-        self._is_valid = False
-        self._due_at(-math.inf)
-
-    def _follow_own_record(self) -> None:
-        settings = self.view.settings
-        self._goes_on = settings is not None and settings.on_engine_loss == "continue"
-        me = self.view.members.get(self.lease.id)
-        if me is not None and me.state != "ended":
-            self.lease.came_back(me)
-        elif me is not None or self.lease.joined:
-            self.left = self._leaving
-            self._join()
-
-    def _hear(self, now: float) -> None:
-        if now > self._heard_at + self._longest_lease * FRESH:
-            self._hears_since = now
-        self._heard_at = now
-
-    def _beats(
-        self, now: float, lease: float, report: Callable[[], Mapping[str, Any]]
-    ) -> Iterator[Put]:
-        me = self.view.members.get(self.lease.id)
-        news = me is not None and me.seen < self.view.last_touched
-        hurry = news or self._leaving
-        beat = self.lease.next_beat(now, lease, hurry)
-        self._is_before(self.lease.next_at(lease, hurry), now)
-        if beat is not None:
-            state: State = "ended" if self._leaving else "here"
-            told = Member(
-                self.lease.id, state, self._zones, lease, beat, self.view.revision, report()
-            )
-            last = max(self.lease.revision, self.view.seen_at(told.bucket_key).revision)
-            yield Put(told.bucket_key, told.encode(), last, beat)
-
-    # Others
-
-    @property
-    def _others(self) -> Iterator[Member]:
-        """Yield the other workers that may hold slots."""
-        members = self.view.members.values()
-        return (each for each in members if each.id != self.lease.id and each.state != "ended")
-
-    def _ends(self, now: float) -> Iterator[Put]:
-        """Yield writes that record the end of workers whose leases have expired."""
-        for member in self._others:
-            at = max(self._hears_since, self.view.seen_at(member.bucket_key).at)
-            if not self._is_before(at + member.lease * OTHERS_PART, now):
-                yield from self._put(
-                    member.bucket_key, replace(member, state="ended").encode(), now
-                )
-
-    def _forgotten(self, now: float) -> Iterator[Put]:
-        """Yield deletions of workers that ended long ago, if no other worker has a lower id."""
-        ended = [each for each in self.view.members.values() if self._is_forgotten(each, now)]
-        if not ended or any(each.id < self.lease.id for each in self._others):
-            return
-        used = set(self.view.used_slots)
-        for member in ended:
-            slots = [slot for slot, id in self.view.holders.items() if id == member.id]
-            if not slots:
-                yield from self._put(member.bucket_key, None, now)
-            for slot in slots:
-                if slot not in used:
-                    yield from self._put(slot.key, None, now)
-
-    def _is_forgotten(self, member: Member, now: float) -> bool:
-        at = self.view.seen_at(member.bucket_key).at
-        return member.state == "ended" and not self._is_before(at + REMEMBERED, now)
-
-    # Slots
-
-    def _shared(self, now: float) -> dict[Slot, str]:
-        """
-        Return the new holders of slots that this worker must hand over or take, and of those that
-        it has closed. Slots of silent workers are left out until their leases end.
-        """
-        view, me = self.view, self.lease.id
-        eligible = {
-            each.id: each.zones
-            for each in self._others
-            if self._is_before(self._heard_until(each), now)
-        }
-        silent = {each.id for each in self._others} - set(eligible)
-        eligible[me] = self._zones
-        # Computed only after a change: steps are frequent, changes are rare.
-        rests_on = (view, view.changes, eligible, silent, len(self._closed))
-        if self._shared_before is None or self._shared_before[0] != rests_on:
-            holders = view.holders
-            slots = [slot for slot in view.used_slots if holders.get(slot) not in silent]
-            shared = {
-                slot: heir
-                for slot, heir in share(slots, holders, eligible).items()
-                if slot in self._closed or (heir == me) != (holders.get(slot) == me)
-            }
-            self._shared_before = rests_on, shared
-            self._silent = {f"worker.{each}" for each in silent}
-        return self._shared_before[1]
-
-    def _slots(self, shared: Mapping[Slot, str], now: float) -> Iterator[Put]:
-        """Yield writes that take free slots, and hand over slots that other workers should hold."""
-        me = self.lease.id
-        for slot, heir in shared.items():
-            revision = self.view.seen_at(slot.key).revision
-            if self.view.holders.get(slot) == me:
-                if heir == me and self._closed.get(slot) != revision:
-                    continue
-                self._close(slot, revision)
-            elif heir != me or not self._is_free(slot, now):
-                continue
-            yield from self._put(slot.key, encode_holder(heir, me), now)
-
-    def _close(self, slot: Slot, revision: int) -> None:
-        """Stop polling a slot that is handed over, until its key changes."""
-        if self._closed.get(slot) != revision:
-            self._closed[slot] = revision
-            self._is_old = True
-
-    def _is_free(self, slot: Slot, now: float) -> bool:
-        view = self.view
-        holder = view.holder(slot)
-        if holder is not None:
-            return holder.state == "ended"
-        key = f"worker.{view.holders.get(slot)}"
-        free_since = max(self._since, view.seen_at(slot.key).at, view.seen_at(key).at)
-        return not self._is_before(free_since + self._longest_lease * OTHERS_PART, now)
-
-    def _put(self, key: str, value: bytes | None, now: float) -> Iterator[Put]:
-        """Yield a write, unless the same one was yielded recently and the key has not changed."""
-        settings = self.view.settings
-        revision = self.view.seen_at(key).revision
-        last, at, tries = self._asked.get(key, (-1, 0.0, 0))
-        if last != revision:
-            tries = 0
-        elif settings is None or self._is_before(at + settings.lease * AGAIN, now):
-            return
-        self._asked[key] = (revision, now, tries + 1)
-        self._tries = max(self._tries, tries + 1)
-        self._is_before(now + (settings.lease * AGAIN if settings else 0.0), now)
-        yield Put(key, value, revision)
-
-    # Connections
-
-    def _choose(self, now: float) -> None:
-        """Update `active` and `waiting`: the connections in the slots of this worker."""
-        if self._leaving or not (self._is_old or self.waiting):
-            return
-        self._is_old = False
-        mine = {
-            connection.key: connection
-            for connection in self.view.connections
-            if self._is_mine(connection.slot)
-        }
-        acknowledged = self._acknowledged_by_all(now)
-        self.waiting = {
-            key
-            for key, connection in mine.items()
-            if key not in self.active and self.view.touched_at(connection) > acknowledged
-        }
-        self.active = {key: mine[key] for key in mine if key not in self.waiting}
-
-    def _is_mine(self, slot: Slot) -> bool:
-        if self.view.holders.get(slot) != self.lease.id:
-            return False
-        return self._closed.get(slot) != self.view.seen_at(slot.key).revision
-
-    def _acknowledged_by_all(self, now: float) -> float:
-        """Return the highest revision that all live workers have acknowledged."""
-        wait = self._longest_lease * OTHERS_PART
-        if any(self._is_before(at + wait, now) for at in self.view.vanished.values()):
-            return 0
-        return min((each.seen for each in self._others), default=math.inf)
+    def is_mine(self, slot: Slot) -> bool:
+        """Return True if this worker holds a slot, and has not begun to hand it over."""
+        attempt = self.attempts.get(slot.key)
+        is_closed = attempt is not None and attempt.last == self.view.seen_at(slot.key).revision
+        return self.view.holders.get(slot) == self.lease.id and not is_closed

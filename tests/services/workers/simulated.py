@@ -1,6 +1,7 @@
 """
-Workers around a bucket, in simulated time: messages are late, writes are late or lost, clocks
-go wrong, processes stop. Every asking is recorded at its real time.
+Decisions of workers in simulated time: of one that sees its bucket at once, and of many, whose
+messages are late, whose writes are late or lost, whose clocks go wrong and which stop. Every asking
+is recorded at its real time.
 """
 
 from __future__ import annotations
@@ -9,14 +10,122 @@ import heapq
 import itertools
 import random
 from dataclasses import dataclass, field
+from typing import Any
 
-from libmodbus_py.services.workers.records import Connection, FleetSettings
+from libmodbus_py.services.workers.decisions import decide, step
+from libmodbus_py.services.workers.records import (
+    SETTINGS,
+    Connection,
+    FleetSettings,
+    Holding,
+    Member,
+    decode,
+    encode_holder,
+)
 from libmodbus_py.services.workers.view import Entry
-from libmodbus_py.services.workers.worker import Put, Worker
+from libmodbus_py.services.workers.worker import Decision, Put, Worker
 
 LEASE = 10.0
 TICK = 0.1
 TIMEOUT = 0.5
+
+
+class OneWorker:
+    """
+    A worker that sees its bucket at once. Other workers are what a test writes.
+
+    Attributes:
+        hears: whether it sees what is written.
+        last: the last decision.
+    """
+
+    def __init__(
+        self,
+        *connections: Connection,
+        settings: FleetSettings | None = None,
+        name: str = "m",
+        lives: bool = False,
+    ) -> None:
+        ids = (f"{name}.{number}" for number in itertools.count(1))
+        self.worker = Worker(lambda: next(ids), {""})
+        self.latest: dict[str, Entry] = {}
+        self.revision = 0
+        self.hears = True
+        self.last = Decision({})
+        self.worker.begins()
+        self.write(SETTINGS, (settings or FleetSettings(LEASE)).encode())
+        for each in connections:
+            self.write(each.bucket_key, each.encode())
+        if lives:
+            self.member(self.me, 0.0)
+        self.worker.is_synced(0.0)
+
+    @property
+    def me(self) -> str:
+        return self.worker.lease.id
+
+    def write(self, key: str, value: bytes | None, at: float = 0.0) -> None:
+        self.revision += 1
+        self.latest[key] = Entry(key, value, self.revision)
+        if self.hears:
+            self.worker.saw(self.latest[key], at)
+
+    def member(
+        self, id: str, at: float = 0.0, state: Any = "here", seen: int | None = None
+    ) -> None:
+        known = self.revision if seen is None else seen
+        beat = self.revision
+        self.write(f"worker.{id}", Member(id, state, ("",), LEASE, beat, known).encode(), at)
+
+    def hold(self, connection: Connection, holder: str, at: float = 0.0, by: str = "") -> None:
+        self.write(connection.slot.key, encode_holder(holder, by or holder), at)
+
+    def read_again(self, at: float) -> None:
+        """The worker reads all that the bucket contains."""
+        self.worker.begins()
+        for entry in sorted(self.latest.values(), key=lambda each: each.revision):
+            self.worker.saw(entry, at)
+        self.worker.is_synced(at)
+
+    def decided(self, at: float) -> list[Put]:
+        """Return the writes of a decision, none of which arrives."""
+        before = decide(self.worker, at)
+        self.last = step(self.worker, at)
+        assert self.last == before, "the first one had an effect"
+        return list(self.last.puts)
+
+    def step(self, at: float) -> list[Put]:
+        """Decide; all writes succeed. Return those that are not about its own lease."""
+        is_early, active = at < self.worker.due, self.worker.active
+        puts = self.decided(at)
+        assert not is_early or (puts, self.worker.active) == ([], active), "it was due"
+        for put in puts:
+            known = self.latest.get(put.key)
+            assert put.last == (known.revision if known else 0)
+            self.write(put.key, put.value, at)
+        return [put for put in puts if not put.beat]
+
+    def steps(self, *times: float) -> list[Put]:
+        return [put for at in times for put in self.step(at)]
+
+    def polled(self) -> set[str]:
+        return set(self.worker.active)
+
+
+def written(puts: list[Put]) -> dict[str, Any]:
+    """Return what stands in writes: the state of a worker, the holder of a slot, or None."""
+    found: dict[str, Any] = {}
+    for put in puts:
+        record = decode(put.key, put.value) if put.value is not None else None
+        if isinstance(record, Member):
+            found[put.key] = record.state
+        else:
+            found[put.key] = record.holder if isinstance(record, Holding) else None
+    return found
+
+
+def every(start: float, end: float, pause: float = 1.0) -> list[float]:
+    return [start + pause * at for at in range(int((end - start) / pause) + 1)]
 
 
 class Bucket:
@@ -110,15 +219,15 @@ class Process:
             else:
                 self.worker.saw(entry, self.now)
         is_due = self.worker.due <= self.now
-        active, waiting = self.worker.active, self.worker.waiting
-        puts = self.worker.step(self.now)
-        if not is_due and (puts or (self.worker.active, self.worker.waiting) != (active, waiting)):
-            self.world.overslept.append(f"{self.now}: {puts}")
+        active = self.worker.active
+        decision = step(self.worker, self.now)
+        if not is_due and (decision.puts or decision.active != active):
+            self.world.overslept.append(f"{self.now}: {decision}")
         self.world.cut_off(self, self.open - set(self.worker.active))
         self.open = set(self.worker.active)
-        for put in puts:
+        for put in decision.puts:
             self.write(put)
-        if self.again_at is None and self.worker.is_blind(self.now):
+        if self.again_at is None and decision.is_blind:
             self.again_at = self.world.now
 
     def write(self, put: Put) -> None:

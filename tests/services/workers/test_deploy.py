@@ -22,7 +22,7 @@ import pytest
 from fuzz.asked_devices import UNITS, Workers, asked_devices, fleet_file, until
 from fuzz.nats_servers import NatsServers, free_ports
 from libmodbus_py.cli.main import main
-from libmodbus_py.services.workers.polling import BUCKET
+from libmodbus_py.services.workers.records import BUCKET
 
 nats = pytest.importorskip("nats")
 

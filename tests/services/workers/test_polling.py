@@ -5,6 +5,7 @@ A worker with its clock, its bucket and its fleet: in one process, in simulated 
 from __future__ import annotations
 
 import asyncio
+import inspect
 import json
 import logging
 import os
@@ -25,8 +26,10 @@ from libmodbus_py.services.fleet.config import checked, devices_to_json
 from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.services.fleet.statistics import FleetStatistics, OutputStatistics
 from libmodbus_py.services.workers import polling
-from libmodbus_py.services.workers.polling import MOST_WRITES, SAID_AGAIN, TIMEOUT, Polling, clock
+from libmodbus_py.services.workers.decisions import step
+from libmodbus_py.services.workers.polling import MOST_WRITES, SAID_AGAIN_S, TIMEOUT_S, Polling
 from libmodbus_py.services.workers.records import SETTINGS, Connection, FleetSettings
+from libmodbus_py.services.workers.worker import Decision, Worker
 from tests.services.workers.memory_engine import MemoryBucket, now, run
 
 LEASE = 10.0
@@ -184,7 +187,7 @@ class TestLife:
             assert not worker.worker.left
             return now() - begun
 
-        assert run(main()) == pytest.approx(TIMEOUT, abs=0.2)
+        assert run(main()) == pytest.approx(TIMEOUT_S, abs=0.2)
 
     def test_the_end_of_an_output_ends_it(self) -> None:
         async def main() -> None:
@@ -254,8 +257,9 @@ class TestLife:
         run(main())
 
     def test_a_lease_goes_on_while_the_machine_sleeps(self) -> None:
+        default = inspect.signature(Polling).parameters["clock"].default
         before = time.clock_gettime(time.CLOCK_BOOTTIME)
-        assert before <= clock() <= time.clock_gettime(time.CLOCK_BOOTTIME)
+        assert before <= default() <= time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 class TestBucket:
@@ -301,7 +305,7 @@ class TestBucket:
                 key, (value, revision) = next(iter(bucket.values.items()))
                 watch.on_change(polling.Change(key, value, revision))
                 assert worker.worker.is_reading
-                assert 2.5 < await until(lambda: bucket.watches[:1] != [watch]) < TIMEOUT + 1
+                assert 2.5 < await until(lambda: bucket.watches[:1] != [watch]) < TIMEOUT_S + 1
                 bucket.is_mute = False
                 await until(lambda: not worker.worker.is_reading)
                 assert names(worker) == ["pump"]
@@ -323,28 +327,25 @@ class TestBucket:
         run(main())
 
     @pytest.mark.parametrize("lease", [0.5, LEASE])
-    def test_a_worker_alone_looks_at_its_clock_twice_for_each_sign_of_life(
-        self, lease: float
+    def test_a_worker_alone_decides_as_often_as_it_renews_its_lease(
+        self, lease: float, monkeypatch: pytest.MonkeyPatch
     ) -> None:
+        decided: list[float] = []
+
+        def counted(worker: Worker, at: float, report: Any) -> Decision:
+            decided.append(at)
+            return step(worker, at, report)
+
         async def main() -> None:
             bucket = filled(connection("pump"))
             bucket.write(SETTINGS, FleetSettings(lease).encode())
             async with at_work(bucket, settings=FleetSettings(lease)) as worker:
                 await until(lambda: names(worker))
+                monkeypatch.setattr(polling, "step", counted)
                 before = len(bucket.puts)
-                steps = 0
-                step = worker.worker.step
-
-                def counted(*args: Any) -> list[polling.Put]:
-                    nonlocal steps
-                    steps += 1
-                    return step(*args)
-
-                worker.worker.step = counted  # type: ignore[method-assign]
                 await asyncio.sleep(10 * lease)
-                told = len(bucket.puts) - before
-                assert told == pytest.approx(100, abs=2)
-                assert steps < 2 * told
+                assert len(bucket.puts) - before == pytest.approx(100, abs=2)
+                assert len(decided) == pytest.approx(100, abs=2)
 
         run(main())
 
@@ -360,7 +361,7 @@ class TestBucket:
                 worker.engine_changed()
                 key = connection("pump").key
                 assert await until(lambda: not worker._may_ask(key)) < LEASE
-                await asyncio.sleep(SAID_AGAIN - 15.0)
+                await asyncio.sleep(SAID_AGAIN_S - 15.0)
                 gone = "the engine: no server responds"
                 ended = "a: the lease has expired: NATS does not respond"
                 assert sorted(caplog.messages) == [ended, gone]
@@ -510,7 +511,7 @@ class TestDevices:
             worker._say("trouble 101")
             worker._say("trouble 0")
             assert caplog.messages[102:] == ["trouble 0"]
-            assert len(worker._told) < 102
+            assert len(worker._said) < 102
 
         run(main())
 
@@ -574,18 +575,38 @@ class TestCommands:
             bucket = filled(connection("pump"), commands=commands)
             async with at_work(bucket, settings=settings) as worker:
                 await until(lambda: names(worker))
-                await bucket.client.deliver("modbus.write.pump.level", b"7", "_INBOX.x")
-                await bucket.client.deliver("modbus.write.valve.level", b"7", "_INBOX.x")
-                await asyncio.sleep(0.01)
-                replies = [
-                    json.loads(data)
-                    for subject, data in bucket.client.published
-                    if subject == "_INBOX.x"
-                ]
-            wanted = [True, "there is no device 'valve'"] if commands else []
-            assert [each.get("error", each["ok"]) for each in replies] == wanted
+                wanted = [True, "there is no device 'valve'"] if commands else []
+                assert await replies(bucket, "pump", "valve") == wanted
 
         run(main())
+
+    @pytest.mark.parametrize(("on_engine_loss", "answers"), [("stop", []), ("continue", [True])])
+    def test_who_has_lost_its_lease_answers_nothing_unless_polls_go_on(
+        self, on_engine_loss: Any, answers: list[bool]
+    ) -> None:
+        """Another worker may have the device, and have carried out the same command."""
+
+        async def main() -> None:
+            settings = FleetSettings(LEASE, on_engine_loss, commands=True)
+            bucket = filled(connection("pump"), on_engine_loss=on_engine_loss, commands=True)
+            async with at_work(bucket, settings=settings) as worker:
+                await until(lambda: names(worker))
+                bucket.error = EngineGone("no server responds")
+                await asyncio.sleep(LEASE)
+                assert names(worker) == ["pump"]
+                assert await replies(bucket, "pump") == answers
+                bucket.error = None
+
+        run(main())
+
+
+async def replies(bucket: MemoryBucket, *devices: str) -> list[Any]:
+    """Return what is answered to a command to each device: True, or the error."""
+    for each in devices:
+        await bucket.client.deliver(f"modbus.write.{each}.level", b"7", "_INBOX.x")
+    await asyncio.sleep(0.01)
+    found = [json.loads(data) for to, data in bucket.client.published if to == "_INBOX.x"]
+    return [each.get("error", each["ok"]) for each in found]
 
 
 @pytest.fixture(autouse=True)

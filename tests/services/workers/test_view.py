@@ -69,11 +69,14 @@ class TestChanges:
     def test_of_a_key_that_never_was_there_nothing_is_known(self) -> None:
         assert view_of().seen_at("worker.a.1") == (0, float("-inf"))
 
-    def test_a_worker_that_comes_again_has_not_vanished(self) -> None:
-        view = view_of(("worker.a.1", member(), 1))
-        view.add(Entry("worker.a.1", None, 2), 3.0)
-        assert view.vanished == {"a.1": 3.0}
-        view.add(Entry("worker.a.1", member(), 3), 4.0)
+    def test_a_worker_that_is_deleted_and_never_ended_has_vanished_until_it_comes_again(
+        self,
+    ) -> None:
+        view = view_of(("worker.a.1", member(), 1), ("worker.b.1", member("b.1", "ended"), 2))
+        view.add(Entry("worker.a.1", None, 3), 3.0)
+        view.add(Entry("worker.b.1", None, 4), 3.0)
+        assert (view.members, view.vanished) == ({}, {"a.1": 3.0})
+        view.add(Entry("worker.a.1", member(), 5), 4.0)
         assert view.vanished == {}
 
 
@@ -188,6 +191,24 @@ class TestConnections:
         view.add(Entry(LINE.slot.key, encode_holder("b.1", "b.1"), 6), 0.0)
         assert view.touched_at(LINE) == view.last_touched == 6
 
+    def test_a_slot_that_its_holder_did_not_give_up_must_be_acknowledged(self) -> None:
+        view = view_of(
+            (LINE.bucket_key, LINE.encode(), 1),
+            ("worker.a.1", member(), 2),
+            ("worker.b.1", member("b.1"), 3),
+        )
+
+        def touched(revision: int, holder: str, by: str) -> int:
+            view.add(Entry(LINE.slot.key, encode_holder(holder, by), revision), 0.0)
+            return view.touched_at(LINE)
+
+        assert touched(4, "a.1", "a.1") == 4  # Its holder before is unknown.
+        assert touched(5, "b.1", "a.1") == 1  # Handed over.
+        assert touched(6, "a.1", "a.1") == 6  # Taken from a worker that is still there.
+        view.add(Entry("worker.a.1", member(state="ended", beat=2), 7), 0.0)
+        assert touched(8, "b.1", "b.1") == 1  # Taken from a worker that has ended.
+        assert view.last_touched == 6
+
 
 class TestReadAgain:
     """A whole bucket that replaces what was known: the times of its changes are kept."""
@@ -195,14 +216,14 @@ class TestReadAgain:
     def test_what_did_not_change_keeps_its_time(self) -> None:
         before = view_of(("worker.a.1", member(), 1), ("worker.b.1", member("b.1"), 2), at=5.0)
         view = view_of(("worker.a.1", member(), 1), ("worker.b.1", member("b.1"), 3), at=9.0)
-        view.keep_times(before, 9.0)
+        view.follow(before, 9.0)
         assert view.seen_at("worker.a.1") == (1, 5.0)
         assert view.seen_at("worker.b.1") == (3, 9.0)
 
     def test_what_is_gone_was_deleted_just_now_at_the_latest(self) -> None:
         before = view_of((LINE.bucket_key, LINE.encode(), 1), ("worker.a.1", member(), 2), at=5.0)
         view = view_of(("worker.a.1", member(), 2), ("worker.b.1", member("b.1"), 7), at=9.0)
-        view.keep_times(before, 9.0)
+        view.follow(before, 9.0)
         assert view.seen_at(LINE.bucket_key) == (0, 9.0)
         assert view.touched_at(LINE) == view.last_touched == 7
 
@@ -214,8 +235,8 @@ class TestReadAgain:
             ("worker.d.1", member("d.1"), 4),
         )
         before.add(Entry("worker.d.1", None, 5), 2.0)
-        view = view_of(("worker.c.1", member("c.1"), 3))
-        view.keep_times(before, 9.0)
+        view = view_of(("worker.c.1", member("c.1"), 3), ("settings", FleetSettings().encode(), 6))
+        view.follow(before, 9.0)
         assert view.vanished == {"a.1": 9.0, "d.1": 2.0}
 
     def test_what_was_given_up_is_no_more_uncertain_than_before(self) -> None:
@@ -226,16 +247,16 @@ class TestReadAgain:
         assert given.touched_at(LINE) == 1
         again = view_of(line, taken)
         assert again.touched_at(LINE) == 3
-        again.keep_times(given, 9.0)
+        again.follow(given, 9.0)
         assert again.touched_at(LINE) == 1
 
         uncertain = view_of(line, taken)
         again = view_of(line, taken)
-        again.keep_times(uncertain, 9.0)
+        again.follow(uncertain, 9.0)
         assert again.touched_at(LINE) == 3
 
         newer = view_of(line, (LINE.slot.key, encode_holder("a.1", "a.1"), 4))
-        newer.keep_times(given, 9.0)
+        newer.follow(given, 9.0)
         assert newer.touched_at(LINE) == 4
 
 

@@ -1,0 +1,332 @@
+"""
+The decisions of a worker: the connections that it polls, what it writes into the bucket, and when
+it must look again. `decide` is a function of what the worker knows and the time on its own clock;
+it has no effects.
+
+Why no two workers poll one connection
+--------------------------------------
+Workers know about each other only from the bucket, whose changes all of them see in the same
+order. A write succeeds only if its key has not changed.
+
+* A worker holds its slots while its lease is valid. It counts the lease from just before it sent
+  the value that it then saw, or that was confirmed, and uses `OWN_PART` of it, less the timeout of
+  the device; it looks at its clock before each request. Other workers count the lease from when
+  they saw the value, and wait for `OTHERS_PART` of it before they write that the worker has ended.
+  Each uses its own clock, which may be wrong by 7 %. This write succeeds only if the value is still
+  the one that they saw. The worker itself, if it still runs, sees the write, and begins anew with
+  another id.
+* A slot passes to another worker when its holder writes so, after closing its connections, or when
+  it is recorded, by the holder or by another worker, that the holder has ended. A slot without a
+  known holder may be held by a worker whose key was deleted: it is taken after the longest lease.
+* A connection that appears in a slot may have been in another slot before. It is polled when all
+  workers have acknowledged the revision with which it appeared. The same holds for a slot whose
+  holder changed in any other way: because another program wrote to the bucket, or because the
+  bucket lost confirmed writes.
+
+====================  ===========================================================================
+slot                  what a worker with a valid lease does
+====================  ===========================================================================
+mine, and I am heir   polls its connections that all others have acknowledged
+mine, other heir      stops polling, and writes the heir; does not poll before the key changes
+of a silent worker    nothing, until it is heard or `OTHERS_PART` of its lease is over: then it
+                      writes that the worker has ended
+of an ended worker    the heir writes itself
+of an unknown worker  the heir writes itself after `OTHERS_PART` of the longest lease
+====================  ===========================================================================
+
+The heirs are those of `share`, among the workers that were heard within `HEARD_PART` of their
+leases. `may_ask` of the worker is the only guard that does not depend on anything being written.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+from .records import Connection, Member, Slot, State, encode_holder
+from .worker import Decision, Put, Worker
+
+__all__ = ["decide", "share", "step"]
+
+# The fraction of a lease that other workers wait, counted from when they saw the renewal.
+OTHERS_PART = 1.05
+
+# The fractions of a lease after which it is renewed: usually, and while other workers wait for an
+# acknowledgement.
+BEAT, SOON = 0.1, 0.01
+
+# The fraction of a lease after which a write whose success was not seen is repeated.
+AGAIN = 0.2
+
+# The fraction of a lease after which a worker that does not see its own values reads the bucket
+# again.
+BLIND = 0.3
+
+# The time after which the bucket is read again, in leases: no change reports that a key was purged.
+READ_AGAIN = 60
+
+# The number of attempts to write a key after which the bucket is read again.
+MOST_TRIES = 3
+
+# The time for which a slot may be without a worker, in leases: after 1.05, another one has it.
+UNSERVED = 1.5
+
+# Seconds for which ended workers stay in the bucket, for `fleet status`.
+REMEMBERED_S = 60.0
+
+
+def step(worker: Worker, now: float, report: Mapping[str, Any] | None = None) -> Decision:
+    """Decide, and let the worker remember the decision, which the caller carries out."""
+    decision = decide(worker, now, report)
+    worker.decided(decision, now)
+    return decision
+
+
+def decide(worker: Worker, now: float, report: Mapping[str, Any] | None = None) -> Decision:
+    """
+    Return what a worker does now.
+
+    Args:
+        worker: what it knows; not changed.
+        now: the time on its clock, in seconds.
+        report: numbers about its devices, for `fleet status`.
+    """
+    settings = worker.view.settings
+    if settings is None or worker.is_reading or worker.left:
+        return Decision(worker.active)
+    return _Deciding(worker, now, settings.lease).decision(report or {})
+
+
+class _Deciding:
+    """
+    One decision.
+
+    Args:
+        lease: the length of the lease of this worker.
+    """
+
+    def __init__(self, worker: Worker, now: float, lease: float) -> None:
+        self.worker = worker
+        self.view = worker.view
+        self.me = worker.lease.id
+        self.now = now
+        self.lease = lease
+        self.longest_wait = worker.view.longest_lease * OTHERS_PART
+        self.puts: list[Put] = []
+        self.due = math.inf
+        # The other workers that may hold slots; and those whose slots are not shared now.
+        self.others = [
+            each
+            for each in self.view.members.values()
+            if each.id != self.me and each.state != "ended"
+        ]
+        self.silent = {
+            each.id for each in self.others if self.has_passed(self.view.heard_until(each))
+        }
+
+    def has_passed(self, at: float) -> bool:
+        """Return True if a time is not in the future; otherwise a decision is due at that time."""
+        if self.now < at:
+            self.due = min(self.due, at)
+            return False
+        return True
+
+    def decision(self, report: Mapping[str, Any]) -> Decision:
+        worker = self.worker
+        is_valid = not self.has_passed(worker.lease.until)
+        if is_valid and not worker.is_leaving:
+            self.record_ends()
+            self.move_slots()
+            self.forget_ended()
+        active, is_waiting = ({}, False) if worker.is_leaving else self.polled()
+        unserved = self.unserved()
+        # Last, because it acknowledges all changes up to the revision of the view.
+        self.renew_lease(report)
+        is_blind = self.is_blind()
+        is_eager = is_waiting or not is_valid or bool(self.silent)
+        return Decision(active, self.puts, self.due, is_eager, is_blind, unserved)
+
+    def put(self, key: str, value: bytes | None) -> None:
+        """Write a key, unless the same was written recently and the key has not changed."""
+        revision = self.view.seen_at(key).revision
+        attempt = self.worker.attempts.get(key)
+        if (
+            attempt is None
+            or attempt.last != revision
+            or self.has_passed(self.again_at(attempt.at))
+        ):
+            self.puts.append(Put(key, value, revision))
+            self.has_passed(self.again_at(self.now))
+
+    def again_at(self, at: float) -> float:
+        return at + self.lease * AGAIN
+
+    # Workers
+
+    def record_ends(self) -> None:
+        """Record the end of workers whose leases have expired."""
+        for member in self.others:
+            at = max(self.worker.hears_since, self.view.seen_at(member.bucket_key).at)
+            if self.has_passed(at + member.lease * OTHERS_PART):
+                self.put(member.bucket_key, replace(member, state="ended").encode())
+
+    def forget_ended(self) -> None:
+        """Delete workers that ended long ago, and their slots without connections before."""
+        used = set(self.view.used_slots)
+        for member in self.view.members.values():
+            at = self.view.seen_at(member.bucket_key).at
+            if member.state == "ended" and self.has_passed(at + REMEMBERED_S):
+                slots = [slot for slot, id in self.view.holders.items() if id == member.id]
+                if not slots:
+                    self.put(member.bucket_key, None)
+                for slot in slots:
+                    if slot not in used:
+                        self.put(slot.key, None)
+
+    def renew_lease(self, report: Mapping[str, Any]) -> None:
+        worker, view = self.worker, self.view
+        me = view.members.get(self.me)
+        hurry = worker.is_leaving or (me is not None and me.seen < view.last_touched)
+        pause = self.lease * (SOON if hurry else BEAT)
+        if self.has_passed(worker.lease.sent_at + pause):
+            state: State = "ended" if worker.is_leaving else "here"
+            beat = worker.lease.beat + 1
+            record = Member(self.me, state, worker.zones, self.lease, beat, view.revision, report)
+            last = max(worker.lease.revision, view.seen_at(record.bucket_key).revision)
+            self.puts.append(Put(record.bucket_key, record.encode(), last, beat))
+            self.has_passed(self.now + pause)
+
+    def is_blind(self) -> bool:
+        """Return True if changes may be missing: own values are not seen, or writes are in vain."""
+        view = self.view
+        heard = max(view.seen_at(self.worker.lease.key).at, view.since)
+        is_in_vain = any(
+            each.tries >= MOST_TRIES and each.last == view.seen_at(key).revision
+            for key, each in self.worker.attempts.items()
+        )
+        at = min(heard + self.lease * BLIND, view.since + self.lease * READ_AGAIN)
+        return self.has_passed(at) or is_in_vain
+
+    # Slots
+
+    def move_slots(self) -> None:
+        """Take free slots, and hand over slots that other workers should hold."""
+        holders = self.view.holders
+        eligible = {each.id: each.zones for each in self.others if each.id not in self.silent}
+        eligible[self.me] = self.worker.zones
+        slots = [slot for slot in self.view.used_slots if holders.get(slot) not in self.silent]
+        for slot, heir in share(slots, holders, eligible).items():
+            if holders.get(slot) == self.me:
+                # The write of another heir may still succeed: this one does, or that one.
+                moves = heir != self.me or not self.worker.is_mine(slot)
+            else:
+                moves = heir == self.me and self.is_free(slot)
+            if moves:
+                self.put(slot.key, encode_holder(heir, self.me))
+
+    def is_free(self, slot: Slot) -> bool:
+        holder = self.view.holder(slot)
+        if holder is not None:
+            return holder.state == "ended"
+        return self.has_passed(self.free_since(slot) + self.longest_wait)
+
+    def free_since(self, slot: Slot) -> float:
+        """Return the time since when a slot has had no worker, unless an unknown one holds it."""
+        view = self.view
+        holder = f"worker.{view.holders.get(slot)}"
+        return max(view.since, view.seen_at(slot.key).at, view.seen_at(holder).at)
+
+    # Connections
+
+    def polled(self) -> tuple[dict[str, Connection], bool]:
+        """Return the connections to poll, and whether others wait to be acknowledged."""
+        written = {put.key for put in self.puts}
+        slots = {
+            slot
+            for slot in self.view.used_slots
+            if self.worker.is_mine(slot) and slot.key not in written
+        }
+        mine = [each for each in self.view.connections if each.slot in slots]
+        new = {each.key for each in mine} - self.worker.active.keys()
+        acknowledged = self.acknowledged() if new else math.inf
+        active = {
+            each.key: each
+            for each in mine
+            if each.key not in new or self.view.touched_at(each) <= acknowledged
+        }
+        return active, len(active) < len(mine)
+
+    def acknowledged(self) -> float:
+        """Return the highest revision that all workers with a lease have acknowledged."""
+        if not all(self.has_passed(at + self.longest_wait) for at in self.view.vanished.values()):
+            return 0
+        return min((each.seen for each in self.others), default=math.inf)
+
+    def unserved(self) -> list[Connection]:
+        """Return the connections that no worker has polled for long; [] unless this is first."""
+        view = self.view
+        if not self.worker.is_first(self.now):
+            return []
+        wait = UNSERVED * view.longest_lease
+        free = {
+            slot: self.free_since(slot)
+            for slot in view.used_slots
+            if (holder := view.holder(slot)) is None or holder.state == "ended"
+        }
+        return [
+            each
+            for each in (view.connections if free else ())
+            if each.slot in free
+            and self.has_passed(max(free[each.slot], view.seen_at(each.bucket_key).at) + wait)
+        ]
+
+
+# --- the assignment of slots ---------------------------------------------------------------------
+
+
+def share(
+    slots: Collection[Slot], holders: Mapping[Slot, str], zones: Mapping[str, Collection[str]]
+) -> dict[Slot, str]:
+    """
+    Return the worker of each slot. Workers that may hold the same slots get nearly equal numbers of
+    them, and few slots move. Slots that no worker may hold are left out. Workers with the same view
+    of the bucket compute the same assignment.
+
+    Args:
+        slots: the slots with connections.
+        holders: slot -> its current holder; holders that `zones` does not contain are ignored.
+        zones: worker that may hold slots -> its zones.
+    """
+    pools: defaultdict[tuple[str, ...], list[Slot]] = defaultdict(list)
+    for slot in sorted(slots):
+        pools[tuple(sorted(worker for worker in zones if slot.zone in zones[worker]))].append(slot)
+    return {
+        slot: worker
+        for workers, pool in pools.items()
+        if workers
+        for slot, worker in _shared(pool, holders, workers)
+    }
+
+
+def _shared(
+    slots: list[Slot], holders: Mapping[Slot, str], workers: tuple[str, ...]
+) -> Iterator[tuple[Slot, str]]:
+    """Yield the worker of each slot; all of these workers may hold any of them."""
+    has: dict[str, list[Slot]] = {worker: [] for worker in workers}
+    homeless: list[Slot] = []
+    for slot in slots:
+        has.get(holders.get(slot, ""), homeless).append(slot)
+    least, more = divmod(len(slots), len(workers))
+    # The workers with the most slots get the larger quotas, so that fewer slots move.
+    by_size = sorted(workers, key=lambda worker: (-len(has[worker]), worker))
+    quota = {worker: least + (at < more) for at, worker in enumerate(by_size)}
+    for worker, its in has.items():
+        homeless += its[quota[worker] :]
+        del its[quota[worker] :]
+    for worker, its in has.items():
+        while len(its) < quota[worker]:
+            its.append(homeless.pop())
+        yield from ((slot, worker) for slot in its)

@@ -1,0 +1,452 @@
+"""
+What a worker decides, one look at its clock after the other: what it writes, what it polls, when.
+"""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from libmodbus_py.services.workers.commands import Locations
+from libmodbus_py.services.workers.decisions import step
+from libmodbus_py.services.workers.records import (
+    SETTINGS,
+    Connection,
+    FleetSettings,
+    Member,
+    decode,
+)
+from libmodbus_py.services.workers.view import Entry
+from libmodbus_py.services.workers.worker import Lease, Put, Worker
+from tests.services.workers.simulated import LEASE, OneWorker, every, written
+
+LINE = Connection("", "tcp:192.0.2.1:502", 1.0, '{"devices": [{"name": "pump"}]}')
+OTHER = Connection("", "tcp:192.0.2.2:502", 1.0, '{"devices": []}')
+NORTH = Connection("north", "tcp:192.0.2.1:502", 1.0, '{"devices": []}')
+SOUTH = Connection("south", "tcp:192.0.2.2:502", 1.0, '{"devices": []}')
+
+
+class TestSnapshot:
+    def test_a_bucket_counts_when_it_is_whole(self) -> None:
+        worker = Worker(lambda: "m.1", {""})
+        worker.begins()
+        assert worker.is_reading
+        worker.saw(Entry(SETTINGS, FleetSettings(LEASE).encode(), 1), 0.0)
+        assert worker.view.settings is None
+        assert step(worker, 0.0).puts == ()
+        worker.is_synced(0.0)
+        assert not worker.is_reading
+        assert worker.view.settings == FleetSettings(LEASE)
+        assert worker.due == -math.inf
+        (put,) = step(worker, 0.0).puts
+        assert (put.key, put.last, put.beat) == ("worker.m.1", 0, 1)
+
+    def test_the_end_of_what_did_not_begin_is_none(self) -> None:
+        one = OneWorker(LINE)
+        view = one.worker.view
+        one.worker.is_synced(5.0)
+        assert one.worker.view is view
+
+    def test_nothing_is_written_before_there_are_settings(self) -> None:
+        worker = Worker(lambda: "m.1", {""})
+        worker.begins()
+        worker.is_synced(0.0)
+        assert step(worker, 0.0).puts == ()
+        assert worker.due == math.inf
+
+    def test_a_bucket_that_went_back_is_another_one(self) -> None:
+        one = OneWorker(LINE)
+        one.steps(*every(0.0, 15.0))
+        assert one.polled() == {LINE.key}
+        one.worker.begins()
+        one.worker.saw(Entry(SETTINGS, FleetSettings(LEASE).encode(), 1), 15.0)
+        one.worker.is_synced(15.0)
+        assert one.me == "m.2"
+        assert one.polled() == set()
+        assert not one.worker.may_ask(LINE.key, 15.0)
+
+    def test_a_bucket_that_is_read_again_changes_nothing(self) -> None:
+        one = OneWorker(LINE)
+        one.steps(*every(0.0, 15.0))
+        one.read_again(15.0)
+        assert one.me == "m.1"
+        one.step(15.0)
+        assert one.polled() == {LINE.key}
+        assert one.worker.may_ask(LINE.key, 15.0)
+
+    def test_a_bucket_that_is_read_again_prolongs_no_lease_of_others(self) -> None:
+        one = OneWorker()
+        one.member("o.1", 0.0)
+        one.steps(*every(0.0, 8.0))
+        one.read_again(8.0)
+        assert one.steps(9.0, 10.0) == []
+        assert written(one.steps(11.0)) == {"worker.o.1": "ended"}
+
+
+class TestLeaving:
+    def test_who_leaves_polls_nothing_and_says_that_it_has_ended(self) -> None:
+        one = OneWorker(LINE)
+        one.steps(*every(0.0, 15.0))
+        one.worker.leave()
+        assert one.polled() == set()
+        assert one.worker.due == -math.inf
+        assert not one.worker.left
+        (put,) = one.decided(15.2)
+        assert written([put]) == {"worker.m.1": "ended"}
+        one.write(put.key, put.value, 15.2)
+        assert one.worker.left
+        assert one.decided(16.0) == []
+
+    def test_the_confirmation_of_its_last_word_extends_no_lease(self) -> None:
+        one = OneWorker(LINE)
+        one.steps(*every(0.0, 15.0))
+        until = one.worker.lease.until
+        one.worker.leave()
+        (put,) = one.decided(15.2)
+        one.worker.was_written(put, one.revision + 1)
+        assert one.worker.lease.until == until
+
+
+class TestLease:
+    def test_a_confirmation_counts_for_its_own_beat_only(self) -> None:
+        one = OneWorker(LINE)
+        one.step(0.0)
+        one.hears = False
+        (put,) = one.decided(1.0)
+        for other in (put._replace(beat=0), put._replace(key="worker.b.1")):
+            one.worker.was_written(other, 50)
+            assert one.worker.lease.until == 9.0
+        one.worker.was_written(put, 50)
+        assert one.worker.lease.until == 10.0
+
+    def test_a_request_must_be_over_before_the_lease(self) -> None:
+        one = OneWorker(LINE)
+        one.steps(*every(0.0, 12.0))
+        assert one.worker.lease.until == 21.0
+        assert one.worker.may_ask(LINE.key, 19.9)
+        assert not one.worker.may_ask(LINE.key, 20.0)
+        assert not one.worker.may_ask(OTHER.key, 12.0)
+
+    def test_without_the_engine_it_may_go_on(self) -> None:
+        settings = FleetSettings(LEASE, "continue")
+        one = OneWorker(LINE, settings=settings)
+        one.steps(*every(0.0, 12.0))
+        assert one.worker.may_ask(LINE.key, 1000.0)
+        assert not one.worker.may_ask(OTHER.key, 12.0)
+        one.write(SETTINGS, FleetSettings(LEASE, "stop").encode(), 12.0)
+        one.member("b.1", 12.0)
+        assert not one.worker.may_ask(LINE.key, 1000.0)
+
+    def test_who_was_said_to_have_ended_joins_again_under_another_id(self) -> None:
+        one = OneWorker(LINE)
+        one.steps(*every(0.0, 12.0))
+        one.member("m.1", 12.0, "ended")
+        assert one.me == "m.2"
+        assert not one.worker.left
+        assert one.polled() == set()
+        assert one.worker.due == -math.inf
+
+    def test_whose_record_was_deleted_joins_again_too(self) -> None:
+        one = OneWorker(LINE)
+        one.steps(*every(0.0, 12.0))
+        one.write("worker.m.1", None, 12.0)
+        assert one.me == "m.2"
+
+    def test_a_worker_is_heard_for_half_of_its_lease(self) -> None:
+        one = OneWorker()
+        one.member("b.1", 5.0)
+        here = one.worker.view.members["b.1"]
+        assert one.worker.view.is_heard(here, 9.9)
+        assert not one.worker.view.is_heard(here, 10.0)
+        one.member("b.1", 9.0, "ended")
+        assert not one.worker.view.is_heard(one.worker.view.members["b.1"], 9.1)
+
+
+class TestSlots:
+    def test_a_free_slot_is_taken_after_a_lease(self) -> None:
+        """Somebody unknown may hold it, for whatever the one has forgotten."""
+        one = OneWorker(LINE)
+        assert one.steps(*every(0.0, 10.4, 0.1)) == []
+        (put,) = one.step(10.5)
+        assert (put.key, put.last) == (LINE.slot.key, 0)
+        assert written([put]) == {LINE.slot.key: "m.1"}
+        one.step(10.6)
+        assert one.polled() == {LINE.key}
+
+    def test_the_slot_of_an_ended_worker_is_taken_at_once(self) -> None:
+        one = OneWorker(LINE)
+        one.member("b.1", 0.0, "ended")
+        one.hold(LINE, "b.1")
+        assert written(one.steps(0.0, 0.1)) == {LINE.slot.key: "m.1"}
+
+    def test_a_worker_whose_lease_is_over_has_ended_and_its_slots_are_taken(self) -> None:
+        one = OneWorker(LINE)
+        one.member("b.1", 0.0)
+        one.hold(LINE, "b.1")
+        assert one.steps(*every(0.0, 10.4, 0.1)) == []
+        puts = one.steps(10.5, 10.6)
+        assert written(puts) == {"worker.b.1": "ended", LINE.slot.key: "m.1"}
+
+    def test_who_stood_still_waits_a_lease_before_it_says_that_others_ended(self) -> None:
+        one = OneWorker(LINE)
+        one.member("o.1", 0.0)
+        one.hold(LINE, "o.1")
+        one.steps(*every(0.0, 2.0))
+        # It sees its own values again, and so would have seen those of others from here on.
+        assert one.steps(*every(31.0, 41.0)) == []
+        assert written(one.steps(*every(42.0, 43.0)))["worker.o.1"] == "ended"
+
+    def test_a_slot_is_handed_over_and_polled_no_more(self) -> None:
+        one = OneWorker(LINE, OTHER)
+        one.steps(*every(0.0, 12.0))
+        assert one.polled() == {LINE.key, OTHER.key}
+        one.member("b.1", 12.0)
+        puts = one.decided(12.1)
+        (slot,) = (put for put in puts if not put.beat)
+        (moved,) = (each for each in (LINE, OTHER) if each.slot.key == slot.key)
+        assert written([slot]) == {moved.slot.key: "b.1"}
+        assert one.polled() == {LINE.key, OTHER.key} - {moved.key}
+
+    def test_a_write_is_repeated_after_a_fifth_of_a_lease_or_a_change(self) -> None:
+        one = OneWorker(LINE)
+        one.member("b.1", 0.0, "ended")
+        one.hold(LINE, "b.1")
+        (beat,) = one.decided(0.0)
+        one.write(beat.key, beat.value, 0.0)
+
+        def asked(at: float) -> bool:
+            """True if it writes the slot, which does not arrive."""
+            return LINE.slot.key in {put.key for put in one.decided(at)}
+
+        assert [asked(at) for at in (0.1, 0.2, 2.0)] == [True, False, False]
+        assert asked(2.1)
+        one.hold(LINE, "b.1", 2.2)
+        assert asked(2.3)
+
+    def test_after_three_writes_in_vain_all_is_read_again(self) -> None:
+        one = OneWorker(LINE)
+        one.member("b.1", 0.0, "ended")
+        one.hold(LINE, "b.1")
+        (beat,) = one.decided(0.0)
+        one.write(beat.key, beat.value, 0.0)
+        blind = []
+        for at in (0.1, 2.2, 4.3, 6.4):
+            one.worker.saw(Entry(beat.key, beat.value, one.revision + int(at) + 1), at)
+            one.decided(at)
+            blind.append(one.last.is_blind)
+        assert blind == [False, False, False, True]
+
+
+class TestAcknowledgements:
+    def test_a_connection_waits_until_all_others_have_seen_it(self) -> None:
+        one = OneWorker(LINE)
+        one.member("b.1", 0.0, seen=0)
+        one.hold(LINE, "m.1", by="m.1")
+        one.step(0.0)
+        assert one.last.is_eager
+        assert one.polled() == set()
+        touched = one.worker.view.touched_at(LINE)
+        one.member("b.1", 0.5, seen=touched - 1)
+        one.step(0.5)
+        assert one.polled() == set()
+        one.member("b.1", 0.6, seen=touched)
+        one.step(0.6)
+        assert one.polled() == {LINE.key}
+        assert not one.last.is_eager
+
+    def test_who_has_vanished_is_waited_for_as_long_as_its_lease(self) -> None:
+        one = OneWorker(LINE)
+        one.member("b.1", 0.0)
+        one.step(0.0)
+        one.write("worker.b.1", None, 1.0)
+        one.hold(LINE, "m.1", 1.0, by="m.1")
+        for at in every(1.0, 11.4, 0.1):
+            one.step(at)
+            assert one.polled() == set(), at
+        one.step(11.5)
+        assert one.polled() == {LINE.key}
+
+    def test_a_beat_is_hurried_when_others_wait_for_it(self) -> None:
+        one = OneWorker(LINE)
+        one.steps(0.0, 1.0)
+        assert one.decided(1.5) == []
+        one.write(OTHER.bucket_key, OTHER.encode(), 1.5)
+        (put,) = one.decided(1.5)
+        assert put.beat
+        assert isinstance(record := decode(put.key, put.value or b""), Member)
+        assert record.seen == one.revision
+        assert (record.zones, record.lease, record.state) == (("",), LEASE, "here")
+
+
+class TestEndedWorkers:
+    """They stay for `fleet status` for a minute."""
+
+    def ended(self) -> OneWorker:
+        one = OneWorker()
+        one.member("z.1", 0.0, "ended")
+        return one
+
+    def test_they_are_deleted_after_a_minute(self) -> None:
+        one = self.ended()
+        assert one.steps(*every(0.0, 59.0)) == []
+        assert written(one.step(60.0)) == {"worker.z.1": None}
+        assert one.steps(*every(61.0, 65.0)) == []
+
+    def test_slots_without_connections_are_deleted_before(self) -> None:
+        one = self.ended()
+        one.hold(LINE, "z.1")
+        puts = one.steps(*every(0.0, 61.0))
+        assert [put.key for put in puts] == [LINE.slot.key, "worker.z.1"]
+        assert {put.value for put in puts} == {None}
+
+
+class TestLeaseOfItsOwn:
+    def test_it_begins_when_its_value_was_sent_and_is_used_in_part(self) -> None:
+        lease = Lease("a.1")
+        lease.sends(1, LEASE, 100.0)
+        lease.is_confirmed(1, 7)
+        assert (lease.until, lease.revision) == (-math.inf, 7)  # it has not joined
+        lease.came_back(5)
+        assert lease.until == -math.inf  # that was never sent
+        lease.came_back(1)
+        assert lease.until == 109.0
+
+    def test_a_confirmation_extends_it_and_an_older_one_takes_nothing_back(self) -> None:
+        lease = Lease("a.1")
+        for beat, at in ((1, 100.0), (2, 105.0), (3, 108.0)):
+            lease.sends(beat, LEASE, at)
+        lease.came_back(1)
+        for beat, revision in ((3, 9), (2, 8)):
+            lease.is_confirmed(beat, revision)
+            assert (lease.until, lease.revision) == (117.0, 9)
+
+    def test_of_values_in_vain_the_last_lease_is_remembered(self) -> None:
+        lease = Lease("a.1")
+        for beat in range(1000):
+            lease.sends(beat, LEASE, float(beat))
+        assert len(lease._sent) == LEASE
+
+
+class TestBlindness:
+    def blind(self, one: OneWorker, at: float) -> bool:
+        one.decided(at)
+        return one.last.is_blind
+
+    def test_who_knows_of_no_fleet_or_reads_is_not_blind(self) -> None:
+        one = OneWorker()
+        one.worker.begins()
+        assert not self.blind(one, 1000.0)
+        one.worker.is_synced(1000.0)  # nothing is there
+        assert not self.blind(one, 2000.0)
+
+    def test_who_does_not_see_its_own_values_is_blind(self) -> None:
+        one = OneWorker()
+        assert [self.blind(one, at) for at in (2.9, 3.1)] == [False, True]
+        one.member(one.me, 3.1)
+        assert [self.blind(one, at) for at in (6.0, 6.2)] == [False, True]
+
+    def test_all_is_read_again_after_a_while(self) -> None:
+        one = OneWorker()
+        for at in range(1, 700):
+            one.step(float(at))
+            assert one.last.is_blind == (at >= 60 * LEASE)
+
+
+class TestUnserved:
+    """Connections that no worker polls are found by the first of all workers."""
+
+    def found(self, one: OneWorker, at: float, *living: str) -> list[str]:
+        for id in sorted((one.me, *living)):
+            one.member(id, at)
+        one.step(at)
+        return sorted(each.zone for each in one.last.unserved)
+
+    def test_what_nobody_polls_is_found_a_lease_and_a_half_later(self) -> None:
+        one = OneWorker(NORTH, SOUTH)
+        one.hold(NORTH, one.me)
+        found = [self.found(one, at) for at in (0.0, 14.9, 15.0, 30.0)]
+        assert found == [[], [], ["south"], ["south"]]
+        one.write(NORTH.slot.key, None, 30.0)
+        assert [self.found(one, at) for at in (44.9, 45.0)] == [["south"], ["north", "south"]]
+
+    def test_what_came_later_is_waited_for(self) -> None:
+        one = OneWorker()
+        one.write(NORTH.bucket_key, NORTH.encode(), 7.0)
+        assert [self.found(one, at) for at in (21.9, 22.0)] == [[], ["north"]]
+
+    def test_a_holder_counts_until_its_end_is_recorded(self) -> None:
+        one = OneWorker(NORTH)
+        one.hold(NORTH, "z.1")
+        assert self.found(one, 20.0, "z.1") == []
+        for at in [*every(21.0, 30.0), 30.5, 45.4]:
+            assert self.found(one, at) == []
+        assert one.worker.view.members["z.1"].state == "ended"
+        assert self.found(one, 45.5) == ["north"]
+
+    def test_the_first_of_all_workers_finds_them(self) -> None:
+        one = OneWorker(NORTH)
+        assert [self.found(one, at, "a.1") for at in (0.0, 15.0, 40.0)] == [[], [], []]
+        assert [self.found(one, at) for at in (44.0, 46.0)] == [[], ["north"]]
+
+
+class TestRefusals:
+    """Who refuses a command to a device that it does not poll."""
+
+    PUMP = "no worker polls 'pump' now"
+    VALVE = "there is no device 'valve'"
+
+    def refusal(self, one: OneWorker, device: str = "pump", at: float = 1.0) -> str:
+        return Locations(one.worker).refusal(device, at)
+
+    def test_what_nobody_has_is_refused(self) -> None:
+        one = OneWorker(LINE, lives=True)
+        assert [self.refusal(one, each) for each in ("valve", "pump")] == [self.VALVE, self.PUMP]
+
+    @pytest.mark.parametrize(
+        ("holder", "state", "is_refused"),
+        [
+            ("z.1", "here", False),  # it answers, or has just died
+            ("z.1", "ended", True),
+            ("m.1", "here", True),  # nobody else will answer
+        ],
+    )
+    def test_the_holder_of_the_slot_decides(
+        self, holder: str, state: str, is_refused: bool
+    ) -> None:
+        one = OneWorker(LINE, lives=True)
+        one.member(holder, state=state)
+        one.hold(LINE, holder)
+        for at in (1.0, 4.9):
+            assert self.refusal(one, at=at) == (self.PUMP if is_refused else "")
+
+    def test_a_slot_that_is_handed_over_may_be_answered_for_already(self) -> None:
+        one = OneWorker(LINE, lives=True)
+        one.hold(LINE, one.me)
+        one.worker.decided(one.last._replace(puts=[Put(LINE.slot.key, b"", one.revision)]), 0.0)
+        assert self.refusal(one) == ""
+
+    @pytest.mark.parametrize(("other", "is_refused"), [("a.1", False), ("z.1", True)])
+    def test_the_first_of_all_workers_refuses(self, other: str, is_refused: bool) -> None:
+        one = OneWorker(LINE, lives=True)
+        one.member(other)
+        assert self.refusal(one, "valve") == (self.VALVE if is_refused else "")
+
+    def test_a_worker_that_fell_silent_refuses_nothing(self) -> None:
+        """Half a lease without a word of the first: the next one refuses, which is heard."""
+        one = OneWorker(LINE, lives=True)
+        one.member("a.1")
+        one.member(one.me, 4.0)
+        assert [self.refusal(one, "valve", at) for at in (4.9, 5.1)] == ["", self.VALVE]
+        assert self.refusal(one, "valve", 100.0) == ""
+
+    def test_devices_that_come_and_go_are_noticed_and_not_read_for_each_question(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        one = OneWorker(LINE, lives=True)
+        locations = Locations(one.worker)
+        for value, told in ((None, "there is no device 'pump'"), (LINE.encode(), self.PUMP)):
+            one.write(LINE.bucket_key, value)
+            assert locations.refusal("pump", 1.0) == told
+        monkeypatch.setattr("libmodbus_py.services.workers.commands.json.loads", None)
+        assert locations.refusal("pump", 1.0) == self.PUMP
