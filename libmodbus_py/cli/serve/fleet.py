@@ -23,11 +23,11 @@ from ...services.fleet.files import FleetFile
 from ...services.fleet.fleet import Fleet
 from ...services.fleet.journal.errors import JournalError
 from ...services.fleet.journal.journal import Journal
-from ...services.fleet.outputs.output import Output
+from ...services.fleet.outputs.output import Output, OutputError
 from ...services.workers.polling import Polling
 from ...services.workers.pushing import Pushed, changes, connections_of, push, seen_now
 from ...services.workers.records import BUCKET, Connection, FleetSettings, in_key
-from ...services.workers.status import fleet_status, tables
+from ...services.workers.status import fleet_status, is_polled, tables
 from .. import arguments
 from ..failing import CommandError
 from ..help import VerbatimHelp
@@ -136,7 +136,7 @@ def poll(
 def _waited_for(running: Coroutine[Any, Any, int]) -> int:
     try:
         return asyncio.run(running)
-    except (EngineError, JournalError) as error:
+    except (EngineError, JournalError, OutputError) as error:
         raise CommandError(str(error)) from None
 
 
@@ -305,6 +305,4 @@ async def _status(servers: list[str], as_json: bool) -> int:
         if not zone["workers"]:
             told = f"zone {name!r}" if name else "devices without a zone"
             complain(f"no worker polls {told}")
-    return (
-        1 if any(each["served_slots"] < each["slots"] for each in status["zones"].values()) else 0
-    )
+    return 0 if is_polled(status) else 1

@@ -38,6 +38,7 @@ __all__ = [
     "encode_holder",
     "in_key",
     "slot_of",
+    "zone_of",
 ]
 
 BUCKET = "modbus-fleet"
@@ -221,6 +222,11 @@ def in_key(zone: str) -> str:
     return zone or "_"
 
 
+def zone_of(token: str) -> str:
+    """Return the zone with a form in keys."""
+    return "" if token == "_" else token
+
+
 Record = FleetSettings | Connection | Member | Holding
 
 
@@ -304,7 +310,7 @@ def _encode(**values: Any) -> bytes:
 
 def _zone(token: str) -> str:
     in_key(token)
-    return "" if token == "_" else token
+    return zone_of(token)
 
 
 def _typed(kind: type, given: object) -> Any:

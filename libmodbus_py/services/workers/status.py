@@ -1,20 +1,21 @@
 """
-The status of a fleet: its workers, their slots, and the zones that no worker serves.
+The status of a fleet: its workers, their slots, and the parts that no worker polls.
 """
 
 from __future__ import annotations
 
 import asyncio
 from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from ..engine.buckets import Bucket
 from ..engine.errors import EngineError
-from .pushing import seen_now
-from .records import Member
+from .pushing import devices_of, seen_now
+from .records import Member, zone_of
 from .view import BucketView
 
-__all__ = ["fleet_status", "tables"]
+__all__ = ["fleet_status", "is_polled", "tables"]
 
 # The time between the two reads of the bucket, as a fraction of a lease. Each live worker renews
 # its lease twice in this time.
@@ -39,6 +40,12 @@ async def fleet_status(bucket: Bucket) -> dict[str, Any]:
     return _document(before, await seen_now(bucket))
 
 
+def is_polled(status: dict[str, Any]) -> bool:
+    """Return True if a worker polls each part of the fleet."""
+    zones = status["zones"].values()
+    return all(each["served_slots"] == each["slots"] and not each["unreadable"] for each in zones)
+
+
 def _document(before: BucketView, view: BucketView) -> dict[str, Any]:
     slots = Counter(view.holders[slot] for slot in view.used_slots if slot in view.holders)
     workers = [
@@ -46,14 +53,15 @@ def _document(before: BucketView, view: BucketView) -> dict[str, Any]:
         for member in sorted(view.members.values(), key=lambda each: each.id)
     ]
     here = [each for each in workers if each["state"] == "here"]
+    invalid = dict(_invalid(view))
     reports = [each["report"] for each in here]
     return {
         "lease": view.settings.lease if view.settings else None,
         "on_engine_loss": view.settings.on_engine_loss if view.settings else None,
         "totals": {key: round(sum(_number(each, key) for each in reports), 1) for key in SUMS},
         "workers": workers,
-        "zones": _zones(view, {each["id"] for each in here}),
-        "unreadable": sorted(view.unreadable.values()),
+        "zones": _zones(view, {each["id"] for each in here}, invalid),
+        "unreadable": sorted([*view.unreadable.values(), *invalid.values()]),
     }
 
 
@@ -75,8 +83,28 @@ def _worker(member: Member, state: str, slots: int) -> dict[str, Any]:
     }
 
 
-def _zones(view: BucketView, here: set[str]) -> dict[str, Any]:
-    """Return numbers by zone; the zone of devices without a zone is ""."""
+def _invalid(view: BucketView) -> Iterator[tuple[str, str]]:
+    """Yield the keys of connections whose devices no worker can read, and the reasons."""
+    for connection in view.connections:
+        try:
+            devices_of(connection)
+        except ValueError as error:
+            yield connection.bucket_key, str(error)
+
+
+def _zones(view: BucketView, here: set[str], invalid: Iterable[str]) -> dict[str, Any]:
+    """
+    Return numbers by zone; the zone of devices without a zone is "".
+
+    Args:
+        here: the ids of the workers that poll.
+        invalid: the keys of connections whose devices no worker can read.
+    """
+    unreadable = Counter[str]()
+    for key in (*view.unreadable, *invalid):
+        kind, _, rest = key.partition(".")
+        if kind == "connection":
+            unreadable[zone_of(rest.partition(".")[0])] += 1
     connections = Counter(each.zone for each in view.connections)
     used, served = Counter[str](), Counter[str]()
     for slot in view.used_slots:
@@ -92,8 +120,9 @@ def _zones(view: BucketView, here: set[str]) -> dict[str, Any]:
             "slots": used[zone],
             "served_slots": served[zone],
             "workers": workers[zone],
+            "unreadable": unreadable[zone],
         }
-        for zone in sorted(used)
+        for zone in sorted({*used, *unreadable})
     }
 
 
@@ -122,16 +151,12 @@ def tables(status: dict[str, Any]) -> str:
         )
     lines += ["", ZONES.format("zone", "workers", "connections", "slots", "served", "").rstrip()]
     for name, each in status["zones"].items():
-        missing = each["slots"] - each["served_slots"]
-        remark = "" if not missing else "no worker" if not each["workers"] else "moving"
-        lines.append(
-            ZONES.format(
-                name[:28] or "(none)",
-                each["workers"],
-                each["connections"],
-                each["slots"],
-                each["served_slots"],
-                remark,
-            ).rstrip()
-        )
+        numbers = [each[key] for key in ("workers", "connections", "slots", "served_slots")]
+        lines.append(ZONES.format(name[:28] or "(none)", *numbers, _remark(each)).rstrip())
     return "\n".join([*lines, *(f"unreadable: {each}" for each in status["unreadable"])])
+
+
+def _remark(zone: dict[str, Any]) -> str:
+    if zone["served_slots"] < zone["slots"]:
+        return "moving" if zone["workers"] else "no worker"
+    return f"{zone['unreadable']} unreadable" if zone["unreadable"] else ""

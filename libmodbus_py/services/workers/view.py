@@ -19,6 +19,7 @@ from .records import (
     decode,
     digest_of,
     slot_of,
+    zone_of,
 )
 
 __all__ = ["HEARD_PART", "BucketView", "Entry"]
@@ -181,11 +182,11 @@ class BucketView:
         elif kind == "slot":
             zone, _, number = rest.partition(".")
             if number.isdecimal() and len(number) <= 3:
-                return self.holders.pop(Slot("" if zone == "_" else zone, int(number)), "")
+                return self.holders.pop(Slot(zone_of(zone), int(number)), "")
         elif kind == "connection":
             self._touch(entry.key, entry.revision)
             token, _, digest = rest.partition(".")
-            zone = "" if token == "_" else token
+            zone = zone_of(token)
             if self._connections.get(digest, {}).pop(zone, None):
                 self._in_slot[slot_of(zone, digest)] -= 1
                 if not self._connections[digest]:

@@ -7,8 +7,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import os
 import socket
 import subprocess
+import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -215,9 +217,19 @@ def test_results_commands_and_status(tmp_path, capsys):
         asked_devices(1) as (urls, asked),
     ):
         file = fleet_file(tmp_path, urls, interval=0.2, engine=engine)
+        # A worker whose standard output is gone ends, and says so.
+        unread, gone = os.pipe()
+        os.close(unread)
+        command = [sys.executable, "-m", "libmodbus_py", "poll", str(file), "--json"]
+        command += ["--engine", server.urls]
+        done = subprocess.run(command, stdout=gone, stderr=subprocess.PIPE, text=True, timeout=60)
+        os.close(gone)
+        assert done.returncode == 1
+        assert done.stderr.splitlines()[-1] == "libmodbus-py: standard output: Broken pipe"
+        polls = asked.polls
         with Workers(file, tmp_path) as workers:
             workers.start("a", server.urls)
-            until(lambda: asked.polls > 0, 30)
+            until(lambda: asked.polls > polls, 30)
 
             # A reading, seen by a client of MQTT.
             hears = mosquitto(mqtt, "modbus/readings/d0-3")
@@ -246,7 +258,8 @@ def test_results_commands_and_status(tmp_path, capsys):
             command = ("fleet", "status", "--engine", server.urls)
             status = json.loads(told(capsys, *command, "--json")[0])
             assert len(status["unreadable"]) == 1
-            assert {each["name"] for each in status["workers"]} == {"a"}
+            here = {each["name"] for each in status["workers"] if each["state"] == "here"}
+            assert here == {"a"}
             assert status["totals"]["devices"] == UNITS
 
             # A zone that nobody serves.

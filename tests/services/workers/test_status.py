@@ -5,12 +5,14 @@ What `fleet status` says, of a bucket in memory.
 from __future__ import annotations
 
 import asyncio
+import json
 from typing import Any, cast
 
 import pytest
 
 from libmodbus_py.services.engine.buckets import Bucket
 from libmodbus_py.services.engine.errors import EngineError, EngineGone
+from libmodbus_py.services.fleet.config import devices_to_json
 from libmodbus_py.services.workers.pushing import seen_now
 from libmodbus_py.services.workers.records import (
     SETTINGS,
@@ -21,16 +23,18 @@ from libmodbus_py.services.workers.records import (
     encode_holder,
     slot_of,
 )
-from libmodbus_py.services.workers.status import fleet_status, tables
+from libmodbus_py.services.workers.status import fleet_status, is_polled, tables
 from tests.services.workers.memory_engine import MemoryBucket, now, run
 
 LEASE = 8.0
+
+KEY = "tcp:192.0.2.9:502"
 
 REPORT = {"connections": 2, "devices": 3, "up": 2, "down": 1, "polls": 1.26}
 
 
 def connection(zone: str, host: int) -> Connection:
-    return Connection(zone, f"tcp:192.0.2.{host}:502", 1.0, '{"devices": []}')
+    return Connection(zone, f"tcp:192.0.2.{host}:502", 1.0, devices_to_json([]))
 
 
 def member(id: str, *, beat: int = 1, state: Any = "here", report: Any = REPORT) -> Member:
@@ -80,11 +84,41 @@ def test_workers_zones_and_sums() -> None:
     assert status["on_engine_loss"] == "stop"
     assert status["totals"] == {**REPORT, "polls": 1.3}
     assert status["zones"] == {
-        "": {"connections": 1, "slots": 1, "served_slots": 1, "workers": 1},
-        "north": {"connections": 1, "slots": 1, "served_slots": 0, "workers": 1},
-        "south": {"connections": 1, "slots": 1, "served_slots": 0, "workers": 0},
+        "": {"connections": 1, "slots": 1, "served_slots": 1, "workers": 1, "unreadable": 0},
+        "north": {"connections": 1, "slots": 1, "served_slots": 0, "workers": 1, "unreadable": 0},
+        "south": {"connections": 1, "slots": 1, "served_slots": 0, "workers": 0, "unreadable": 0},
     }
     assert status["unreadable"] == ["worker.odd.4: zones is missing"]
+    assert not is_polled(status)
+
+
+@pytest.mark.parametrize(
+    ("zone", "value", "why"),
+    [
+        ("", {"connection": KEY, "timeout": 1, "devices": {}}, f"{KEY}: its devices in the bucket"),
+        ("west", {"connection": "tcp:x", "timeout": 1, "devices": {}}, "connection does not match"),
+        ("", None, ""),
+    ],
+)
+def test_what_no_worker_can_read_is_a_part_that_is_not_polled(
+    zone: str, value: object, why: str
+) -> None:
+    bucket = MemoryBucket()
+    bucket.write(SETTINGS, FleetSettings(LEASE).encode())
+    first = connection("", 1)
+    bucket.write(first.bucket_key, first.encode())
+    bucket.write(first.slot.key, encode_holder("alive.1", "alive.1"))
+    if value:
+        slot = slot_of(zone, digest_of(KEY))
+        bucket.write(f"connection.{zone or '_'}.{digest_of(KEY)}", json.dumps(value).encode())
+        bucket.write(slot.key, encode_holder("alive.1", "alive.1"))
+    status, _ = run(seen(bucket))
+    assert is_polled(status) == (not value)
+    assert len(status["unreadable"]) == bool(value)
+    if value:
+        assert why in status["unreadable"][0]
+        assert status["zones"][zone]["unreadable"] == 1
+        assert "  1 unreadable\n" in tables(status)
 
 
 def test_tables_say_the_same_to_be_read() -> None:
