@@ -12,11 +12,12 @@ import asyncio
 import contextlib
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from typing import TYPE_CHECKING
 
+from ..engine.errors import what
 from ..fleet.commands import Commands, encoded, wanted_of
-from ..tasks import end_tasks
+from ..tasks import end_tasks, finish
 from .records import Connection
 from .stream import WRITE, asked_about, written
 from .worker import Worker
@@ -24,7 +25,6 @@ from .worker import Worker
 if TYPE_CHECKING:
     from nats.aio.client import Client
     from nats.aio.msg import Msg
-    from nats.aio.subscription import Subscription
 
 __all__ = ["CommandService", "Locations"]
 
@@ -39,6 +39,9 @@ _INBOX = re.compile(
 # fill the memory.
 MOST_WAITING = 256
 
+# Seconds before subscribing is tried again, and for unsubscribing.
+PAUSE_S = 0.25
+
 
 class CommandService:
     """
@@ -47,37 +50,51 @@ class CommandService:
     Args:
         client: a connection to NATS.
         commands: carries out the commands, and refuses those that no worker can carry out.
+        say: logs a line.
     """
 
-    def __init__(self, client: Client, commands: Commands) -> None:
+    def __init__(self, client: Client, commands: Commands, say: Callable[[str], None]) -> None:
         self._client = client
         self._commands = commands
+        self._say = say
         self._tasks: set[asyncio.Task[None]] = set()
-        self._subscription: Subscription | None = None
-        self._is_open = False
+        self._is_on = False
+        self._switched = asyncio.Event()
 
-    async def begin(self) -> None:
-        """Subscribe to commands. The client subscribes again after each reconnection."""
-        self._is_open = True
-        self._subscription = await self._client.subscribe(f"{WRITE}.*.*", cb=self._receive)
+    def switch(self, is_on: bool) -> None:
+        """Take commands from now on, or none, not even those that were already received."""
+        if is_on != self._is_on:
+            self._is_on = is_on
+            self._switched.set()
+            for task in self._tasks:
+                task.cancel()
 
-    def stop(self) -> None:
-        """Carry out no more commands, not even those that were already received."""
-        self._is_open = False
-        for task in self._tasks:
-            task.cancel()
+    async def run(self) -> None:
+        """Subscribe to commands while they are taken, until cancelled."""
+        while True:
+            self._switched.clear()
+            try:
+                async with self._subscribed():
+                    await self._switched.wait()
+            except Exception as error:
+                self._say(f"commands: {what(error)}")
+                await asyncio.sleep(PAUSE_S)
 
-    async def end(self) -> None:
-        """Stop, and unsubscribe."""
-        self.stop()
-        subscription, self._subscription = self._subscription, None
-        await end_tasks(list(self._tasks))
-        if subscription is not None:
-            with contextlib.suppress(Exception):
-                await subscription.unsubscribe()
+    @contextlib.asynccontextmanager
+    async def _subscribed(self) -> AsyncIterator[None]:
+        subscription = None
+        try:
+            if self._is_on:
+                # The client subscribes again after each reconnection.
+                subscription = await self._client.subscribe(f"{WRITE}.*.*", cb=self._receive)
+            yield
+        finally:
+            await end_tasks(list(self._tasks))
+            if subscription is not None:
+                await finish(subscription.unsubscribe(), PAUSE_S)
 
     async def _receive(self, message: Msg) -> None:
-        if self._is_open and len(self._tasks) < MOST_WAITING:
+        if self._is_on and len(self._tasks) < MOST_WAITING:
             task = asyncio.create_task(self._answer(message))
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from ...protocol.logs import HarmlessLogger
 from ...system import boot_time
 from ..engine.buckets import Bucket, Change
-from ..engine.errors import EngineError, what
+from ..engine.errors import EngineError
 from ..fleet.config import DeviceConfig
 from ..fleet.fleet import Fleet
 from ..fleet.journal.journal import Journal
@@ -95,12 +95,10 @@ class Polling:
         )
         self._locations = Locations(self.worker)
         self.fleet.commands.refusal = self._refusal
-        self._service = CommandService(client, self.fleet.commands)
-        self._takes_commands = settings.commands
-        self._switched = asyncio.Event()
-        # Set when a decision is due before the planned time.
+        self._service = CommandService(client, self.fleet.commands, self._say)
+        self._service.switch(settings.commands)
+        # Set when a decision is due.
         self._woken = asyncio.Event()
-        self._planned = math.inf
         # Set when the bucket must be watched anew; and whether the whole of it has arrived.
         self._doubted = asyncio.Event()
         self._is_whole = False
@@ -140,7 +138,7 @@ class Polling:
             self.fleet.run,
             self._keep_watching,
             self._keep_deciding,
-            self._keep_listening,
+            self._service.run,
             self._until_closed,
         )
         tasks = [asyncio.create_task(part()) for part in parts]
@@ -150,7 +148,6 @@ class Polling:
             if self._late is not None:
                 self._late.cancel()
             await end_tasks([*tasks, *self._writes])
-            await self._service.end()
         for task in tasks:
             if not task.cancelled():
                 task.result()
@@ -207,7 +204,8 @@ class Polling:
                 self.worker.is_synced(self.now())
             else:
                 self.worker.saw(Entry(*change), self.now())
-            self._follow_settings()
+            if self.worker.view.settings is not None:
+                self._service.switch(self.worker.view.settings.commands)
             self._look()
 
         return receive
@@ -215,27 +213,6 @@ class Polling:
     def _demand_whole(self) -> None:
         if not self._is_whole:
             self._doubted.set()
-
-    def _follow_settings(self) -> None:
-        settings = self.worker.view.settings
-        if settings is not None and settings.commands != self._takes_commands:
-            self._takes_commands = settings.commands
-            if not settings.commands:
-                self._service.stop()
-            self._switched.set()
-
-    async def _keep_listening(self) -> None:
-        """Subscribe to commands while the fleet takes them."""
-        while True:
-            self._switched.clear()
-            await self._service.end()
-            try:
-                if self._takes_commands:
-                    await self._service.begin()
-                await self._switched.wait()
-            except Exception as error:
-                self._say(f"commands: {what(error)}")
-                await asyncio.sleep(PAUSE_S)
 
     # --- decisions ------------------------------------------------------------------------------
 
@@ -253,17 +230,15 @@ class Polling:
             await self._until_due()
 
     def _look(self) -> None:
-        """Wake `_keep_deciding` if a decision is due before the planned time."""
-        if self.worker.due < self._planned:
+        """Wake `_keep_deciding` if something has changed."""
+        if self.worker.due <= self.now():
             self._woken.set()
 
     async def _until_due(self) -> None:
         loop, settings = asyncio.get_running_loop(), self.worker.view.settings
         shortest = min(COARSEST_S, EXACTNESS * settings.lease if settings else COARSEST_S)
         while True:
-            now = self.now()
-            pause = min(LONGEST_PAUSE_S, max(shortest, self.worker.due - now))
-            self._planned = now + pause
+            pause = min(LONGEST_PAUSE_S, max(shortest, self.worker.due - self.now()))
             timer = loop.call_later(pause, self._woken.set)
             try:
                 await self._woken.wait()

@@ -1,30 +1,41 @@
 """
-Writes by name that come over the engine: who answers, what, and how many at once.
+Writes by name that come over the engine or a broker: one worker answers, whoever was stopped or
+has died; strangers cannot have anything else written or published; floods are dropped.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from contextlib import asynccontextmanager
 from typing import Any
 
+import nats.errors
+import pytest
+
 from libmodbus_py import ModbusTimeoutError
-from libmodbus_py.services.fleet.commands import Commands
+from libmodbus_py.fleet import Reading
+from libmodbus_py.services.fleet.commands import Commands, Wanted
 from libmodbus_py.services.fleet.statistics import FleetStatistics
 from libmodbus_py.services.workers.commands import MOST_WAITING, CommandService
+from libmodbus_py.services.workers.records import FleetSettings
 from tests.services.workers.memory_engine import MemoryClient, run
+from tests.services.workers.trial import INTERVAL, LEASE, Trial
+from tests.simulation.engine import EngineClient
+from tests.simulation.workers import push_fleet
 
+INBOX = "_INBOX.u9ii73oAyVwgjXVUkC6cqN"
 SUBJECT = "modbus.write.pump.setpoint"
+WRITTEN = "modbus.written.pump.setpoint"
 
-INBOX = "_INBOX.u9ii73oAyVwgjXVUkC6cqN.1"
 
-
-class Written:
-    """Devices that take writes, at once or when they may; the pump is the only one."""
+class Pump:
+    """A device that takes writes, at once or when it may; see `Writing`."""
 
     def __init__(self) -> None:
         self.statistics = FleetStatistics()
-        self.values: list[dict[str, Any]] = []
+        self.values: list[Any] = []
         self.may_go_on = asyncio.Event()
         self.may_go_on.set()
 
@@ -35,27 +46,28 @@ class Written:
         await self.may_go_on.wait()
         if values == {"setpoint": 99}:
             raise ModbusTimeoutError("no answer")
-        self.values.append({device: values})
+        self.values.append(values["setpoint"])
 
 
-class Trial:
-    """A service with its client; what refuses is asked by the name of the device."""
+class Service:
+    """A service with its client; refuses commands to the pump, or to all other devices."""
 
-    def __init__(self, refusal: str | None = None) -> None:
+    def __init__(self, refusal: str | None) -> None:
         self.client = MemoryClient()
-        self.devices = Written()
-        self.refusal = refusal
-        commands = Commands(self.devices)
-        commands.refusal = lambda device: self.refusal if device == "pump" else f"no {device}"
-        # As much of a client as the service uses.
-        self.service = CommandService(self.client, commands)  # type: ignore[arg-type]
+        self.pump = Pump()
+        self.said: list[str] = []
+        commands = Commands(self.pump)
+        commands.refusal = lambda device: refusal if device == "pump" else f"no {device}"
+        given: Any = self.client
+        self.service = CommandService(given, commands, self.said.append)
 
-    async def ask(self, data: bytes, *, subject: str = SUBJECT, reply: str = INBOX) -> None:
+    async def ask(
+        self, data: bytes, subject: str = SUBJECT, reply: str = INBOX
+    ) -> list[tuple[str, dict[str, Any]]]:
+        """Send a command; return what is published then."""
+        self.client.published.clear()
         await self.client.deliver(subject, data, reply)
         await settle()
-
-    @property
-    def answers(self) -> list[tuple[str, dict[str, Any]]]:
         told = [(subject, json.loads(data)) for subject, data in self.client.published]
         assert all(outcome.pop("time") for _, outcome in told)
         return told
@@ -67,127 +79,406 @@ async def settle() -> None:
         await asyncio.sleep(0)
 
 
-def test_a_write_is_carried_out_and_answered_twice() -> None:
-    """To who asked, and to who can have no answer."""
+@asynccontextmanager
+async def serving(refusal: str | None = None) -> AsyncIterator[Service]:
+    made = Service(refusal)
+    made.service.switch(True)
+    running = asyncio.create_task(made.service.run())
+    await settle()
+    try:
+        yield made
+    finally:
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+        assert made.client.subscribed == {}
 
+
+NOBODY = "no worker polls 'kälte' now"
+
+
+@pytest.mark.parametrize(
+    ("refusal", "data", "outcome"),
+    [
+        (None, b'{"value": 21.5, "id": "a"}', {"ok": True, "id": "a"}),
+        (None, b"99", {"ok": False, "error": "no answer"}),
+        (NOBODY, b'{"value": 20, "id": 7}', {"ok": False, "error": NOBODY, "id": 7}),
+        (NOBODY, b"20", {"ok": False, "error": NOBODY}),
+        ("", b"20", None),  # another worker answers
+    ],
+)
+def test_an_outcome_is_sent_to_who_asked_and_to_who_can_have_no_answer(
+    refusal: str | None, data: bytes, outcome: dict[str, Any] | None
+) -> None:
     async def main() -> None:
-        trial = Trial()
-        await trial.service.begin()
-        assert list(trial.client.subscribed) == ["modbus.write.*.*"]
-        await trial.ask(b'{"value": 21.5, "id": "a"}')
-        assert trial.devices.values == [{"pump": {"setpoint": 21.5}}]
-        outcome = {"ok": True, "id": "a"}
-        assert trial.answers == [(INBOX, outcome), ("modbus.written.pump.setpoint", outcome)]
-
-    run(main())
-
-
-def test_who_wants_no_answer_gets_none() -> None:
-    async def main() -> None:
-        trial = Trial()
-        await trial.service.begin()
-        await trial.ask(b"20", reply="")
-        assert trial.answers == [("modbus.written.pump.setpoint", {"ok": True})]
-
-    run(main())
-
-
-def test_a_failure_is_answered_with_its_reason() -> None:
-    async def main() -> None:
-        trial = Trial()
-        await trial.service.begin()
-        await trial.ask(b"99")
-        assert trial.answers[0] == (INBOX, {"ok": False, "error": "no answer"})
-        assert trial.devices.statistics.refused_commands == 1
-
-    run(main())
-
-
-def test_a_device_that_another_worker_has_is_left_to_that() -> None:
-    async def main() -> None:
-        trial = Trial(refusal="")
-        await trial.service.begin()
-        await trial.ask(b"20")
-        assert trial.answers == []
-        assert trial.devices.values == []
-
-    run(main())
-
-
-def test_a_refusal_in_the_name_of_all_is_answered() -> None:
-    async def main() -> None:
-        trial = Trial(refusal="no worker polls 'pump' now")
-        await trial.service.begin()
-        await trial.ask(b'{"value": 20, "id": 7}')
-        refused = {"ok": False, "error": "no worker polls 'pump' now", "id": 7}
-        assert trial.answers[0] == (INBOX, refused)
-        await trial.ask(b"20")
-        assert trial.answers[2] == (INBOX, {"ok": False, "error": "no worker polls 'pump' now"})
-        assert trial.devices.values == []
-
-    run(main())
-
-
-def test_answers_have_letters_as_they_are() -> None:
-    async def main() -> None:
-        trial = Trial(refusal="no worker polls 'kälte' now")
-        await trial.service.begin()
-        await trial.ask(b"20")
-        assert "'kälte'".encode() in trial.client.published[0][1]
+        async with serving(refusal) as made:
+            wanted = [(INBOX, outcome), (WRITTEN, outcome)] if outcome else []
+            assert await made.ask(data) == wanted
+            # Letters stay as they are.
+            assert all("ä".encode() in raw for _, raw in made.client.published if refusal)
+            assert await made.ask(data, reply="") == wanted[1:]
+            is_good = outcome is not None and outcome["ok"]
+            assert made.pump.values == [21.5, 21.5] * is_good
+            refused = made.pump.statistics.refused_commands
+            assert refused == 2 * (outcome is not None and not is_good)
 
     run(main())
 
 
 def test_names_with_special_characters_are_understood() -> None:
     async def main() -> None:
-        trial = Trial()
-        await trial.service.begin()
-        await trial.ask(b"20", subject="modbus.write.hall%2E2.set%20point")
-        assert trial.answers[0] == (INBOX, {"ok": False, "error": "no hall.2"})
-        assert trial.answers[1][0] == "modbus.written.hall%2E2.set%20point"
+        async with serving() as made:
+            told = await made.ask(b"20", subject="modbus.write.hall%2E2.set%20point")
+            assert told[0] == (INBOX, {"ok": False, "error": "no hall.2"})
+            assert told[1][0] == "modbus.written.hall%2E2.set%20point"
 
     run(main())
 
 
-def test_what_cannot_be_answered_is_not_told_to_anybody() -> None:
-    """The engine is gone meanwhile: the write was carried out, and nothing is raised."""
-
+def test_an_engine_that_is_gone_meanwhile_costs_the_answer_only() -> None:
     async def main() -> None:
-        trial = Trial()
-        await trial.service.begin()
-        trial.client.is_broken = True
-        await trial.ask(b"20")
-        assert trial.devices.values == [{"pump": {"setpoint": 20}}]
-        assert trial.answers == []
+        async with serving() as made:
+            made.client.is_broken = True
+            assert await made.ask(b"20") == []
+            assert made.pump.values == [20]
 
     run(main())
 
 
 def test_a_flood_is_dropped_beyond_a_bound_and_makes_room_again() -> None:
     async def main() -> None:
-        trial = Trial()
-        trial.devices.may_go_on.clear()
-        await trial.service.begin()
-        for _ in range(MOST_WAITING + 50):
-            await trial.client.deliver(SUBJECT, b"20", INBOX)
-        trial.devices.may_go_on.set()
-        await settle()
-        assert len(trial.answers) == 2 * MOST_WAITING
-        await trial.ask(b"21")
-        assert trial.devices.values[-1] == {"pump": {"setpoint": 21}}
+        async with serving() as made:
+            made.pump.may_go_on.clear()
+            for _ in range(MOST_WAITING + 50):
+                await made.client.deliver(SUBJECT, b"20", INBOX)
+            made.pump.may_go_on.set()
+            await settle()
+            assert len(made.client.published) == 2 * MOST_WAITING
+            await made.ask(b"21")
+            assert made.pump.values[-1] == 21
 
     run(main())
 
 
-def test_the_end_of_the_service_ends_what_waits() -> None:
+def test_what_waits_is_not_carried_out_after_the_end() -> None:
     async def main() -> None:
-        trial = Trial()
-        trial.devices.may_go_on.clear()
-        await trial.service.begin()
-        await trial.ask(b"20")
-        await trial.service.end()
-        trial.devices.may_go_on.set()
+        async with serving() as made:
+            made.pump.may_go_on.clear()
+            await made.ask(b"20")
+        made.pump.may_go_on.set()
         await settle()
-        assert trial.answers == []
+        assert (made.client.published, made.pump.values) == ([], [])
 
     run(main())
+
+
+def test_a_failed_subscription_is_told_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def fail(*_: Any, **__: Any) -> None:
+        raise nats.errors.ConnectionClosedError
+
+    async def main() -> None:
+        with monkeypatch.context() as patched:
+            patched.setattr(MemoryClient, "subscribe", fail)
+            made = Service(None)
+            made.service.switch(True)
+            running = asyncio.create_task(made.service.run())
+            await asyncio.sleep(0.1)
+            assert made.said == ["commands: no server responds"]
+        await asyncio.sleep(1)
+        assert list(made.client.subscribed) == ["modbus.write.*.*"]
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+    run(main())
+
+
+# --- whole workers -------------------------------------------------------------------------------
+
+
+class Listener:
+    """
+    A client that hears all that is published.
+
+    Attributes:
+        messages: subject and content of each message.
+    """
+
+    def __init__(self, trial: Trial) -> None:
+        self.trial = trial
+        self.client: EngineClient = trial.engine.client()
+        self.messages: list[tuple[str, Any]] = []
+
+    async def begin(self) -> None:
+        for subject in ("$JS.>", "$KV.>", "modbus.written.>", "_INBOX.>", "up.>"):
+            await self.client.subscribe(subject, cb=self._note)
+
+    async def _note(self, message: Any) -> None:
+        self.messages.append((message.subject, timeless(message.data)))
+
+    async def heard(self, subject: str, data: bytes, reply: str = "") -> list[tuple[str, Any]]:
+        """Send a command, and return what is heard then."""
+        self.messages.clear()
+        await self.client.publish(f"modbus.write.{subject}", data, reply)
+        await asyncio.sleep(2)
+        return list(self.messages)
+
+    async def ask(self, subject: str, value: object, timeout: float = 10) -> dict[str, Any]:
+        """Send a command, and return the answer."""
+        data = json.dumps(value).encode()
+        answer = await self.client.request(f"modbus.write.{subject}", data, timeout)
+        return timeless(answer.data)
+
+    def device_of(self, worker: str) -> str:
+        """Return a device that a worker polls."""
+        host = self.trial.workers[worker].process.host
+        last = self.trial.asked.last
+        place = next(place for (place, _), (_, peer) in last.items() if peer.startswith(host))
+        return f"d{self.trial.places.index(place)}-1"
+
+
+def timeless(data: bytes) -> dict[str, Any]:
+    outcome: dict[str, Any] = json.loads(data)
+    outcome.pop("time", None)
+    return outcome
+
+
+def commanded(main: Callable[[Listener], Awaitable[None]], connections: int = 2) -> Trial:
+    """Run a test with two workers that carry out commands, and a listener."""
+    trial = Trial(connections, settings=FleetSettings(LEASE, commands=True))
+
+    async def whole() -> None:
+        await trial.start("a", "b")
+        await trial.settle()
+        listener = Listener(trial)
+        await listener.begin()
+        await main(listener)
+        await listener.client.close()
+
+    trial.run(whole)
+    return trial
+
+
+def no_worker(device: str) -> dict[str, Any]:
+    return {"ok": False, "error": f"no worker polls {device!r} now"}
+
+
+def test_commands_are_carried_out_by_who_has_the_device() -> None:
+    async def main(to: Listener) -> None:
+        for at in range(4):
+            assert await to.ask(f"d{at}-1.setpoint", 20 + at) == {"ok": True}
+            assert to.trial.levels.holding_registers[1] == 20 + at
+        refused = await to.ask("d0-1.setpoint", {"value": 99, "id": "x"})
+        assert refused.pop("error").endswith("must be in 10..30, not 99")
+        assert refused == {"ok": False, "id": "x"}
+        unknown = await to.ask("d0-1.setpoin", 20)
+        assert unknown == {"ok": False, "error": "d0-1 has no point 'setpoin'"}
+
+    assert commanded(main, 4).levels.holding_registers[1] == 23
+
+
+def test_one_worker_answers_for_a_device_that_nobody_has() -> None:
+    async def main(to: Listener) -> None:
+        outcome = {"ok": False, "error": "there is no device 'no.one'", "id": 7}
+        told = await to.heard("no%2Eone.setpoint", b'{"value": 1, "id": 7}')
+        assert told == [("modbus.written.no%2Eone.setpoint", outcome)]
+        await push_fleet(to.trial.engine, to.trial.devices(zone="north"), to.trial.settings)
+        await asyncio.sleep(1)
+        told = await to.heard("d0-1.setpoint", b"20")
+        assert told == [("modbus.written.d0-1.setpoint", no_worker("d0-1"))]
+
+    commanded(main)
+
+
+def test_a_command_to_a_device_of_a_dead_worker_is_answered_when_another_one_has_it() -> None:
+    """Until then no worker knows whether it was carried out."""
+
+    async def main(to: Listener) -> None:
+        device = to.device_of("a")
+        to.trial.kill("a")
+        with pytest.raises(nats.errors.TimeoutError):
+            await to.ask(f"{device}.setpoint", 20, LEASE)
+        await to.trial.all_asked(60)
+        assert await to.ask(f"{device}.setpoint", 20) == {"ok": True}
+
+    commanded(main, 8)
+
+
+@pytest.mark.parametrize("seconds", [0.6 * LEASE, 2 * LEASE])
+def test_one_worker_answers_though_the_other_one_was_stopped(seconds: float) -> None:
+    async def main(to: Listener) -> None:
+        device, process = to.device_of("a"), to.trial.workers["a"].process
+        process.stop()
+        await asyncio.sleep(seconds)
+        await to.client.publish(f"modbus.write.{device}.setpoint", b"20")
+        await asyncio.sleep(0.1)
+        process.go_on()
+        await asyncio.sleep(LEASE)
+        assert to.messages == [(f"modbus.written.{device}.setpoint", {"ok": True})]
+
+    assert commanded(main, 8).levels.holding_registers[1] == 20
+
+
+def test_a_flood_of_commands_does_not_keep_devices_from_being_asked() -> None:
+    async def main(to: Listener) -> None:
+        for _ in range(1000):
+            await to.client.publish("modbus.write.d0-1.setpoint", b"20")
+        await asyncio.sleep(2)
+        assert to.trial.asked.gap < 2 * INTERVAL
+        assert await to.ask("d0-1.setpoint", 21) == {"ok": True}
+
+    commanded(main)
+
+
+async def switch(trial: Trial, commands: bool) -> None:
+    settings = FleetSettings(LEASE, commands=commands)
+    await push_fleet(trial.engine, trial.devices(), settings)
+
+
+def test_workers_follow_whether_commands_are_taken() -> None:
+    async def main(to: Listener) -> None:
+        for value in (20, 21, 22, 23):
+            if value % 2:
+                with pytest.raises(nats.errors.TimeoutError):
+                    await to.ask("d0-1.setpoint", value, 2)
+            else:
+                assert await to.ask("d0-1.setpoint", value) == {"ok": True}
+            assert to.trial.levels.holding_registers[1] == value - value % 2
+            await switch(to.trial, bool(value % 2))
+            await asyncio.sleep(0.1)
+
+    commanded(main)
+
+
+def test_commands_that_wait_are_not_carried_out_any_more() -> None:
+    async def main(to: Listener) -> None:
+        worker = next(each for each in to.trial.workers if to.device_of(each) == "d0-1")
+        fleet = to.trial.workers[worker].polling.fleet
+        written: list[int] = []
+        # The device takes as long for a write as the push takes to arrive.
+        may_end = asyncio.Event()
+
+        async def slow(device: str, values: dict[str, int]) -> None:
+            written.extend(values.values())
+            await may_end.wait()
+
+        fleet.write = slow  # type: ignore[method-assign,assignment]
+        for value in (20, 21, 22):
+            await to.client.publish("modbus.write.d0-1.setpoint", str(value).encode())
+        await asyncio.sleep(0.1)
+        await switch(to.trial, False)
+        await asyncio.sleep(0.1)
+        may_end.set()
+        await asyncio.sleep(1)
+        assert written == [20]
+
+    commanded(main)
+
+
+class Broker:
+    """An output that is handed what each of its workers gets: all commands."""
+
+    name = "broker"
+    takes_commands = True
+
+    def attach(self, commands: Commands) -> None:
+        self.commands = commands
+
+    async def open(self) -> None: ...
+
+    async def write(self, readings: Sequence[Reading]) -> None: ...
+
+    async def close(self) -> None: ...
+
+
+def test_one_of_two_workers_answers_what_comes_over_a_broker() -> None:
+    trial = Trial(4)
+    brokers = [Broker(), Broker()]
+
+    async def ask(device: str, point: str, value: object) -> dict[str, Any]:
+        outcomes = [await each.commands.answer(device, point, Wanted(value)) for each in brokers]
+        (outcome,) = [each for each in outcomes if each is not None]
+        del outcome["time"]
+        return outcome
+
+    async def main() -> None:
+        for name, broker in zip("ab", brokers, strict=True):
+            await trial.start(name, outputs=[broker])
+        await trial.settle()
+        for at in range(4):
+            assert await ask(f"d{at}-1", "setpoint", 20 + at) == {"ok": True}
+            assert trial.levels.holding_registers[1] == 20 + at
+        refused = {"ok": False, "error": "there is no device 'nothing'"}
+        assert await ask("nothing", "setpoint", 20) == refused
+        await push_fleet(trial.engine, trial.devices(zone="north"), trial.settings)
+        for worker in trial.workers.values():
+            await trial.until(lambda it=worker: not it.polling.fleet.devices, LEASE)  # type: ignore[misc]
+        assert await ask("d0-1", "setpoint", 20) == no_worker("d0-1")
+
+    trial.run(main)
+
+
+# --- strangers -----------------------------------------------------------------------------------
+
+
+def test_outcomes_are_sent_to_inboxes_only() -> None:
+    """A worker may purge streams, and must not do so because a command has such a reply."""
+
+    async def main(to: Listener) -> None:
+        told = ("modbus.written.d0-1.setpoint", {"ok": True})
+        for reply in (
+            "$JS.API.STREAM.PURGE.modbus-readings",
+            "$KV.modbus-fleet.settings",
+            "modbus.write.d0-1.setpoint",
+            "up.and.away",
+            f"_INBOX.{'x' * 4000}",
+            "_GR_.a.b.$JS.API.STREAM.PURGE.modbus-readings",
+        ):
+            assert await to.heard("d0-1.setpoint", b"20", reply) == [told]
+        for reply in (INBOX, f"{INBOX}.9", "_INBOX_operator.x", "_R_.a.b", f"_GR_.a.b.{INBOX}"):
+            heard = await to.heard("d0-1.setpoint", b"20", reply)
+            assert [each for each in heard if each[0] != reply] == [told]
+        assert await to.heard("d0-1.setpoint", b"20", INBOX) == [(INBOX, {"ok": True}), told]
+
+    commanded(main)
+
+
+def test_names_are_taken_in_one_spelling_only() -> None:
+    """A broker that denies modbus.write.d0-1.> does not know that d%30-1 is the same."""
+
+    async def main(to: Listener) -> None:
+        for subject in (
+            "d%30-1.setpoint",
+            "d0-1.se%74point",
+            "d0%2d1.setpoint",
+            "d0-1.setpoint%",
+            "d0-1.%FF",
+            "d0-1.set%0Apoint",
+            f"{'d' * 101}.setpoint",
+            f"{'%25' * 1500}.setpoint",
+        ):
+            assert await to.heard(subject, b"20", INBOX) == []
+        assert await to.heard("d0-1.setpoint", b"21", INBOX)
+
+    assert commanded(main).levels.holding_registers[1] == 21
+
+
+def test_values_that_are_no_json_are_refused() -> None:
+    async def main(to: Listener) -> None:
+        for data in (
+            b"NaN",
+            b"[1, -Infinity]",
+            b"1e999",
+            b'{"value": 1e999}',
+            b'{"value": 20, "id": "\\ud800"}',
+            b'"\\udfff"',
+            "20".encode("utf-16"),
+            b"\xff",
+            b"[" * 4000,
+            b'{"a":' * 800,
+            b"[[[" + b'"\\' * 2000,
+        ):
+            (answer, told) = await to.heard("d0-1.setpoint", data, INBOX)
+            assert answer[0] == INBOX
+            assert answer[1]["error"].startswith("it must be a value in JSON, not ")
+            assert told[1] == answer[1]
+
+    assert commanded(main).levels.holding_registers[1] == 0
