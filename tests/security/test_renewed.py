@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py.security.renewed import Renewed, reload_all
-from libmodbus_py.services.engine.connection import _identity, _trust
+from libmodbus_py.services.engine.connection import FileText, _identity, _trust
 from libmodbus_py.services.engine.errors import EngineError
-from libmodbus_py.services.engine.file_text import FileText
 from libmodbus_py.services.fleet.files import load
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.secret_file import SecretFile, text_of

@@ -112,7 +112,7 @@ def of_watch(happens: asyncio.Future[None], path: Path) -> Awaitable[None]:
     async def unsubscribe() -> None:
         await happens
 
-    watch = Watch("bucket", lambda change: None)
+    watch = Watch("bucket", lambda change: None, lambda: None)
     watch._subscription = cast(Any, SimpleNamespace(unsubscribe=unsubscribe, _sub=None))
     return watch.end()
 

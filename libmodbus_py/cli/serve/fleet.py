@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 from ...protocol.logs import HarmlessLogger
 from ...server.forever import Handler, signal_handlers
-from ...services.engine.buckets import Bucket, make_bucket, open_bucket
+from ...services.engine.buckets import Bucket, open_bucket
 from ...services.engine.connection import connected, disconnect, parse_servers
 from ...services.engine.errors import EngineError, EngineGone, NothingThere
 from ...services.fleet.files import FleetFile
@@ -180,7 +180,7 @@ async def _answered(
 
 
 async def _pushed(client: Any, settings: FleetSettings, connections: list[Connection]) -> Pushed:
-    return await push(await make_bucket(client, BUCKET), settings, connections)
+    return await push(await open_bucket(client, BUCKET, create=True), settings, connections)
 
 
 async def _is_there(client: Any) -> bool:

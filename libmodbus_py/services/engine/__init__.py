@@ -1,11 +1,10 @@
 """
-The connection with NATS, which workers and the output `nats` use.
+The connection with NATS, which workers use.
 
 ::
 
-    connection     a connection, with what the environment says of certificates and passwords
+    connection     a connection, with certificates and passwords from files and the environment
     client         nats-py's client, made to survive what servers and other clients send
-    file_text      files with credentials, which are read again
-    errors         what is wrong, in one line
-    buckets        key-value buckets and streams: made, checked, watched, written to
+    errors         the errors of NATS, each explained in one line
+    buckets        key-value buckets and streams: created, checked, watched, written
 """

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from nats.js.client import JetStreamContext as Js
     from nats.js.kv import KeyValue
 
-__all__ = ["Bucket", "Change", "Watch", "keep_stream", "make_bucket", "open_bucket"]
+__all__ = ["Bucket", "Change", "Watch", "keep_stream", "open_bucket"]
 
 # Seconds after which the server forgets a consumer whose client is gone.
 FORGOTTEN = 30.0
@@ -45,14 +45,7 @@ class Change(NamedTuple):
 
 
 class Bucket:
-    """
-    A key-value bucket.
-
-    Args:
-        client: a connection to NATS.
-        keys: the bucket of nats-py.
-        name: the name of the bucket.
-    """
+    """A key-value bucket, as `open_bucket` returns it."""
 
     def __init__(self, client: Client, js: JetStreamContext, keys: KeyValue, name: str) -> None:
         self.client = client
@@ -119,18 +112,14 @@ class Watch:
 
     Args:
         name: the name of the bucket.
-        on_change: called with each change; with None after the current values.
-        on_gap: called when a change was missed.
+        on_change, on_gap: as for `Bucket.watch`.
 
     Attributes:
         is_broken: True if a change was missed, or the watch was ended.
     """
 
     def __init__(
-        self,
-        name: str,
-        on_change: Callable[[Change | None], None],
-        on_gap: Callable[[], None] = lambda: None,
+        self, name: str, on_change: Callable[[Change | None], None], on_gap: Callable[[], None]
     ) -> None:
         self.is_broken: bool = False
         self._prefix = f"$KV.{name}."
@@ -153,13 +142,13 @@ class Watch:
             num_replicas=1,
         )
         self._subscription = await js.subscribe(
-            f"{self._prefix}>", stream=self._stream, config=config, cb=self._note
+            f"{self._prefix}>", stream=self._stream, config=config, cb=self._receive
         )
         info = await self._subscription.consumer_info()
         if not (info.num_pending or self._last or (info.delivered and info.delivered.consumer_seq)):
             self._sync()
 
-    async def _note(self, message: Msg) -> None:
+    async def _receive(self, message: Msg) -> None:
         if self.is_broken:
             return
         at = message.metadata
@@ -191,38 +180,16 @@ class Watch:
                     task.cancel()
 
 
-async def open_bucket(client: Client, name: str) -> Bucket:
+async def open_bucket(client: Client, name: str, *, create: bool = False) -> Bucket:
     """
-    Return a bucket that exists.
+    Return a bucket.
+
+    Args:
+        create: True to create it if it does not exist: on three servers, or on the only one.
 
     Raises:
-        EngineError: it does not exist, or has other settings than those of `make_bucket`.
-    """
-    js = client.jetstream(timeout=TIMEOUT)
-    with explained(name):
-        await js.account_info()
-        keys = await js.key_value(name)
-        status = await keys.status()
-    config = status.stream_info.config
-    wrong = [
-        f"{key} {value}, not {wanted}"
-        for key, value, wanted in (
-            ("history", config.max_msgs_per_subject, 1),
-            ("time to live", config.max_age or 0, 0),
-        )
-        if value != wanted
-    ]
-    if wrong:
-        raise EngineError(f"bucket {name} has unexpected settings: {', '.join(wrong)}")
-    return Bucket(client, js, keys, name)
-
-
-async def make_bucket(client: Client, name: str) -> Bucket:
-    """
-    Return a bucket. Create it if it does not exist: on three servers, or on the only one.
-
-    Raises:
-        EngineError: it cannot be created or opened.
+        NothingThere: it does not exist.
+        EngineError: it cannot be opened or created, or was created with other settings.
     """
     import nats.js.errors as js_errors
     from nats.js import api
@@ -231,13 +198,24 @@ async def make_bucket(client: Client, name: str) -> Bucket:
     with explained(name):
         await js.account_info()
         try:
-            await js.key_value(name)
+            keys = await js.key_value(name)
         except js_errors.BucketNotFoundError:
+            if not create:
+                raise
             config = api.KeyValueConfig(name, history=1, storage=api.StorageType.FILE)
             await _replicated(
                 lambda replicas: js.create_key_value(config.evolve(replicas=replicas))
             )
-    return await open_bucket(client, name)
+            keys = await js.key_value(name)
+        known = (await keys.status()).stream_info.config
+    settings = (
+        ("history", known.max_msgs_per_subject, 1),
+        ("time to live", known.max_age or 0, 0),
+    )
+    wrong = [f"{key} {value}, not {wanted}" for key, value, wanted in settings if value != wanted]
+    if wrong:
+        raise EngineError(f"bucket {name} has unexpected settings: {', '.join(wrong)}")
+    return Bucket(client, js, keys, name)
 
 
 async def keep_stream(client: Client, name: str, subjects: str, limits: dict[str, Any]) -> None:

@@ -12,6 +12,7 @@ import asyncio
 import json
 import re
 import ssl
+from collections import UserString
 from typing import Any
 
 import nats.errors
@@ -21,7 +22,6 @@ from nats.protocol.parser import PERMISSIONS_ERR, Parser
 
 from ...protocol.logs import HarmlessLogger
 from ...security.renewed import Renewed
-from .file_text import FileText
 
 __all__ = ["SteadyClient"]
 
@@ -83,7 +83,7 @@ class SteadyClient(Client):
     def _connect_command(self) -> bytes:
         if "tls" in self.options and not self._server_info.get("tls_required"):
             raise nats.errors.Error("nats: the server does not support TLS; nothing was sent")
-        if isinstance(self._nkeys_seed_str, FileText):
+        if isinstance(self._nkeys_seed_str, UserString):
             self._setup_nkeys_seed_connect()  # the public key belongs to the seed
         command: bytes = super()._connect_command()
         return command

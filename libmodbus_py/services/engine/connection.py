@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import os
 import ssl
+from collections import UserString
 from collections.abc import Callable, Mapping
 from functools import partial
 from importlib.util import find_spec
@@ -20,18 +21,17 @@ from ...security.renewed import Renewed
 from ..server_url import server_url
 from ..tasks import finish
 from .errors import EngineError, EngineGone, explained, what
-from .file_text import FileText
 
 if TYPE_CHECKING:
     from nats.aio.client import Client
 
-__all__ = ["OLDEST", "connected", "disconnect", "parse_servers", "shown"]
+__all__ = ["FileText", "connected", "disconnect", "parse_servers", "shown"]
 
+# The oldest version of nats-server with the features that watches need.
 OLDEST = (2, 9)
-"""The oldest version of nats-server with the features that watches need."""
 
+# Scheme -> port of a URL without one.
 PORTS = {"nats": 4222, "tls": 4222}
-"""Scheme -> port of a URL without one."""
 
 # Seconds before connecting to a server times out; and between attempts to reconnect.
 TIMEOUT = 3.0
@@ -48,13 +48,58 @@ TIMES: dict[str, Any] = {
     "pending_size": -1,
 }
 
+# The most URLs, and the most characters of a file with credentials: a mistake has more.
 MOST_SERVERS = 32
+LONGEST_FILE = 1 << 16
 
+# Variable that names a file -> the option of nats-py, and what the file must contain.
 FILES = {
     "NATS_CREDS": ("user_credentials", ("BEGIN NATS USER JWT", "BEGIN USER NKEY SEED")),
     "NATS_NKEY": ("nkeys_seed_str", ("SU",)),
 }
-"""Variable that names a file -> the option of nats-py, and what the file must contain."""
+
+
+class FileText(UserString):
+    """
+    A text that nats-py takes for credentials, as often as it needs them.
+
+    nats-py itself would read a file without credentials for ever, while nothing else runs.
+
+    Args:
+        name: of the variable that names the file, for errors.
+        path: of the file.
+        needed: what the text must contain.
+
+    Raises:
+        ValueError: the file cannot be read, or does not contain one of these.
+    """
+
+    def __init__(self, name: str, path: str, *needed: str) -> None:
+        self._name = name
+        self._path = path
+        self._needed = needed
+        self._content = Renewed(self._read)
+
+    def _read(self) -> str:
+        try:
+            with open(self._path, encoding="utf-8") as file:
+                text = file.read(LONGEST_FILE)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise ValueError(f"{self._name}: {self._path}: {reason}") from None
+        for each in self._needed:
+            if each not in text:
+                raise ValueError(f"{self._name}: {self._path}: contains no {each!r}")
+        return text
+
+    @property
+    def data(self) -> str:  # type: ignore[override]
+        """The text that the file contains now, or the former if it is wrong."""
+        return self._content.fresh()
+
+    def strip(self, chars: str | None = None) -> Any:
+        """Return the text without spaces at its ends, or without these characters."""
+        return UserString(self.data.strip(chars))
 
 
 def parse_servers(text: str) -> list[str]:
