@@ -11,6 +11,7 @@ Blocks: draft-ietf-opsawg-pcapng, sections 4.1-4.3. Tags: epan/exported_pdu.h of
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import struct
 from collections.abc import Iterator
@@ -62,21 +63,32 @@ def _ports(source: int, target: int) -> bytes:
     return b"".join(_tag(kind, struct.pack(">I", value)) for kind, value in values)
 
 
+def _opened(path: str) -> io.FileIO:
+    """Open a new file, or a pipe or device; raise ValueError if an existing file would be lost."""
+    try:
+        return open(path, "xb", buffering=0)
+    except FileExistsError:
+        if os.path.isfile(path):
+            raise ValueError(f"{path} exists, and would be overwritten") from None
+        return open(path, "wb", buffering=0)
+
+
 class CaptureWriter:
     """
     Writes a capture, each frame at once.
 
     Args:
-        path: the file, which is overwritten.
+        path: a new file, or a pipe or device that exists.
         names: the names of the interfaces, such as URLs.
 
     Raises:
+        ValueError: the file exists.
         OSError: the file cannot be written.
     """
 
     def __init__(self, path: str | os.PathLike[str], *names: str) -> None:
         self._path = os.fspath(path)
-        self._file = open(path, "wb", buffering=0)  # noqa: SIM115  # closed by close()
+        self._file = _opened(self._path)
         self._ids: dict[tuple[int, int, int], int] = {}
         self._last_id = 0
         section = struct.pack("<IHHq", _BYTE_ORDER, 1, 0, -1)

@@ -302,14 +302,15 @@ def listen(
             ending in .pcapng.
         between: the URL of the device for these clients, with the same scheme; bytes are passed
             on unchanged in both directions.
-        capture: the path of a pcapng file to write, which Wireshark can decode, and which can be
-            the `url` of another call.
+        capture: the path of a new pcapng file, or of a pipe, to which frames are written. Wireshark
+            can decode it, and it can be the `url` of another call.
 
     Returns:
         An open iterator, for a ``for`` loop or an ``async for`` loop.
 
     Raises:
-        TypeError, ValueError: a URL is wrong, or it is not possible to listen to it.
+        TypeError, ValueError: a URL is wrong, it is not possible to listen to it, or the file of
+            `capture` exists.
         ModbusConnectionError: the port cannot be opened, with errno.
         OSError: a capture cannot be opened.
         CaptureError: `url` is not a valid capture.
@@ -321,8 +322,6 @@ def listen(
     if isinstance(url, str) and url.endswith(".pcapng") and "://" not in url:
         if between is not None:
             raise ValueError("between cannot be given with a capture")
-        if capture is not None and os.path.exists(capture) and os.path.samefile(url, capture):
-            raise ValueError(f"{url}: a capture cannot be written over itself")
         name, source = url, CaptureReader(url)
     else:
         if isinstance(url, str) and os.path.isfile(url):

@@ -7,6 +7,8 @@ from __future__ import annotations
 import csv
 import json
 
+import pytest
+
 from libmodbus_py import Device, Mapping, Server
 from tests.support.commands import run
 from tests.support.sunspec import chain, file_device, serving
@@ -34,6 +36,23 @@ def test_json_has_null_and_csv_an_empty_cell_for_no_value() -> None:
     assert [row["address"] for row in rows] == [str(at) for at in range(40002, 40009)]
     assert "has no value" in found[3]["reason"]
     assert found[2]["units"] == "W/m2"
+
+
+@pytest.mark.parametrize(
+    ("registers", "value"),
+    [
+        ([0, 0x0DD7, 0x4CC6, 0x448E], "0D:D7:4C:C6:44:8E"),
+        ([0xABCD, 0, 0, 1], "00:00:00:00:00:01"),  # the padding may contain anything
+        ([0, 0xFFFF, 0xFFFF, 0xFFFF], None),
+    ],
+)
+def test_a_mac_address_is_shown_as_such(registers: list[int], value: str | None) -> None:
+    with serving(chain([11, 13, 100, 0, 0, *registers, *[0] * 6])) as url:
+        lines = [json.loads(line) for line in run("sunspec", url, "--json").out.splitlines()]
+        table = run("sunspec", url).out
+    (row,) = [line for line in lines if line["name"].endswith(".MAC")]
+    assert row["value"] == value
+    assert value is None or value in table
 
 
 def test_a_device_without_models_and_a_wrong_base_fail_with_one_line() -> None:

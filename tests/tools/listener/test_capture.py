@@ -10,6 +10,7 @@ they do not even look like frames.
 from __future__ import annotations
 
 import asyncio
+import os
 import random
 import struct
 from collections.abc import Iterator
@@ -194,11 +195,23 @@ class TestReader:
         turns, count = asyncio.run(read_all())
         assert turns >= count > 40
 
-    def test_a_file_is_not_written_over_itself(self, tmp_path: Path) -> None:
-        file = write(tmp_path / "x.pcapng")
-        with pytest.raises(ValueError, match="over itself"):
-            listen(str(file), capture=file)
-        assert file.read_bytes() == DECODED.read_bytes()
+    def test_no_file_is_written_over(self, tmp_path: Path) -> None:
+        file, other = write(tmp_path / "x.pcapng"), tmp_path / "other"
+        other.write_text("kept")
+        for capture in (file, other):
+            with pytest.raises(ValueError, match="exists, and would be overwritten"):
+                listen(str(file), capture=capture)
+        assert (file.read_bytes(), other.read_text()) == (DECODED.read_bytes(), "kept")
+
+    def test_a_pipe_is_written_to(self, tmp_path: Path) -> None:
+        pipe = tmp_path / "pipe"
+        os.mkfifo(pipe)
+        reads = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+        try:
+            write(pipe)
+            assert os.read(reads, 1 << 16) == DECODED.read_bytes()
+        finally:
+            os.close(reads)
 
     def test_a_capture_of_a_capture_is_the_same(self, tmp_path: Path) -> None:
         copy = tmp_path / "copy.pcapng"
