@@ -22,10 +22,9 @@ import nats.errors
 import nats.js.errors as js_errors
 from nats.js import api
 
-from libmodbus_py.services.engine.buckets import Bucket
+from libmodbus_py.services.engine.buckets import Bucket, Change
 from libmodbus_py.services.engine.connection import PAUSE, TIMEOUT
 from libmodbus_py.services.workers.records import BUCKET
-from libmodbus_py.services.workers.view import Entry
 
 from .network import Network
 
@@ -78,7 +77,7 @@ class _Undo(NamedTuple):
 
     at: float
     key: str
-    before: Entry | None
+    before: Change | None
     revision: int
 
 
@@ -104,7 +103,7 @@ class Engine:
     def __init__(self, network: Network, delay: tuple[float, float] = DELAY) -> None:
         self.delay: tuple[float, float] = delay
         self.losses: float = 0.0
-        self.latest: dict[str, Entry] | None = {}
+        self.latest: dict[str, Change] | None = {}
         self.revision: int = 0
         self.stream: deque[tuple[float, str, bytes]] = deque(maxlen=MOST_KEPT)
         self.requests: int = 0
@@ -194,7 +193,7 @@ class Engine:
         while self._history[0].at < self.events.now - REMEMBERED:
             self._history.popleft()
         self.revision += 1
-        self.latest[key] = Entry(key, value, self.revision)
+        self.latest[key] = Change(key, value, self.revision)
         for consumer in self._consumers:
             if consumer.position == self.revision - 1 and consumer.link.is_up:
                 self._tell(consumer, self.latest[key], 0)
@@ -322,12 +321,12 @@ class Engine:
         if link in self._links:
             self._links.remove(link)
 
-    def _unread(self, consumer: _Consumer) -> list[Entry]:
+    def _unread(self, consumer: _Consumer) -> list[Change]:
         changes = [each for each in self._entries if each.revision > consumer.position]
         return sorted(changes, key=lambda each: each.revision)
 
     @property
-    def _entries(self) -> Iterable[Entry]:
+    def _entries(self) -> Iterable[Change]:
         return (self.latest or {}).values()
 
     def _feed(self, consumer: _Consumer) -> None:
@@ -337,7 +336,7 @@ class Engine:
             for at, entry in enumerate(entries, 1):
                 self._tell(consumer, entry, len(entries) - at)
 
-    def _tell(self, consumer: _Consumer, entry: Entry, left: int) -> None:
+    def _tell(self, consumer: _Consumer, entry: Change, left: int) -> None:
         consumer.sequence += 1
         consumer.position = entry.revision
         if self.loses():

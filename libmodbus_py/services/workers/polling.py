@@ -27,7 +27,6 @@ from .decisions import step
 from .pushing import devices_of
 from .records import Connection, FleetSettings
 from .stream import Stream
-from .view import Entry
 from .worker import OWN_PART, Put, Worker
 
 if TYPE_CHECKING:
@@ -203,7 +202,7 @@ class Polling:
                 self._is_whole = True
                 self.worker.is_synced(self.now())
             else:
-                self.worker.saw(Entry(*change), self.now())
+                self.worker.saw(change, self.now())
             if self.worker.view.settings is not None:
                 self._service.switch(self.worker.view.settings.commands)
             self._look()

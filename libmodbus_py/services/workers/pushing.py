@@ -19,7 +19,7 @@ from ..fleet.config import (
     devices_to_json,
 )
 from .records import SETTINGS, Connection, FleetSettings, in_key
-from .view import BucketView, Entry
+from .view import BucketView
 from .worker import Put
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ async def seen_now(bucket: Bucket) -> BucketView:
         if change is None:
             is_whole.set()
         else:
-            view.add(Entry(*change), 0.0)
+            view.add(change, 0.0)
 
     watch = await bucket.watch(note)
     try:

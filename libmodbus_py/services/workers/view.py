@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from ..engine.buckets import Change
 from .records import (
     Connection,
     FleetSettings,
@@ -22,25 +23,10 @@ from .records import (
     zone_of,
 )
 
-__all__ = ["HEARD_PART", "BucketView", "Entry"]
+__all__ = ["HEARD_PART", "BucketView"]
 
 HEARD_PART = 0.5
 """The fraction of a lease for which a worker that has renewed it counts as heard."""
-
-
-class Entry(NamedTuple):
-    """
-    A change of the bucket.
-
-    Attributes:
-        key: the key that was changed.
-        value: the new value; None if the key was deleted.
-        revision: the revision of the bucket, which each change of any key increments.
-    """
-
-    key: str
-    value: bytes | None
-    revision: int
 
 
 class Seen(NamedTuple):
@@ -91,7 +77,7 @@ class BucketView:
         self.since: float = float("inf")
         self.longest_lease: float = 0.0
 
-    def add(self, entry: Entry, at: float) -> bool:
+    def add(self, change: Change, at: float) -> bool:
         """
         Apply a change unless it was applied before. Return True if it was new.
 
@@ -99,15 +85,15 @@ class BucketView:
             at: the time at which the change was seen, in seconds; all times must come from the same
                 clock.
         """
-        if entry.revision <= self.seen.get(entry.key, NEVER).revision:
+        if change.revision <= self.seen.get(change.key, NEVER).revision:
             return False
-        self.seen[entry.key] = Seen(entry.revision, at)
-        self.revision = max(self.revision, entry.revision)
-        known = self.members.get(entry.key.removeprefix("worker."))
-        before = self._forget(entry, at)
-        if entry.value is not None:
-            self._learn(entry.key, entry.value, entry.revision, before)
-        member = self.members.get(entry.key.removeprefix("worker."))
+        self.seen[change.key] = Seen(change.revision, at)
+        self.revision = max(self.revision, change.revision)
+        known = self.members.get(change.key.removeprefix("worker."))
+        before = self._forget(change, at)
+        if change.value is not None:
+            self._learn(change.key, change.value, change.revision, before)
+        member = self.members.get(change.key.removeprefix("worker."))
         self.changes += known is None or member is None or not member.is_as(known)
         return True
 
@@ -171,10 +157,10 @@ class BucketView:
     def seen_at(self, key: str) -> Seen:
         return self.seen.get(key, NEVER)
 
-    def _forget(self, entry: Entry, at: float) -> str:
+    def _forget(self, change: Change, at: float) -> str:
         """Forget the value of a key. Return the previous holder if the key is a slot's, else ""."""
-        self.unreadable.pop(entry.key, None)
-        kind, _, rest = entry.key.partition(".")
+        self.unreadable.pop(change.key, None)
+        kind, _, rest = change.key.partition(".")
         if kind == "worker":
             member = self.members.pop(rest, None)
             if member is not None and member.state != "ended":
@@ -184,7 +170,7 @@ class BucketView:
             if number.isdecimal() and len(number) <= 3:
                 return self.holders.pop(Slot(zone_of(zone), int(number)), "")
         elif kind == "connection":
-            self._touch(entry.key, entry.revision)
+            self._touch(change.key, change.revision)
             token, _, digest = rest.partition(".")
             zone = zone_of(token)
             if self._connections.get(digest, {}).pop(zone, None):

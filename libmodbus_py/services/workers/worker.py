@@ -9,8 +9,9 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import NamedTuple
 
+from ..engine.buckets import Change
 from .records import Connection, Slot
-from .view import HEARD_PART, BucketView, Entry
+from .view import HEARD_PART, BucketView
 
 __all__ = ["OWN_PART", "Decision", "Lease", "Put", "Worker"]
 
@@ -161,15 +162,15 @@ class Worker:
         """Begin a snapshot; the changes that follow are the whole contents of the bucket."""
         self._snapshot = BucketView()
 
-    def saw(self, entry: Entry, now: float) -> None:
+    def saw(self, change: Change, now: float) -> None:
         """Apply a change of the bucket."""
         if self._snapshot is not None:
-            self._snapshot.add(entry, now)
+            self._snapshot.add(change, now)
             return
         changes = self.view.changes
-        if self.view.add(entry, now):
+        if self.view.add(change, now):
             self._follow_own_record()
-            if entry.key == self.lease.key:
+            if change.key == self.lease.key:
                 if now > self._heard_at + self.view.longest_lease * HEARD_PART:
                     self.hears_since = now
                 self._heard_at = now

@@ -12,6 +12,7 @@ import random
 from dataclasses import dataclass, field
 from typing import Any
 
+from libmodbus_py.services.engine.buckets import Change
 from libmodbus_py.services.workers.decisions import decide, step
 from libmodbus_py.services.workers.records import (
     SETTINGS,
@@ -22,7 +23,6 @@ from libmodbus_py.services.workers.records import (
     decode,
     encode_holder,
 )
-from libmodbus_py.services.workers.view import Entry
 from libmodbus_py.services.workers.worker import Decision, Put, Worker
 
 LEASE = 10.0
@@ -48,7 +48,7 @@ class OneWorker:
     ) -> None:
         ids = (f"{name}.{number}" for number in itertools.count(1))
         self.worker = Worker(lambda: next(ids), {""})
-        self.latest: dict[str, Entry] = {}
+        self.latest: dict[str, Change] = {}
         self.revision = 0
         self.hears = True
         self.last = Decision({})
@@ -66,7 +66,7 @@ class OneWorker:
 
     def write(self, key: str, value: bytes | None, at: float = 0.0) -> None:
         self.revision += 1
-        self.latest[key] = Entry(key, value, self.revision)
+        self.latest[key] = Change(key, value, self.revision)
         if self.hears:
             self.worker.saw(self.latest[key], at)
 
@@ -133,7 +133,7 @@ class Bucket:
 
     def __init__(self) -> None:
         self.revision = 0
-        self.latest: dict[str, Entry] = {}
+        self.latest: dict[str, Change] = {}
         self.watchers: list[Process] = []
 
     def put(self, put: Put) -> int:
@@ -146,7 +146,7 @@ class Bucket:
 
     def write(self, key: str, value: bytes | None) -> None:
         self.revision += 1
-        self.latest[key] = entry = Entry(key, value, self.revision)
+        self.latest[key] = entry = Change(key, value, self.revision)
         for watcher in self.watchers:
             watcher.send(entry)
 
@@ -168,7 +168,7 @@ class Process:
     delay: float = 0.01
     is_cut: bool = False
     is_stopped: bool = False
-    inbox: list[tuple[float, int, Entry | None]] = field(default_factory=list)
+    inbox: list[tuple[float, int, Change | None]] = field(default_factory=list)
     counter: itertools.count[int] = field(default_factory=itertools.count)
     # When it watches again, if it has lost something.
     again_at: float | None = 0.0
@@ -184,7 +184,7 @@ class Process:
     def now(self) -> float:
         return self.offset + self.rate * self.world.now
 
-    def send(self, entry: Entry | None) -> None:
+    def send(self, entry: Change | None) -> None:
         """From the bucket: in order, at some time."""
         if self.is_cut or self.again_at is not None:
             # A gap: nothing comes after it before all is read again.

@@ -8,6 +8,7 @@ import math
 
 import pytest
 
+from libmodbus_py.services.engine.buckets import Change
 from libmodbus_py.services.workers.commands import Locations
 from libmodbus_py.services.workers.decisions import step
 from libmodbus_py.services.workers.records import (
@@ -17,7 +18,6 @@ from libmodbus_py.services.workers.records import (
     Member,
     decode,
 )
-from libmodbus_py.services.workers.view import Entry
 from libmodbus_py.services.workers.worker import Lease, Put, Worker
 from tests.services.workers.simulated import LEASE, OneWorker, every, written
 
@@ -32,7 +32,7 @@ class TestSnapshot:
         worker = Worker(lambda: "m.1", {""})
         worker.begins()
         assert worker.is_reading
-        worker.saw(Entry(SETTINGS, FleetSettings(LEASE).encode(), 1), 0.0)
+        worker.saw(Change(SETTINGS, FleetSettings(LEASE).encode(), 1), 0.0)
         assert worker.view.settings is None
         assert step(worker, 0.0).puts == ()
         worker.is_synced(0.0)
@@ -60,7 +60,7 @@ class TestSnapshot:
         one.steps(*every(0.0, 15.0))
         assert one.polled() == {LINE.key}
         one.worker.begins()
-        one.worker.saw(Entry(SETTINGS, FleetSettings(LEASE).encode(), 1), 15.0)
+        one.worker.saw(Change(SETTINGS, FleetSettings(LEASE).encode(), 1), 15.0)
         one.worker.is_synced(15.0)
         assert one.me == "m.2"
         assert one.polled() == set()
@@ -232,7 +232,7 @@ class TestSlots:
         one.write(beat.key, beat.value, 0.0)
         blind = []
         for at in (0.1, 2.2, 4.3, 6.4):
-            one.worker.saw(Entry(beat.key, beat.value, one.revision + int(at) + 1), at)
+            one.worker.saw(Change(beat.key, beat.value, one.revision + int(at) + 1), at)
             one.decided(at)
             blind.append(one.last.is_blind)
         assert blind == [False, False, False, True]

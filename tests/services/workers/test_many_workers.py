@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
+from libmodbus_py.services.engine.buckets import Change
 from libmodbus_py.services.workers.records import FleetSettings, encode_holder
-from libmodbus_py.services.workers.view import Entry
 from tests.services.workers.simulated import LEASE, Process, World
 
 ZONES = ("", "north")
@@ -262,7 +262,7 @@ def bucket_went_back_beyond_two_newcomers(world: World) -> None:
     _go_back(world, second, before)
 
 
-def _go_back(world: World, newcomer: Process, before: tuple[dict[str, Entry], int]) -> None:
+def _go_back(world: World, newcomer: Process, before: tuple[dict[str, Change], int]) -> None:
     newcomer.is_cut = True
     world.bucket.latest, world.bucket.revision = before
     for process in world.processes:

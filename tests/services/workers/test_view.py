@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from libmodbus_py.services.engine.buckets import Change
 from libmodbus_py.services.workers.records import (
     Connection,
     FleetSettings,
@@ -13,7 +14,7 @@ from libmodbus_py.services.workers.records import (
     Slot,
     encode_holder,
 )
-from libmodbus_py.services.workers.view import BucketView, Entry
+from libmodbus_py.services.workers.view import BucketView
 from tests.support.cases import each_case
 
 LINE = Connection("", "tcp:192.0.2.1:502", 1.0, '{"devices": []}')
@@ -28,7 +29,7 @@ def member(id: str = "a.1", state: Any = "here", beat: int = 1, lease: float = 1
 def view_of(*entries: tuple[str, bytes | None, int], at: float = 0.0) -> BucketView:
     view = BucketView()
     for entry in entries:
-        view.add(Entry(*entry), at)
+        view.add(Change(*entry), at)
     return view
 
 
@@ -48,7 +49,7 @@ class TestChanges:
             ],
             start=1,
         ):
-            assert view.add(Entry(key, value, revision), 0.0)
+            assert view.add(Change(key, value, revision), 0.0)
             counts.append(view.changes)
         assert counts == [1, 2, 2, 3, 4, 5, 6]
 
@@ -61,7 +62,7 @@ class TestChanges:
     def test_what_is_known_changes_nothing(self) -> None:
         view = view_of(("settings", FleetSettings(5.0).encode(), 2))
         for revision in (1, 2):
-            assert not view.add(Entry("settings", None, revision), 1.0)
+            assert not view.add(Change("settings", None, revision), 1.0)
         assert view.settings == FleetSettings(5.0)
         assert view.changes == 1
         assert view.seen_at("settings") == (2, 0.0)
@@ -73,10 +74,10 @@ class TestChanges:
         self,
     ) -> None:
         view = view_of(("worker.a.1", member(), 1), ("worker.b.1", member("b.1", "ended"), 2))
-        view.add(Entry("worker.a.1", None, 3), 3.0)
-        view.add(Entry("worker.b.1", None, 4), 3.0)
+        view.add(Change("worker.a.1", None, 3), 3.0)
+        view.add(Change("worker.b.1", None, 4), 3.0)
         assert (view.members, view.vanished) == ({}, {"a.1": 3.0})
-        view.add(Entry("worker.a.1", member(), 5), 4.0)
+        view.add(Change("worker.a.1", member(), 5), 4.0)
         assert view.vanished == {}
 
 
@@ -101,22 +102,22 @@ class TestValuesThatCannotBeRead:
             LINE.bucket_key: LINE.encode(),
         }[key]
         view = view_of((key, good, 1))
-        view.add(Entry(key, value, 2), 1.0)
+        view.add(Change(key, value, 2), 1.0)
         assert list(view.unreadable) == [key]
         assert view.unreadable[key].startswith(f"{key}: ")
         if key != "settings":  # those stay as they were
             assert (view.members, view.holders, list(view.connections)) == ({}, {}, [])
-        view.add(Entry(key, good, 3), 2.0)
+        view.add(Change(key, good, 3), 2.0)
         assert view.unreadable == {}
-        view.add(Entry(key, value, 4), 3.0)
-        view.add(Entry(key, None, 5), 4.0)
+        view.add(Change(key, value, 4), 3.0)
+        view.add(Change(key, None, 5), 4.0)
         assert view.unreadable == {}
 
     @each_case("number", ["x", "", "0256", "1000", "-1", "\u0665"])
     def test_a_slot_with_such_a_number_is_none(self, number: str) -> None:
         view = view_of((f"slot._.{number}", encode_holder("a.1", "a.1"), 1))
         assert view.holders == {}
-        view.add(Entry(f"slot._.{number}", None, 2), 0.0)
+        view.add(Change(f"slot._.{number}", None, 2), 0.0)
         assert view.holders == {}
 
     def test_a_key_of_another_version_is_told(self) -> None:
@@ -129,19 +130,19 @@ class TestConnections:
             key = Slot("", number).key
             view = view_of((key, encode_holder("a.1", "a.1"), 1))
             assert view.holders == {Slot("", number): "a.1"}
-            view.add(Entry(key, None, 2), 0.0)
+            view.add(Change(key, None, 2), 0.0)
             assert view.holders == {}
 
     def test_slots_with_connections_are_used(self) -> None:
         view = view_of((LINE.bucket_key, LINE.encode(), 1), (OTHER.bucket_key, OTHER.encode(), 2))
         assert set(view.used_slots) == {LINE.slot, OTHER.slot}
         assert {each.key for each in view.connections} == {LINE.key, OTHER.key}
-        view.add(Entry(LINE.bucket_key, LINE.encode(), 3), 0.0)
-        view.add(Entry(LINE.bucket_key, None, 4), 0.0)
+        view.add(Change(LINE.bucket_key, LINE.encode(), 3), 0.0)
+        view.add(Change(LINE.bucket_key, None, 4), 0.0)
         assert view.used_slots == [OTHER.slot]
         assert [each.key for each in view.connections] == [OTHER.key]
-        view.add(Entry(LINE.bucket_key, None, 5), 0.0)
-        view.add(Entry(LINE.bucket_key, LINE.encode(), 6), 0.0)
+        view.add(Change(LINE.bucket_key, None, 5), 0.0)
+        view.add(Change(LINE.bucket_key, LINE.encode(), 6), 0.0)
         assert set(view.used_slots) == {LINE.slot, OTHER.slot}
 
     @each_case("is_reversed", [False, True])
@@ -153,7 +154,7 @@ class TestConnections:
         assert [each.zone for each in view.connections] == [second.zone]
         assert {each.zone for each in view.all_connections} == {"", "north"}
         assert set(view.used_slots) == {LINE.slot, NORTH.slot}
-        view.add(Entry(second.bucket_key, None, 3), 0.0)
+        view.add(Change(second.bucket_key, None, 3), 0.0)
         assert [each.zone for each in view.connections] == [first.zone]
         assert view.used_slots == [first.slot]
 
@@ -161,13 +162,13 @@ class TestConnections:
         view = view_of((LINE.bucket_key, LINE.encode(), 3), (OTHER.bucket_key, OTHER.encode(), 4))
         assert (view.touched_at(LINE), view.touched_at(OTHER)) == (3, 4)
         assert view.last_touched == 4
-        view.add(Entry("worker.a.1", member(), 5), 0.0)
-        view.add(Entry("settings", FleetSettings().encode(), 6), 0.0)
+        view.add(Change("worker.a.1", member(), 5), 0.0)
+        view.add(Change("settings", FleetSettings().encode(), 6), 0.0)
         assert view.last_touched == 4
-        view.add(Entry(LINE.bucket_key, None, 7), 0.0)
+        view.add(Change(LINE.bucket_key, None, 7), 0.0)
         assert view.touched_at(LINE) == view.last_touched == 7
         # A zone to which it moves is another key of the same connection.
-        view.add(Entry(NORTH.bucket_key, NORTH.encode(), 8), 0.0)
+        view.add(Change(NORTH.bucket_key, NORTH.encode(), 8), 0.0)
         assert view.touched_at(LINE) == view.touched_at(NORTH) == 8
 
     def test_who_holds_a_slot_may_be_unknown(self) -> None:
@@ -175,20 +176,20 @@ class TestConnections:
         view = view_of((slot.key, encode_holder("a.1", "a.1"), 1))
         assert view.holders == {slot: "a.1"}
         assert view.holder(slot) is None
-        view.add(Entry("worker.a.1", member(), 2), 0.0)
+        view.add(Change("worker.a.1", member(), 2), 0.0)
         assert view.holder(slot) == view.members["a.1"]
         assert view.holder(Slot("north", slot.number)) is None
-        view.add(Entry(slot.key, None, 3), 0.0)
+        view.add(Change(slot.key, None, 3), 0.0)
         assert view.holders == {}
 
     def test_a_slot_that_is_deleted_and_taken_must_be_acknowledged(self) -> None:
         view = view_of((LINE.bucket_key, LINE.encode(), 1), ("worker.a.1", member(), 2))
-        view.add(Entry(LINE.slot.key, encode_holder("a.1", "a.1"), 3), 0.0)
+        view.add(Change(LINE.slot.key, encode_holder("a.1", "a.1"), 3), 0.0)
         assert view.touched_at(LINE) == 3
-        view.add(Entry(LINE.slot.key, encode_holder("a.1", "a.1"), 4), 0.0)
+        view.add(Change(LINE.slot.key, encode_holder("a.1", "a.1"), 4), 0.0)
         assert view.touched_at(LINE) == 1
-        view.add(Entry(LINE.slot.key, None, 5), 0.0)
-        view.add(Entry(LINE.slot.key, encode_holder("b.1", "b.1"), 6), 0.0)
+        view.add(Change(LINE.slot.key, None, 5), 0.0)
+        view.add(Change(LINE.slot.key, encode_holder("b.1", "b.1"), 6), 0.0)
         assert view.touched_at(LINE) == view.last_touched == 6
 
     def test_a_slot_that_its_holder_did_not_give_up_must_be_acknowledged(self) -> None:
@@ -199,13 +200,13 @@ class TestConnections:
         )
 
         def touched(revision: int, holder: str, by: str) -> int:
-            view.add(Entry(LINE.slot.key, encode_holder(holder, by), revision), 0.0)
+            view.add(Change(LINE.slot.key, encode_holder(holder, by), revision), 0.0)
             return view.touched_at(LINE)
 
         assert touched(4, "a.1", "a.1") == 4  # Its holder before is unknown.
         assert touched(5, "b.1", "a.1") == 1  # Handed over.
         assert touched(6, "a.1", "a.1") == 6  # Taken from a worker that is still there.
-        view.add(Entry("worker.a.1", member(state="ended", beat=2), 7), 0.0)
+        view.add(Change("worker.a.1", member(state="ended", beat=2), 7), 0.0)
         assert touched(8, "b.1", "b.1") == 1  # Taken from a worker that has ended.
         assert view.last_touched == 6
 
@@ -234,7 +235,7 @@ class TestReadAgain:
             ("worker.c.1", member("c.1"), 3),
             ("worker.d.1", member("d.1"), 4),
         )
-        before.add(Entry("worker.d.1", None, 5), 2.0)
+        before.add(Change("worker.d.1", None, 5), 2.0)
         view = view_of(("worker.c.1", member("c.1"), 3), ("settings", FleetSettings().encode(), 6))
         view.follow(before, 9.0)
         assert view.vanished == {"a.1": 9.0, "d.1": 2.0}
