@@ -1,5 +1,6 @@
 """
-Servers that are not NATS, or one that is damaged: told in one line, and nothing of them stays open.
+The connection to NATS: credentials and trust from URLs and the environment; and servers that are
+not NATS, or one that is damaged, which are told in one line and of which nothing stays open.
 """
 
 from __future__ import annotations
@@ -7,14 +8,219 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from libmodbus_py.services.engine.connection import TIMES, connected
-from libmodbus_py.services.engine.errors import EngineError
+from libmodbus_py.services.engine import client as steady
+from libmodbus_py.services.engine import connection
+from libmodbus_py.services.engine.connection import (
+    MOST_SERVERS,
+    TIMES,
+    connected,
+    parse_servers,
+    shown,
+)
+from libmodbus_py.services.engine.errors import EngineError, EngineGone
+from tests.support.certificates import authority, make, save
 
-pytest.importorskip("nats")
+SERVERS = ["nats://192.0.2.1"]
+
+
+class Client:
+    """Notes how somebody connects; see `nats.aio.client.Client`."""
+
+    version = (2, 9, 0)
+    error: BaseException | None = None
+    errors_before: tuple[Exception, ...] = ()
+    made: list[Client]
+
+    def __init__(self) -> None:
+        self.options: dict[str, Any] = {}
+        self.is_closed = False
+        self.made.append(self)
+
+    async def connect(self, servers: list[str], **options: Any) -> None:
+        self.servers, self.options = servers, dict(options)
+        for each in self.errors_before:
+            await options["error_cb"](each)
+        if self.error is not None:
+            raise self.error
+
+    @property
+    def connected_server_version(self) -> Any:
+        return SimpleNamespace(**dict(zip(("major", "minor", "patch"), self.version, strict=True)))
+
+    async def close(self) -> None:
+        self.is_closed = True
+
+
+@pytest.fixture
+def client(monkeypatch: pytest.MonkeyPatch) -> type[Client]:
+    kind: type[Client] = type("Made", (Client,), {"made": []})
+    monkeypatch.setattr(steady, "SteadyClient", kind)
+    return kind
+
+
+def connect(*, servers: list[str] = SERVERS, **environment: str) -> Client:
+    made: Any = asyncio.run(connected(servers, name="worker a", environment=environment))
+    assert isinstance(made, Client)
+    assert not made.is_closed
+    return made
+
+
+def refused(client: type[Client], **environment: str) -> str:
+    with pytest.raises(EngineError) as caught:
+        connect(**environment)
+    assert all(each.is_closed for each in client.made)
+    return str(caught.value)
+
+
+def test_nobody_in_particular_connects_without_credentials(client: type[Client]) -> None:
+    made = connect()
+    assert made.servers == SERVERS
+    assert made.options["name"] == "worker a"
+    names = {"user", "password", "token", "user_credentials", "nkeys_seed", "tls"}
+    assert not names & made.options.keys()
+
+
+def test_a_connection_that_is_lost_is_sought_for_ever_but_the_first_is_not(
+    client: type[Client],
+) -> None:
+    made = connect()
+    assert made.options["max_reconnect_attempts"] == -1
+    assert made.options["pending_size"] == -1
+
+
+def test_credentials_come_from_the_environment(
+    client: type[Client], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    creds, seed = tmp_path / "c", tmp_path / "n"
+    creds.write_text("BEGIN NATS USER JWT, BEGIN USER NKEY SEED")
+    seed.write_text("SUA")
+    monkeypatch.setattr(connection, "find_spec", lambda name: name)
+    made = connect(
+        NATS_USER="u",
+        NATS_PASSWORD="p",
+        NATS_TOKEN="t",
+        NATS_CREDS=str(creds),
+        NATS_NKEY=str(seed),
+        NATS_X="x",
+    )
+    given = {key: made.options.get(key) for key in ("user", "password", "token")}
+    assert given == {"user": "u", "password": "p", "token": "t"}
+    assert made.options["user_credentials"] == creds.read_text()
+    assert made.options["nkeys_seed_str"] == "SUA"
+    assert "x" not in made.options.values()
+
+
+@pytest.mark.parametrize("name", ["NATS_CREDS", "NATS_NKEY"])
+def test_keys_need_nkeys_and_nothing_else_does(
+    name: str, client: type[Client], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection, "find_spec", lambda name: None)
+    assert refused(client, **{name: "file"}) == f"{name} needs nkeys: pip install nkeys"
+    assert client.made == []
+    connect(**{name: ""}, NATS_USER="u")
+
+
+def test_tls_is_used_where_anything_says_so(client: type[Client], tmp_path: Path) -> None:
+    ca = save(tmp_path, authority(), "ca").cert
+    assert "tls" in connect(servers=["nats://192.0.2.1", "tls://192.0.2.2"]).options
+    assert "tls" in connect(NATS_CA=str(ca)).options
+    one = save(tmp_path, make("one of ours", authority()), "one")
+    assert "tls" in connect(NATS_CERT=str(one.cert), NATS_KEY=str(one.key)).options
+
+
+def test_a_file_that_is_not_there_is_named(client: type[Client]) -> None:
+    text = refused(client, NATS_CA="/nowhere/ca.pem")
+    assert text.startswith("NATS_CA, NATS_CERT, NATS_KEY: /nowhere/ca.pem: No such file")
+    assert client.made == []
+
+
+@pytest.mark.parametrize("version", [(2, 9, 0), (2, 9, 25), (2, 10, 0), (3, 0, 0)])
+def test_versions_that_are_new_enough(version: tuple[int, ...], client: type[Client]) -> None:
+    client.version = version  # type: ignore[assignment]
+    connect()
+
+
+@pytest.mark.parametrize("version", [(2, 8, 9), (1, 10, 0)])
+def test_versions_that_are_too_old(version: tuple[int, ...], client: type[Client]) -> None:
+    client.version = version  # type: ignore[assignment]
+    number = ".".join(map(str, version))
+    text = f"nats://192.0.2.1: nats-server {number} is too old; 2.9 or newer is needed"
+    assert refused(client) == text
+
+
+def test_the_reason_that_came_first_is_told(client: type[Client]) -> None:
+    import nats.errors
+
+    client.error = nats.errors.NoServersError()
+    client.errors_before = (TimeoutError(), ConnectionRefusedError(111, "refused"), OSError(5, ""))
+    with pytest.raises(EngineGone, match=r"^nats://192.0.2.1: Connection refused$"):
+        connect()
+    client.errors_before = ()
+    assert refused(client) == "nats://192.0.2.1: no server responds"
+
+
+def test_who_stops_it_leaves_nothing_open(client: type[Client]) -> None:
+    client.error = asyncio.CancelledError()
+    with pytest.raises(asyncio.CancelledError):
+        connect()
+    assert client.made[0].is_closed
+
+
+@pytest.mark.parametrize("event", ["disconnected_cb", "reconnected_cb", "closed_cb"])
+def test_each_change_of_the_connection_is_told(event: str, client: type[Client]) -> None:
+    told: list[str] = []
+
+    async def main() -> None:
+        note: Callable[[], None] = lambda: told.append(event)  # noqa: E731
+        made: Any = await connected(SERVERS, name="a", on_change=note, environment={})
+        await made.options[event]()
+
+    asyncio.run(main())
+    assert told == [event]
+
+
+# --- where it is ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "servers"),
+    [
+        ("nats://192.0.2.1", ["nats://192.0.2.1"]),
+        (" nats://a:1 , ,tls://b:65535/", ["nats://a:1", "tls://b:65535/"]),
+        (",".join(["nats://a"] * MOST_SERVERS), ["nats://a"] * MOST_SERVERS),
+    ],
+)
+def test_servers_are_read(text: str, servers: list[str]) -> None:
+    assert parse_servers(text) == servers
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", " , ", ",".join(["nats://a"] * (MOST_SERVERS + 1)), "http://a", "nats://", "a:4222"),
+        *("nats://a/path", "nats://a:0", "nats://a:65536", "nats://a:x"),
+    ],
+)
+def test_what_is_no_server(text: str) -> None:
+    with pytest.raises(ValueError, match="engine: "):
+        parse_servers(text)
+
+
+def test_passwords_are_not_shown() -> None:
+    assert shown(["nats://u:secret@a:1", "tls://b"]) == "nats://a:1,tls://b"
+    with pytest.raises(ValueError, match="engine") as caught:
+        parse_servers("http://u:secret@a")
+    assert "secret" not in str(caught.value)
+
+
+# --- servers that are none ----------------------------------------------------------------------
 
 INFO = b'INFO {"server_id":"x","version":"2.9.0","max_payload":1000}\r\n'
 

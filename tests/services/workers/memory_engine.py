@@ -5,6 +5,7 @@ A bucket and a client of an engine in memory, whose errors and pauses a test dec
 from __future__ import annotations
 
 import asyncio
+import functools
 import itertools
 from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import dataclass
@@ -20,6 +21,16 @@ Result = TypeVar("Result")
 def run(main: Coroutine[Any, Any, Result]) -> Result:
     """Run a coroutine in simulated time; no task may be left."""
     return Network().run(lambda: main)
+
+
+def simulated(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
+    """Make a test of a coroutine, which runs in simulated time."""
+
+    @functools.wraps(test)
+    def whole(*given: Any, **fixtures: Any) -> None:
+        run(test(*given, **fixtures))
+
+    return whole
 
 
 def now() -> float:

@@ -20,14 +20,13 @@ from libmodbus_py.services.fleet.commands import Commands, Wanted
 from libmodbus_py.services.fleet.statistics import FleetStatistics
 from libmodbus_py.services.workers.commands import MOST_WAITING, CommandService
 from libmodbus_py.services.workers.records import FleetSettings
-from tests.services.workers.memory_engine import MemoryClient, run
-from tests.services.workers.trial import INTERVAL, LEASE, Trial
+from tests.services.workers.memory_engine import MemoryClient, simulated
+from tests.services.workers.trial import INTERVAL, LEASE, Trial, tried
 from tests.simulation.engine import EngineClient
 from tests.simulation.workers import push_fleet
 
 INBOX = "_INBOX.u9ii73oAyVwgjXVUkC6cqN"
 SUBJECT = "modbus.write.pump.setpoint"
-WRITTEN = "modbus.written.pump.setpoint"
 
 
 class Pump:
@@ -50,27 +49,21 @@ class Pump:
 
 
 class Service:
-    """A service with its client; refuses commands to the pump, or to all other devices."""
+    """A service with its client and a pump."""
 
-    def __init__(self, refusal: str | None) -> None:
+    def __init__(self) -> None:
         self.client = MemoryClient()
         self.pump = Pump()
         self.said: list[str] = []
-        commands = Commands(self.pump)
-        commands.refusal = lambda device: refusal if device == "pump" else f"no {device}"
         given: Any = self.client
-        self.service = CommandService(given, commands, self.said.append)
+        self.service = CommandService(given, Commands(self.pump), self.said.append)
 
-    async def ask(
-        self, data: bytes, subject: str = SUBJECT, reply: str = INBOX
-    ) -> list[tuple[str, dict[str, Any]]]:
+    async def ask(self, data: bytes) -> list[bool]:
         """Send a command; return what is published then."""
         self.client.published.clear()
-        await self.client.deliver(subject, data, reply)
+        await self.client.deliver(SUBJECT, data, INBOX)
         await settle()
-        told = [(subject, json.loads(data)) for subject, data in self.client.published]
-        assert all(outcome.pop("time") for _, outcome in told)
-        return told
+        return [json.loads(data)["ok"] for _, data in self.client.published]
 
 
 async def settle() -> None:
@@ -80,8 +73,8 @@ async def settle() -> None:
 
 
 @asynccontextmanager
-async def serving(refusal: str | None = None) -> AsyncIterator[Service]:
-    made = Service(refusal)
+async def serving() -> AsyncIterator[Service]:
+    made = Service()
     made.service.switch(True)
     running = asyncio.create_task(made.service.run())
     await settle()
@@ -93,102 +86,57 @@ async def serving(refusal: str | None = None) -> AsyncIterator[Service]:
         assert made.client.subscribed == {}
 
 
-NOBODY = "no worker polls 'kälte' now"
+@simulated
+async def test_an_engine_that_is_gone_meanwhile_costs_the_answer_only() -> None:
+    async with serving() as made:
+        made.client.is_broken = True
+        assert await made.ask(b"20") == []
+        assert made.pump.values == [20]
+        made.client.is_broken = False
+        assert await made.ask(b"99") == [False, False]
 
 
-@pytest.mark.parametrize(
-    ("refusal", "data", "outcome"),
-    [
-        (None, b'{"value": 21.5, "id": "a"}', {"ok": True, "id": "a"}),
-        (None, b"99", {"ok": False, "error": "no answer"}),
-        (NOBODY, b'{"value": 20, "id": 7}', {"ok": False, "error": NOBODY, "id": 7}),
-        (NOBODY, b"20", {"ok": False, "error": NOBODY}),
-        ("", b"20", None),  # another worker answers
-    ],
-)
-def test_an_outcome_is_sent_to_who_asked_and_to_who_can_have_no_answer(
-    refusal: str | None, data: bytes, outcome: dict[str, Any] | None
-) -> None:
-    async def main() -> None:
-        async with serving(refusal) as made:
-            wanted = [(INBOX, outcome), (WRITTEN, outcome)] if outcome else []
-            assert await made.ask(data) == wanted
-            # Letters stay as they are.
-            assert all("ä".encode() in raw for _, raw in made.client.published if refusal)
-            assert await made.ask(data, reply="") == wanted[1:]
-            is_good = outcome is not None and outcome["ok"]
-            assert made.pump.values == [21.5, 21.5] * is_good
-            refused = made.pump.statistics.refused_commands
-            assert refused == 2 * (outcome is not None and not is_good)
-
-    run(main())
-
-
-def test_names_with_special_characters_are_understood() -> None:
-    async def main() -> None:
-        async with serving() as made:
-            told = await made.ask(b"20", subject="modbus.write.hall%2E2.set%20point")
-            assert told[0] == (INBOX, {"ok": False, "error": "no hall.2"})
-            assert told[1][0] == "modbus.written.hall%2E2.set%20point"
-
-    run(main())
-
-
-def test_an_engine_that_is_gone_meanwhile_costs_the_answer_only() -> None:
-    async def main() -> None:
-        async with serving() as made:
-            made.client.is_broken = True
-            assert await made.ask(b"20") == []
-            assert made.pump.values == [20]
-
-    run(main())
-
-
-def test_a_flood_is_dropped_beyond_a_bound_and_makes_room_again() -> None:
-    async def main() -> None:
-        async with serving() as made:
-            made.pump.may_go_on.clear()
-            for _ in range(MOST_WAITING + 50):
-                await made.client.deliver(SUBJECT, b"20", INBOX)
-            made.pump.may_go_on.set()
-            await settle()
-            assert len(made.client.published) == 2 * MOST_WAITING
-            await made.ask(b"21")
-            assert made.pump.values[-1] == 21
-
-    run(main())
-
-
-def test_what_waits_is_not_carried_out_after_the_end() -> None:
-    async def main() -> None:
-        async with serving() as made:
-            made.pump.may_go_on.clear()
-            await made.ask(b"20")
+@simulated
+async def test_a_flood_is_dropped_beyond_a_bound_and_makes_room_again() -> None:
+    async with serving() as made:
+        made.pump.may_go_on.clear()
+        for _ in range(MOST_WAITING + 50):
+            await made.client.deliver(SUBJECT, b"20", INBOX)
         made.pump.may_go_on.set()
         await settle()
-        assert (made.client.published, made.pump.values) == ([], [])
+        assert len(made.client.published) == 2 * MOST_WAITING
+        await made.ask(b"21")
+        assert made.pump.values[-1] == 21
 
-    run(main())
+
+@simulated
+async def test_what_waits_is_not_carried_out_after_the_end() -> None:
+    async with serving() as made:
+        made.pump.may_go_on.clear()
+        await made.ask(b"20")
+    made.pump.may_go_on.set()
+    await settle()
+    assert (made.client.published, made.pump.values) == ([], [])
 
 
-def test_a_failed_subscription_is_told_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+@simulated
+async def test_a_failed_subscription_is_told_and_tried_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     async def fail(*_: Any, **__: Any) -> None:
         raise nats.errors.ConnectionClosedError
 
-    async def main() -> None:
-        with monkeypatch.context() as patched:
-            patched.setattr(MemoryClient, "subscribe", fail)
-            made = Service(None)
-            made.service.switch(True)
-            running = asyncio.create_task(made.service.run())
-            await asyncio.sleep(0.1)
-            assert made.said == ["commands: no server responds"]
-        await asyncio.sleep(1)
-        assert list(made.client.subscribed) == ["modbus.write.*.*"]
-        running.cancel()
-        await asyncio.gather(running, return_exceptions=True)
-
-    run(main())
+    with monkeypatch.context() as patched:
+        patched.setattr(MemoryClient, "subscribe", fail)
+        made = Service()
+        made.service.switch(True)
+        running = asyncio.create_task(made.service.run())
+        await asyncio.sleep(0.1)
+        assert made.said == ["commands: no server responds"]
+    await asyncio.sleep(1)
+    assert list(made.client.subscribed) == ["modbus.write.*.*"]
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)
 
 
 # --- whole workers -------------------------------------------------------------------------------
@@ -200,7 +148,10 @@ class Listener:
 
     Attributes:
         messages: subject and content of each message.
+        raw: the last message.
     """
+
+    raw = b""
 
     def __init__(self, trial: Trial) -> None:
         self.trial = trial
@@ -212,6 +163,7 @@ class Listener:
             await self.client.subscribe(subject, cb=self._note)
 
     async def _note(self, message: Any) -> None:
+        self.raw = message.data
         self.messages.append((message.subject, timeless(message.data)))
 
     async def heard(self, subject: str, data: bytes, reply: str = "") -> list[tuple[str, Any]]:
@@ -280,6 +232,8 @@ def test_one_worker_answers_for_a_device_that_nobody_has() -> None:
         outcome = {"ok": False, "error": "there is no device 'no.one'", "id": 7}
         told = await to.heard("no%2Eone.setpoint", b'{"value": 1, "id": 7}')
         assert told == [("modbus.written.no%2Eone.setpoint", outcome)]
+        await to.heard("kälte.setpoint", b"1")
+        assert "there is no device 'kälte'".encode() in to.raw
         await push_fleet(to.trial.engine, to.trial.devices(zone="north"), to.trial.settings)
         await asyncio.sleep(1)
         told = await to.heard("d0-1.setpoint", b"20")
@@ -389,8 +343,8 @@ class Broker:
     async def close(self) -> None: ...
 
 
-def test_one_of_two_workers_answers_what_comes_over_a_broker() -> None:
-    trial = Trial(4)
+@tried(4)
+async def test_one_of_two_workers_answers_what_comes_over_a_broker(trial: Trial) -> None:
     brokers = [Broker(), Broker()]
 
     async def ask(device: str, point: str, value: object) -> dict[str, Any]:
@@ -399,21 +353,18 @@ def test_one_of_two_workers_answers_what_comes_over_a_broker() -> None:
         del outcome["time"]
         return outcome
 
-    async def main() -> None:
-        for name, broker in zip("ab", brokers, strict=True):
-            await trial.start(name, outputs=[broker])
-        await trial.settle()
-        for at in range(4):
-            assert await ask(f"d{at}-1", "setpoint", 20 + at) == {"ok": True}
-            assert trial.levels.holding_registers[1] == 20 + at
-        refused = {"ok": False, "error": "there is no device 'nothing'"}
-        assert await ask("nothing", "setpoint", 20) == refused
-        await push_fleet(trial.engine, trial.devices(zone="north"), trial.settings)
-        for worker in trial.workers.values():
-            await trial.until(lambda it=worker: not it.polling.fleet.devices, LEASE)  # type: ignore[misc]
-        assert await ask("d0-1", "setpoint", 20) == no_worker("d0-1")
-
-    trial.run(main)
+    for name, broker in zip("ab", brokers, strict=True):
+        await trial.start(name, outputs=[broker])
+    await trial.settle()
+    for at in range(4):
+        assert await ask(f"d{at}-1", "setpoint", 20 + at) == {"ok": True}
+        assert trial.levels.holding_registers[1] == 20 + at
+    refused = {"ok": False, "error": "there is no device 'nothing'"}
+    assert await ask("nothing", "setpoint", 20) == refused
+    await push_fleet(trial.engine, trial.devices(zone="north"), trial.settings)
+    for worker in trial.workers.values():
+        await trial.until(lambda it=worker: not it.polling.fleet.devices, LEASE)  # type: ignore[misc]
+    assert await ask("d0-1", "setpoint", 20) == no_worker("d0-1")
 
 
 # --- strangers -----------------------------------------------------------------------------------

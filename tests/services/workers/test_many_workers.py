@@ -149,44 +149,6 @@ def test_connections_are_shared_about_equally(processes, connections):
     assert max(slots.values()) - min(slots.values()) <= 1
 
 
-def test_who_joins_gets_its_share_soon_and_without_a_gap():
-    world = settled(processes=2, connections=60)
-    world.start()
-    world.run(2)
-    counts = of(world)
-    assert len(counts) == 3
-    assert min(counts.values()) >= 15
-    assert world.unasked == []
-    assert world.doubles == []
-
-
-def test_who_leaves_is_replaced_at_once():
-    world = settled(processes=3, connections=60)
-    world.processes[0].worker.leave()
-    world.run(1.1)
-    assert world.processes[0].worker.left
-    assert world.unasked == []
-    assert world.doubles == []
-
-
-def test_who_dies_is_replaced_when_its_lease_is_over():
-    world = settled(processes=3, connections=60)
-    its = set(world.processes[0].worker.active)
-    world.kill(world.processes[0])
-    world.run(LEASE * 0.9)
-    assert its <= set(world.unasked)
-    world.run(LEASE * 0.25)
-    assert world.unasked == []
-    assert world.doubles == []
-
-
-def test_a_zone_nobody_serves_is_not_asked():
-    world = settled(processes=2, connections=3)
-    world.configure(99, "south")
-    world.run(2 * LEASE)
-    assert world.unasked == ["tcp:192.0.2.99:502"]
-
-
 # --- one fault each --------------------------------------------------------------------------
 
 
@@ -322,25 +284,6 @@ def test_a_lease_is_counted_from_before_it_was_sent():
     slow.is_cut = True
     world.run(2 * LEASE)
     assert world.doubles == []
-
-
-def test_no_answer_is_waited_for_beyond_the_lease():
-    world = settled(processes=2, connections=10)
-    process = world.processes[0]
-    process.is_cut = True
-    until = process.worker.lease.until
-    key, connection = next(iter(process.worker.active.items()))
-    assert process.worker.may_ask(key, until - connection.timeout - 0.01)
-    assert not process.worker.may_ask(key, until - connection.timeout)
-
-
-def test_it_goes_on_without_the_engine_if_told_so():
-    world = settled(processes=1, connections=5)
-    world.bucket.write("settings", FleetSettings(LEASE, "continue").encode())
-    world.run(1)
-    cut_off(world)
-    world.run(5 * LEASE)
-    assert world.unasked == []
 
 
 def test_a_wrong_value_of_another_version_is_told_and_harms_nobody():

@@ -5,13 +5,14 @@ A worker with its clock, its bucket and its fleet: in one process, in simulated 
 from __future__ import annotations
 
 import asyncio
+import functools
 import inspect
 import json
 import logging
 import os
 import socket
 import time
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -30,7 +31,7 @@ from libmodbus_py.services.workers.decisions import step
 from libmodbus_py.services.workers.polling import MOST_WRITES, SAID_AGAIN_S, TIMEOUT_S, Polling
 from libmodbus_py.services.workers.records import SETTINGS, Connection, FleetSettings
 from libmodbus_py.services.workers.worker import Decision, Worker
-from tests.services.workers.memory_engine import MemoryBucket, now, run
+from tests.services.workers.memory_engine import MemoryBucket, now, run, simulated
 
 LEASE = 10.0
 MAP = RegisterMap([Point("level", "holding_registers", 0)])
@@ -76,7 +77,7 @@ class Fleet:
 
 
 @pytest.fixture(autouse=True)
-def simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+def _without_polls(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(polling, "Fleet", Fleet)
 
 
@@ -133,49 +134,40 @@ def members(bucket: MemoryBucket) -> list[dict[str, Any]]:
     ]
 
 
-class TestLife:
-    def test_a_worker_alone_polls_all_and_says_that_it_has_ended(self) -> None:
-        async def main() -> None:
-            pumps = connection("pump 1", "pump 2")
-            bucket = filled(pumps, connection("valve", host=2))
-            async with at_work(bucket) as worker:
-                # It cannot know that nobody had them before, and waits for the longest lease.
-                took = await until(lambda: len(names(worker)) == 3)
-                assert took > LEASE
-                assert worker._may_ask(pumps.key)
-                assert not worker._may_ask("tcp:192.0.2.9:502")
-                assert members(bucket)[0]["state"] == "here"
-            assert members(bucket)[0]["state"] == "ended"
-            assert not worker._may_ask(pumps.key)
-            assert worker.worker.left
-            assert bucket.watches == []
+def of_pump(test: Callable[..., Awaitable[None]]) -> Callable[..., None]:
+    """Make a test that is given a worker which polls a pump, and its bucket, in simulated time."""
 
-        run(main())
-
-    def test_another_worker_takes_over_at_once(self) -> None:
+    @functools.wraps(test)
+    def whole(self: object, **fixtures: Any) -> None:
         async def main() -> None:
             bucket = filled(connection("pump"))
-            async with at_work(bucket, name="b") as second:
-                async with at_work(bucket, name="a") as first:
-                    await until(lambda: names(first) or names(second))
-                    assert not (names(first) and names(second))
-                assert await until(lambda: names(second)) < LEASE / 2
+            async with at_work(bucket) as worker:
+                await until(lambda: names(worker))
+                await test(self, worker, bucket, **fixtures)
 
         run(main())
 
-    def test_a_zone_is_left_to_its_workers(self) -> None:
-        async def main() -> None:
-            hall = DeviceConfig("pump", "tcp://192.0.2.1", MAP, zone="hall")
-            there = Connection("hall", hall.connection_key, 1.0, devices_to_json([hall]))
-            bucket = filled(there, connection("valve", host=2))
-            async with at_work(bucket) as other:
-                async with at_work(bucket, zones=["hall"]) as worker:
-                    await until(lambda: "pump" in names(worker))
-                    assert "pump" not in names(other)
-                await asyncio.sleep(3 * LEASE)
-                assert names(other) == ["valve"]
+    own, _, _, *others = inspect.signature(test).parameters.values()
+    whole.__signature__ = inspect.Signature([own, *others])  # type: ignore[attr-defined]
+    return whole
 
-        run(main())
+
+class TestLife:
+    @simulated
+    async def test_a_worker_alone_polls_all_and_says_that_it_has_ended(self) -> None:
+        pumps = connection("pump 1", "pump 2")
+        bucket = filled(pumps, connection("valve", host=2))
+        async with at_work(bucket) as worker:
+            # It cannot know that nobody had them before, and waits for the longest lease.
+            took = await until(lambda: len(names(worker)) == 3)
+            assert took > LEASE
+            assert worker._may_ask(pumps.key)
+            assert not worker._may_ask("tcp:192.0.2.9:502")
+            assert members(bucket)[0]["state"] == "here"
+        assert members(bucket)[0]["state"] == "ended"
+        assert not worker._may_ask(pumps.key)
+        assert worker.worker.left
+        assert bucket.watches == []
 
     def test_it_leaves_within_seconds_although_the_engine_is_gone(self) -> None:
         async def main() -> float:
@@ -189,72 +181,62 @@ class TestLife:
 
         assert run(main()) == pytest.approx(TIMEOUT_S, abs=0.2)
 
-    def test_the_end_of_an_output_ends_it(self) -> None:
-        async def main() -> None:
-            bucket = filled(connection("pump"), commands=True)
-            worker = made(bucket, FleetSettings(LEASE, commands=True))
-            running = asyncio.create_task(worker.run())
-            await until(lambda: names(worker))
-            worker.fleet.error.set_exception(OutputError("nobody reads"))  # type: ignore[attr-defined]
-            with pytest.raises(OutputError, match="nobody reads"):
-                await running
-            assert bucket.watches == []
+    @simulated
+    async def test_the_end_of_an_output_ends_it(self) -> None:
+        bucket = filled(connection("pump"), commands=True)
+        worker = made(bucket, FleetSettings(LEASE, commands=True))
+        running = asyncio.create_task(worker.run())
+        await until(lambda: names(worker))
+        worker.fleet.error.set_exception(OutputError("nobody reads"))  # type: ignore[attr-defined]
+        with pytest.raises(OutputError, match="nobody reads"):
+            await running
+        assert bucket.watches == []
 
-        run(main())
-
-    def test_a_connection_that_is_closed_for_good_ends_it(self) -> None:
+    @simulated
+    async def test_a_connection_that_is_closed_for_good_ends_it(self) -> None:
         """A worker that cannot reach NATS any more must not look alive."""
+        bucket = filled(connection("pump"))
+        worker = made(bucket)
+        running = asyncio.create_task(worker.run())
+        await until(lambda: names(worker))
+        worker.engine_changed()
+        await asyncio.sleep(1)
+        assert not running.done()
+        bucket.client.is_closed = True
+        worker.engine_changed()
+        with pytest.raises(EngineError, match="the connection to NATS was closed"):
+            await running
+        assert bucket.watches == []
 
-        async def main() -> None:
-            bucket = filled(connection("pump"))
-            worker = made(bucket)
-            running = asyncio.create_task(worker.run())
-            await until(lambda: names(worker))
-            worker.engine_changed()
-            await asyncio.sleep(1)
-            assert not running.done()
-            bucket.client.is_closed = True
-            worker.engine_changed()
-            with pytest.raises(EngineError, match="the connection to NATS was closed"):
-                await running
-            assert bucket.watches == []
-
-        run(main())
-
-    def test_being_cancelled_ends_all_of_it(self) -> None:
-        async def main() -> None:
-            bucket = filled(connection("pump"))
-            bucket.holds = asyncio.Event()
-            running = asyncio.create_task(made(bucket).run())
-            await asyncio.sleep(1.0)
-            assert bucket.puts
-            running.cancel()
-            with pytest.raises(asyncio.CancelledError):
-                await running
-            assert bucket.watches == []
-
-        run(main())
+    @simulated
+    async def test_being_cancelled_ends_all_of_it(self) -> None:
+        bucket = filled(connection("pump"))
+        bucket.holds = asyncio.Event()
+        running = asyncio.create_task(made(bucket).run())
+        await asyncio.sleep(1.0)
+        assert bucket.puts
+        running.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await running
+        assert bucket.watches == []
 
     @pytest.mark.parametrize(
-        ("name", "id"), [("hall 2.north", "hall-2-north"), ("x" * 90, "x" * 60), ("Ab_9-", "Ab_9-")]
+        ("name", "id"),
+        [
+            ("hall 2.north", "hall-2-north"),
+            ("x" * 90, "x" * 60),
+            ("Ab_9-", "Ab_9-"),
+            ("", "plant-example"),
+        ],
     )
-    def test_its_name_becomes_a_key(self, name: str, id: str) -> None:
-        async def main() -> None:
-            first, second = (made(filled(), name=name).worker.lease.id for _ in range(2))
-            assert first.split(".")[0] == id
-            assert first != second
-
-        run(main())
-
-    def test_its_name_is_that_of_the_machine_unless_given(
-        self, monkeypatch: pytest.MonkeyPatch
+    @simulated
+    async def test_its_name_or_that_of_the_machine_becomes_a_key(
+        self, name: str, id: str, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr(socket, "gethostname", lambda: "plant.example")
-
-        async def main() -> None:
-            assert made(filled()).worker.lease.id.startswith("plant-example.")
-
-        run(main())
+        first, second = (made(filled(), name=name).worker.lease.id for _ in range(2))
+        assert first.split(".")[0] == id
+        assert first != second
 
     def test_a_lease_goes_on_while_the_machine_sleeps(self) -> None:
         default = inspect.signature(Polling).parameters["clock"].default
@@ -263,71 +245,55 @@ class TestLife:
 
 
 class TestBucket:
-    def test_it_watches_again_when_something_was_missed(self) -> None:
-        async def main() -> None:
-            bucket = filled(connection("pump"))
-            async with at_work(bucket) as worker:
-                await until(lambda: names(worker))
-                watched = bucket.watched
-                bucket.watches[0].miss()
-                assert await until(lambda: bucket.watched > watched) < 1.0
-                assert len(bucket.watches) == 1
-                # What is still there goes on to be polled.
-                assert names(worker) == ["pump"]
+    @pytest.mark.parametrize("missed", [True, False])
+    @of_pump
+    async def test_it_watches_again_when_something_was_missed_or_the_connection_changed(
+        self, worker: Polling, bucket: MemoryBucket, missed: bool
+    ) -> None:
+        watched = bucket.watched
+        if missed:
+            bucket.watches[0].miss()
+        else:
+            worker.engine_changed()
+        assert await until(lambda: bucket.watched > watched) < 1.0
+        await asyncio.sleep(2.0)
+        assert (bucket.watched, len(bucket.watches)) == (watched + 1, 1)
+        # What is still there goes on to be polled.
+        assert names(worker) == ["pump"]
 
-        run(main())
+    @of_pump
+    async def test_it_watches_again_when_the_bucket_is_not_told_whole(
+        self, worker: Polling, bucket: MemoryBucket
+    ) -> None:
+        bucket.is_mute = True
+        worker.engine_changed()
+        watched = bucket.watched
+        await until(lambda: bucket.watched > watched)
+        # Nothing has come of that watch: the one before still counts.
+        assert not worker.worker.is_reading
+        watch = bucket.watches[0]
+        key, (value, revision) = next(iter(bucket.values.items()))
+        watch.on_change(polling.Change(key, value, revision))
+        assert worker.worker.is_reading
+        assert 2.5 < await until(lambda: bucket.watches[:1] != [watch]) < TIMEOUT_S + 1
+        bucket.is_mute = False
+        await until(lambda: not worker.worker.is_reading)
+        assert names(worker) == ["pump"]
 
-    def test_it_watches_again_when_the_connection_to_the_engine_changed(self) -> None:
-        async def main() -> None:
-            bucket = filled(connection("pump"))
-            async with at_work(bucket) as worker:
-                await until(lambda: names(worker))
-                watched = bucket.watched
-                worker.engine_changed()
-                assert await until(lambda: bucket.watched > watched) < 1.0
-                await asyncio.sleep(2.0)
-                assert bucket.watched == watched + 1
-
-        run(main())
-
-    def test_it_watches_again_when_the_bucket_is_not_told_whole(self) -> None:
-        async def main() -> None:
-            bucket = filled(connection("pump"))
-            async with at_work(bucket) as worker:
-                await until(lambda: names(worker))
-                bucket.is_mute = True
-                worker.engine_changed()
-                watched = bucket.watched
-                await until(lambda: bucket.watched > watched)
-                # Nothing has come of that watch: the one before still counts.
-                assert not worker.worker.is_reading
-                watch = bucket.watches[0]
-                key, (value, revision) = next(iter(bucket.values.items()))
-                watch.on_change(polling.Change(key, value, revision))
-                assert worker.worker.is_reading
-                assert 2.5 < await until(lambda: bucket.watches[:1] != [watch]) < TIMEOUT_S + 1
-                bucket.is_mute = False
-                await until(lambda: not worker.worker.is_reading)
-                assert names(worker) == ["pump"]
-
-        run(main())
-
-    def test_a_change_is_heeded_before_the_next_look_at_the_clock(self) -> None:
-        async def main() -> None:
-            bucket = filled(connection("pump"))
-            async with at_work(bucket) as worker:
-                await until(lambda: names(worker))
-                bucket.write(connection("pump").bucket_key, None)
-                begun = now()
-                for _ in range(10):
-                    await asyncio.sleep(0)
-                assert names(worker) == []
-                assert now() == begun
-
-        run(main())
+    @of_pump
+    async def test_a_change_is_heeded_before_the_next_look_at_the_clock(
+        self, worker: Polling, bucket: MemoryBucket
+    ) -> None:
+        bucket.write(connection("pump").bucket_key, None)
+        begun = now()
+        for _ in range(10):
+            await asyncio.sleep(0)
+        assert names(worker) == []
+        assert now() == begun
 
     @pytest.mark.parametrize("lease", [0.5, LEASE])
-    def test_a_worker_alone_decides_as_often_as_it_renews_its_lease(
+    @simulated
+    async def test_a_worker_alone_decides_as_often_as_it_renews_its_lease(
         self, lease: float, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         decided: list[float] = []
@@ -336,118 +302,92 @@ class TestBucket:
             decided.append(at)
             return step(worker, at, report)
 
-        async def main() -> None:
-            bucket = filled(connection("pump"))
-            bucket.write(SETTINGS, FleetSettings(lease).encode())
-            async with at_work(bucket, settings=FleetSettings(lease)) as worker:
-                await until(lambda: names(worker))
-                monkeypatch.setattr(polling, "step", counted)
-                before = len(bucket.puts)
-                await asyncio.sleep(10 * lease)
-                assert len(bucket.puts) - before == pytest.approx(100, abs=2)
-                assert len(decided) == pytest.approx(100, abs=2)
+        bucket = filled(connection("pump"))
+        bucket.write(SETTINGS, FleetSettings(lease).encode())
+        async with at_work(bucket, settings=FleetSettings(lease)) as worker:
+            await until(lambda: names(worker))
+            monkeypatch.setattr(polling, "step", counted)
+            before = len(bucket.puts)
+            await asyncio.sleep(10 * lease)
+            assert len(bucket.puts) - before == pytest.approx(100, abs=2)
+            assert len(decided) == pytest.approx(100, abs=2)
 
-        run(main())
-
-    def test_an_engine_that_is_gone_ends_the_lease_and_is_told_once_a_minute(
+    @simulated
+    async def test_an_engine_that_is_gone_ends_the_lease_and_is_told_once_a_minute(
         self, caplog: pytest.LogCaptureFixture
     ) -> None:
-        async def main() -> None:
-            bucket = filled(connection("pump"))
-            async with at_work(bucket, name="a") as worker:
-                await until(lambda: names(worker))
-                assert caplog.messages == []
-                bucket.error = EngineGone("no server responds")
-                worker.engine_changed()
-                key = connection("pump").key
-                assert await until(lambda: not worker._may_ask(key)) < LEASE
-                await asyncio.sleep(SAID_AGAIN_S - 15.0)
-                gone = "the engine: no server responds"
-                ended = "a: the lease has expired: NATS does not respond"
-                assert sorted(caplog.messages) == [ended, gone]
-                await asyncio.sleep(25.0)
-                assert caplog.messages.count(gone) == 2
-                bucket.error = None
-                await until(lambda: worker._may_ask(key))
-                await asyncio.sleep(1.0)
-                assert caplog.messages[-1] == "a: the lease is valid again"
-
-        run(main())
-
-    def test_a_bucket_that_cannot_be_watched_is_told_and_watched_again(
-        self, caplog: pytest.LogCaptureFixture
-    ) -> None:
-        async def main() -> None:
-            bucket = filled(connection("pump"))
+        bucket = filled(connection("pump"))
+        async with at_work(bucket, name="a") as worker:
+            await until(lambda: names(worker))
+            assert caplog.messages == []
             bucket.error = EngineGone("no server responds")
-            async with at_work(bucket) as worker:
-                await asyncio.sleep(5.0)
-                assert caplog.messages == ["the engine: no server responds"]
-                assert bucket.puts == []
-                bucket.error = None
-                await until(lambda: names(worker) == ["pump"])
+            worker.engine_changed()
+            key = connection("pump").key
+            assert await until(lambda: not worker._may_ask(key)) < LEASE
+            await asyncio.sleep(SAID_AGAIN_S - 15.0)
+            gone = "the engine: no server responds"
+            ended = "a: the lease has expired: NATS does not respond"
+            assert sorted(caplog.messages) == [ended, gone]
+            await asyncio.sleep(25.0)
+            assert caplog.messages.count(gone) == 2
+            bucket.error = None
+            await until(lambda: worker._may_ask(key))
+            await asyncio.sleep(1.0)
+            assert caplog.messages[-1] == "a: the lease is valid again"
 
-        run(main())
+    @simulated
+    async def test_a_bucket_that_cannot_be_watched_is_told_and_watched_again(
+        self, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        bucket = filled(connection("pump"))
+        bucket.error = EngineGone("no server responds")
+        async with at_work(bucket) as worker:
+            await asyncio.sleep(5.0)
+            assert caplog.messages == ["the engine: no server responds"]
+            assert bucket.puts == []
+            bucket.error = None
+            await until(lambda: names(worker) == ["pump"])
 
-    def test_nothing_is_written_while_there_is_no_connection(self) -> None:
+    @of_pump
+    async def test_nothing_is_written_while_there_is_no_connection(
+        self, worker: Polling, bucket: MemoryBucket
+    ) -> None:
         """A value that is written then arrives late, when others consider the worker dead."""
+        bucket.client.is_connected = False
+        count = len(bucket.puts)
+        await asyncio.sleep(LEASE)
+        assert len(bucket.puts) == count
 
-        async def main() -> None:
-            bucket = filled(connection("pump"))
-            async with at_work(bucket) as worker:
-                await until(lambda: names(worker))
-                bucket.client.is_connected = False
-                count = len(bucket.puts)
-                await asyncio.sleep(LEASE)
-                assert len(bucket.puts) == count
-
-        run(main())
-
-    def test_writes_on_their_way_are_bounded(self) -> None:
-        async def main() -> None:
-            many = [connection(f"pump {host}", host=host) for host in range(1, 255)]
-            bucket = filled(*many)
-            worker = made(bucket)
-            running = asyncio.create_task(worker.run())
-            bucket.holds = asyncio.Event()
-            for _ in range(MOST_WRITES + 100):
-                worker._write(polling.Put("worker.a.1", b"{}", 9))
-            await asyncio.sleep(0.01)
-            assert len(bucket.puts) == MOST_WRITES
-            bucket.holds.set()
-            await until(lambda: members(bucket))
-            worker.leave()
-            await running
-
-        run(main())
+    @simulated
+    async def test_writes_on_their_way_are_bounded(self) -> None:
+        many = [connection(f"pump {host}", host=host) for host in range(1, 255)]
+        bucket = filled(*many)
+        worker = made(bucket)
+        running = asyncio.create_task(worker.run())
+        bucket.holds = asyncio.Event()
+        for _ in range(MOST_WRITES + 100):
+            worker._write(polling.Put("worker.a.1", b"{}", 9))
+        await asyncio.sleep(0.01)
+        assert len(bucket.puts) == MOST_WRITES
+        bucket.holds.set()
+        await until(lambda: members(bucket))
+        worker.leave()
+        await running
 
 
 class TestDevices:
-    def test_what_has_not_changed_is_not_read_again(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        async def main() -> None:
-            bucket = filled(connection("pump"))
-            async with at_work(bucket) as worker:
-                await until(lambda: names(worker))
-                pump, replaced = worker.fleet.devices["pump"], worker.fleet.replaced  # type: ignore[attr-defined]
-                await asyncio.sleep(LEASE)
-                assert worker.fleet.replaced == replaced  # type: ignore[attr-defined]
-                valve = connection("valve", host=2)
-                bucket.write(valve.bucket_key, valve.encode())
-                await until(lambda: len(names(worker)) == 2)
-                assert worker.fleet.devices["pump"] is pump
-
-        run(main())
-
-    def test_a_connection_with_other_devices_is_read_again(self) -> None:
-        async def main() -> None:
-            bucket = filled(connection("pump"))
-            async with at_work(bucket) as worker:
-                await until(lambda: names(worker))
-                other = connection("pump", "valve")
-                bucket.write(other.bucket_key, other.encode())
-                await until(lambda: names(worker) == ["pump", "valve"])
-
-        run(main())
+    @of_pump
+    async def test_what_has_changed_is_read_again_and_nothing_else(
+        self, worker: Polling, bucket: MemoryBucket
+    ) -> None:
+        pump, replaced = worker.fleet.devices["pump"], worker.fleet.replaced  # type: ignore[attr-defined]
+        await asyncio.sleep(LEASE)
+        assert worker.fleet.replaced == replaced  # type: ignore[attr-defined]
+        for other in (connection("valve", host=2), connection("fan", "valve", host=2)):
+            bucket.write(other.bucket_key, other.encode())
+            await until(lambda: "valve" in names(worker))
+        await until(lambda: names(worker) == ["fan", "pump", "valve"])
+        assert worker.fleet.devices["pump"] is pump
 
     @pytest.mark.parametrize(
         "devices",
@@ -463,141 +403,99 @@ class TestDevices:
         ],
         ids=["no devices", "devices of another connection", "one device of another connection"],
     )
-    def test_what_cannot_be_read_is_told_and_polled_by_nobody(
+    @simulated
+    async def test_what_cannot_be_read_is_told_and_polled_by_nobody(
         self, devices: str, caplog: pytest.LogCaptureFixture
     ) -> None:
-        async def main() -> None:
-            bad = Connection("", "tcp:192.0.2.1:502", 1.0, devices)
-            bucket = filled(bad, connection("valve", host=2))
-            async with at_work(bucket) as worker:
-                await until(lambda: names(worker))
-                assert names(worker) == ["valve"]
-                told = "tcp:192.0.2.1:502: its devices in the bucket are invalid: "
-                assert [text for text in caplog.messages if text.startswith(told)]
+        bad = Connection("", "tcp:192.0.2.1:502", 1.0, devices)
+        bucket = filled(bad, connection("valve", host=2))
+        async with at_work(bucket) as worker:
+            await until(lambda: names(worker))
+            assert names(worker) == ["valve"]
+            told = "tcp:192.0.2.1:502: its devices in the bucket are invalid: "
+            assert [text for text in caplog.messages if text.startswith(told)]
 
-        run(main())
-
-    def test_of_two_devices_of_one_name_one_is_polled(
+    @simulated
+    async def test_of_two_devices_of_one_name_one_is_polled(
         self, caplog: pytest.LogCaptureFixture
     ) -> None:
-        async def main() -> None:
-            bucket = filled(connection("pump", "fan"), connection("pump", "valve", host=2))
-            async with at_work(bucket) as worker:
-                await until(lambda: names(worker))
-                assert names(worker) == ["fan", "pump", "valve"]
-                (told,) = [text for text in caplog.messages if "is not polled" in text]
-                assert "'pump' is not polled, because tcp:192.0.2." in told
+        bucket = filled(connection("pump", "fan"), connection("pump", "valve", host=2))
+        async with at_work(bucket) as worker:
+            await until(lambda: names(worker))
+            assert names(worker) == ["fan", "pump", "valve"]
+            (told,) = [text for text in caplog.messages if "is not polled" in text]
+            assert "'pump' is not polled, because tcp:192.0.2." in told
 
-        run(main())
-
-    def test_what_no_worker_wrote_is_told(self, caplog: pytest.LogCaptureFixture) -> None:
-        async def main() -> None:
-            bucket = filled()
-            bucket.write("connection._.1", b"{}")
-            async with at_work(bucket):
-                await until(lambda: caplog.messages)
-                assert caplog.messages[0].startswith("the bucket: connection._.1: ")
-
-        run(main())
-
-    def test_texts_that_were_told_are_forgotten_when_they_are_many(
+    @simulated
+    async def test_texts_that_were_told_are_forgotten_when_they_are_many(
         self, caplog: pytest.LogCaptureFixture
     ) -> None:
-        async def main() -> None:
-            worker = made(filled())
-            for number in range(102):
-                worker._say(f"trouble {number}")
-            assert len(caplog.messages) == 102
-            worker._say("trouble 101")
-            worker._say("trouble 0")
-            assert caplog.messages[102:] == ["trouble 0"]
-            assert len(worker._said) < 102
-
-        run(main())
-
-
-class TestLostLease:
-    @pytest.mark.parametrize(("on_engine_loss", "times"), [("stop", 1), ("continue", 0)])
-    def test_devices_are_taken_back_unless_polls_go_on(
-        self, monkeypatch: pytest.MonkeyPatch, on_engine_loss: str, times: int
-    ) -> None:
-        taken: list[float] = []
-        monkeypatch.setattr(Fleet, "take_back", lambda fleet: taken.append(now()))
-
-        async def main() -> None:
-            settings = FleetSettings(LEASE, on_engine_loss=on_engine_loss)  # type: ignore[arg-type]
-            bucket = filled(connection("pump"), on_engine_loss=on_engine_loss)
-            async with at_work(bucket, settings=settings) as worker:
-                await until(lambda: names(worker))
-                bucket.error = EngineGone("gone")
-                await asyncio.sleep(3 * LEASE)
-                assert len(taken) == times
-                bucket.error = None
-
-        run(main())
+        worker = made(filled())
+        for number in range(102):
+            worker._say(f"trouble {number}")
+        assert len(caplog.messages) == 102
+        worker._say("trouble 101")
+        worker._say("trouble 0")
+        assert caplog.messages[102:] == ["trouble 0"]
+        assert len(worker._said) < 102
 
 
 class TestReport:
-    def test_it_reports_what_its_fleet_does(self) -> None:
-        async def main() -> None:
-            bucket = filled(connection("pump"))
-            async with at_work(bucket) as worker:
-                await until(lambda: names(worker))
-                statistics = worker.fleet.statistics
-                statistics.devices, statistics.up, statistics.down = 3, 2, 1
-                buffer = Buffer(10)
-                statistics.outputs["csv"] = OutputStatistics(buffer)
-                for _ in range(40):
-                    statistics.polls += 5
-                    await asyncio.sleep(0.5)
-                report = members(bucket)[0]["report"]
-                assert report.pop("polls") == pytest.approx(10.0, rel=0.2)
-                assert report == {
-                    "connections": 1,
-                    "devices": 3,
-                    "up": 2,
-                    "down": 1,
-                    "host": socket.gethostname(),
-                    "process": os.getpid(),
-                    "outputs": {"csv": {"waiting": 0, "dropped": 0}},
-                }
-                await asyncio.sleep(3.0)
-                assert members(bucket)[0]["report"]["polls"] == 0.0
-
-        run(main())
+    @of_pump
+    async def test_it_reports_what_its_fleet_does(
+        self, worker: Polling, bucket: MemoryBucket
+    ) -> None:
+        statistics = worker.fleet.statistics
+        statistics.devices, statistics.up, statistics.down = 3, 2, 1
+        buffer = Buffer(10)
+        statistics.outputs["csv"] = OutputStatistics(buffer)
+        for _ in range(40):
+            statistics.polls += 5
+            await asyncio.sleep(0.5)
+        report = members(bucket)[0]["report"]
+        assert report.pop("polls") == pytest.approx(10.0, rel=0.2)
+        assert report == {
+            "connections": 1,
+            "devices": 3,
+            "up": 2,
+            "down": 1,
+            "host": socket.gethostname(),
+            "process": os.getpid(),
+            "outputs": {"csv": {"waiting": 0, "dropped": 0}},
+        }
+        await asyncio.sleep(3.0)
+        assert members(bucket)[0]["report"]["polls"] == 0.0
 
 
 class TestCommands:
     @pytest.mark.parametrize("commands", [True, False])
-    def test_devices_are_written_to_if_the_fleet_says_so(self, commands: bool) -> None:
-        async def main() -> None:
-            settings = FleetSettings(LEASE, commands=commands)
-            bucket = filled(connection("pump"), commands=commands)
-            async with at_work(bucket, settings=settings) as worker:
-                await until(lambda: names(worker))
-                wanted = [True, "there is no device 'valve'"] if commands else []
-                assert await replies(bucket, "pump", "valve") == wanted
+    @simulated
+    async def test_devices_are_written_to_if_the_fleet_says_so(self, commands: bool) -> None:
+        settings = FleetSettings(LEASE, commands=commands)
+        bucket = filled(connection("pump"), commands=commands)
+        async with at_work(bucket, settings=settings) as worker:
+            await until(lambda: names(worker))
+            wanted = [True, "there is no device 'valve'"] if commands else []
+            assert await replies(bucket, "pump", "valve") == wanted
 
-        run(main())
-
-    @pytest.mark.parametrize(("on_engine_loss", "answers"), [("stop", []), ("continue", [True])])
-    def test_who_has_lost_its_lease_answers_nothing_unless_polls_go_on(
-        self, on_engine_loss: Any, answers: list[bool]
+    @pytest.mark.parametrize(("on_engine_loss", "is_lost"), [("stop", True), ("continue", False)])
+    @simulated
+    async def test_who_has_lost_its_lease_answers_nothing_and_takes_its_devices_back(
+        self, monkeypatch: pytest.MonkeyPatch, on_engine_loss: Any, is_lost: bool
     ) -> None:
-        """Another worker may have the device, and have carried out the same command."""
-
-        async def main() -> None:
-            settings = FleetSettings(LEASE, on_engine_loss, commands=True)
-            bucket = filled(connection("pump"), on_engine_loss=on_engine_loss, commands=True)
-            async with at_work(bucket, settings=settings) as worker:
-                await until(lambda: names(worker))
-                bucket.error = EngineGone("no server responds")
-                await asyncio.sleep(LEASE)
-                assert names(worker) == ["pump"]
-                assert await replies(bucket, "pump") == answers
-                bucket.error = None
-
-        run(main())
+        """Another worker may have the devices, and have carried out the same command."""
+        taken: list[float] = []
+        monkeypatch.setattr(Fleet, "take_back", lambda fleet: taken.append(now()))
+        settings = FleetSettings(LEASE, on_engine_loss, commands=True)
+        bucket = filled(connection("pump"), on_engine_loss=on_engine_loss, commands=True)
+        async with at_work(bucket, settings=settings) as worker:
+            await until(lambda: names(worker))
+            bucket.error = EngineGone("no server responds")
+            await asyncio.sleep(3 * LEASE)
+            assert names(worker) == ["pump"]
+            assert await replies(bucket, "pump") == ([] if is_lost else [True])
+            assert len(taken) == is_lost
+            bucket.error = None
 
 
 async def replies(bucket: MemoryBucket, *devices: str) -> list[Any]:

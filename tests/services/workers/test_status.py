@@ -11,9 +11,8 @@ from typing import Any, cast
 import pytest
 
 from libmodbus_py.services.engine.buckets import Bucket
-from libmodbus_py.services.engine.errors import EngineError, EngineGone
+from libmodbus_py.services.engine.errors import EngineError
 from libmodbus_py.services.fleet.config import devices_to_json
-from libmodbus_py.services.workers.pushing import seen_now
 from libmodbus_py.services.workers.records import (
     SETTINGS,
     Connection,
@@ -172,16 +171,3 @@ def test_a_bucket_without_a_fleet(settings: bytes | None, said: str) -> None:
     with pytest.raises(EngineError) as refused:
         run(fleet_status(cast(Any, bucket)))
     assert str(refused.value) == f"{bucket.name}: {said}"
-
-
-def test_a_bucket_that_is_not_told_whole() -> None:
-    async def main() -> float:
-        bucket = MemoryBucket()
-        bucket.is_mute = True
-        began = now()
-        with pytest.raises(EngineGone, match="did not arrive within 10 s"):
-            await seen_now(cast(Any, bucket))
-        assert bucket.watches == []
-        return now() - began
-
-    assert run(main()) == pytest.approx(10.0)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from libmodbus_py.fleet import Reading
-from tests.services.workers.trial import INTERVAL, LEASE, UNITS, Trial
+from tests.services.workers.trial import INTERVAL, LEASE, UNITS, Trial, tried
 from tests.simulation.workers import push_fleet
 
 
@@ -35,8 +35,8 @@ class Told:
 class Fleet:
     """Workers that share a trial, and what is known of each point: its last reading."""
 
-    def __init__(self, connections: int) -> None:
-        self.trial = Trial(connections)
+    def __init__(self, trial: Trial) -> None:
+        self.trial = trial
         self.told: list[tuple[float, str, Reading]] = []
 
     async def start(self, *names: str, **options: Any) -> None:
@@ -53,132 +53,113 @@ class Fleet:
         return [(at, worker) for at, worker, each in self.told if each.quality == "offline"]
 
 
-def test_a_device_that_passes_to_another_worker_is_never_offline() -> None:
-    fleet = Fleet(6)
-
-    async def main() -> None:
-        await fleet.start("a")
-        await fleet.start("b")
-        await fleet.trial.workers.pop("a").leave()
-        await fleet.trial.settle()
-        assert fleet.offline() == []
-        assert fleet.qualities() == ["good"]
-
-    fleet.trial.run(main)
+@tried(6)
+async def test_a_device_that_passes_to_another_worker_is_never_offline(trial: Trial) -> None:
+    fleet = Fleet(trial)
+    await fleet.start("a")
+    await fleet.start("b")
+    await trial.workers.pop("a").leave()
+    await trial.settle()
+    assert fleet.offline() == []
+    assert fleet.qualities() == ["good"]
 
 
-def test_a_device_that_is_pushed_away_is_offline() -> None:
-    fleet = Fleet(2)
-
-    async def main() -> None:
-        await fleet.start("a", "b")
-        await push_fleet(fleet.trial.engine, fleet.trial.devices(1), fleet.trial.settings)
-        await fleet.trial.until(lambda: fleet.offline(), LEASE)
-        assert len(fleet.offline()) == 2 * UNITS
-        assert {each.device for *_, each in fleet.told if each.quality == "offline"} == {
-            "d1-1",
-            "d1-2",
-        }
-        # Into a zone without workers.
-        await push_fleet(fleet.trial.engine, fleet.trial.devices(zone="north"))
-        await fleet.trial.until(lambda: fleet.qualities() == ["offline"], LEASE)
-
-    fleet.trial.run(main)
+@tried(2)
+async def test_a_device_that_is_pushed_away_is_offline(trial: Trial) -> None:
+    fleet = Fleet(trial)
+    await fleet.start("a", "b")
+    await push_fleet(trial.engine, trial.devices(1), trial.settings)
+    await trial.until(lambda: fleet.offline(), LEASE)
+    assert len(fleet.offline()) == 2 * UNITS
+    assert {each.device for *_, each in fleet.told if each.quality == "offline"} == {
+        "d1-1",
+        "d1-2",
+    }
+    # Into a zone without workers.
+    await push_fleet(trial.engine, trial.devices(zone="north"))
+    await trial.until(lambda: fleet.qualities() == ["offline"], LEASE)
 
 
-def test_the_last_worker_that_leaves_takes_all_back() -> None:
-    fleet = Fleet(2)
-
-    async def main() -> None:
-        await fleet.start("a")
-        await fleet.trial.workers.pop("a").leave()
-        assert fleet.qualities() == ["offline"]
-
-    fleet.trial.run(main)
+@tried(2)
+async def test_the_last_worker_that_leaves_takes_all_back(trial: Trial) -> None:
+    fleet = Fleet(trial)
+    await fleet.start("a")
+    await trial.workers.pop("a").leave()
+    assert fleet.qualities() == ["offline"]
 
 
-def test_without_the_engine_all_is_offline_when_leases_end_and_good_again_afterwards() -> None:
-    fleet = Fleet(4)
-
-    async def main() -> None:
-        await fleet.start("a", "b")
-        since = fleet.trial.now
-        fleet.trial.engine.stop()
-        await fleet.trial.until(lambda: fleet.qualities() == ["offline"], LEASE)
-        assert 0.5 * LEASE < fleet.trial.now - since < LEASE
-        fleet.trial.engine.start()
-        await fleet.trial.settle()
-        assert fleet.qualities() == ["good"]
-
-    fleet.trial.run(main)
-
-
-def test_who_is_cut_off_takes_its_devices_back_before_another_one_polls_them() -> None:
-    fleet = Fleet(6)
-
-    async def main() -> None:
-        await fleet.start("a", "b")
-        cut = fleet.trial.workers["a"].client
-        fleet.trial.engine.cut(cut)
-        await fleet.trial.until(fleet.offline, LEASE)
-        assert {worker for _, worker in fleet.offline()} == {"a"}
-        await fleet.trial.all_asked(LEASE + INTERVAL)
-        fleet.trial.engine.mend(cut)
-        await fleet.trial.settle()
-        assert fleet.qualities() == ["good"]
-
-    fleet.trial.run(main)
+@tried(4)
+async def test_without_the_engine_all_is_offline_when_leases_end_and_good_again_afterwards(
+    trial: Trial,
+) -> None:
+    fleet = Fleet(trial)
+    await fleet.start("a", "b")
+    since = trial.now
+    trial.engine.stop()
+    await trial.until(lambda: fleet.qualities() == ["offline"], LEASE)
+    assert 0.5 * LEASE < trial.now - since < LEASE
+    trial.engine.start()
+    await trial.settle()
+    assert fleet.qualities() == ["good"]
 
 
-def test_who_was_stopped_says_nothing_of_devices_that_another_one_polls() -> None:
-    fleet = Fleet(6)
-
-    async def main() -> None:
-        await fleet.start("a", "b")
-        process = fleet.trial.workers["a"].process
-        process.stop()
-        await fleet.trial.all_asked(2 * LEASE)
-        process.go_on()
-        await fleet.trial.settle()
-        assert fleet.offline() == []
-        assert fleet.qualities() == ["good"]
-
-    fleet.trial.run(main)
-
-
-def test_devices_of_a_dead_worker_whose_zone_nobody_has_are_offline() -> None:
-    fleet = Fleet(2)
-    trial = fleet.trial
-
-    async def main() -> None:
-        await push_fleet(trial.engine, trial.devices(zone="north"), trial.settings)
-        await fleet.start("north", zones=["north"])
-        for name in ("a", "b"):
-            await trial.start(name, outputs=[Told(trial, name, fleet.told)])
-        await asyncio.sleep(3 * LEASE)
-        assert fleet.qualities() == ["good"]
-        trial.kill("north")
-        assert await trial.until(lambda: fleet.qualities() == ["offline"], 60) < 3 * LEASE
-        await asyncio.sleep(5 * LEASE)
-        # Reported once, by one of those that are left.
-        assert len(fleet.offline()) == 2 * trial.count
-        assert len({worker for _, worker in fleet.offline()}) == 1
-        await trial.start("north", zones=["north"], outputs=[Told(trial, "north", fleet.told)])
-        await asyncio.sleep(3 * LEASE)
-        assert fleet.qualities() == ["good"]
-        trial.kill("north")
-        await trial.until(lambda: fleet.qualities() == ["offline"], 60)
-
-    trial.run(main)
+@tried(6)
+async def test_who_is_cut_off_takes_its_devices_back_before_another_one_polls_them(
+    trial: Trial,
+) -> None:
+    fleet = Fleet(trial)
+    await fleet.start("a", "b")
+    cut = trial.workers["a"].client
+    trial.engine.cut(cut)
+    await trial.until(fleet.offline, LEASE)
+    assert {worker for _, worker in fleet.offline()} == {"a"}
+    await trial.all_asked(LEASE + INTERVAL)
+    trial.engine.mend(cut)
+    await trial.settle()
+    assert fleet.qualities() == ["good"]
 
 
-def test_devices_of_a_dead_worker_that_others_take_over_are_never_offline() -> None:
-    fleet = Fleet(6)
+@tried(6)
+async def test_who_was_stopped_says_nothing_of_devices_that_another_one_polls(trial: Trial) -> None:
+    fleet = Fleet(trial)
+    await fleet.start("a", "b")
+    process = trial.workers["a"].process
+    process.stop()
+    await trial.all_asked(2 * LEASE)
+    process.go_on()
+    await trial.settle()
+    assert fleet.offline() == []
+    assert fleet.qualities() == ["good"]
 
-    async def main() -> None:
-        await fleet.start("a", "b", "c")
-        fleet.trial.kill("b")
-        await asyncio.sleep(6 * LEASE)
-        assert fleet.offline() == []
 
-    fleet.trial.run(main)
+@tried(2)
+async def test_devices_of_a_dead_worker_whose_zone_nobody_has_are_offline(trial: Trial) -> None:
+    fleet = Fleet(trial)
+    await push_fleet(trial.engine, trial.devices(zone="north"), trial.settings)
+    await fleet.start("north", zones=["north"])
+    for name in ("a", "b"):
+        await trial.start(name, outputs=[Told(trial, name, fleet.told)])
+    await asyncio.sleep(3 * LEASE)
+    assert fleet.qualities() == ["good"]
+    trial.kill("north")
+    assert await trial.until(lambda: fleet.qualities() == ["offline"], 60) < 3 * LEASE
+    await asyncio.sleep(5 * LEASE)
+    # Reported once, by one of those that are left.
+    assert len(fleet.offline()) == 2 * trial.count
+    assert len({worker for _, worker in fleet.offline()}) == 1
+    await trial.start("north", zones=["north"], outputs=[Told(trial, "north", fleet.told)])
+    await asyncio.sleep(3 * LEASE)
+    assert fleet.qualities() == ["good"]
+    trial.kill("north")
+    await trial.until(lambda: fleet.qualities() == ["offline"], 60)
+
+
+@tried(6)
+async def test_devices_of_a_dead_worker_that_others_take_over_are_never_offline(
+    trial: Trial,
+) -> None:
+    fleet = Fleet(trial)
+    await fleet.start("a", "b", "c")
+    trial.kill("b")
+    await asyncio.sleep(6 * LEASE)
+    assert fleet.offline() == []

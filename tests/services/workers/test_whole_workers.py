@@ -11,7 +11,7 @@ import json
 import pytest
 
 from libmodbus_py.services.workers.records import FleetSettings
-from tests.services.workers.trial import INTERVAL, LEASE, UNITS, Trial
+from tests.services.workers.trial import INTERVAL, LEASE, UNITS, Trial, tried
 from tests.simulation.workers import push_fleet
 
 # A dead worker's lease is over for others after 1.05 of it; writing, and asking, come then.
@@ -26,287 +26,256 @@ async def three(trial: Trial) -> None:
     await trial.settle()
 
 
-def test_three_share_what_is_there() -> None:
-    trial = Trial(6)
-
-    async def main() -> None:
-        await three(trial)
-        shares = trial.asked.hosts().values()
-        assert len(shares) == 3
-        assert min(shares) >= UNITS
-        await asyncio.sleep(8)
-        # Polls are not late, and none is missed.
-        assert trial.asked.gap < INTERVAL + 0.1
-
-    trial.run(main)
+@tried(6)
+async def test_three_share_what_is_there(trial: Trial) -> None:
+    await three(trial)
+    shares = trial.asked.hosts().values()
+    assert len(shares) == 3
+    assert min(shares) >= UNITS
+    await asyncio.sleep(8)
+    # Polls are not late, and none is missed.
+    assert trial.asked.gap < INTERVAL + 0.1
 
 
-def test_who_is_killed_is_replaced_when_its_lease_is_over() -> None:
-    trial = Trial(6)
-
-    async def main() -> None:
-        await three(trial)
-        trial.kill("b")
-        assert OWN_LEASE - INTERVAL < await trial.all_asked(60) < TAKEN_OVER
-        await asyncio.sleep(5)
-        assert trial.asked.gap < TAKEN_OVER + INTERVAL
-        await trial.start("b")
-        await trial.settle()
-        assert len(trial.asked.hosts()) == 3
-
-    trial.run(main)
+@tried(6)
+async def test_who_is_killed_is_replaced_when_its_lease_is_over(trial: Trial) -> None:
+    await three(trial)
+    trial.kill("b")
+    assert OWN_LEASE - INTERVAL < await trial.all_asked(60) < TAKEN_OVER
+    await asyncio.sleep(5)
+    assert trial.asked.gap < TAKEN_OVER + INTERVAL
+    await trial.start("b")
+    await trial.settle()
+    assert len(trial.asked.hosts()) == 3
 
 
-def test_who_leaves_is_replaced_at_once() -> None:
-    trial = Trial(6)
+@tried(6)
+async def test_who_joins_gets_its_share_soon_and_without_a_gap(trial: Trial) -> None:
+    await trial.start("a", "b")
+    await trial.settle()
+    await trial.start("c")
+    assert await trial.until(lambda: len(trial.asked.hosts()) == 3, 60) < 2.0
+    await asyncio.sleep(2)
+    assert min(trial.asked.hosts().values()) >= UNITS
+    assert trial.asked.gap < 2 * INTERVAL
 
-    async def main() -> None:
-        await three(trial)
-        await trial.workers.pop("b").leave()
+
+@tried(6)
+async def test_who_leaves_is_replaced_at_once(trial: Trial) -> None:
+    await three(trial)
+    await trial.workers.pop("b").leave()
+    assert await trial.all_asked(60) < 2 * INTERVAL
+    await asyncio.sleep(2 * LEASE)
+    # Nobody waited for a lease.
+    assert trial.asked.gap < 2 * INTERVAL
+    assert len(trial.asked.hosts()) == 2
+
+
+@pytest.mark.parametrize("seconds", [0.3, LEASE, 3 * LEASE])
+@tried(6)
+async def test_who_is_stopped_for_a_while_asks_nothing_that_others_have(
+    trial: Trial, seconds: float
+) -> None:
+
+    await three(trial)
+    process = trial.workers["b"].process
+    process.stop()
+    await asyncio.sleep(seconds)
+    process.go_on()
+    await trial.settle()
+    assert len(trial.asked.hosts()) == 3
+
+
+@pytest.mark.parametrize("seconds", [0.3, LEASE, 3 * LEASE])
+@tried(6)
+async def test_who_is_cut_off_asks_no_longer_than_its_lease(trial: Trial, seconds: float) -> None:
+    await three(trial)
+    cut = trial.workers["a"]
+    host = cut.process.host
+    since = trial.now
+    trial.engine.cut(cut.client)
+    await asyncio.sleep(seconds)
+    if seconds > 2 * LEASE:
+        its = [at for at, peer in trial.asked.last.values() if peer.startswith(host)]
+        assert max(its, default=0) < since + OWN_LEASE
         assert await trial.all_asked(60) < 2 * INTERVAL
-        await asyncio.sleep(2 * LEASE)
-        # Nobody waited for a lease.
-        assert trial.asked.gap < 2 * INTERVAL
-        assert len(trial.asked.hosts()) == 2
-
-    trial.run(main)
-
-
-@pytest.mark.parametrize("seconds", [0.3, LEASE, 3 * LEASE])
-def test_who_is_stopped_for_a_while_asks_nothing_that_others_have(seconds: float) -> None:
-    trial = Trial(6)
-
-    async def main() -> None:
-        await three(trial)
-        process = trial.workers["b"].process
-        process.stop()
-        await asyncio.sleep(seconds)
-        process.go_on()
-        await trial.settle()
-        assert len(trial.asked.hosts()) == 3
-
-    trial.run(main)
-
-
-@pytest.mark.parametrize("seconds", [0.3, LEASE, 3 * LEASE])
-def test_who_is_cut_off_asks_no_longer_than_its_lease(seconds: float) -> None:
-    trial = Trial(6)
-
-    async def main() -> None:
-        await three(trial)
-        cut = trial.workers["a"]
-        host = cut.process.host
-        since = trial.now
-        trial.engine.cut(cut.client)
-        await asyncio.sleep(seconds)
-        if seconds > 2 * LEASE:
-            its = [at for at, peer in trial.asked.last.values() if peer.startswith(host)]
-            assert max(its, default=0) < since + OWN_LEASE
-            assert await trial.all_asked(60) < 2 * INTERVAL
-        trial.engine.mend(cut.client)
-        await trial.settle()
-        assert len(trial.asked.hosts()) == 3
-
-    trial.run(main)
+    trial.engine.mend(cut.client)
+    await trial.settle()
+    assert len(trial.asked.hosts()) == 3
 
 
 @pytest.mark.parametrize("seconds", [0.3, 5 * LEASE])
-def test_without_the_engine_nobody_asks_beyond_the_lease(seconds: float) -> None:
-    trial = Trial(6)
+@tried(6)
+async def test_without_the_engine_nobody_asks_beyond_the_lease(
+    trial: Trial, seconds: float
+) -> None:
 
-    async def main() -> None:
-        await three(trial)
-        trial.engine.stop()
-        since = trial.now
-        await asyncio.sleep(seconds)
-        if seconds > LEASE:
-            assert since + 0.5 * LEASE < trial.asked.latest < since + OWN_LEASE
-        trial.engine.start()
-        # A lost connection is tried again each quarter of a second, and so is watching.
-        assert await trial.all_asked(60) < TAKEN_OVER + LEASE
-        await trial.settle()
-        assert len(trial.asked.hosts()) == 3
-
-    trial.run(main)
-
-
-def test_it_goes_on_without_the_engine_if_told_so_and_keeps_what_it_read() -> None:
-    trial = Trial(2, settings=FleetSettings(LEASE, "continue"))
-
-    async def main() -> None:
-        await trial.start("a")
-        await trial.settle()
-        trial.engine.stop()
-        gone = trial.now
-        await asyncio.sleep(10)
-        assert trial.asked.gap < INTERVAL + 0.1
-        back = trial.now
-        trial.engine.start()
-        await asyncio.sleep(20)  # an output is tried again after pauses, each twice as long
-        times = [
-            json.loads(data)["values"]["level"]["time"]
-            for _, subject, data in trial.engine.stream
-            if subject == "modbus.readings.d0-1"
-        ]
-        assert times == sorted(set(times))
-        assert len(times) >= (back - gone) / INTERVAL
-
-    trial.run(main)
+    await three(trial)
+    trial.engine.stop()
+    since = trial.now
+    await asyncio.sleep(seconds)
+    if seconds > LEASE:
+        assert since + 0.5 * LEASE < trial.asked.latest < since + OWN_LEASE
+    trial.engine.start()
+    # A lost connection is tried again each quarter of a second, and so is watching.
+    assert await trial.all_asked(60) < TAKEN_OVER + LEASE
+    await trial.settle()
+    assert len(trial.asked.hosts()) == 3
 
 
-def test_a_slow_engine_loses_leases_and_no_device() -> None:
-    trial = Trial(6)
+@tried(2, settings=FleetSettings(LEASE, "continue"))
+async def test_it_goes_on_without_the_engine_if_told_so_and_keeps_what_it_read(
+    trial: Trial,
+) -> None:
 
-    async def main() -> None:
-        await three(trial)
-        for worker in trial.workers.values():
-            worker.client.link.delay = (0.3, 0.6)
-        await asyncio.sleep(10)
-        for worker in trial.workers.values():
-            worker.client.link.delay = None
-        await trial.settle()
+    await trial.start("a")
+    await trial.settle()
+    trial.engine.stop()
+    gone = trial.now
+    await asyncio.sleep(10)
+    assert trial.asked.gap < INTERVAL + 0.1
+    back = trial.now
+    trial.engine.start()
+    await asyncio.sleep(20)  # an output is tried again after pauses, each twice as long
+    times = [
+        json.loads(data)["values"]["level"]["time"]
+        for _, subject, data in trial.engine.stream
+        if subject == "modbus.readings.d0-1"
+    ]
+    assert times == sorted(set(times))
+    assert len(times) >= (back - gone) / INTERVAL
 
-    trial.run(main)
+
+@tried(6)
+async def test_a_slow_engine_loses_leases_and_no_device(trial: Trial) -> None:
+    await three(trial)
+    for worker in trial.workers.values():
+        worker.client.link.delay = (0.3, 0.6)
+    await asyncio.sleep(10)
+    for worker in trial.workers.values():
+        worker.client.link.delay = None
+    await trial.settle()
 
 
 @pytest.mark.parametrize("losses", [0.02, 0.2])
-def test_an_engine_that_loses_messages_is_watched_anew(losses: float) -> None:
-    trial = Trial(6)
-
-    async def main() -> None:
-        await three(trial)
-        trial.engine.losses = losses
-        await asyncio.sleep(10)
-        trial.engine.losses = 0.0
-        await trial.settle()
-        assert len(trial.asked.hosts()) == 3
-
-    trial.run(main)
+@tried(6)
+async def test_an_engine_that_loses_messages_is_watched_anew(trial: Trial, losses: float) -> None:
+    await three(trial)
+    trial.engine.losses = losses
+    await asyncio.sleep(10)
+    trial.engine.losses = 0.0
+    await trial.settle()
+    assert len(trial.asked.hosts()) == 3
 
 
 @pytest.mark.parametrize("seconds", [0.5, LEASE, 3 * LEASE])
-def test_an_engine_that_goes_back_has_none_asked_by_two(seconds: float) -> None:
-    trial = Trial(6)
-
-    async def main() -> None:
-        await three(trial)
-        await trial.start("d")
-        await asyncio.sleep(seconds / 2)
-        trial.engine.forget(seconds)
-        await trial.settle()
-        assert len(trial.asked.hosts()) >= 3
-
-    trial.run(main)
+@tried(6)
+async def test_an_engine_that_goes_back_has_none_asked_by_two(trial: Trial, seconds: float) -> None:
+    await three(trial)
+    await trial.start("d")
+    await asyncio.sleep(seconds / 2)
+    trial.engine.forget(seconds)
+    await trial.settle()
+    assert len(trial.asked.hosts()) >= 3
 
 
-def test_clocks_may_go_wrong() -> None:
-    trial = Trial(6)
-
-    async def main() -> None:
-        await trial.start("slow", rate=0.96)
-        await trial.start("fast", rate=1.04)
-        await trial.settle()
-        for name in ("slow", "fast"):
-            trial.engine.cut(trial.workers[name].client)
-            await asyncio.sleep(3 * LEASE)
-            trial.engine.mend(trial.workers[name].client)
-            await trial.settle()
-
-    trial.run(main)
-
-
-def test_workers_of_one_name_are_two() -> None:
-    trial = Trial(6)
-
-    async def main() -> None:
-        await trial.start("a")
-        trial.workers["first"] = trial.workers.pop("a")
-        await trial.start("a")
-        await trial.settle()
-        assert len(trial.asked.hosts()) == 2
-
-    trial.run(main)
-
-
-def test_a_bucket_that_is_deleted_stops_all_until_it_is_pushed_again(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    trial = Trial(6)
-
-    async def main() -> None:
-        await three(trial)
-        trial.engine.delete_bucket()
-        since = trial.now
-        await asyncio.sleep(2 * LEASE)
-        assert trial.asked.latest < since + OWN_LEASE
-        assert "was deleted" in caplog.text
-        trial.engine.create_bucket()
-        await push_fleet(trial.engine, trial.devices(), trial.settings)
-        await trial.settle()
-        assert len(trial.asked.hosts()) == 3
-
-    trial.run(main)
-
-
-def test_a_change_reaches_the_workers_within_a_second_and_touches_nothing_else() -> None:
-    trial = Trial(6)
-
-    async def main() -> None:
-        await push_fleet(trial.engine, trial.devices(4), trial.settings)
-        await trial.start("a", "b")
+@tried(6)
+async def test_clocks_may_go_wrong(trial: Trial) -> None:
+    await trial.start("slow", rate=0.96)
+    await trial.start("fast", rate=1.04)
+    await trial.settle()
+    for name in ("slow", "fast"):
+        trial.engine.cut(trial.workers[name].client)
         await asyncio.sleep(3 * LEASE)
-        before = {device: peer for device, (_, peer) in trial.asked.last.items()}
-        assert len(before) == 4 * UNITS
-        pushed = await push_fleet(trial.engine, trial.devices(), trial.settings)
-        assert pushed == (2, 0, 0)
-        assert await trial.all_asked(60) < 1 + INTERVAL
-        after = {device: peer for device, (_, peer) in trial.asked.last.items()}
-        assert before.items() <= after.items()
-        assert await push_fleet(trial.engine, trial.devices(1), trial.settings) == (0, 0, 5)
-        await asyncio.sleep(0.5)
-        now = trial.now
-        await asyncio.sleep(2)
-        assert trial.asked.since(now) == UNITS
-
-    trial.run(main)
-
-
-def test_a_zone_that_nobody_serves_waits_for_a_worker_of_it() -> None:
-    trial = Trial(4)
-
-    async def main() -> None:
-        await trial.start("a")
+        trial.engine.mend(trial.workers[name].client)
         await trial.settle()
-        await push_fleet(trial.engine, trial.devices(zone="north"), trial.settings)
-        await asyncio.sleep(1)
-        now = trial.now
-        await asyncio.sleep(10)
-        assert trial.asked.since(now) == 0
-        await trial.start("b", zones=["north"])
-        assert await trial.all_asked(60) < TAKEN_OVER + LEASE
-
-    trial.run(main)
 
 
-def test_what_cannot_be_read_is_told_once_and_harms_nobody(
+@tried(6)
+async def test_workers_of_one_name_are_two(trial: Trial) -> None:
+    await trial.start("a")
+    trial.workers["first"] = trial.workers.pop("a")
+    await trial.start("a")
+    await trial.settle()
+    assert len(trial.asked.hosts()) == 2
+
+
+@tried(6)
+async def test_a_bucket_that_is_deleted_stops_all_until_it_is_pushed_again(
+    trial: Trial,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    trial = Trial(3)
+
+    await three(trial)
+    trial.engine.delete_bucket()
+    since = trial.now
+    await asyncio.sleep(2 * LEASE)
+    assert trial.asked.latest < since + OWN_LEASE
+    assert "was deleted" in caplog.text
+    trial.engine.create_bucket()
+    await push_fleet(trial.engine, trial.devices(), trial.settings)
+    await trial.settle()
+    assert len(trial.asked.hosts()) == 3
+
+
+@tried(6)
+async def test_a_change_reaches_the_workers_within_a_second_and_touches_nothing_else(
+    trial: Trial,
+) -> None:
+
+    await push_fleet(trial.engine, trial.devices(4), trial.settings)
+    await trial.start("a", "b")
+    await asyncio.sleep(3 * LEASE)
+    before = {device: peer for device, (_, peer) in trial.asked.last.items()}
+    assert len(before) == 4 * UNITS
+    pushed = await push_fleet(trial.engine, trial.devices(), trial.settings)
+    assert pushed == (2, 0, 0)
+    assert await trial.all_asked(60) < 1 + INTERVAL
+    after = {device: peer for device, (_, peer) in trial.asked.last.items()}
+    assert before.items() <= after.items()
+    assert await push_fleet(trial.engine, trial.devices(1), trial.settings) == (0, 0, 5)
+    await asyncio.sleep(0.5)
+    now = trial.now
+    await asyncio.sleep(2)
+    assert trial.asked.since(now) == UNITS
+
+
+@tried(4)
+async def test_a_zone_that_nobody_serves_waits_for_a_worker_of_it(trial: Trial) -> None:
+    await trial.start("a")
+    await trial.settle()
+    await push_fleet(trial.engine, trial.devices(zone="north"), trial.settings)
+    await asyncio.sleep(1)
+    now = trial.now
+    await asyncio.sleep(10)
+    assert trial.asked.since(now) == 0
+    await trial.start("b", zones=["north"])
+    assert await trial.all_asked(60) < TAKEN_OVER + LEASE
+
+
+@tried(3)
+async def test_what_cannot_be_read_is_told_once_and_harms_nobody(
+    trial: Trial,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     wrong = ("connection._.abc", "slot._.900", "worker.x.y")
 
-    async def main() -> None:
-        await trial.start("a")
-        await trial.settle()
-        for key in wrong:
-            trial.engine.write(key, b"[" * 5000)
-        await trial.settle()
-        told = [each for each in caplog.messages if each.startswith("the bucket: ")]
-        assert sorted(each.split()[2].rstrip(":") for each in told) == sorted(wrong)
-
-    trial.run(main)
+    await trial.start("a")
+    await trial.settle()
+    for key in wrong:
+        trial.engine.write(key, b"[" * 5000)
+    await trial.settle()
+    told = [each for each in caplog.messages if each.startswith("the bucket: ")]
+    assert sorted(each.split()[2].rstrip(":") for each in told) == sorted(wrong)
 
 
 # --- whatever happens ------------------------------------------------------------------------
+
+
+FAULTS = [
+    *("leave", "kill", "cut", "mend", "stop", "go on", "delay", "lose"),
+    *("restart", "forget", "move"),
+]
 
 
 def play(seed: int, steps: int = 12) -> Trial:
@@ -317,46 +286,36 @@ def play(seed: int, steps: int = 12) -> Trial:
     async def start(name: str) -> None:
         await trial.start(name, zones=["north"], rate=random.uniform(0.97, 1.03))
 
-    async def leave(name: str) -> None:
-        await trial.workers.pop(name).leave()
-        await start(name)
-
-    async def replace(name: str) -> None:
-        trial.kill(name)
-        await start(name)
-
-    async def cut(name: str) -> None:
-        engine.cut(trial.workers[name].client)
-
-    async def mend(name: str) -> None:
-        engine.mend(trial.workers[name].client)
-
-    async def stop(name: str) -> None:
-        trial.workers[name].process.stop()
-
-    async def go_on(name: str) -> None:
-        trial.workers[name].process.go_on()
-
-    async def delay(name: str) -> None:
-        slow = random.uniform(0, LEASE)
-        trial.workers[name].client.link.delay = (0.0, slow)
-
-    async def lose(name: str) -> None:
-        engine.losses = random.uniform(0, 0.3)
-
-    async def restart(name: str) -> None:
-        engine.stop()
-        await asyncio.sleep(random.uniform(0, 2 * LEASE))
-        engine.start()
-
-    async def forget(name: str) -> None:
-        engine.forget(random.uniform(0, 1))
-
-    async def move(name: str) -> None:
-        zone = random.choice(["", "north"])
-        await push_fleet(engine, trial.devices(zone=zone), trial.settings)
-
-    faults = [leave, replace, cut, mend, stop, go_on, delay, lose, restart, forget, move]
+    async def happen(fault: str, name: str) -> None:
+        worker = trial.workers[name]
+        match fault:
+            case "leave":
+                await trial.workers.pop(name).leave()
+                await start(name)
+            case "kill":
+                trial.kill(name)
+                await start(name)
+            case "cut":
+                engine.cut(worker.client)
+            case "mend":
+                engine.mend(worker.client)
+            case "stop":
+                worker.process.stop()
+            case "go on":
+                worker.process.go_on()
+            case "delay":
+                worker.client.link.delay = (0.0, random.uniform(0, LEASE))
+            case "lose":
+                engine.losses = random.uniform(0, 0.3)
+            case "restart":
+                engine.stop()
+                await asyncio.sleep(random.uniform(0, 2 * LEASE))
+                engine.start()
+            case "forget":
+                engine.forget(random.uniform(0, 1))
+            case "move":
+                zone = random.choice(["", "north"])
+                await push_fleet(engine, trial.devices(zone=zone), trial.settings)
 
     def calm() -> None:
         engine.losses = 0.0
@@ -371,11 +330,11 @@ def play(seed: int, steps: int = 12) -> Trial:
             await start(name)
         await trial.settle()
         for _ in range(steps):
-            fault = random.choice(faults)
-            if fault in (leave, replace, move):
+            fault = random.choice(FAULTS)
+            if fault in ("leave", "kill", "move"):
                 calm()
                 await asyncio.sleep(random.uniform(0, LEASE))
-            await fault(random.choice("abc"))
+            await happen(fault, random.choice("abc"))
             await asyncio.sleep(random.uniform(0, 1.5 * LEASE))
         calm()
         await asyncio.sleep(4 * LEASE)

@@ -5,6 +5,8 @@ A fleet on a simulated network: devices that note who asks them, an engine, and 
 from __future__ import annotations
 
 import asyncio
+import functools
+import inspect
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import Any
@@ -17,7 +19,7 @@ from tests.simulation.engine import Engine
 from tests.simulation.network import Network
 from tests.simulation.workers import SimulatedWorker, push_fleet
 
-__all__ = ["INTERVAL", "LEASE", "UNITS", "Asked", "Trial"]
+__all__ = ["INTERVAL", "LEASE", "UNITS", "Asked", "Trial", "tried"]
 
 LEASE = 2.0
 INTERVAL = 0.5
@@ -187,3 +189,19 @@ class Trial:
         await asyncio.sleep(1.5 * LEASE)
         await self.all_asked(LEASE + INTERVAL)
         self.asked.forget()
+
+
+def tried(connections: int, **options: Any) -> Callable[..., Callable[..., None]]:
+    """Make a test of a coroutine that is given a `Trial` first; no device is asked by two."""
+
+    def decorate(test: Callable[..., Awaitable[None]]) -> Callable[..., None]:
+        @functools.wraps(test)
+        def whole(**fixtures: Any) -> None:
+            trial = Trial(connections, **options)
+            trial.run(lambda: test(trial, **fixtures))
+
+        _, *others = inspect.signature(test).parameters.values()
+        whole.__signature__ = inspect.Signature(others)  # type: ignore[attr-defined]
+        return whole
+
+    return decorate
