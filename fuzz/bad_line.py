@@ -34,7 +34,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal, NamedTuple, Self
 
-from libmodbus_py.tools.testing.line_ends import open_line, read_what_is_there, write_all
+from libmodbus_py.tools.testing.wires import open_line, read_what_is_there, write_all
 
 __all__ = ["FAULTS", "FOREIGN", "UNITS", "BadLine", "Framing", "Hurt", "Piece", "Sender"]
 

@@ -17,7 +17,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, ModbusError, Server, TlsContext
 from libmodbus_py.protocol import framing
-from libmodbus_py.tools.testing.line_ends import open_line
+from libmodbus_py.tools.testing.wires import open_line
 from tests.faults.injecting import Scenario, Trial, eventually, tried
 from tests.support.certificates import Papers
 

@@ -281,7 +281,7 @@ def test_a_request_that_begins_like_the_last_answer_is_answered_after_silence(
 
 def test_a_terminal_that_echoes() -> None:
     """On a real port, where bytes take no time."""
-    from libmodbus_py.tools.testing.line_ends import open_line, write_all
+    from libmodbus_py.tools.testing.wires import open_line, write_all
     from tests.support.peers import until
 
     far, near, path = open_line()

@@ -24,7 +24,7 @@ from typing import Any, Self
 
 from libmodbus_py import framing
 from libmodbus_py.ports.schemes import SCHEMES
-from libmodbus_py.tools.testing.line_ends import open_line, read_what_is_there, write_all
+from libmodbus_py.tools.testing.wires import open_line, read_what_is_there, write_all
 
 from .secured import Sealing, with_certificates
 from .urls import rules_of

@@ -3,8 +3,7 @@ Listens to the traffic between other devices on a line, and pairs it into transa
 
 ::
 
-    transaction    the result: a request, its response, and how it ended
-    outcome        decodes frames that are known to be requests or responses
+    transaction    the result: a request, its response, and how it ended; decoding of known frames
     pairing        which response belongs to which request, for all tools that show traffic
     traces         pairs the trace of a server or a client
     hearing        cuts bytes into frames, which may be requests or responses, and damage
@@ -13,7 +12,6 @@ Listens to the traffic between other devices on a line, and pairs it into transa
     summary        counts: units, functions, answer times, errors
     source         the protocol of all sources of bytes, and a serial port
     tap            the source for `between`: passes bytes on, both ways, and records them
-    link           one connection of a tap
     capture        writes pcapng files, which Wireshark decodes, and reads them
     listener       listen(url): an iterator, blocking and asyncio
 """

@@ -13,9 +13,8 @@ from collections import deque
 from math import sqrt
 
 from .hearing import Candidate, Damage
-from .outcome import answered, decoded
 from .pairing import OpenRequest, Pairing
-from .transaction import Heard, OnHeard, Part
+from .transaction import Heard, OnHeard, Part, answered, decoded
 
 __all__ = ["LearntTimes", "Naming"]
 

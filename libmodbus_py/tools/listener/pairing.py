@@ -20,8 +20,16 @@ from typing import Any, NamedTuple
 from ...protocol.errors import InvalidResponse
 from ...protocol.framing import Frame
 from ...protocol.pdu import Request
-from .outcome import Ending, answered, damage_alone, damaged, misused, request_of, unasked
-from .transaction import Transaction
+from .transaction import (
+    Ending,
+    Transaction,
+    answered,
+    damage_alone,
+    damaged,
+    misused,
+    request_of,
+    unasked,
+)
 
 __all__ = ["TIMEOUT", "OpenRequest", "Pairing"]
 

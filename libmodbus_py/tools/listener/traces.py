@@ -9,9 +9,8 @@ from typing import NamedTuple
 from ...ports.schemes import framing_of
 from ...ports.trace import Traced
 from ...protocol.framing import Frame
-from .outcome import damage_alone, misused
 from .pairing import TIMEOUT, Pairing
-from .transaction import Transaction
+from .transaction import Transaction, damage_alone, misused
 
 __all__ = ["Exchange", "TracePairing"]
 

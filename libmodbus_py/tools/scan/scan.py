@@ -17,8 +17,7 @@ from ...protocol.errors import ModbusConnectionError
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...security.security import Security
 from .places import USUAL_UNITS, Place, listed, places
-from .probe import LONGEST_SIZE, MOST_PAGES, PROBE_SIZE, Answer, Nothing, Prober
-from .walking import Walk, Walker
+from .probe import LONGEST_SIZE, MOST_PAGES, PROBE_SIZE, Answer, Nothing, Prober, Walk, Walker
 
 __all__ = ["Found", "Progress", "Scan", "scan"]
 

@@ -26,8 +26,7 @@ from ...protocol.tables import TABLES
 from ...security.security import Security
 from .halving import Cells, halving
 from .places import Place, places
-from .probe import LONGEST_SIZE, Nothing, Prober
-from .walking import Walk, Walker
+from .probe import LONGEST_SIZE, Nothing, Prober, Walk, Walker
 
 __all__ = ["MOST_REQUESTS", "Extent", "Search", "Searching", "search"]
 

@@ -1,10 +1,14 @@
 """
-Discovery of SunSpec models, for both clients.
+Finds the SunSpec models of a device; their definitions are JSON files that pysunspec2 carries.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Coroutine, Iterable, Iterator, Mapping
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, overload
 
 from ...client.requests import Awaiting, Blocking, Steps
@@ -13,11 +17,46 @@ from ...maps.register_map import RegisterMap
 from ...protocol.errors import ExceptionResponse
 from ...protocol.mistakes import WrongType
 from .chain import BASES, HEADER, Chain, Header, checked_bases, read_span, walk
-from .definitions import definition_of, folder
 from .device import SunSpecDevice, SunSpecModel, names_of
 from .points import MOST_POINTS, NOT_IMPLEMENTED, TABLE, Laid, ModelLayout, counters_of
 
-__all__ = ["discover"]
+__all__ = ["definition_of", "discover", "folder"]
+
+# The definition of a model, as the schema of SunSpec has it.
+Definition = Mapping[str, Any]
+
+
+@lru_cache(256)
+def definition_of(model: int) -> Definition | None:
+    """
+    Return the top-level group of a model's definition; None if the model is not known.
+
+    Raises:
+        ImportError: pysunspec2 is missing.
+    """
+    path = folder() / f"model_{model}.json"
+    if not path.is_file():
+        return None
+    group: Definition = json.loads(path.read_text(encoding="utf-8"))["group"]
+    return group
+
+
+def folder() -> Path:
+    """
+    Return the folder of the definitions, files such as "model_103.json".
+
+    Raises:
+        ImportError: pysunspec2 is missing; the message names the extra.
+    """
+    # Its client, which needs pyserial, is not imported.
+    found = find_spec("sunspec2")
+    for place in (found and found.submodule_search_locations) or ():
+        path = Path(place, "models", "json")
+        if path.is_dir():
+            return path
+    raise ImportError(
+        "SunSpec models need pysunspec2: pip install 'libmodbus-py[sunspec]'", name="sunspec2"
+    )
 
 
 @overload

@@ -5,12 +5,15 @@ Servers for tests: they serve in the background, and record their transactions.
 from __future__ import annotations
 
 import contextlib
+import math
+from collections import deque
 from collections.abc import Iterable, Mapping
 from typing import Self, TypedDict, Unpack
 
 from ...device.device import Device
 from ...device.mapping import Mapping as Tables
 from ...ports.endpoint import Endpoint, parse
+from ...ports.trace import Traced
 from ...protocol.tables import TABLE_SIZE
 from ...security.security import Security
 from ...server.limits import Limits, ServerStatistics
@@ -18,10 +21,37 @@ from ...server.units import UnknownUnit
 from ..faults.fault import Fault
 from ..faults.server import Server
 from ..faults.switch import FaultSwitch
+from ..listener.traces import TracePairing
 from ..listener.transaction import Transaction
-from .exchanges import Exchanges
 
-__all__ = ["RecordingServer", "ServerMaker", "ServerOptions"]
+__all__ = ["MOST", "Exchanges", "RecordingServer", "ServerMaker"]
+
+# The most ADUs of one server that are kept: more than a test needs, and a limit for long runs.
+MOST = 20_000
+
+
+class Exchanges:
+    """
+    The last `MOST` ADUs of one server. Safe from any thread.
+
+    They are paired only when `transactions` is called, so that this does not slow down the server.
+    """
+
+    def __init__(self) -> None:
+        self._traced: deque[Traced] = deque(maxlen=MOST)
+
+    def note(self, traced: Traced) -> None:
+        """Take an ADU of the trace of the server."""
+        self._traced.append(traced)
+
+    def transactions(self) -> list[Transaction]:
+        """Return all transactions, in the order in which they began."""
+        pairing = TracePairing(timeout=math.inf)
+        for traced in self._traced.copy():
+            pairing.take(traced)
+        pairing.end()
+        return sorted((each.transaction for each in pairing.done), key=lambda each: each.time)
+
 
 USUAL_URL = "tcp://127.0.0.1:0"
 

@@ -9,15 +9,46 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import selectors
 import socket
 import threading
 from collections.abc import Callable
 from typing import Literal, NamedTuple, Self
 
-from .line_ends import open_line, read_what_is_there, write_all
+__all__ = ["SerialWire", "TcpWire", "open_line", "read_what_is_there", "write_all"]
 
-__all__ = ["SerialWire", "TcpWire", "WireBytes"]
+# Bytes are dropped if the line takes none for this many seconds, as without flow control.
+TIMEOUT = 1.0
+
+
+def open_line() -> tuple[int, int, str]:
+    """Return the far end and the near end of a raw line, and the path of the near end."""
+    import pty
+    import tty
+
+    far, near = pty.openpty()
+    tty.setraw(near)
+    os.set_blocking(far, False)
+    return far, near, os.ttyname(near)
+
+
+def read_what_is_there(far: int) -> bytes:
+    """Return the bytes that can be read without waiting, possibly none."""
+    try:
+        return os.read(far, 4096)
+    except BlockingIOError:
+        return b""
+
+
+def write_all(far: int, data: bytes) -> None:
+    """Write all bytes; drop the rest if there is no room for `TIMEOUT` seconds."""
+    while data:
+        try:
+            data = data[os.write(far, data) :]
+        except BlockingIOError:
+            if not select.select([], [far], [], TIMEOUT)[1]:
+                return
 
 
 class WireBytes(NamedTuple):

@@ -9,7 +9,7 @@ import select
 import threading
 from typing import Self
 
-from libmodbus_py.tools.testing.line_ends import open_line, read_what_is_there, write_all
+from libmodbus_py.tools.testing.wires import open_line, read_what_is_there, write_all
 
 __all__ = ["SharedLine"]
 

@@ -14,8 +14,8 @@ import pytest
 
 from libmodbus_py.listen import listen
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.tools.listener import link, tap
-from libmodbus_py.tools.listener.link import TapLink
+from libmodbus_py.tools.listener import tap
+from libmodbus_py.tools.listener.tap import TapLink
 from tests.support.peers import dead, until
 
 Ends = tuple[socket.socket, socket.socket]
@@ -64,7 +64,7 @@ def flood(client: socket.socket) -> None:
 def test_one_that_is_idle_ends_at_both_sides(
     tapped: Tapped, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(link, "IDLE", 0.05)
+    monkeypatch.setattr(tap, "IDLE", 0.05)
     client, device = tapped.connected()
     assert (client.recv(1), device.recv(1)) == (b"", b"")
 
@@ -73,7 +73,7 @@ def test_one_that_is_idle_ends_at_both_sides(
 def test_one_that_a_side_has_left_waits_less_for_the_other(
     first: int, tapped: Tapped, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(link, "LEAVING", 0.05)
+    monkeypatch.setattr(tap, "LEAVING", 0.05)
     ends = tapped.connected()
     assert passes(ends)
     ends[first].shutdown(socket.SHUT_WR)
@@ -82,7 +82,7 @@ def test_one_that_a_side_has_left_waits_less_for_the_other(
 
 
 def test_a_side_that_takes_nothing_ends_it(tapped: Tapped, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(link, "LEAVING", 0.05)
+    monkeypatch.setattr(tap, "LEAVING", 0.05)
     client, _ = tapped.connected()
     with pytest.raises(ConnectionError):
         flood(client)
@@ -123,5 +123,5 @@ def test_the_system_probes_both_sides() -> None:
         carried.carry(lambda *_: None)
         for end in carried._ends:
             assert end.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
-            assert end.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == link.KEEPALIVE
+            assert end.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == tap.KEEPALIVE
         carried.close()

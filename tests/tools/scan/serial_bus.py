@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, Self
 
 from libmodbus_py import Device, framing
 from libmodbus_py.device.caller import Caller
-from libmodbus_py.tools.testing.line_ends import open_line, read_what_is_there
+from libmodbus_py.tools.testing.wires import open_line, read_what_is_there
 
 RATES = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[1:].isdigit()}
 

@@ -8,8 +8,7 @@ import pytest
 from sunspec2.device import get_model_def
 
 from libmodbus_py import RegisterMap
-from libmodbus_py.tools.sunspec.definitions import definition_of, folder
-from libmodbus_py.tools.sunspec.discovery import _discovery
+from libmodbus_py.tools.sunspec.discovery import _discovery, definition_of, folder
 from libmodbus_py.tools.sunspec.points import ModelLayout
 from tests.support.sunspec import chain, walked
 

@@ -8,7 +8,7 @@ import pytest
 
 from libmodbus_py import FrameError, IllegalDataAddress, InvalidResponse
 from libmodbus_py.ports.trace import Traced
-from libmodbus_py.tools.testing.exchanges import MOST, Exchanges
+from libmodbus_py.tools.testing.recording import MOST, Exchanges
 from tests.support.cases import each_case
 
 TCP = "tcp://127.0.0.1:502"

@@ -9,8 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from libmodbus_py.tools.testing.line_ends import open_line, read_what_is_there, write_all
-from libmodbus_py.tools.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire, open_line, read_what_is_there, write_all
 
 
 @pytest.fixture
@@ -49,7 +48,7 @@ def test_a_wire_that_nobody_reads_at_the_other_end_can_be_closed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """More is written than the terminals hold: what finds no room is lost, and not waited for."""
-    monkeypatch.setattr("libmodbus_py.tools.testing.line_ends.TIMEOUT", 0.01)
+    monkeypatch.setattr("libmodbus_py.tools.testing.wires.TIMEOUT", 0.01)
     with SerialWire() as wire:
         client = os.open(wire.client, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         for _ in range(50):
