@@ -7,7 +7,7 @@ The bucket is one stream: all workers see its changes in the same order, but not
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
 from ..engine.buckets import Change
@@ -68,8 +68,10 @@ class BucketView:
         self.vanished: dict[str, float] = {}
         self.unreadable: dict[str, str] = {}
         self.uncertain: dict[str, int] = {}
-        # By digest and zone; a digest has nearly always one zone.
-        self._connections: dict[str, dict[str, tuple[int, Connection]]] = {}
+        # By digest and zone, with their revisions; a digest has nearly always one zone.
+        self._zones: dict[str, dict[str, tuple[int, Connection]]] = {}
+        # By digest: of two zones, the newer one.
+        self._connections: dict[str, Connection] = {}
         self._touched: dict[str, int] = {}
         self.last_touched: int = 0
         self._in_slot: Counter[Slot] = Counter()
@@ -131,14 +133,14 @@ class BucketView:
         return member.state != "ended" and now < self.heard_until(member)
 
     @property
-    def connections(self) -> Iterator[Connection]:
-        """Yield the connections; for one that is in two zones, only the newer record."""
-        return (max(zones.values(), key=_first)[1] for zones in self._connections.values())
+    def connections(self) -> Collection[Connection]:
+        """The connections; of one that is in two zones, only the newer record."""
+        return self._connections.values()
 
     @property
     def all_connections(self) -> Iterator[Connection]:
         """Yield the connections; one that is in two zones is yielded twice."""
-        return (pair[1] for zones in self._connections.values() for pair in zones.values())
+        return (pair[1] for zones in self._zones.values() for pair in zones.values())
 
     def touched_at(self, connection: Connection) -> int:
         """Return the revision that other workers must acknowledge before a connection is polled."""
@@ -173,11 +175,18 @@ class BucketView:
             self._touch(change.key, change.revision)
             token, _, digest = rest.partition(".")
             zone = zone_of(token)
-            if self._connections.get(digest, {}).pop(zone, None):
+            if self._zones.get(digest, {}).pop(zone, None):
                 self._in_slot[slot_of(zone, digest)] -= 1
-                if not self._connections[digest]:
-                    del self._connections[digest]
+                self._choose(digest)
         return ""
+
+    def _choose(self, digest: str) -> None:
+        """Choose the zone of a connection: the one that was written last."""
+        zones = self._zones[digest]
+        if zones:
+            _, self._connections[digest] = max(zones.values(), key=lambda pair: pair[0])
+        else:
+            del self._zones[digest], self._connections[digest]
 
     def _touch(self, key: str, revision: int) -> None:
         kind, _, rest = key.partition(".")
@@ -200,8 +209,9 @@ class BucketView:
             self.vanished.pop(record.id, None)
         elif isinstance(record, Connection):
             digest = key.rpartition(".")[2]
-            self._connections.setdefault(digest, {})[record.zone] = (revision, record)
+            self._zones.setdefault(digest, {})[record.zone] = (revision, record)
             self._in_slot[record.slot] += 1
+            self._choose(digest)
         else:
             self.holders[record.slot] = record.holder
             had = self.members.get(before)
@@ -210,7 +220,3 @@ class BucketView:
             else:
                 self.uncertain[key] = revision
                 self.last_touched = max(self.last_touched, revision)
-
-
-def _first(pair: tuple[int, Connection]) -> int:
-    return pair[0]
