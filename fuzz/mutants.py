@@ -60,7 +60,7 @@ DECIDING = [
 
 # Where the tests of a folder stand, if not in the folder of the same name; all have the world.
 BESIDE = {
-    "services/engine": ("services/workers",),
+    "services/engine": ("services/engine", "services/workers"),
     "binding": ("client", "server"),
     "device": ("device", "server"),
     "protocol": ("protocol", "client", "server"),

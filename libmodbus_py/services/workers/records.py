@@ -15,7 +15,7 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -103,13 +103,7 @@ class FleetSettings:
         )
 
     def encode(self) -> bytes:
-        return _encode(
-            format=FORMAT,
-            lease=self.lease,
-            on_engine_loss=self.on_engine_loss,
-            commands=self.commands,
-            results=dict(self.results),
-        )
+        return _encode(format=FORMAT, **asdict(self))
 
 
 @dataclass(frozen=True)
@@ -177,14 +171,9 @@ class Member:
         return (self.state, self.zones, self.lease) == (other.state, other.zones, other.lease)
 
     def encode(self) -> bytes:
-        return _encode(
-            state=self.state,
-            zones=self.zones,
-            lease=self.lease,
-            beat=self.beat,
-            seen=self.seen,
-            report=dict(self.report),
-        )
+        values = asdict(self)
+        del values["id"]
+        return _encode(**values)
 
 
 def digest_of(connection: str) -> str:
