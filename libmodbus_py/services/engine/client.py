@@ -179,7 +179,7 @@ class _Lines(Parser):
             raise nats.errors.ProtocolError from None
 
     def _begin(self, words: list[bytes], sizes: int) -> None:
-        """Note a message whose line ends with `sizes` numbers of bytes."""
+        """Expect a message whose line ends with `sizes` numbers of bytes."""
         subject, sid, *replies = words[:-sizes]
         header, size = (0, *map(int, words[-sizes:]))[-2:]
         if not 0 <= header <= size <= LARGEST_MESSAGE or len(replies) > 1:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from ...security.renewed import Renewed
 from ..server_url import server_url
 from ..tasks import finish
-from .errors import EngineError, EngineGone, explained, what
+from .errors import EngineError, EngineGone, what
 
 if TYPE_CHECKING:
     from nats.aio.client import Client
@@ -161,18 +161,18 @@ async def connected(
     except ImportError:
         raise EngineError("NATS needs nats-py: pip install 'libmodbus-py[nats]'") from None
 
-    where = shown(servers)
     options = _identity(environment) | _trust(servers, environment)
     client = SteadyClient()
-    with explained(where):
-        await _connect(client, servers, {"name": name, **options}, on_change)
+    await _connect(client, servers, {"name": name, **options}, on_change)
     client.options["max_reconnect_attempts"] = -1
     version = client.connected_server_version
     if (version.major, version.minor) < OLDEST:
         await disconnect(client)
         wanted = ".".join(map(str, OLDEST))
         known = f"{version.major}.{version.minor}.{version.patch}"
-        raise EngineError(f"{where}: nats-server {known} is too old; {wanted} or newer is needed")
+        raise EngineError(
+            f"{shown(servers)}: nats-server {known} is too old; {wanted} or newer is needed"
+        )
     return client
 
 
@@ -181,19 +181,19 @@ async def _connect(
 ) -> None:
     failures: list[Exception] = []
 
-    async def note(error: Exception) -> None:
+    async def failed(error: Exception) -> None:
         failures.append(error)
         del failures[:-MOST_SERVERS]
 
     async def changed() -> None:
         on_change()
 
-    told: dict[str, Any] = dict.fromkeys(
+    callbacks: dict[str, Any] = dict.fromkeys(
         ("disconnected_cb", "reconnected_cb", "closed_cb"), changed
     )
     try:
         async with asyncio.timeout(TIMEOUT * (len(servers) + 1)):
-            await client.connect(servers, error_cb=note, **told, **TIMES, **options)
+            await client.connect(servers, error_cb=failed, **callbacks, **TIMES, **options)
     except BaseException as error:
         # nats-py does not close its socket when connect() fails.
         await disconnect(client)

@@ -133,11 +133,11 @@ async def push(bucket: Bucket, settings: FleetSettings, connections: list[Connec
             return total
         # Revisions do not show which keys are new: deleted keys have revisions, too.
         known = {each.bucket_key for each in view.all_connections}
-        told = [put for put in puts if put.key != SETTINGS]
+        records = [put for put in puts if put.key != SETTINGS]
         total = Pushed(
-            total.new + sum(put.key not in known for put in told),
-            total.changed + sum(put.key in known and put.value is not None for put in told),
-            total.gone + sum(put.value is None for put in told),
+            total.new + sum(put.key not in known for put in records),
+            total.changed + sum(put.key in known and put.value is not None for put in records),
+            total.gone + sum(put.value is None for put in records),
         )
         await _written(bucket, [put for put in puts if put.value is not None])
         await _written(bucket, [put for put in puts if put.value is None])
@@ -161,13 +161,13 @@ async def seen_now(bucket: Bucket) -> BucketView:
     view = BucketView()
     is_whole = asyncio.Event()
 
-    def note(change: Change | None) -> None:
+    def receive(change: Change | None) -> None:
         if change is None:
             is_whole.set()
         else:
             view.add(change, 0.0)
 
-    watch = await bucket.watch(note)
+    watch = await bucket.watch(receive)
     try:
         async with asyncio.timeout(TIMEOUT):
             await is_whole.wait()
