@@ -19,7 +19,7 @@ import pytest
 
 from fuzz.asked_devices import UNITS, Workers, asked_devices, fleet_file, until
 from fuzz.nats_servers import NatsServers, free_ports
-from libmodbus_py.cli.main import main
+from tests.support.commands import run
 
 nats = pytest.importorskip("nats")
 
@@ -30,34 +30,11 @@ mqtt {{ listen: "127.0.0.1:{port}" }}
 """
 
 
-def told(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> tuple[str, str]:
-    """Run a command to its end; return what it said, and what it said of trouble."""
-    capsys.readouterr()
-    try:
-        ended = main(arguments)
-    except SystemExit as left:
-        ended = left.code
-    heard = capsys.readouterr()
-    assert ended == code, heard.err
-    return heard.out, heard.err
-
-
-def one_line(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+def failed(*arguments: object, code: int = 1) -> str:
     """Run a command that fails; return the line that it prints."""
-    out, err = told(capsys, *arguments, code=1)
-    assert out == ""
-    assert err.count("\n") == 1, err
-    return err
-
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    with pytest.raises(SystemExit) as ended:
-        main(arguments)
-    assert ended.value.code == 2
-    heard = capsys.readouterr()
-    assert heard.out == ""
-    assert heard.err.count("\n") == 1
-    return heard.err
+    done = run(*arguments)
+    assert (done.code, done.out, done.err.count("\n")) == (code, "", 1), done.err
+    return done.err
 
 
 @pytest.fixture
@@ -98,12 +75,12 @@ class OldServer:
             pass
 
 
-def test_what_is_wrong_with_an_engine_is_told_in_one_line(file, tmp_path, capsys, monkeypatch):
+def test_what_is_wrong_with_an_engine_is_told_in_one_line(file, tmp_path, monkeypatch):
     def said(url: str, **environment: str) -> str:
         with monkeypatch.context() as patched:
             for name, value in environment.items():
                 patched.setenv(name, value)
-            line = one_line(capsys, "poll", str(file), "--engine", url, "--push")
+            line = failed("poll", file, "--engine", url, "--push")
         assert "secret" not in line
         return line
 
@@ -124,20 +101,20 @@ def test_what_is_wrong_with_an_engine_is_told_in_one_line(file, tmp_path, capsys
         )
 
 
-def test_an_engine_without_jetstream_or_with_another_bucket_is_refused(file, capsys):
+def test_an_engine_without_jetstream_or_with_another_bucket_is_refused(file):
     with NatsServers(jetstream=False) as server:
-        line = one_line(capsys, "poll", str(file), "--engine", server.urls)
+        line = failed("poll", file, "--engine", server.urls)
         assert "JetStream is off" in line
     with NatsServers() as server:
         status = ("fleet", "status", "--engine", server.urls)
-        line = one_line(capsys, *status)
+        line = failed(*status)
         assert "there is no fleet yet; put it there with --push" in line
         asyncio.run(_bucket(server.urls, history=5))
-        line = one_line(capsys, "poll", str(file), "--engine", server.urls)
+        line = failed("poll", file, "--engine", server.urls)
         assert "bucket modbus-fleet has unexpected settings: history 5, not 1" in line
         asyncio.run(_bucket(server.urls, history=1))
         asyncio.run(_write(server.urls, "settings", b'{"format": 7}'))
-        assert "format 7 is not supported; this version reads format 1" in one_line(capsys, *status)
+        assert "format 7 is not supported; this version reads format 1" in failed(*status)
 
 
 async def _bucket(url: str, history: int) -> None:
@@ -170,9 +147,9 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("engine", "told"), WRONG)
-def test_what_is_wrong_in_the_file_is_told_before_anything_is_sent(tmp_path, capsys, engine, told):
+def test_what_is_wrong_in_the_file_is_told_before_anything_is_sent(tmp_path, engine, told):
     file = fleet_file(tmp_path, ["tcp://127.0.0.1:9"], interval=1, engine=engine)
-    assert told in refused(capsys, "poll", str(file), "--engine", "nats://127.0.0.1:9")
+    assert told in failed("poll", file, "--engine", "nats://127.0.0.1:9", code=2)
 
 
 @pytest.mark.parametrize(
@@ -186,8 +163,8 @@ def test_what_is_wrong_in_the_file_is_told_before_anything_is_sent(tmp_path, cap
         (["--engine", "nats://h", "--zone", "a.b"], "zone 'a.b' must be 1..60 letters"),
     ],
 )
-def test_wrong_usage_is_told(file, capsys, options, told):
-    line = refused(capsys, "poll", str(file), *options)
+def test_wrong_usage_is_told(file, options, told):
+    line = failed("poll", file, *options, code=2)
     assert told in line
     assert "secret" not in line
 
@@ -209,7 +186,7 @@ def mosquitto(port: int, topic: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.timeout(300)
-def test_results_commands_and_status(tmp_path, capsys):
+def test_results_commands_and_status(tmp_path):
     mqtt = free_ports(1)[0]
     engine = "lease = 2\ncommands = true"
     with (
@@ -256,7 +233,7 @@ def test_results_commands_and_status(tmp_path, capsys):
             # What cannot be read is told.
             asyncio.run(_write(server.urls, "worker.x.y", b"[" * 5000))
             command = ("fleet", "status", "--engine", server.urls)
-            status = json.loads(told(capsys, *command, "--json")[0])
+            status = json.loads(run(*command, "--json").out)
             assert len(status["unreadable"]) == 1
             here = {each["name"] for each in status["workers"] if each["state"] == "here"}
             assert here == {"a"}
@@ -264,10 +241,11 @@ def test_results_commands_and_status(tmp_path, capsys):
 
             # A zone that nobody serves.
             fleet_file(tmp_path, urls, interval=0.2, engine=engine, zone="north")
-            told(capsys, "poll", str(file), "--engine", server.urls, "--push")
-            out, err = told(capsys, *command, code=1)
-            assert "no worker polls zone 'north'" in err
-            assert any(line.endswith("  no worker") for line in out.splitlines())
+            assert run("poll", file, "--engine", server.urls, "--push").code == 0
+            done = run(*command)
+            assert done.code == 1
+            assert "no worker polls zone 'north'" in done.err
+            assert any(line.endswith("  no worker") for line in done.out.splitlines())
             lost = asyncio.run(_requested(server.urls, subject, b"21"))
             assert lost["error"] == "no worker polls 'd0-3' now"
         assert asked.doubles == 0
