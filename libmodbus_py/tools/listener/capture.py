@@ -21,12 +21,17 @@ from ...protocol.framing import Frame, is_one_frame, mbap
 from .hearing import Candidate, Damage
 from .transaction import Heard
 
-__all__ = ["CaptureError", "CaptureReader", "CaptureWriter", "Recorded"]
+__all__ = ["CaptureError", "CaptureReader", "CaptureWriter"]
 
+# The type of link of exported PDUs: LINKTYPE_WIRESHARK_UPPER_PDU.
 UPPER_PDU = 252
+
+# Ports that are written for devices, by which Wireshark knows Modbus, and for clients.
 MODBUS_PORT = 502
 FIRST_CLIENT_PORT = 49152  # the dynamic ports (RFC 6335)
 
+# Numbers of the format: kinds of blocks, the mark of the order of bytes, options of interfaces, and
+# the tags and values of exported PDUs.
 _SECTION, _INTERFACE, _PACKET = 0x0A0D0D0A, 1, 6
 _BYTE_ORDER = 0x1A2B3C4D
 _IF_NAME, _IF_TSRESOL = 2, 9

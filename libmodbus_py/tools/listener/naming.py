@@ -16,7 +16,7 @@ from .hearing import Candidate, Damage
 from .pairing import OpenRequest, Pairing
 from .transaction import Heard, OnHeard, Part, answered, decoded
 
-__all__ = ["LearntTimes", "Naming"]
+__all__ = ["Naming"]
 
 # A frame that follows damaged bytes within this time was sent together with them; in seconds.
 GLUED = 0.001

@@ -11,7 +11,7 @@ from typing import Any
 from ...protocol.errors import ExceptionResponse
 from .transaction import Transaction
 
-__all__ = ["AnswerTimes", "Summary", "UnitSummary"]
+__all__ = ["Summary"]
 
 
 @dataclass

@@ -30,6 +30,7 @@ from .probe import LONGEST_SIZE, Nothing, Prober, Walk, Walker
 
 __all__ = ["MOST_REQUESTS", "Extent", "Search", "Searching", "search"]
 
+# Requests of a search unless the caller sets another limit: minutes on a serial line.
 MOST_REQUESTS = 2000
 
 # Seconds before a busy device is sent a request again.

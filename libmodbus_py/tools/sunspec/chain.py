@@ -37,6 +37,7 @@ HEADER = 2
 # The longest chains of real devices have some thirty models.
 MOST_MODELS = 256
 
+# Addresses at which a chain is sought; SunSpec names three.
 MOST_BASES = 16
 
 # Registers of one response (function 3).
