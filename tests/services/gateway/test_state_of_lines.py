@@ -13,6 +13,7 @@ from libmodbus_py.services.gateway.line import GatewayLine
 from tests.services.gateway.gates import LINE, adu, gated, gateway, small
 from tests.services.gateway.test_line import Asker, Plant, answer_of
 from tests.simulation.stage import Stage
+from tests.support.events import Events
 
 WRITE_ALL = bytes.fromhex("06 0001 0007")
 
