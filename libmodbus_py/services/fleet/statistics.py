@@ -25,12 +25,14 @@ class OutputStatistics:
         written: readings written to the output.
         failures: failed attempts to open the output or to write to it.
         trouble: the error of the output now; empty if it works.
+        trouble_since: when the output began to fail, in seconds since the epoch; 0 if it never did.
     """
 
     buffer: WaitingReadings = field(repr=False)
     written: int = 0
     failures: int = 0
     trouble: str = ""
+    trouble_since: float = 0.0
 
     @property
     def dropped(self) -> int:

@@ -164,7 +164,7 @@ FLEET = _counters(
         "worst",
     ),
 )
-OUTPUT = _counters("modbus_fleet_output", OutputStatistics, ("buffer", "trouble"))
+OUTPUT = _counters("modbus_fleet_output", OutputStatistics, ("buffer", "trouble", "trouble_since"))
 OUTPUT["dropped"] = Family(
     "modbus_fleet_output_dropped",
     "counter",

@@ -5,6 +5,7 @@ The task that moves readings to an output, and opens the output again if it fail
 from __future__ import annotations
 
 import asyncio
+import time
 
 from ....protocol.logs import HarmlessLogger
 from ...tasks import AGAIN
@@ -220,6 +221,8 @@ class Pump:
         if told != self.statistics.trouble:
             is_usual = isinstance(error, OSError | ReadingsRefused)
             logger.warning("%s: %s", self.name, told, exc_info=None if is_usual else error)
+        if not self.statistics.trouble:
+            self.statistics.trouble_since = time.time()
         self.statistics.trouble = told
 
     async def _rest(self) -> None:
