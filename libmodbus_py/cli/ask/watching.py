@@ -32,7 +32,7 @@ def watch(options: argparse.Namespace) -> int:
     with closing(connected(options)) as context:
         units = ",".join(str(reader.unit) for reader in readers)
         title = f"{context.url}, unit {units}, every {interval:g} s"
-        with _on_page(options, title, _shown(options, readers, title)) as shown:
+        with _on_page(options, title, _shown(options, readers, title), interval) as shown:
             begun = time.monotonic()
             until = begun + (options.lasts or float("inf"))
             due, code = begun, 1
@@ -50,14 +50,16 @@ def watch(options: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _on_page(options: argparse.Namespace, title: str, printer: Printer) -> Iterator[Printer]:
+def _on_page(
+    options: argparse.Namespace, title: str, printer: Printer, interval: float
+) -> Iterator[Printer]:
     """Show the values on a page too while the block runs, if there is an address."""
     if options.page is None and options.page_token is None:
         yield printer
         return
     from .shown_watch import ShownWatch
 
-    shown = ShownWatch(title, printer)
+    shown = ShownWatch(title, printer, interval)
     with page.tables_shown(lambda: shown, options.page, options.page_token, sys.stderr):
         yield shown
 

@@ -29,7 +29,7 @@ from .announcing import announcing
 from .hangup import Hangup, is_secure, noted
 
 if TYPE_CHECKING:
-    from ...tools.page.table_source import Shown
+    from ...tools.page.tables import Shown
 
 __all__ = ["add_command"]
 

@@ -1,20 +1,24 @@
 """
-A fleet as a page shows it: its values, and the state of its devices.
+A fleet as a page shows it: its outputs, and its devices with their values.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from ...tools.page.table_source import Older
-from ...tools.page.tables import Column, PageTable, Series, ValuesTable, cell_text
+from ...tools.page.samples import Series
+from ...tools.page.tables import Column, Older, PageRow
+from ...tools.page.text import cell_text
+from ...tools.page.values import COLUMNS, GroupRow, ShownPoint, Values, problem_text
 from .config import DeviceConfig
 from .fleet import Fleet
+from .outputs.last_values import LastValues
 from .poller import DeviceState, Poller
 from .readings import Reading
+from .statistics import JournalStatistics, OutputStatistics
 
-__all__ = ["DevicesTable", "PageOutput", "ShownFleet"]
+__all__ = ["PageOutput", "ShownFleet"]
 
 
 class PageOutput:
@@ -22,7 +26,7 @@ class PageOutput:
     An output whose readings a page shows.
 
     Attributes:
-        values: what it was given.
+        values: the rows of the devices and their values.
         fleet: whose readings they are; set before the first.
         is_live: True, because readings of earlier runs are not wanted.
     """
@@ -32,11 +36,11 @@ class PageOutput:
 
     def __init__(self) -> None:
         self.fleet: Fleet | None = None
-        self.values: ValuesTable = ValuesTable(self._answered_at, self._is_stepped)
+        self.values: Values = Values(self._device_row)
         self._is_new = True
 
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
-        """Note that the fleet has other devices from now on."""
+        """Take other points before the next readings: then the fleet has its new devices."""
         self._is_new = True
 
     async def open(self) -> None:
@@ -45,20 +49,24 @@ class PageOutput:
     async def write(self, readings: Sequence[Reading]) -> None:
         if self._is_new and self.fleet is not None:
             self._is_new = False
-            self.values.describe(_points(self.fleet.devices.values()))
+            self.values.describe(_points(self.fleet.devices))
         self.values.put(readings)
 
     async def close(self) -> None:
         """Do nothing: there is no connection."""
 
-    def _answered_at(self, device: str) -> float:
-        poller = None if self.fleet is None else self.fleet.devices.get(device)
-        return 0.0 if poller is None else poller.answered_at
+    def _device_row(self, name: str) -> GroupRow:
+        assert self.fleet is not None
+        return PollerRow(self.fleet.devices[name])
 
-    def _is_stepped(self, device: str, name: str) -> bool:
-        """Return True if a value is reported only when it has changed."""
-        poller = None if self.fleet is None else self.fleet.devices.get(device)
-        return poller is not None and (poller.config.on_change or name in poller.config.dead_bands)
+
+def _points(devices: Mapping[str, Poller]) -> Iterator[ShownPoint]:
+    for each in devices.values():
+        config = each.config
+        for name, units in zip(each.reads.names, each.reads.units, strict=True):
+            is_stepped = config.on_change or name in config.dead_bands
+            every = None if is_stepped else config.map[name].interval or config.interval
+            yield ShownPoint(each.name, name, units, every)
 
 
 class ShownFleet:
@@ -74,6 +82,7 @@ class ShownFleet:
 
     kind = "fleet"
     log = None
+    columns: Sequence[Column] = COLUMNS
 
     def __init__(
         self, title: str, fleet: Fleet, output: PageOutput, older: Older | None = None
@@ -81,8 +90,23 @@ class ShownFleet:
         self.title = title
         self.older = older
         self._fleet = fleet
-        self.tables: Sequence[PageTable] = (output.values, DevicesTable(fleet))
+        self._values = output.values
         output.fleet = fleet
+
+    def status(self) -> tuple[str, bool]:
+        """Return which devices and outputs fail, or that none does."""
+        found = self._fleet.statistics
+        problems = [f"{found.down} of {found.devices} devices down"] if found.down else []
+        for each in self._outputs():
+            if each.is_problem:
+                problems.append(f"{each.name} fails, {each.statistics.waiting:,} readings wait")
+        if found.journal is not None and found.journal.trouble:
+            problems.append("the journal fails")
+        if problems:
+            return "; ".join(problems), True
+        if found.up == found.devices:
+            return f"all {found.devices} devices answer", False
+        return f"{found.up} of {found.devices} devices answer", False
 
     def figures(self) -> Mapping[str, float]:
         found = self._fleet.statistics
@@ -94,72 +118,96 @@ class ShownFleet:
             "readings": found.readings,
         }
 
+    def rows(self) -> Sequence[PageRow]:
+        journal = self._fleet.statistics.journal
+        own = [] if journal is None else [JournalRow(journal)]
+        return [*self._outputs(), *own, *self._values.rows]
 
-class DevicesTable:
-    """See `PageTable`: the state of each device, since when, and why."""
-
-    name: str = "devices"
-    title: str = "Devices"
-    columns: Sequence[Column] = (
-        Column("device", "row"),
-        Column("state", "state"),
-        Column("since", "since"),
-        Column("answered", "age", is_wide=True),
-        Column("unit", "number", is_wide=True),
-        Column("interval", "number", is_wide=True),
-        Column("points", "number", is_wide=True),
-    )
-
-    def __init__(self, fleet: Fleet) -> None:
-        self._fleet = fleet
-        self._rows: list[Poller] = []
-
-    def rows(self) -> list[Poller]:
-        rows = list(dict(self._fleet.devices).values())  # a copy in one step: the fleet goes on
-        if rows != self._rows:
-            self._rows = rows
-        return self._rows
-
-    def words(self, row: Poller) -> str:
-        return f"{row.name} {row.config.endpoint}".lower()
-
-    def is_trouble(self, row: Poller) -> bool:
-        return row.state is DeviceState.DOWN or row.error is not None
-
-    def stamp(self, row: Poller) -> object:
-        return row.state, row.error, row.answered_at
-
-    def cells(self, row: Poller) -> list[Any]:
-        config = row.config
-        return [
-            ["", cell_text(row.name), cell_text(str(config.endpoint))],
-            [_state(row), *_reasons(row.error)],
-            round(row.since, 1),
-            round(row.answered_at, 1),
-            row.unit,
-            f"{config.interval:g} s",
-            len(row.reads.names),
-        ]
+    def _outputs(self) -> list[OutputRow]:
+        """Return the outputs except those of this program: the page, and metrics."""
+        outputs = dict(self._fleet.statistics.outputs)
+        own = {PageOutput.name, LastValues.name}
+        return [OutputRow(name, each) for name, each in outputs.items() if name not in own]
 
     def series(self, name: tuple[str, str], column: str) -> Series | None:
-        return None
+        return self._values.series(name, column)
 
 
-def _state(row: Poller) -> str:
-    """Return a word for the state; "partly" for a device that answers, but refuses something."""
-    return "partly" if row.is_refused else row.state.value
+class OutputRow:
+    """See `PageRow`: an output, the readings that wait for it, and why."""
+
+    def __init__(self, name: str, statistics: OutputStatistics) -> None:
+        self.name: str = name
+        self.statistics: OutputStatistics = statistics
+
+    @property
+    def words(self) -> str:
+        return f"output {self.name}".lower()
+
+    @property
+    def is_problem(self) -> bool:
+        return bool(self.statistics.trouble)
+
+    def cells(self) -> list[Any]:
+        found = self.statistics
+        since = round(found.trouble_since, 1) if found.trouble else 0
+        state = ["fails" if found.trouble else "works", cell_text(found.trouble), since]
+        waiting = f"{found.waiting:,}"
+        return [["output", cell_text(self.name)], state, [waiting, "waiting"], None, "", "", 0]
 
 
-def _reasons(error: Exception | None) -> list[str]:
-    """Return why, without the request, and the whole text of an error."""
-    if error is None:
-        return ["", ""]
-    text = str(error) or type(error).__name__
-    return [cell_text(text.rpartition("): ")[2]), cell_text(text)]
+class JournalRow:
+    """See `PageRow`: the journal, its size, and why it cannot be written or read."""
+
+    words = "journal"
+
+    def __init__(self, statistics: JournalStatistics) -> None:
+        self._statistics = statistics
+
+    @property
+    def is_problem(self) -> bool:
+        return bool(self._statistics.trouble)
+
+    def cells(self) -> list[Any]:
+        trouble, size = self._statistics.trouble, f"{self._statistics.bytes / 1e6:.1f}"
+        state = ["fails" if trouble else "works", cell_text(trouble), 0]
+        return [["", "journal"], state, [size, "MB"], None, "", "", 0]
 
 
-def _points(devices: Iterable[Poller]) -> Iterable[tuple[str, str, str]]:
-    """Yield device, name and unit of each point."""
-    for each in devices:
-        for name, unit in zip(each.reads.names, each.reads.units, strict=True):
-            yield each.name, name, unit
+class PollerRow:
+    """See `GroupRow`: the state of a device, since when, and why."""
+
+    def __init__(self, poller: Poller) -> None:
+        self._poller = poller
+
+    @property
+    def is_down(self) -> bool:
+        return self._poller.state is DeviceState.DOWN
+
+    @property
+    def answered_at(self) -> float:
+        return self._poller.answered_at
+
+    @property
+    def words(self) -> str:
+        return f"{self._poller.name} {self._poller.config.endpoint}".lower()
+
+    @property
+    def is_problem(self) -> bool:
+        return self.is_down or self._poller.error is not None
+
+    def cells(self) -> list[Any]:
+        poller, config = self._poller, self._poller.config
+        place = f"{config.endpoint}, unit {poller.unit}, every {config.interval:g} s"
+        # A device that answers, but refuses something, is "partly" there.
+        word = "partly" if poller.is_refused else poller.state.value
+        reason = "" if poller.error is None else problem_text(poller.error)
+        return [
+            ["", cell_text(poller.name), cell_text(place)],
+            [word, reason, round(poller.since, 1)],
+            [str(len(poller.reads.names)), "points"],
+            None,
+            "",
+            "",
+            round(poller.answered_at, 1),
+        ]

@@ -5,25 +5,28 @@ A gateway as a page shows it: its lines, the units behind them, its clients, and
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from ...ports.hosts import host_of_peer
 from ...ports.trace import Traced
 from ...protocol.pdu.function_codes import REQUESTS
 from ...tools.page.log import Log, request_name
-from ...tools.page.row_history import RowHistory
-from ...tools.page.shown import ShownServer
-from ...tools.page.table_source import Older
-from ...tools.page.tables import Column, PageTable, Series, cell_text
+from ...tools.page.samples import Counts, RowHistory, Series
+from ...tools.page.tables import Column, Older, PageRow
+from ...tools.page.text import cell_text
+from ...tools.page.units import ShownServer
+from ...tools.page.values import problem_text
 from .gateway import Gateway
 from .statistics import LineStatistics, UnitStatistics
 
-__all__ = ["ClientCount", "ShownGateway"]
+__all__ = ["ShownGateway"]
 
+# Clients, units and functions that are counted; the first is dropped for one more.
 MOST_ASKING = 2000
-"""Clients, units and functions that are counted; the first is dropped for one more."""
 
 NOTHING = ShownServer({}, {})
+
+Name = tuple[str, str]
 
 
 class ShownGateway:
@@ -37,31 +40,44 @@ class ShownGateway:
 
     kind = "gateway"
     older: Older | None = None
+    columns: Sequence[Column] = (
+        Column("name", "row"),
+        Column("state", "state"),
+        Column("requests", "number"),
+        Column("answers", "number", is_wide=True),
+        Column("rate", "spark"),
+        Column("time", "spark", is_wide=True),
+        Column("queue", "spark", is_wide=True),
+        Column("details", "note", is_wide=True),
+        Column("last", "age", is_wide=True),
+    )
 
     def __init__(self, title: str, gateway: Gateway) -> None:
         self.title = title
         self._gateway = gateway
         self.log: Log = Log(lambda: NOTHING)
-        lines, units = LinesTable(gateway), UnitsTable(gateway)
-        self._histories = (lines.history, units.history)
-        self._clients = ClientsTable()
-        self.tables: Sequence[PageTable] = (lines, units, self._clients)
+        self._history = RowHistory(self._counts)
+        self._clients = Clients()
 
     def note(self, traced: Traced) -> None:
         """Take what a trace is called with; quickly, because the gateway waits."""
         self.log.note(traced)
         self._clients.note(traced)
-        self._sample()
+        self._history.sample()  # whether a page is open or not
 
-    def _sample(self) -> None:
-        """Sample numbers over time, whether a page is open or not."""
-        for each in self._histories:
-            each.sample()
+    def status(self) -> tuple[str, bool]:
+        """Return which lines are down, or that none is."""
+        lines = self._lines()
+        down = sum(bool(each.trouble) for each in lines)
+        silent = sum(each.is_silent for line in lines for each in line.units.copy().values())
+        problems = [f"{down} of {len(lines)} lines down"] if down else []
+        if silent:
+            problems.append(f"silent units: {silent}")
+        return ("; ".join(problems), True) if problems else ("no line is down", False)
 
     def figures(self) -> Mapping[str, float]:
-        self._sample()
-        server, traffic = self._gateway.statistics, self._gateway.traffic
-        lines = traffic.lines.copy().values()
+        self._history.sample()
+        server, traffic, lines = self._gateway.statistics, self._gateway.traffic, self._lines()
         return {
             "clients": server.connections,
             "requests": traffic.requests,
@@ -70,248 +86,166 @@ class ShownGateway:
             "down": sum(bool(each.trouble) for each in lines),
         }
 
+    def _lines(self) -> list[LineStatistics]:
+        return list(self._gateway.traffic.lines.copy().values())
 
-class LineCounts(NamedTuple):
-    """Counters of a line, from which its numbers over time are made."""
+    def _behind(self) -> Iterator[LineRow | UnitRow]:
+        """Yield each line, and then its units by their numbers."""
+        for line in self._lines():
+            yield LineRow(line, self._history)
+            for number, unit in sorted(line.units.copy().items()):
+                yield UnitRow(line.url, number, unit, self._history)
 
-    requests: int
-    waiting: int
+    def _counts(self) -> Iterator[tuple[Name, Counts]]:
+        return ((each.name, each.counts) for each in self._behind())
+
+    def rows(self) -> Sequence[PageRow]:
+        return [*self._behind(), *self._clients.rows()]
+
+    def series(self, name: Name, column: str) -> Series | None:
+        return self._history.series(name, column)
 
 
-def _line_counts(line: LineStatistics) -> LineCounts:
-    return LineCounts(line.connection.requests, line.waiting)
+class LineRow:
+    """See `PageRow`: a line, its queue and its state."""
 
+    def __init__(self, line: LineStatistics, history: RowHistory) -> None:
+        self._line = line
+        self._history = history
+        self.name: Name = ("", cell_text(line.url))
 
-def _line_figures(before: LineCounts, now: LineCounts, passed: float) -> dict[str, float | None]:
-    return {"rate": _rate(before.requests, now.requests, passed), "queue": now.waiting}
+    @property
+    def words(self) -> str:
+        return self._line.url.lower()
 
+    @property
+    def is_problem(self) -> bool:
+        return bool(self._line.trouble)
 
-class LinesTable:
-    """
-    See `PageTable`: each line, its queue and its state.
+    @property
+    def counts(self) -> Counts:
+        return Counts(self._line.connection.requests, waiting=self._line.waiting)
 
-    Attributes:
-        history: requests a second, and how many wait.
-    """
-
-    name: str = "lines"
-    title: str = "Lines"
-    columns: Sequence[Column] = (
-        Column("line", "row"),
-        Column("state", "state"),
-        Column("since", "since", is_wide=True),
-        Column("waiting", "number"),
-        Column("in flight", "number", is_wide=True),
-        Column("rate", "spark"),
-        Column("queue", "spark", is_wide=True),
-        Column("requests", "number", is_wide=True),
-        Column("answers", "number", is_wide=True),
-        Column("full", "number", is_wide=True),
-    )
-
-    def __init__(self, gateway: Gateway) -> None:
-        self._gateway = gateway
-        self._rows: list[LineStatistics] = []
-        self.history = RowHistory(
-            self._named, _line_counts, _line_figures, {"rate": "requests/s", "queue": "requests"}
-        )
-
-    def _named(self) -> Iterator[tuple[tuple[str, str], LineStatistics]]:
-        return (
-            (("", cell_text(each.url)), each)
-            for each in self._gateway.traffic.lines.copy().values()
-        )
-
-    def rows(self) -> list[LineStatistics]:
-        rows = list(self._gateway.traffic.lines.copy().values())
-        if len(rows) != len(self._rows) or any(
-            a is not b for a, b in zip(rows, self._rows, strict=True)
-        ):
-            self._rows = rows
-        return self._rows
-
-    def words(self, row: LineStatistics) -> str:
-        return row.url.lower()
-
-    def is_trouble(self, row: LineStatistics) -> bool:
-        return bool(row.trouble)
-
-    def stamp(self, row: LineStatistics) -> object:
-        return row.connection.requests, row.waiting, row.in_flight, row.trouble, self.history.at
-
-    def cells(self, row: LineStatistics) -> list[Any]:
-        name = "", cell_text(row.url)
-        state = "down" if row.trouble else "open" if row.connection.connects else "new"
+    def cells(self) -> list[Any]:
+        line, history = self._line, self._history
+        word = "down" if line.trouble else "open" if line.connection.connects else "new"
+        numbers = {"waiting": line.waiting, "in flight": line.in_flight, "refused": line.full}
         return [
-            [*name],
-            [state, cell_text(row.trouble.rpartition("): ")[2]), cell_text(row.trouble)],
-            round(row.since, 1),
-            row.waiting,
-            row.in_flight,
-            self.history.spark(name, "rate"),
-            self.history.spark(name, "queue"),
-            row.connection.requests,
-            row.connection.responses,
-            row.full,
+            [*self.name],
+            [word, problem_text(line.trouble) if line.trouble else "", round(line.since, 1)],
+            line.connection.requests,
+            line.connection.responses,
+            history.spark(self.name, "rate"),
+            None,
+            history.spark(self.name, "queue"),
+            _listed(numbers),
+            0,
         ]
 
-    def series(self, name: tuple[str, str], column: str) -> Series | None:
-        return self.history.series(name, column)
 
+class UnitRow:
+    """See `PageRow`: a unit that requests were sent to, and whether it answers."""
 
-UnitRow = tuple[str, int, UnitStatistics]
+    def __init__(self, url: str, number: int, unit: UnitStatistics, history: RowHistory) -> None:
+        self._unit = unit
+        self._history = history
+        self.name: Name = (cell_text(url), f"unit {number}")
 
+    @property
+    def words(self) -> str:
+        return " ".join(self.name).lower()
 
-class UnitCounts(NamedTuple):
-    """Counters of a unit, from which its numbers over time are made."""
+    @property
+    def is_problem(self) -> bool:
+        return self._unit.is_silent
 
-    requests: int
-    answers: int
-    seconds: float
+    @property
+    def counts(self) -> Counts:
+        return Counts(self._unit.requests, self._unit.answers, self._unit.seconds)
 
-
-def _unit_counts(row: UnitRow) -> UnitCounts:
-    return UnitCounts(row[2].requests, row[2].answers, row[2].seconds)
-
-
-def _unit_figures(before: UnitCounts, now: UnitCounts, passed: float) -> dict[str, float | None]:
-    answers = now.answers - before.answers
-    took = round((now.seconds - before.seconds) / answers * 1000, 2) if answers > 0 else None
-    return {"rate": _rate(before.requests, now.requests, passed), "time": took}
-
-
-def _rate(before: int, now: int, passed: float) -> float:
-    return round(max(0, now - before) / passed, 2)
-
-
-class UnitsTable:
-    """
-    See `PageTable`: each unit that requests were sent to, and whether it answers.
-
-    Attributes:
-        history: requests a second, and the mean time of the answers.
-    """
-
-    name: str = "units"
-    title: str = "Units"
-    columns: Sequence[Column] = (
-        Column("unit", "row"),
-        Column("state", "state"),
-        Column("requests", "number"),
-        Column("answers", "number", is_wide=True),
-        Column("exceptions", "number", is_wide=True),
-        Column("timeouts", "number"),
-        Column("invalid", "number", is_wide=True),
-        Column("resting", "number", is_wide=True),
-        Column("cached", "number", is_wide=True),
-        Column("mean", "number", is_wide=True),
-        Column("rate", "spark"),
-        Column("time", "spark", is_wide=True),
-    )
-
-    def __init__(self, gateway: Gateway) -> None:
-        self._gateway = gateway
-        self._rows: list[UnitRow] = []
-        self.history = RowHistory(
-            self._named, _unit_counts, _unit_figures, {"rate": "requests/s", "time": "ms"}
-        )
-
-    def _named(self) -> Iterator[tuple[tuple[str, str], UnitRow]]:
-        return ((_unit_name(row), row) for row in self._units())
-
-    def _units(self) -> Iterator[UnitRow]:
-        for line in self._gateway.traffic.lines.copy().values():
-            for number, unit in line.units.copy().items():
-                yield line.url, number, unit
-
-    def rows(self) -> list[UnitRow]:
-        rows = sorted(self._units(), key=lambda row: row[:2])
-        if [each[:2] for each in rows] != [each[:2] for each in self._rows]:
-            self._rows = rows
-        return self._rows
-
-    def words(self, row: UnitRow) -> str:
-        return f"{row[0]} unit {row[1]}".lower()
-
-    def is_trouble(self, row: UnitRow) -> bool:
-        return row[2].is_silent
-
-    def stamp(self, row: UnitRow) -> object:
-        unit = row[2]
-        counts = unit.requests, unit.answers, unit.resting, unit.cached
-        return *counts, unit.is_silent, self.history.at
-
-    def cells(self, row: UnitRow) -> list[Any]:
-        unit, name = row[2], _unit_name(row)
-        mean = f"{unit.seconds / unit.answers * 1000:.1f} ms" if unit.answers else ""
-        state = "silent" if unit.is_silent else "answers" if unit.answers else "new"
+    def cells(self) -> list[Any]:
+        unit, history = self._unit, self._history
+        word = "silent" if unit.is_silent else "answers" if unit.answers else "new"
+        reason = f"{unit.resting} requests refused meanwhile" if unit.is_silent else ""
+        numbers = {
+            "exceptions": unit.exceptions,
+            "timeouts": unit.timeouts,
+            "invalid": unit.invalid,
+            "refused": unit.resting,
+            "cached": unit.cached,
+        }
+        mean = f"mean {unit.seconds / unit.answers * 1000:.1f} ms" if unit.answers else ""
         return [
-            [*name],
-            [state, f"{unit.resting} refused meanwhile" if unit.is_silent else ""],
+            [*self.name],
+            [word, reason, 0],
             unit.requests,
             unit.answers,
-            unit.exceptions,
-            unit.timeouts,
-            unit.invalid,
-            unit.resting,
-            unit.cached,
-            mean,
-            self.history.spark(name, "rate"),
-            self.history.spark(name, "time"),
+            history.spark(self.name, "rate"),
+            history.spark(self.name, "time"),
+            None,
+            ", ".join(filter(None, [mean, _listed(numbers)])),
+            0,
         ]
 
-    def series(self, name: tuple[str, str], column: str) -> Series | None:
-        return self.history.series(name, column)
+
+def _listed(numbers: Mapping[str, int]) -> str:
+    """Return the numbers that are not 0 with their names."""
+    return ", ".join(f"{name} {count}" for name, count in numbers.items() if count)
 
 
-def _unit_name(row: UnitRow) -> tuple[str, str]:
-    return cell_text(row[0]), f"unit {row[1]}"
-
-
-class ClientCount:
+class ClientRow:
     """
-    The requests of one client with one function to one unit.
+    See `PageRow`: the requests of one client with one function to one unit.
 
     Attributes:
-        host, unit, function: of the requests.
         requests, exceptions: their number, and that of exceptions among the responses.
         time: of the last request, in seconds since the epoch.
     """
 
-    __slots__ = ("exceptions", "function", "host", "requests", "time", "unit")
+    __slots__ = ("exceptions", "key", "requests", "time")
 
-    def __init__(self, host: str, unit: int, function: int) -> None:
-        self.host: str = host
-        self.unit: int = unit
-        self.function: int = function
+    def __init__(self, key: tuple[str, int, int]) -> None:
+        self.key: tuple[str, int, int] = key
         self.requests: int = 0
         self.exceptions: int = 0
         self.time: float = 0.0
 
+    @property
+    def words(self) -> str:
+        host, unit, function = self.key
+        return f"{host} unit {unit} function {function} {_function(function)}".lower()
 
-class ClientsTable:
-    """See `PageTable`: which client asks which unit with which function, and how often."""
+    @property
+    def is_problem(self) -> bool:
+        return self.exceptions > 0
 
-    name: str = "clients"
-    title: str = "Clients"
-    columns: Sequence[Column] = (
-        Column("client", "row"),
-        Column("function", "note"),
-        Column("requests", "number"),
-        Column("exceptions", "number", is_wide=True),
-        Column("last", "age", is_wide=True),
-    )
+    def cells(self) -> list[Any]:
+        host, unit, function = self.key
+        details = _listed({"exceptions": self.exceptions})
+        return [
+            [cell_text(host), f"unit {unit}, {function} {_function(function)}".rstrip()],
+            ["client", details, 0],
+            self.requests,
+            "",
+            None,
+            None,
+            None,
+            "",
+            round(self.time, 1),
+        ]
+
+
+class Clients:
+    """Counts which client asks which unit with which function."""
 
     def __init__(self) -> None:
-        self._asking: dict[tuple[str, int, int], ClientCount] = {}
-        self._rows: list[ClientCount] = []
+        self._asking: dict[tuple[str, int, int], ClientRow] = {}
 
     def note(self, traced: Traced) -> None:
         """Count a request or a response."""
         if traced.unit is None or traced.function is None:
             return
-        host = host_of_peer(traced.peer or "")
-        key = host, traced.unit, traced.function & 0x7F
+        key = host_of_peer(traced.peer or ""), traced.unit, traced.function & 0x7F
         found = self._asking.get(key)
         if traced.direction == "sent":
             if found is not None and traced.function & 0x80:
@@ -320,44 +254,16 @@ class ClientsTable:
         if found is None:
             if len(self._asking) >= MOST_ASKING:
                 self._asking.pop(next(iter(self._asking)), None)
-            found = self._asking[key] = ClientCount(*key)
+            found = self._asking[key] = ClientRow(key)
         found.requests += 1
         found.time = traced.time
 
-    def rows(self) -> list[ClientCount]:
-        rows = sorted(self._asking.copy().values(), key=_asking_order)
-        if rows != self._rows:
-            self._rows = rows
-        return self._rows
-
-    def words(self, row: ClientCount) -> str:
-        words = f"{row.host} unit {row.unit} function {row.function} {_function(row)}"
-        return words.lower()
-
-    def is_trouble(self, row: ClientCount) -> bool:
-        return row.exceptions > 0
-
-    def stamp(self, row: ClientCount) -> object:
-        return row.requests, row.exceptions
-
-    def cells(self, row: ClientCount) -> list[Any]:
-        return [
-            [cell_text(row.host), f"unit {row.unit}"],
-            f"{row.function} {_function(row)}",
-            row.requests,
-            row.exceptions,
-            round(row.time, 1),
-        ]
-
-    def series(self, name: tuple[str, str], column: str) -> Series | None:
-        return None
+    def rows(self) -> list[ClientRow]:
+        """Return the clients in the order of their addresses, units and functions."""
+        return [row for _, row in sorted(self._asking.copy().items())]
 
 
-def _asking_order(row: ClientCount) -> tuple[str, int, int]:
-    return row.host, row.unit, row.function
-
-
-def _function(row: ClientCount) -> str:
+def _function(number: int) -> str:
     """Return the name of a function, such as "read holding registers"."""
-    known = REQUESTS.get(row.function)
+    known = REQUESTS.get(number)
     return "" if known is None else request_name(known)

@@ -8,11 +8,12 @@ import re
 import reprlib
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import count
 from typing import Any, NamedTuple
 
 from ...device.access import ACCESSES
+from ...maps.point import Point
 from ...ports.schemes import framing_of
 from ...ports.trace import Traced
 from ...protocol import pdu
@@ -21,10 +22,11 @@ from ...protocol.pdu.request import arguments
 from ...protocol.plain import time_text
 from ..files.csv_text import csv_rows
 from ..listener.traces import Exchange, TracePairing
-from .named import named_cells
-from .shown import ShownServer
+from .streams import Tables
+from .text import cell_text, point_text
+from .units import ShownServer, ShownUnit
 
-__all__ = ["Log", "LogRow", "Written", "request_name"]
+__all__ = ["Log", "LogRow", "Written", "named_cells", "request_name"]
 
 # The most ADUs that wait to be shown, and the most rows that are remembered.
 MOST_ADUS = 2000
@@ -33,7 +35,13 @@ MOST_ROWS = 300
 # The most ranges of addresses whose last write is remembered.
 MOST_RANGES = 1000
 
+# Values of a request that the log shows.
 MOST_VALUES = 10
+
+# Points of a request that the log names.
+MOST_POINTS = 6
+
+NO_CALLER = (0, "", None)
 
 _short = reprlib.Repr()
 _short.maxlist = _short.maxtuple = _short.maxdict = 8
@@ -43,7 +51,6 @@ WRITES = frozenset(request.function for request, kind in ACCESSES.items() if kin
 
 # Kinds of transactions after which the device has the written values.
 DONE = ("answered", "broadcast", "late", "invalid")
-
 
 GOOD = ("answered", "broadcast")
 
@@ -138,21 +145,28 @@ class Log:
         shown, kind = self._shown(), ACCESSES.get(type(request))
         for number in shown.units_of(unit, is_line=is_line):
             mapping = shown.units[number].device.mapping
-            for access in kind.find(request, mapping, (0, "", None)).writes if kind else ():
+            for access in kind.find(request, mapping, NO_CALLER).writes if kind else ():
                 start = access.address
                 self.wrote(number, access.table, start, start + access.count, peer)
 
     # --- output -------------------------------------------------------------------------------
 
-    def rows(self, after: int = 0) -> list[LogRow]:
-        """Return the remembered rows after this number."""
+    def tables(self) -> Tables:
+        """Return the remembered rows and writes for a page, by their numbers."""
+        return {
+            "log": {each.number: each for each in self.rows()},
+            "written": {each.number: each for each in self._written.copy().values()},
+        }
+
+    def rows(self) -> list[LogRow]:
+        """Return the remembered rows, the oldest first."""
         # ADUs that arrive meanwhile wait: otherwise this might never return under load.
         for _ in range(len(self._adus)):
             self._pairing.take(self._adus.popleft())
         self._pairing.tick(time.time())
         done, self._pairing.done = self._pairing.done, []
         self._rows += [_row(next(self._row_numbers), each, self._named(each)) for each in done]
-        return [each for each in self._rows if each.number > after]
+        return list(self._rows)
 
     def download(self, query: Mapping[str, str]) -> str:
         """Return the remembered rows that a query selects as CSV; see `as_csv`."""
@@ -186,15 +200,6 @@ class Log:
             except (ValueError, TypeError, LookupError):  # the device was replaced meanwhile
                 return ""
         return ""
-
-    def written(self, after: int = 0) -> list[Written]:
-        """Return the writes after this number, the oldest first."""
-        newest = []
-        for each in reversed(list(self._written.copy().values())):
-            if each.number <= after:
-                break
-            newest.append(each)
-        return newest[::-1]
 
 
 def _is_wanted(row: LogRow, *, writes: bool, errors: bool) -> bool:
@@ -277,3 +282,53 @@ def request_name(kind: type[Request[Any]]) -> str:
 
 def _cut(text: str) -> str:
     return text if len(text) <= 200 else f"{text[:200]}..."
+
+
+def named_cells(unit: ShownUnit, request: Request[Any], response: Any) -> str:
+    """
+    Return the points that a request reads or writes as a whole, with their values.
+
+    Args:
+        unit: the unit of the request.
+        request: the request.
+        response: the result of the request; None unless the response contains values.
+
+    Returns:
+        Text such as "voltage 230.1 V, pump on"; empty if there are no such points.
+    """
+    kind = ACCESSES.get(type(request))
+    if kind is None:
+        return ""
+    touched = kind.find(request, unit.device.mapping, NO_CALLER)
+    found: list[str] = [
+        text
+        for each in touched.writes
+        for text in _point_texts(unit, each.table, each.address, each.values)
+    ]
+    if isinstance(response, list | tuple):
+        for each in touched.reads:
+            found += _point_texts(unit, each.table, each.address, response[: each.count])
+    more = ", ..." if len(found) > MOST_POINTS else ""
+    return cell_text(", ".join(found[:MOST_POINTS]) + more)
+
+
+def _point_texts(unit: ShownUnit, table: str, first: int, cells: Sequence[Any]) -> list[str]:
+    stop = first + len(cells)
+    found: list[str] = []
+    for point in unit.points_from(table, first):
+        if point.address >= stop or len(found) > MOST_POINTS:
+            break
+        if point.cells.stop <= stop:
+            own = list(cells[point.cells.start - first : point.cells.stop - first])
+            found.append(f"{point.name} {_with_units(unit, point, own)}")
+    return found
+
+
+def _with_units(unit: ShownUnit, point: Point, cells: list[Any]) -> str:
+    with unit.device.mapping:
+        try:
+            source = unit.source(point)
+        except (IndexError, KeyError, ValueError):  # a map may have what the device lacks
+            source = None
+    text = point_text(point, cells, source)
+    return f"{text} {point.units}" if point.units else text

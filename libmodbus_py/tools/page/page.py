@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from ..faults.server import Server
 from .guard import checked_token
 from .server_source import ServerSource
-from .source import PageSource
-from .streams import Streams
-from .table_source import TableSource
+from .streams import PageSource, Streams
+from .tables import TableSource
 from .web import WebServer
 
 __all__ = ["Page", "live_page", "table_page"]

@@ -1,46 +1,59 @@
 """
-The last numbers of a value with their times, in few bytes.
+The last numbers of a value with their times, in few bytes, and numbers computed from counters.
+
+Where there is no number, there is a gap: a sample without a number is one, and so is a time without
+samples, if the time between two samples is known. A chart draws no line across a gap.
 """
 
 from __future__ import annotations
 
 import math
 import sys
+import threading
+import time
 from array import array
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 __all__ = [
-    "MOST_BYTES",
     "MOST_PAIRS",
-    "MOST_SAMPLES",
+    "SPARK",
+    "Counts",
+    "RowHistory",
     "Samples",
+    "Series",
     "charted",
     "samples_of_each",
-    "thinned",
+    "with_gaps",
 ]
 
+# Samples of one value; with one sample a second, those of ten minutes.
 MOST_SAMPLES = 600
-"""The most samples of one value; with one sample a second, those of ten minutes."""
 
+# Samples that each value may have, however many values there are.
 FEWEST = 60
-"""The samples that each value may have, however many values there are."""
 
+# Bytes of the samples of all values, each of which takes 16 bytes.
 MOST_BYTES = 64_000_000
-"""The most bytes of the samples of all values; a sample takes 16 bytes."""
 
 MOST_PAIRS = 1000
-"""The most samples of a chart."""
+"""The most samples of a chart, which has hardly more pixels."""
 
-# A sample replaces the previous one if fewer seconds lie between them.
+SPARK = 60
+"""The most samples of a sparkline, which is as many pixels wide."""
+
+# Seconds between two samples; a sample that comes sooner replaces the previous one.
 SHORTEST = 0.4
+
+# Intervals without a sample that are a gap; a poll may be late, or left out once.
+GAP = 3
 
 NUMBERS = (float, int, bool)
 
 GREATEST = sys.float_info.max
 
-# Levels of a sparkline.
+# Levels of a sparkline, which is as many pixels tall.
 LEVELS = 20
 
 Pairs = list[tuple[float, "float | None"]]
@@ -51,25 +64,35 @@ def samples_of_each(count: int) -> int:
     return max(FEWEST, min(MOST_SAMPLES, MOST_BYTES // 16 // max(1, count)))
 
 
+def _is_gap(passed: float, every: float | None) -> bool:
+    """Return True if too many seconds passed between two samples that are `every` seconds apart."""
+    return every is not None and passed > GAP * max(every, SHORTEST)
+
+
 class Samples:
     """
     The last samples of one value; a value that is not a number, or is missing, is a gap.
 
     Args:
+        every: seconds between two samples; None if a number is valid until the next one, infinity
+            if no time without samples is a gap.
         most: the most samples that are kept, at least 2.
 
     Attributes:
+        every: as given.
+        newest: the time of the last sample.
         low, high: the lowest and the highest number since the first sample; None if there is none.
     """
 
-    __slots__ = ("_at", "_most", "_newest", "_times", "_values", "high", "low")
+    __slots__ = ("_at", "_most", "_times", "_values", "every", "high", "low", "newest")
 
-    def __init__(self, most: int = MOST_SAMPLES) -> None:
+    def __init__(self, every: float | None = None, most: int = MOST_SAMPLES) -> None:
+        self.every: float | None = every
+        self.newest: float = -math.inf
         self.low: float | None = None
         self.high: float | None = None
         self._most = most
         self._at = 0
-        self._newest = -math.inf
         self._times = array("d")
         self._values = array("d")
 
@@ -87,21 +110,23 @@ class Samples:
                 self.low = number
             elif number > self.high:
                 self.high = number
+        passed = time - self.newest
+        if 0 <= passed < SHORTEST:
+            if number == number:  # a gap must not replace a number
+                self._values[self._at - 1] = number
+            return
+        if self._times and _is_gap(passed, self.every) and self._values[self._at - 1] >= -GREATEST:
+            self._keep(self.newest + SHORTEST, math.nan)
         self._keep(time, number)
 
     def _keep(self, time: float, number: float) -> None:
-        times, at = self._times, self._at
-        if 0 <= time - self._newest < SHORTEST:
-            if number == number:  # a gap must not replace a number
-                self._values[at - 1] = number
-            return
-        self._newest = time
-        if len(times) < self._most:
+        self.newest, at = time, self._at
+        if len(self._times) < self._most:
             self._values.append(number)
-            times.append(time)
+            self._times.append(time)
         else:
             self._values[at] = number
-            times[at] = time
+            self._times[at] = time
             self._at = (at + 1) % self._most
 
     def resize(self, most: int) -> None:
@@ -139,30 +164,41 @@ class Samples:
         return [int((each - low) * by) if each == each else -1 for each in values]
 
 
-def charted(pairs: Pairs, now: float, units: str, *, is_stepped: bool = False) -> dict[str, Any]:
-    """Return samples as JSON for a chart."""
-    kept = thinned(pairs, MOST_PAIRS)
+class Series(NamedTuple):
+    """The numbers that a chart shows, and their units of measurement."""
+
+    samples: Samples
+    units: str
+
+
+def charted(pairs: Pairs, now: float, units: str, every: float | None) -> dict[str, Any]:
+    """Return samples as JSON for a chart; `every` as for `Samples`."""
+    kept = _thinned(pairs, MOST_PAIRS)
     return {
         "now": now,
         "times": [round(at, 2) for at, _ in kept],
         "values": [each for _, each in kept],
         "units": units,
-        "is_stepped": is_stepped,
+        "is_stepped": every is None,
     }
+
+
+def with_gaps(pairs: Pairs, every: float | None) -> Pairs:
+    """Return samples, in the order of their times, with a gap where one is missing."""
+    found = pairs[:1]
+    for before, after in pairwise(pairs):
+        if _is_gap(after[0] - before[0], every) and None not in (before[1], after[1]):
+            found.append((before[0] + SHORTEST, None))
+        found.append(after)
+    return found
 
 
 def _time(pair: tuple[float, Any]) -> float:
     return pair[0]
 
 
-def thinned(pairs: Sequence[tuple[float, float | None]], most: int) -> Pairs:
-    """
-    Return a limited number of samples: the extremes of each stretch of time, and every gap.
-
-    Args:
-        pairs: time and number of each sample, the oldest first; None for a gap.
-        most: the most samples to return, at least 4.
-    """
+def _thinned(pairs: Sequence[tuple[float, float | None]], most: int) -> Pairs:
+    """Return at most so many samples: the extremes of each stretch of time, and every gap."""
     if len(pairs) <= most:
         return list(pairs)
     length = -(-len(pairs) // (most // 4))
@@ -174,3 +210,99 @@ def thinned(pairs: Sequence[tuple[float, float | None]], most: int) -> Pairs:
         kept = {0, *(at for _, at in (min(numbers), max(numbers)))} if numbers else {0}
         found += [stretch[at] for at in sorted(kept | ({gap} if gap is not None else set()))]
     return found
+
+
+# --- numbers computed from counters ---------------------------------------------------------------
+
+# Seconds between two samples of counters.
+SAMPLED = 1.0
+
+UNITS = {"rate": "requests/s", "time": "ms", "queue": "requests"}
+
+Name = tuple[str, str]
+
+
+class Counts(NamedTuple):
+    """
+    Counters of a row.
+
+    Attributes:
+        requests: requests so far.
+        answers: responses so far.
+        seconds: the time of these responses together, in seconds.
+        waiting: requests that wait now; None if none can.
+    """
+
+    requests: int
+    answers: int = 0
+    seconds: float = 0.0
+    waiting: int | None = None
+
+
+def _figures(before: Counts, now: Counts, passed: float) -> dict[str, float | None]:
+    answers = now.answers - before.answers
+    took = round((now.seconds - before.seconds) / answers * 1000, 2) if answers > 0 else None
+    rate = round(max(0, now.requests - before.requests) / passed, 2)
+    return {"rate": rate, "time": took, "queue": now.waiting}
+
+
+class RowHistory:
+    """
+    Samples the counters of rows, at most once a second. Safe from any thread.
+
+    A number is that of the time since the previous sample. Without requests, and while no page is
+    open, this may be long: then the number begins a second after the previous sample.
+
+    Args:
+        counts: returns the name of each row, as in its first cell, and its counters.
+        clock: returns seconds since the epoch.
+    """
+
+    def __init__(
+        self,
+        counts: Callable[[], Iterable[tuple[Name, Counts]]],
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        self._counts = counts
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._known: dict[Name, tuple[Counts, dict[str, Samples]]] = {}
+        self._at = 0.0
+
+    def sample(self) -> None:
+        """Take a sample, unless the last one is less than a second old."""
+        now = self._clock()
+        if 0 <= now - self._at < SAMPLED or not self._lock.acquire(blocking=False):
+            return
+        try:
+            self._sample(now)
+        finally:
+            self._lock.release()
+
+    def _sample(self, now: float) -> None:
+        before, self._at, passed = self._at, now, now - self._at
+        counted = dict(self._counts())
+        most = samples_of_each(len(counted) * len(UNITS))
+        known, self._known = self._known, {}
+        for name, counts in counted.items():
+            old, series = known.get(name, (counts, {key: Samples(math.inf, most) for key in UNITS}))
+            if name in known and passed > 0:
+                for column, figure in _figures(old, counts, passed).items():
+                    series[column].resize(most)
+                    if passed > GAP * SAMPLED:
+                        first = None if column == "queue" else figure  # it had its own length then
+                        series[column].add(before + SAMPLED, first)
+                    series[column].add(now, figure)
+            self._known[name] = counts, series
+
+    def spark(self, name: Name, column: str) -> list[int]:
+        """Return the last numbers of a row as levels; an empty list if there are none."""
+        known = self._known.get(name)
+        return [] if known is None else known[1][column].spark(SPARK)
+
+    def series(self, name: Name, column: str) -> Series | None:
+        """Return the numbers of a row; None if there is no such row or column."""
+        known = self._known.get(name)
+        if known is None or column not in known[1]:
+            return None
+        return Series(known[1][column], UNITS[column])

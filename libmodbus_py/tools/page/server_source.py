@@ -1,5 +1,5 @@
 """
-The source of the page of a server: units, values, log, counters and faults.
+The source of the page of a server: units, values, log, counters and faults, and their changes.
 """
 
 from __future__ import annotations
@@ -13,15 +13,13 @@ from ...maps.point import Point
 from ...protocol.checks import integer, number
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...protocol.values import ORDERS, TYPES
-from ..faults.fault import KINDS, OPTIONAL
+from ..faults.fault import KINDS, OPTIONAL, Fault
 from ..faults.server import Server
-from .actions import Actions
-from .fault_list import FaultList
+from .changes import FaultList, readings_at, set_cells, set_point
 from .log import Log
 from .samples import Samples, charted
-from .shown import ShownServer, ShownUnit, shown_of
-from .source import Action, Changes, Download, PageView
-from .views import CellsView, PointsView
+from .streams import Action, Download, Tables
+from .units import SAMPLED, CanHold, ShownUnit, cell_rows, point_rows, shown_of
 
 __all__ = ["ServerSource"]
 
@@ -35,11 +33,19 @@ WORDS: dict[str, Any] = {
     },
 }
 
-MOST_SAMPLED = 5000
-"""The most points whose samples are kept."""
+# The settings of a fault that a page can choose.
+SETTINGS = ("kind", "function", "every", "probability", "seconds", "code", "length")
 
-# The view of a page: unit, table or "points", the first of them, and the end.
-Key = tuple["int | None", str, int, int]
+# Points whose samples are kept.
+MOST_SAMPLED = 5000
+
+# Seconds of the longest chart.
+MOST_SECONDS = 86_400.0
+
+Given = Mapping[str, Any]
+
+# Unit, table or "points", the first of them, and the end.
+View = tuple["int | None", str, int, int]
 
 
 class ServerSource:
@@ -50,121 +56,154 @@ class ServerSource:
         server: the server, whose devices may be replaced meanwhile.
 
     Attributes:
-        log, faults: shown on all pages.
+        log: takes the trace of the server.
     """
 
-    document = "page.html"
+    script = "server.js"
 
     def __init__(self, server: Server) -> None:
         self._server = server
         self._shown = shown_of(server)
         self.log: Log = Log(lambda: self._shown)
-        self.faults: FaultList = FaultList(server.fault_switch)
-        self.actions: Mapping[str, Action] = {
-            **Actions(self).by_path,
-            "/history": self._history,
-        }
+        self._faults = FaultList(server.fault_switch)
         self._samples: dict[tuple[int | None, str], Samples] = {}
         self.downloads: Mapping[str, Download] = {"/log.csv": self.log.download}
-        self._counters: dict[str, int] = {}
-        self._told = (0, 0, -1)  # the last transaction, write and version of the faults
+        self.actions: Mapping[str, Action] = {
+            "/value": self._set,
+            "/readings": self._read,
+            "/hold": self._hold,
+            "/fault": self._switch,
+            "/faults": self._add,
+            "/history": self._history,
+        }
 
-    def structure(self) -> ShownServer:
-        """Return the devices that the server has now."""
+    def _units(self) -> dict[int | None, ShownUnit]:
+        """Return the units that the server has now."""
         if self._server.devices is not self._shown.given:
             self._shown = shown_of(self._server)
-        return self._shown
+        return self._shown.units
 
-    def unit(self, number: object) -> ShownUnit:
+    def _unit(self, given: Given) -> ShownUnit:
         """
-        Return the unit of a number.
+        Return the unit that a request names.
 
         Raises:
             ValueError: there is no such unit.
         """
-        units = self.structure().units
+        units, number = self._units(), given["unit"]
         found = units.get(number) if isinstance(number, int | None) else None
         if found is None:
             raise ValueError(f"there is no unit {number}")
         return found
 
-    def described(self) -> Changes:
-        return {"units": self._shown.as_json()}
-
-    def everything(self) -> Changes:
+    def common(self) -> Tables:
+        counters = asdict(self._server.statistics)
         return {
-            "log": self.log.rows(),
-            "written": self.log.written(),
-            "counters": self._counters,
-            "faults": self.faults.as_json(),
             "words": WORDS,
+            "units": {_name(number): unit.row for number, unit in self._units().items()},
+            "faults": self._faults.rows(),
+            "counters": {name: each for name, each in counters.items() if isinstance(each, int)},
+            **self.log.tables(),
         }
 
-    def changes(self) -> Changes:
-        passed, written, version = self._told
-        found: Changes = {"log": self.log.rows(passed), "written": self.log.written(written)}
-        counters: dict[str, int] = {
-            name: value
-            for name, value in asdict(self._server.statistics).items()
-            if isinstance(value, int)
-        }
-        found["counters"] = {
-            name: value for name, value in counters.items() if value != self._counters.get(name)
-        }
-        self._counters = counters
-        if version != (latest := self.faults.version):
-            version, found["faults"] = latest, self.faults.as_json()
-        if found["log"]:
-            passed = found["log"][-1].number
-        if found["written"]:
-            written = found["written"][-1].number
-        self._told = passed, written, version
-        return {name: value for name, value in found.items() if value or name == "faults"}
+    # --- the view ------------------------------------------------------------------------------
 
-    # --- history -------------------------------------------------------------------------------
+    def view(self, given: Given) -> View:
+        first, stop = (integer(name, given[name], 0, TABLE_SIZE) for name in ("first", "stop"))
+        what = given["what"]
+        if what != "points":
+            _checked_table("what", what)
+        return self._unit(given).number, what, first, stop
+
+    def viewed(self, view: View) -> Tables:
+        """Return a table whose name is that of the unit and of the table that are shown."""
+        number, what, first, stop = view
+        unit = self._shown.units.get(number)
+        if unit is None:
+            return {}
+        if what == "points":
+            rows = point_rows(unit, first, stop, self._samples_of)
+        else:
+            rows = cell_rows(unit, what, first, stop)
+        return {f"{_name(number)}/{what}": rows}
 
     def _samples_of(self, unit: ShownUnit, point: Point) -> Samples:
         """Return the samples of a point; those of points not shown for longest make room."""
         key = unit.number, point.name
-        samples = self._samples.pop(key, None) or Samples()
+        samples = self._samples.pop(key, None) or Samples(SAMPLED)
         while len(self._samples) >= MOST_SAMPLED:
             self._samples.pop(next(iter(self._samples)))
         self._samples[key] = samples
         return samples
 
-    def _history(self, given: Mapping[str, Any]) -> Changes:
+    def _history(self, given: Given) -> dict[str, Any]:
         row = given["row"]
         if not isinstance(row, list) or len(row) != 2 or not isinstance(row[1], str):
             raise ValueError("row must be a unit and a name")
-        unit = self.unit(row[0])
+        unit = self._unit({"unit": row[0]})
         samples = self._samples.get((unit.number, row[1]))
         points = [each for each in unit.points if each.name == row[1]]
         if samples is None or not points:
             raise ValueError("this value no longer exists")
         now = time.time()
-        since = now - number("seconds", given["seconds"], 1, 86_400)
-        return charted(samples.pairs(since), now, points[0].units)
+        since = now - number("seconds", given["seconds"], 1, MOST_SECONDS)
+        return charted(samples.pairs(since), now, points[0].units, SAMPLED)
 
-    # --- views ---------------------------------------------------------------------------------
+    # --- changes -------------------------------------------------------------------------------
 
-    def key(self, given: Mapping[str, Any]) -> Key:
-        first, stop = (integer(name, given[name], 0, TABLE_SIZE) for name in ("first", "stop"))
-        unit, what = self.unit(given["unit"]), given["what"]
-        if not isinstance(what, str) or (what != "points" and what not in TABLES):
-            raise ValueError("what must be points or a table")
-        return unit.number, what, first, stop
+    def _set(self, given: Given) -> None:
+        unit, text = self._unit(given), given["text"]
+        if not isinstance(text, str):
+            raise TypeError("text must be a string")
+        if "point" in given:
+            point = _point(unit, given)
+            set_point(unit, point, text)
+            self._record(unit, point.table, point.cells)
+        else:
+            table, address = _checked_table("table", given["table"]), _address(given)
+            cells = set_cells(unit, table, address, text, given["type"], given["order"])
+            self._record(unit, table, cells)
 
-    def view(self, key: Key) -> PageView | None:
-        number, what, first, stop = key
-        unit = self._shown.units.get(number)
-        if unit is None:  # the unit is gone
-            return None
-        if what == "points":
-            return PointsView(unit, first, stop, self._samples_of)
-        return CellsView(unit, what, first, stop)
+    def _record(self, unit: ShownUnit, table: str, cells: range) -> None:
+        self.log.wrote(unit.number, table, cells.start, cells.stop, "this page")
 
-    def is_current(self, view: PointsView | CellsView) -> bool:
-        return view.unit is self._shown.units.get(view.unit.number)
+    def _read(self, given: Given) -> object:
+        table = _checked_table("table", given["table"])
+        return {"readings": readings_at(self._unit(given), table, _address(given))}
 
-    def named(self, key: Key) -> Changes:
-        return {"unit": key[0], "what": key[1]}
+    def _hold(self, given: Given) -> None:
+        unit = self._unit(given)
+        point = _point(unit, given)
+        if not isinstance(unit.device, CanHold):
+            raise ValueError(f"{point.name} never moves by itself")
+        unit.device.hold(point, is_on=given["on"] is True)
+
+    def _switch(self, given: Given) -> None:
+        number = integer("number", given["number"], 0, 1_000_000_000)
+        self._faults.turn(number, is_on=given["on"] is True)
+
+    def _add(self, given: Given) -> None:
+        unit = None if given["unit"] is None else self._unit(given).number
+        fault = Fault(**{name: given[name] for name in SETTINGS if given.get(name) is not None})
+        self._faults.add(unit, fault)
+
+
+def _name(number: int | None) -> str:
+    return "every" if number is None else str(number)
+
+
+def _point(unit: ShownUnit, given: Given) -> Point:
+    point = unit.points[integer("point", given["point"], 0, len(unit.points) - 1)]
+    if point.name != given["name"]:
+        raise ValueError("this point no longer exists")
+    return point
+
+
+def _checked_table(argument: str, name: object) -> str:
+    if not isinstance(name, str) or name not in TABLES:
+        raise ValueError(f"{argument} must be one of {', '.join(TABLES)}")
+    return name
+
+
+def _address(given: Given) -> int:
+    return integer("address", given["address"], 0, TABLE_SIZE)

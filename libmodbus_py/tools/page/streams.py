@@ -1,5 +1,15 @@
 """
-Sends the changes to open pages, at most ten times a second.
+Keeps open pages up to date: each is sent the rows that it lacks, at most ten times a second.
+
+A page shows tables of rows: ``{table: {key: row}}``, in JSON. For each open page, the server keeps
+the tables that it has sent, compares them with those that the page shows now, and sends the
+difference, which is the only kind of message::
+
+    {"log": {"17": [...], "3": null}, "1/coils": null}
+
+A row is new or has changed; null in its place means that the row, or the whole table, is gone. A
+new page has no tables, so its first message contains everything. A page that has not read its last
+message gets the next one afterwards, with all that has changed meanwhile.
 """
 
 from __future__ import annotations
@@ -8,73 +18,135 @@ import contextlib
 import secrets
 import threading
 import time
-from collections.abc import Hashable, Iterator, Mapping
-from typing import Any
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from typing import Any, Protocol
 
 from ...ports.hosts import start_thread
 from ...protocol.json_text import COMPACT_JSON
 from ...protocol.logs import HarmlessLogger
 from ...system import Flag
-from .source import Changes, PageSource, PageView
 
-__all__ = ["MOST_STREAMS", "FullError", "PageStream", "Streams"]
+__all__ = [
+    "Action",
+    "Download",
+    "FullError",
+    "PageSource",
+    "PageStream",
+    "Streams",
+    "Tables",
+    "difference",
+]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
+# Pages that may be open at once: each takes a thread.
 MOST_STREAMS = 16
 
-# Seconds between two searches for changes. Each search is followed by a pause of at least nine
-# times its duration, so that searches take at most a tenth of one processor.
+# Seconds between two comparisons. Each is followed by a pause of at least nine times its duration,
+# so that comparisons take at most a tenth of one processor.
 PERIOD = 0.1
 REST = 9
 
-# The changes of each view, as JSON.
-Texts = dict[Hashable, str]
+Tables = dict[str, Mapping[Any, Any]]
+"""Table -> key -> row, for JSON. Rows that were returned are not changed afterwards."""
+
+Action = Callable[[Mapping[str, Any]], object]
+"""
+Takes the JSON object of a request, and returns the JSON object of the response. Raises TypeError,
+ValueError or KeyError if the object is wrong or lacks a key.
+"""
+
+Download = Callable[[Mapping[str, str]], str]
+"""Takes the fields of a query, and returns CSV."""
+
+
+class PageSource(Protocol):
+    """
+    The things that all open pages of one address show; a thread of the page calls the methods.
+    """
+
+    @property
+    def script(self) -> str:
+        """The script of the page that shows these tables."""
+        ...
+
+    @property
+    def actions(self) -> Mapping[str, Action]:
+        """The functions that answer requests of pages, by path; called in any thread."""
+        ...
+
+    @property
+    def downloads(self) -> Mapping[str, Download]:
+        """The functions that make files to download, by path; called in any thread."""
+        ...
+
+    def common(self) -> Tables:
+        """Return the tables that all pages show."""
+        ...
+
+    def view(self, given: Mapping[str, Any]) -> Hashable:
+        """
+        Return the view that a page requests.
+
+        Raises:
+            TypeError, ValueError, KeyError: there is no such view.
+        """
+        ...
+
+    def viewed(self, view: Any) -> Tables:
+        """Return the tables of a view; none if it does not exist any more."""
+        ...
+
+
+def difference(before: Tables, after: Tables) -> dict[str, Any]:
+    """Return the rows that have changed; None in place of rows and tables that are gone."""
+    found: dict[str, Any] = {}
+    for table, rows in after.items():
+        old = before.get(table)
+        if old is None:
+            found[table] = rows
+        elif old != rows:
+            changed = {key: row for key, row in rows.items() if key not in old or old[key] != row}
+            found[table] = changed | dict.fromkeys(old.keys() - rows.keys())
+    return found | dict.fromkeys(before.keys() - after.keys())
 
 
 class FullError(Exception):
     """`MOST_STREAMS` pages are open."""
 
 
-class View:
-    """The key of the view of a page. If a new object is set, the whole view is sent again."""
-
-    def __init__(self, key: Hashable) -> None:
-        self.key = key
-
-
 class PageStream:
     """
-    One open page. It has one message at a time; changes that it is too slow to take are dropped.
+    One open page.
 
     Attributes:
         name: identifies the page in its requests.
         wake: a descriptor that is readable when there is a message.
-        view: the view that it shows.
+        view: the view that the page shows; None before its first request.
     """
 
     def __init__(self) -> None:
         self.name: str = secrets.token_hex(8)
+        self.opened: float = time.time()
+        self.view: Hashable = None
         self._flag = Flag()
         self.wake: int = self._flag.descriptor
-        self.view = View(None)
-        # What the page has received: whether everything, of which structure, and for which view.
-        self.is_behind = True
-        self.shown: object = None
-        self.told: View | None = None
+        self._sent: Tables = {}
         self._lock = threading.Lock()
         self._message = ""
 
-    def offer(self, message: str) -> bool:
-        """Offer a message; return False if the page has not taken the previous one."""
+    def bring(self, tables: Tables) -> None:
+        """Send what differs from the tables that were sent, once the last message was taken."""
         with self._lock:
             if self._message or self.wake < 0:
-                return False
-            self._message = message
-            self._flag.set()
-        return True
+                return
+            if changed := difference(self._sent, tables):
+                self._message = f"data: {COMPACT_JSON.encode(changed)}\n\n"
+                self._sent = tables
+                self._flag.set()
 
     def take(self) -> str:
+        """Return the message that waits."""
         with self._lock:
             message, self._message = self._message, ""
             self._flag.clear()
@@ -96,12 +168,10 @@ class Streams:
 
     def __init__(self, source: PageSource) -> None:
         self.source = source
-        self._shown: object = None
         self._streams: dict[str, PageStream] = {}
-        self._views: dict[Hashable, PageView] = {}
         self._changed = threading.Condition()
         self._is_wanted = True
-        self._is_asked = False  # a page waits for its first message
+        self._is_asked = False  # a page waits for its first message, or for another view
         self._has_failed = False
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
 
@@ -137,8 +207,7 @@ class Streams:
                 raise FullError(f"{MOST_STREAMS} pages are open, which is the maximum")
             stream = PageStream()
             self._streams[stream.name] = stream
-            self._is_asked = True
-            self._changed.notify_all()
+            self._ask()
         try:
             yield stream
         finally:
@@ -157,11 +226,14 @@ class Streams:
         stream = self._streams.get(name) if isinstance(name, str) else None
         if stream is None:
             raise ValueError("this page is no longer open")
-        key = self.source.key(given)
+        view = self.source.view(given)
         with self._changed:
-            stream.view = View(key)
-            self._is_asked = True
-            self._changed.notify_all()
+            stream.view = view
+            self._ask()
+
+    def _ask(self) -> None:
+        self._is_asked = True
+        self._changed.notify_all()
 
     # --- messages ----------------------------------------------------------------------
 
@@ -169,7 +241,7 @@ class Streams:
         while self._wait():
             before = time.thread_time()
             try:
-                self._look()
+                self._send()
             except Exception:
                 if not self._has_failed:  # once, not ten times a second
                     self._has_failed = True
@@ -187,56 +259,14 @@ class Streams:
             self._changed.wait_for(lambda: self._streams or not self._is_wanted)
             return self._is_wanted
 
-    def _look(self) -> None:
-        source = self.source
-        self._shown = source.structure()
-        self._views = {key: view for key, view in self._views.items() if source.is_current(view)}
+    def _send(self) -> None:
         with self._changed:
-            streams = list(self._streams.values())
-        common = _encoded(source.changes())
-        views = [each.view for each in streams]
-        changes = self._changes({each.key for each in views if each.key is not None})
-        for stream, view in zip(streams, views, strict=True):
-            self._tell(stream, view, common, changes)
-
-    def _tell(self, stream: PageStream, view: View, common: str, changes: Texts) -> None:
-        key = view.key
-        if stream.is_behind or stream.shown is not self._shown:
-            message = _message(_encoded(self._everything(stream)), self._all(key))
-        elif stream.told is not view:
-            message = _message(common, self._all(key))
-        else:
-            message = _message(common, changes.get(key, ""))
-        stream.is_behind = bool(message) and not stream.offer(message)
-        if not stream.is_behind:
-            stream.shown, stream.told = self._shown, view
-
-    def _changes(self, keys: set[Hashable]) -> Texts:
-        self._views = {key: view for key in keys if (view := self._made(key)) is not None}
-        found = ((key, view.look()) for key, view in self._views.items())
-        return {key: self._text(key, changes) for key, changes in found if changes}
-
-    def _made(self, key: Hashable) -> PageView | None:
-        return self._views.get(key) or self.source.view(key)
-
-    def _all(self, key: Hashable) -> str:
-        view = self._views.get(key)
-        return "" if view is None else self._text(key, view.all())
-
-    def _text(self, key: Hashable, changes: Changes) -> str:
-        return _encoded({**self.source.named(key), **changes})
-
-    def _everything(self, stream: PageStream) -> Changes:
-        found = {"all": True, "page": self.source.document, "stream": stream.name}
-        more = self.source.described() if stream.shown is not self._shown else {}
-        return {**found, **self.source.everything(), **more}
-
-
-def _encoded(found: Changes) -> str:
-    """Return a JSON object without its braces."""
-    return COMPACT_JSON.encode(found)[1:-1]
-
-
-def _message(*parts: str) -> str:
-    inside = ",".join(part for part in parts if part)
-    return f"data: {{{inside}}}\n\n" if inside else ""
+            looking = [(each, each.view) for each in self._streams.values()]
+        common = self.source.common()
+        viewed = {
+            view: self.source.viewed(view)
+            for view in {view for _, view in looking if view is not None}
+        }
+        for stream, view in looking:
+            own = {"script": self.source.script, "stream": stream.name, "now": stream.opened}
+            stream.bring({"page": own, **common, **viewed.get(view, {})})

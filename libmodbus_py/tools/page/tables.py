@@ -1,108 +1,120 @@
 """
-The tables of a page: columns, rows, and the values with their samples.
+The source of the page of a fleet, a gateway or a watch: a table, its search, and charts.
 """
 
 from __future__ import annotations
 
-import reprlib
-from collections.abc import Callable, Iterable, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, Protocol
 
-from .samples import Samples, samples_of_each
+from ...protocol.checks import integer, number
+from .log import Log
+from .samples import MOST_PAIRS, Pairs, Series, charted, with_gaps
+from .streams import Action, Download, Tables
+from .text import cell_text
 
-__all__ = [
-    "SPARK",
-    "Column",
-    "PageTable",
-    "Series",
-    "TableValue",
-    "ValuesTable",
-    "cell_text",
-    "value_text",
-]
+__all__ = ["Column", "Older", "PageRow", "Shown", "TableSource"]
 
-MOST_TEXT = 200
-"""The most characters of a cell."""
+# Rows of one view; a window shows fewer.
+MOST_VISIBLE = 200
 
-SPARK = 60
-"""The most samples of a sparkline."""
+# Characters of a search text.
+MOST_FOUND = 100
 
-MOST_VALUES = 20
-"""The most items of a list that a cell shows."""
+# The greatest index of a row.
+MOST_ROWS = 10_000_000
+
+# Seconds of the longest chart.
+MOST_SECONDS = 7 * 86_400.0
+
+# A time of fewer seconds before the samples in memory is not filled from the journal.
+SHORTEST = 2.0
+
+# Seconds between two selections of the rows that are searched for, or have problems.
+SELECTED = 1.0
+
+Older = Callable[[str, str, float, float, int], Sequence["tuple[float, float | None]"]]
+"""Device, name, since, until and most -> samples of a longer memory, the oldest first."""
+
+# What is searched for, True for problems only, first and end.
+View = tuple[str, bool, int, int]
 
 
 class Column(NamedTuple):
     """
-    A column of a table.
+    A column of the table.
 
     Attributes:
         title: the title of the column.
-        kind: how its cells are shown: "row" names the row, "age" and "since" are times in seconds
-            since the epoch, "state" is good or not, "spark" are the levels of a sparkline, which
-            opens a chart.
+        kind: how its cells are shown: "row" names the row by a group, a name and perhaps more;
+            "state" is a word, a reason, and since when; "value" is a text and its units; "age" and
+            the time of a state are seconds since the epoch, or 0; "spark" are the levels of a
+            sparkline, which opens a chart; None for no chart.
         is_wide: True if narrow screens, such as those of telephones, leave the column out.
     """
 
     title: str
-    kind: Literal["row", "text", "note", "value", "number", "age", "since", "state", "spark"] = (
-        "text"
-    )
+    kind: Literal["row", "text", "note", "value", "number", "age", "state", "spark"] = "text"
     is_wide: bool = False
 
 
-class Series(NamedTuple):
-    """
-    The numbers that a chart shows.
-
-    Attributes:
-        samples: the times and values.
-        units: the units of measurement.
-        is_stepped: True if a number is valid until the next one, because it is sampled on change.
-    """
-
-    samples: Samples
-    units: str
-    is_stepped: bool = False
-
-
-class PageTable(Protocol):
-    """
-    A table, whose rows may be any objects. A thread of the page calls the methods.
-    """
+class PageRow(Protocol):
+    """A row of the table; a thread of the page calls its methods."""
 
     @property
-    def name(self) -> str:
-        """The name by which requests choose it."""
+    def words(self) -> str:
+        """The text that is searched, in lower case."""
+        ...
+
+    @property
+    def is_problem(self) -> bool:
+        """True if the row shows a problem."""
+        ...
+
+    def cells(self) -> list[Any]:
+        """Return a cell for each column, for JSON."""
+        ...
+
+
+class Shown(Protocol):
+    """The table of a page and its head; a thread of the page calls the methods."""
+
+    @property
+    def kind(self) -> str:
+        """The kind of the page in one word, such as "fleet"."""
         ...
 
     @property
     def title(self) -> str:
-        """Its caption."""
+        """The title of the page."""
         ...
 
     @property
     def columns(self) -> Sequence[Column]:
-        """The columns of its cells."""
+        """The columns of the table."""
         ...
 
-    def rows(self) -> Sequence[Any]:
-        """Return the rows in order; the same object again unless they have changed."""
+    @property
+    def log(self) -> Log | None:
+        """The log that is shown beside the table; None for no log."""
         ...
 
-    def words(self, row: Any) -> str:
-        """Return the text of a row that is searched, in lower case."""
+    @property
+    def older(self) -> Older | None:
+        """Finds samples of values that are not in memory any more; None without a journal."""
         ...
 
-    def is_trouble(self, row: Any) -> bool:
-        """Return True if the row shows a problem."""
+    def status(self) -> tuple[str, bool]:
+        """Return a sentence for the head of the page, and True if it names a problem."""
         ...
 
-    def stamp(self, row: Any) -> object:
-        """Return an object that is not equal to the last one if the cells may have changed."""
+    def figures(self) -> Mapping[str, float]:
+        """Return the numbers at a glance, by their names."""
         ...
 
-    def cells(self, row: Any) -> list[Any]:
-        """Return a cell for each column."""
+    def rows(self) -> Sequence[PageRow]:
+        """Return the rows in order."""
         ...
 
     def series(self, name: tuple[str, str], column: str) -> Series | None:
@@ -116,148 +128,97 @@ class PageTable(Protocol):
         ...
 
 
-class TableValue:
+class TableSource:
     """
-    A named value.
-
-    Attributes:
-        device, name, units: the names of device and point, and the units of measurement.
-        reading: time, device, name, value, unit, quality, reason, and perhaps more; None at first.
-        samples: the last numbers of the value.
-    """
-
-    __slots__ = ("device", "name", "reading", "samples", "units")
-
-    def __init__(self, device: str, name: str, units: str, samples: Samples) -> None:
-        self.device: str = device
-        self.name: str = name
-        self.units: str = units
-        self.reading: tuple[Any, ...] | None = None
-        self.samples: Samples = samples
-
-
-class ValuesTable:
-    """
-    A `PageTable` of the last value of each point. Any thread may call `put`.
+    A `PageSource` of a table.
 
     Args:
-        seen: called with a device; returns when it last answered, in seconds since the epoch. A
-            good value is as old as that, or as its reading if that is newer.
-        is_stepped: called with device and name; see `Series`.
+        shown: what the page shows.
     """
 
-    name: str = "values"
-    title: str = "Values"
-    columns: Sequence[Column] = (
-        Column("point", "row"),
-        Column("value", "value"),
-        Column("unit"),
-        Column("last values", "spark"),
-        Column("lowest", "number", is_wide=True),
-        Column("highest", "number", is_wide=True),
-        Column("quality", "state", is_wide=True),
-        Column("age", "age", is_wide=True),
-    )
+    script = "table.js"
 
-    def __init__(
-        self,
-        seen: Callable[[str], float] = lambda device: 0.0,
-        is_stepped: Callable[[str, str], bool] = lambda device, name: False,
-    ) -> None:
-        self._seen = seen
-        self._is_stepped = is_stepped
-        self._values: dict[tuple[str, str], TableValue] = {}
-        self._rows: list[TableValue] = []
+    def __init__(self, shown: Shown) -> None:
+        self._shown = shown
+        # What is searched for -> until when this selection is used, and its rows.
+        self._selections: dict[tuple[str, bool], tuple[float, Sequence[PageRow]]] = {}
+        self.actions: Mapping[str, Action] = {"/history": self._history}
+        log = shown.log
+        self.downloads: Mapping[str, Download] = {} if log is None else {"/log.csv": log.download}
 
-    def describe(self, points: Iterable[tuple[str, str, str]]) -> None:
-        """
-        Set the points of the table, and keep the values of those that it already contains.
+    def common(self) -> Tables:
+        shown, log = self._shown, self._shown.log
+        text, is_problem = shown.status()
+        head = {
+            "kind": shown.kind,
+            "title": cell_text(shown.title),
+            "columns": [list(column) for column in shown.columns],
+            "has_log": log is not None,
+            "has_journal": shown.older is not None,
+            "status": [cell_text(text), is_problem],
+        }
+        return {"head": head, "figures": dict(shown.figures()), **(log.tables() if log else {})}
 
-        Args:
-            points: device, name and units of each point.
-        """
-        before, after = self._values, dict[tuple[str, str], TableValue]()
-        given = list(points)
-        most = samples_of_each(len(given))
-        for device, name, units in given:
-            value = before.get((device, name)) or TableValue(device, name, units, Samples(most))
-            value.units = units
-            value.samples.resize(most)
-            after[device, name] = value
-        self._values, self._rows = after, list(after.values())
+    # --- the view ------------------------------------------------------------------------------
 
-    def put(self, readings: Iterable[tuple[Any, ...]]) -> None:
-        """Take readings, each with the fields of `TableValue.reading`."""
-        values = self._values
-        for each in readings:
-            value = values.get((each[1], each[2]))
-            if value is not None:
-                value.reading = each
-                value.samples.add(each[0], each[3])
+    def view(self, given: Mapping[str, Any]) -> View:
+        wanted = given["find"]
+        first, stop = (integer(each, given[each], 0, MOST_ROWS) for each in ("first", "stop"))
+        if not isinstance(wanted, str) or len(wanted) > MOST_FOUND:
+            raise ValueError(f"find must be a string of at most {MOST_FOUND} characters")
+        return wanted.lower(), given["problems"] is True, first, min(stop, first + MOST_VISIBLE)
 
-    def series(self, name: tuple[str, str], column: str) -> Series | None:
-        value = self._values.get(name)
-        if value is None:
-            return None
-        return Series(value.samples, value.units, self._is_stepped(*name))
+    def viewed(self, view: View) -> Tables:
+        wanted, only, first, stop = view
+        rows = self._selected(wanted, only)
+        shown = {at: row.cells() for at, row in enumerate(rows[first:stop], first)}
+        return {"view": {"count": len(rows), "find": wanted}, "rows": shown}
 
-    # --- the table -----------------------------------------------------------------------------
+    def _selected(self, wanted: str, only: bool) -> Sequence[PageRow]:
+        rows = self._shown.rows()
+        if not (wanted or only):
+            return rows
+        now = time.monotonic()
+        self._selections = {key: each for key, each in self._selections.items() if each[0] > now}
+        if (wanted, only) not in self._selections:
+            words = wanted.split()
+            found = [each for each in rows if _is_wanted(each, words, only)]
+            self._selections[wanted, only] = now + SELECTED, found
+        return self._selections[wanted, only][1]
 
-    def rows(self) -> list[TableValue]:
-        return self._rows
+    # --- history -------------------------------------------------------------------------------
 
-    def words(self, row: TableValue) -> str:
-        return f"{row.device} {row.name} {row.units}".lower()
+    def _history(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        name, column = given["row"], given["column"]
+        if not isinstance(name, list) or len(name) != 2 or not _are_texts([*name, column]):
+            raise ValueError("row must be a list of two strings, and column a string")
+        series = self._shown.series((name[0], name[1]), column)
+        if series is None:
+            raise ValueError("this value no longer exists")
+        now = time.time()
+        since = now - number("seconds", given["seconds"], 1, MOST_SECONDS)
+        every = series.samples.every
+        pairs = self._with_older(series.samples.pairs(since), name, since, now, every)
+        return charted(pairs, now, cell_text(series.units), every)
 
-    def is_trouble(self, row: TableValue) -> bool:
-        return row.reading is not None and row.reading[5] != "good"
-
-    def stamp(self, row: TableValue) -> object:
-        return row.reading, self._seen(row.device)
-
-    def cells(self, row: TableValue) -> list[Any]:
-        reading, samples = row.reading, row.samples
-        names = [cell_text(row.device), cell_text(row.name)]
-        if reading is None:
-            return [names, None, cell_text(row.units), [], None, None, ["new", ""], 0]
-        is_good = reading[5] == "good"
-        age = max(reading[0], self._seen(row.device)) if is_good else reading[0]
-        return [
-            names,
-            value_text(reading[3]) if reading[3] is not None else "-",
-            cell_text(row.units),
-            samples.spark(SPARK),
-            None if samples.low is None else value_text(samples.low),
-            None if samples.high is None else value_text(samples.high),
-            [reading[5], cell_text(reading[6])],
-            round(age, 1),
-        ]
+    def _with_older(
+        self, recent: Pairs, name: Sequence[str], since: float, now: float, every: float | None
+    ) -> Pairs:
+        until = recent[0][0] if recent else now
+        if self._shown.older is None or until - since < SHORTEST:
+            return recent
+        most = 4 * MOST_PAIRS
+        older = self._shown.older(name[0], name[1], since, until, most)
+        # Of each of `most` / 3 spans of time, a journal returns three samples at most.
+        apart = None if every is None else max(every, 2 * 3 / most * (until - since))
+        return with_gaps([*(each for each in older if each[0] < until), *recent], apart)
 
 
-# Characters of a number that is shown to the last digit.
-LONGEST = 12
+def _are_texts(given: Sequence[object]) -> bool:
+    return all(isinstance(each, str) for each in given)
 
 
-def cell_text(text: object) -> str:
-    """Return a text for a cell: cut, and without characters that cannot be printed."""
-    found = text if isinstance(text, str) else str(text)
-    cut = found[:MOST_TEXT]
-    plain = cut if cut.isprintable() else "".join(x if x.isprintable() else "?" for x in cut)
-    return plain if len(found) <= MOST_TEXT else f"{plain}..."
-
-
-def value_text(value: Any) -> str:
-    """Return a value as text, of at most about `MOST_TEXT` characters."""
-    if isinstance(value, bool):
-        return "on" if value else "off"
-    if isinstance(value, float):
-        # A longer number was decoded from 32 bits, which hold only seven exact digits.
-        return text if len(text := repr(value)) <= LONGEST else f"{value:.7g}"
-    if isinstance(value, list | tuple):
-        more = ", ..." if len(value) > MOST_VALUES else ""
-        return cell_text(", ".join("-" if x is None else value_text(x) for x in value[:20]) + more)
-    if isinstance(value, dict):
-        return cell_text(" ".join(f"{name}={value_text(each)}" for name, each in value.items()))
-    if isinstance(value, int | str):
-        return cell_text(value)
-    return cell_text(reprlib.repr(value))
+def _is_wanted(row: PageRow, words: Sequence[str], only: bool) -> bool:
+    if only and not row.is_problem:
+        return False
+    return not words or all(each in row.words for each in words)

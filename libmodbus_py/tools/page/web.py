@@ -16,8 +16,7 @@ from urllib.parse import parse_qsl, urlsplit
 from ...protocol.json_text import json_text
 from ..timed_server import TimedServer
 from .guard import PageGuard
-from .source import Action
-from .streams import FullError, PageStream, Streams
+from .streams import Action, FullError, PageStream, Streams
 
 __all__ = ["WebServer"]
 
@@ -33,21 +32,16 @@ MOST_FIELDS = 8
 
 FOLDER = resources.files(__package__ or "")
 
-SCRIPT = "text/javascript; charset=utf-8"
-
-HTML = "text/html; charset=utf-8"
-
 FILES = {
-    "/": ("", HTML),
+    "/": ("page.html", "text/html; charset=utf-8"),
     "/page.css": ("page.css", "text/css; charset=utf-8"),
-    "/tables.css": ("tables.css", "text/css; charset=utf-8"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
 } | {
-    f"/scripts/{each.name}": (f"scripts/{each.name}", SCRIPT)
+    f"/scripts/{each.name}": (f"scripts/{each.name}", "text/javascript; charset=utf-8")
     for each in FOLDER.joinpath("scripts").iterdir()
     if each.name.endswith(".js")
 }
-"""Path -> file in this folder, and its media type; the source names the document of "/"."""
+"""Path -> file in this folder, and its media type."""
 
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self';"
@@ -169,7 +163,7 @@ class Handler(BaseHTTPRequestHandler):
         if path not in FILES:
             raise Refused(404, "not found")
         name, kind = FILES[path]
-        data = FOLDER.joinpath(name or self.server.streams.source.document).read_bytes()
+        data = FOLDER.joinpath(name).read_bytes()
         self._send(200, kind, data, with_cookie=path == "/")
 
     def _post(self, path: str, query: str) -> None:

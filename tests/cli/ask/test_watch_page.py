@@ -5,6 +5,7 @@ read --watch --page: the values in a browser too, while they are printed as with
 from __future__ import annotations
 
 import signal
+from typing import Any
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.cli.ask.formatters import FormattedValue, ReadResult, formatter_of
@@ -22,15 +23,16 @@ def test_values_are_shown_and_printed() -> None:
             line = process.stderr.readline()
             assert line.startswith("page on ")
             with Visitor(line.split()[-1]).watching() as visitor:
-                assert visitor.seen["kind"] == "watch"
-                assert running.urls[0] in visitor.seen["title"]
-                visitor.look_at("values")
+                assert visitor.seen["head"]["kind"] == "watch"
+                assert running.urls[0] in visitor.seen["head"]["title"]
+                visitor.look_at()
+                visitor.receive(lambda: len(visitor.rows("rows")) == 4)
                 rows = visitor.seen["rows"]
-                visitor.receive(lambda: rows.get("2", [0, 0])[1] == "0")
-                assert rows["2"][0] == ["unit 1", "holding 2"]
+                visitor.receive(lambda: rows["3"][2] == ["0", ""])
+                assert rows["3"][0] == ["unit 1", "holding 2"]
                 mapping.holding_registers[2] = 77
-                visitor.receive(lambda: rows["2"][1] == "77")
-                assert rows["2"][5] == "77"  # the highest
+                visitor.receive(lambda: rows["3"][2] == ["77", ""])
+                assert rows["3"][5] == "77"  # the highest
                 assert process.stdout.readline().endswith("  0 0 0\n")
             process.send_signal(signal.SIGINT)
             process.wait()
@@ -52,30 +54,40 @@ class Silent:
 
 
 def test_what_fails_is_a_gap_with_its_reason() -> None:
-    shown = ShownWatch("meter", Silent())
+    shown = ShownWatch("meter", Silent(), 1.0)
     formatter = formatter_of(Item("holding_registers", 7, 1), as_all=False, in_hex=False)
     good = ReadResult(formatter, [FormattedValue("    7", "5", "5")], {})
-    (values,) = shown.tables
+    assert shown.status() == ("no answer yet", False)
+    shown.fail(3, "no answer")
+    assert cells(shown) == [[["", "unit 3"], "down", "no answer"]]
     for unit in (1, 2):
         shown.print(unit, [good])
+    assert shown.status() == ("no answer from unit 3", True)
     shown.fail(2, "no answer")
     shown.print(1, [good._replace(rows=[], failure="illegal data address")])
-    assert [values.cells(row)[6] for row in values.rows()] == [
-        ["bad", "illegal data address"],
-        ["down", "no answer"],
+    assert cells(shown) == [
+        [["", "unit 1"], "up", ""],
+        [["unit 1", "holding 7"], "bad", "illegal data address"],
+        [["", "unit 2"], "down", "no answer"],
+        [["unit 2", "holding 7"], "down", ""],
     ]
-    assert shown.figures() == {"polls": 4, "failed": 2}
+    assert [row.is_problem for row in shown.rows()] == [False, True, True, False]
+    assert shown.figures() == {"polls": 5, "failed": 3}
     shown.print(1, [good])
-    assert [values.cells(row)[1] for row in values.rows()] == ["5", "-"]
+    assert [row.cells()[2][0] for row in shown.rows()] == ["", "5", "", "-"]
+
+
+def cells(shown: ShownWatch) -> list[list[Any]]:
+    """Return the name, state and reason of each row."""
+    return [[row.cells()[0], *row.cells()[1][:2]] for row in shown.rows()]
 
 
 def test_a_total_that_fell_has_a_mark_for_one_poll() -> None:
-    shown = ShownWatch("meter", Silent())
+    shown = ShownWatch("meter", Silent(), 1.0)
     formatter = formatter_of(Item("holding_registers", 7, 1), as_all=False, in_hex=False)
     good = ReadResult(formatter, [FormattedValue("    7", "5", "5")], {})
-    (values,) = shown.tables
     found = []
     for result in (good, good._replace(has_fallen=True), good):
         shown.print(1, [result])
-        found += [values.cells(row)[6] for row in values.rows()]
-    assert found == [["good", ""], ["good", "Fell"], ["good", ""]]
+        found.append(shown.rows()[1].cells()[1])
+    assert found == [["good", "", 0], ["good", "fell", 0], ["good", "", 0]]

@@ -34,12 +34,13 @@ def test_a_person_watches_a_device(tmp_path: Path) -> None:
         what = ("read", running.urls[0], "--map", path, "--watch", "0.05")
         with Started(*what, "--page", "127.0.0.1:0") as process:
             driver.get(process.stderr.readline().split()[-1])
-            person.sees("#state", "live")
+            person.sees("#state", "connected")
+            person.sees("#status", "the device answers")
             until(lambda: driver.title.endswith(" - watch"))
-            person.sees("#rows tr[data-at='0'] .value", "20")
+            person.sees("#rows tr[data-at='1'] .value", "20")
             device["level"] = 25
-            person.sees("#rows tr[data-at='0'] .value", "25")
-            person.click("#rows tr[data-at='0'] button")
+            person.sees("#rows tr[data-at='1'] .value", "25")
+            person.click("#rows tr[data-at='1'] button")
             person.sees("#charted", "unit 1  level")
             person.sees("#read", "highest 25 cm")
             assert until(lambda: person.attribute("#plot .line", "d"))

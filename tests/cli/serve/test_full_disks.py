@@ -29,16 +29,17 @@ def test_a_journal_without_room_ends_nothing(tmp_path: Path) -> None:
         )
         with Started("poll", path, "--page", "127.0.0.1:0", folder=tmp_path) as process:
             with Visitor(process.stderr.readline().split()[-1]).watching() as visitor:
-                visitor.look_at("values")
+                visitor.look_at()
+                visitor.receive(lambda: len(visitor.rows("rows")) == 3)
                 rows = visitor.seen["rows"]
-                visitor.receive(lambda: rows.get("0", [0, 0])[1] == "0")
+                visitor.receive(lambda: rows["2"][2][0] == "0")
                 # As on a full disk, no file grows from here on.
                 limits = resource.prlimit(process.pid, resource.RLIMIT_FSIZE)
                 resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (0, limits[1]))
                 told = process.stderr.readline()
                 assert "fleet.db: the disk" in told
                 mapping.holding_registers[0] = 7
-                visitor.receive(lambda: rows["0"][1] == "7")
+                visitor.receive(lambda: rows["2"][2][0] == "7")
                 assert visitor.history(["one", "level"], 60)["values"][-1] == 7
                 resource.prlimit(process.pid, resource.RLIMIT_FSIZE, limits)
                 while "accepts readings again" not in process.stderr.readline():

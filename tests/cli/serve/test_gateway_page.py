@@ -19,16 +19,16 @@ def test_the_gateway_is_shown() -> None:
             lines = [process.stdout.readline() for _ in range(2)]
             urls = {line.split()[0]: line.split()[-1] for line in lines}
             with Visitor(urls["page"]).watching() as visitor:
-                assert visitor.seen["kind"] == "gateway"
-                assert visitor.seen["title"] == "tcp://127.0.0.1:0"
+                assert visitor.seen["head"]["kind"] == "gateway"
+                assert visitor.seen["head"]["title"] == "tcp://127.0.0.1:0"
                 with Context.from_url(urls["listening"], unit=5, timeout=10) as plc:
                     plc.read_holding_registers(0, 2)
                 visitor.receive(lambda: visitor.seen["log"])
-                visitor.look_at("clients")
-                visitor.receive(lambda: visitor.seen["rows"])
+                visitor.look_at(find="127.0.0.1 function")
+                visitor.receive(lambda: visitor.rows("rows"))
                 assert visitor.seen["rows"]["0"][:3] == [
-                    ["127.0.0.1", "unit 5"],
-                    "3 read holding registers",
+                    ["127.0.0.1", "unit 5, 3 read holding registers"],
+                    ["client", "", 0],
                     1,
                 ]
             process.send_signal(signal.SIGTERM)

@@ -37,20 +37,21 @@ def test_the_fleet_is_shown_and_follows_its_file(fleet: Path) -> None:
         visitor = Visitor(line.removeprefix("page on ").rstrip("\n"))
         assert visitor.token == TOKEN
         with visitor.watching():
-            assert (visitor.seen["kind"], visitor.seen["title"]) == ("fleet", "plant.toml")
-            visitor.look_at("values")
-            rows = visitor.seen["rows"]
-            visitor.receive(lambda: rows.get("1", [0, 0])[1] == "4")
-            assert [each[:3] for each in rows.values()] == [
-                [["one", "level"], "17", "m"],
-                [["one", "pressure"], "4", "bar"],
-            ]
+            head = visitor.seen["head"]
+            assert (head["kind"], head["title"]) == ("fleet", "plant.toml")
+            visitor.look_at()
+            visitor.receive(lambda: len(visitor.rows("rows")) == 3)
+            assert visitor.rows("rows")[0][0][1] == "one"
+            visitor.receive(
+                lambda: (
+                    [[each[0], each[2]] for each in visitor.rows("rows")[1:]]
+                    == [[["one", "level"], ["17", "m"]], [["one", "pressure"], ["4", "bar"]]]
+                )
+            )
             fleet.write_text(fleet.read_text().replace("'one'", "'two'"))
             process.send_signal(signal.SIGHUP)
-            visitor.receive(lambda: rows["0"][0] == ["two", "level"] and rows["0"][1] == "17")
-            visitor.look_at("devices")
-            visitor.receive(lambda: visitor.seen["rows"])
-            assert visitor.seen["rows"]["0"][0][1] == "two"
+            visitor.receive(lambda: visitor.rows("rows")[0][0][1] == "two")
+            visitor.receive(lambda: visitor.rows("rows")[1][2] == ["17", "m"])
         process.send_signal(signal.SIGINT)
         assert process.wait() == 0
         assert process.stdout.read() == ""

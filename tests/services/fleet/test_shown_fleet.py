@@ -1,31 +1,57 @@
 """
-A fleet as a page shows it: values with their age, devices that are down, since when and why, and
-devices that come and go while somebody looks.
+A fleet as a page shows it: outputs, values with their age, devices that are down, since when and
+why, and devices that come and go while somebody looks.
 """
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 from typing import Any
 
 from libmodbus_py import Fleet
-from libmodbus_py.services.fleet.journal.journal_reader import HistoricalValue
+from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.shown_fleet import PageOutput, ShownFleet
+from libmodbus_py.services.fleet.statistics import JournalStatistics
 from tests.services.fleet.fleets import Peer, good, meter, simulated_run, until
 
 
-def row_of(values: Any, device: str, name: str) -> Any:
-    return next(row for row in values.rows() if (row.device, row.name) == (device, name))
+class Away:
+    """An output that cannot be reached while `is_away`."""
+
+    name = "database"
+
+    def __init__(self) -> None:
+        self.is_away = True
+        self.readings: list[Reading] = []
+
+    async def open(self) -> None:
+        if self.is_away:
+            raise ConnectionRefusedError(111, "Connection refused")
+
+    async def write(self, readings: Sequence[Reading]) -> None:
+        self.readings += readings
+
+    async def close(self) -> None:
+        """Do nothing."""
 
 
-def cells(table: Any) -> dict[str, list[Any]]:
-    """The cells of each row, by the name of the row."""
-    return {" ".join(row[0][:2]).strip(): row for row in map(table.cells, table.rows())}
+def rows(shown: ShownFleet) -> dict[str, Any]:
+    """Return the rows by their names."""
+    return {" ".join(row.cells()[0][:2]).strip(): row for row in shown.rows()}
 
 
-def shown_of(fleet: Fleet, output: PageOutput) -> tuple[Any, Any]:
-    values, devices = ShownFleet("plant", fleet, output).tables
-    return values, devices
+def cells(shown: ShownFleet) -> dict[str, list[Any]]:
+    return {name: row.cells() for name, row in rows(shown).items()}
+
+
+def problems(shown: ShownFleet) -> list[str]:
+    return [name for name, row in rows(shown).items() if row.is_problem]
+
+
+def value(shown: ShownFleet, name: str) -> list[str]:
+    found: list[str] = cells(shown).get(name, [0, 0, ["", ""]])[2]
+    return found
 
 
 PAIR = [(1, "a"), (2, "b")]
@@ -42,43 +68,84 @@ def test_values_and_devices_also_of_one_that_is_down() -> None:
             devices = [meter(name, peer.url, unit=unit, timeout=0.1) for unit, name in PAIR]
             output = PageOutput()
             fleet = Fleet(devices, outputs=[output])
-            values, states = shown_of(fleet, output)
-            assert states.rows() == []
+            shown = ShownFleet("plant", fleet, output)
+            assert shown.rows() == []
             async with fleet:
-                assert [row[1][0] for row in cells(states).values()] == ["new", "new"]
+                assert shown.status() == ("0 of 2 devices answer", False)
+                await until(lambda: value(shown, "b power") == ["7", "W"])
+                await until(lambda: shown.status() == ("all 2 devices answer", False))
                 place = peer.url.partition("?")[0]
-                assert [states.words(row) for row in states.rows()] == [f"a {place}", f"b {place}"]
-                await until(lambda: fleet.statistics.up == 2)
-                await until(lambda: len(cells(values)) == 6)
-                await until(lambda: cells(values)["b power"][1] == "7")
-                assert cells(values)["b power"][2:3] + cells(values)["b power"][6:7] == [
-                    "W",
-                    ["good", ""],
-                ]
-                up = cells(states)["b"]
-                assert up[1] == ["up", "", ""]
-                assert 0 < up[2] <= up[3]
-                assert up[4:] == [2, "0.1 s", 3]
-                told = fleet.devices["b"]
-                assert up[2:4] == [round(told.since, 1), round(told.answered_at, 1)]
+                assert list(rows(shown))[:2] == ["a", "a voltage"]
+                assert rows(shown)["b"].words == f"b {place}"
+                assert cells(shown)["b power"][1] == ["good", "", 0]
+                up, told = cells(shown)["b"], fleet.devices["b"]
+                assert up[0] == ["", "b", f"{place}, unit 2, every 0.1 s"]
+                assert up[1:3] == [["up", "", round(told.since, 1)], ["3", "points"]]
+                assert 0 < told.since <= told.answered_at
+                assert up[6] == round(told.answered_at, 1)
+                assert problems(shown) == []
 
                 silent.add(2)
                 await until(lambda: fleet.statistics.down == 1)
-                await until(lambda: cells(values)["b power"][6][0] == "down")
-                down = cells(states)["b"]
-                assert (down[1][0], "function 3" in down[1][1]) == ("down", False)
-                assert "unit 2, function 3" in down[1][2]
-                assert down[2] >= up[2]
-                assert [each.name for each in states.rows() if states.is_trouble(each)] == ["b"]
-                assert cells(values)["b power"][1:3] == ["-", "W"]
-                assert [values.is_trouble(each) for each in values.rows()] == [False] * 3 + [
-                    True
-                ] * 3
+                await until(lambda: cells(shown)["b power"][1][0] == "down")
+                assert shown.status() == ("1 of 2 devices down", True)
+                word, reason, since = cells(shown)["b"][1]
+                assert (word, "function" in reason, "ModbusTimeout" in reason) == (
+                    *("down", False, False),
+                )
+                assert "no " in reason
+                assert since >= up[1][2]
+                assert problems(shown) == ["b"]  # and not each of its points
+                assert value(shown, "b power") == ["-", "W"]
 
                 silent.clear()
-                await until(lambda: cells(values)["b power"][1] == "7")
+                await until(lambda: value(shown, "b power") == ["7", "W"])
 
     simulated_run(go())
+
+
+def test_an_output_shows_what_waits_since_when_and_why() -> None:
+    async def go() -> None:
+        async with Peer() as peer:
+            page, away = PageOutput(), Away()
+            fleet = Fleet([meter("a", peer.url)], outputs=[page, away])
+            shown = ShownFleet("plant", fleet, page)
+            async with fleet:
+                await until(lambda: fleet.statistics.outputs["database"].waiting > 20)
+                assert next(iter(rows(shown))) == "output database"
+                assert "page" not in rows(shown)
+                first = cells(shown)["output database"]
+                assert first[1][:2] == ["fails", "Connection refused"]
+                assert int(first[2][0]) > 20
+                assert first[2][1] == "waiting"
+                failures = fleet.statistics.outputs["database"].failures
+                await until(lambda: fleet.statistics.outputs["database"].failures > failures + 1)
+                assert cells(shown)["output database"][1] == first[1]  # since the first failure
+                assert first[1][2] > 0
+                assert problems(shown) == ["output database"]
+                text, is_problem = shown.status()
+                assert is_problem
+                assert "database fails" in text
+                assert "readings wait" in text
+                away.is_away = False
+                await until(lambda: away.readings)
+                await until(lambda: cells(shown)["output database"][1] == ["works", "", 0])
+                assert problems(shown) == []
+
+    simulated_run(go())
+
+
+def test_a_journal_that_fails_is_a_problem() -> None:
+    fleet = Fleet([])
+    shown = ShownFleet("plant", fleet, PageOutput())
+    fleet.statistics.journal = JournalStatistics()
+    fleet.statistics.journal.bytes = 12_345_678
+    assert cells(shown)["journal"][1:3] == [["works", "", 0], ["12.3", "MB"]]
+    assert problems(shown) == []
+    fleet.statistics.journal.trouble = "No space left on device"
+    assert problems(shown) == ["journal"]
+    assert cells(shown)["journal"][1] == ["fails", "No space left on device", 0]
+    assert shown.status() == ("the journal fails", True)
 
 
 def test_a_value_that_is_only_reported_when_it_changes_is_as_old_as_the_last_poll() -> None:
@@ -86,16 +153,18 @@ def test_a_value_that_is_only_reported_when_it_changes_is_as_old_as_the_last_pol
         async with Peer() as peer:
             output = PageOutput()
             fleet = Fleet([meter("a", peer.url, on_change=True)], outputs=[output])
-            values, _ = shown_of(fleet, output)
+            shown = ShownFleet("plant", fleet, output)
             async with fleet:
-                await until(lambda: cells(values).get("a power", [0, 0])[1] == "7")
-                row = row_of(values, "a", "power")
+                await until(lambda: value(shown, "a power")[0] == "7")
+                row = rows(shown)["a power"]
                 polls = fleet.statistics.polls
                 await until(lambda: fleet.statistics.polls > polls + 3)
                 answered = fleet.devices["a"].answered_at
                 assert answered > row.reading[0]
-                assert values.cells(row)[7] == round(answered, 1)
-                assert values.series(("a", "power"), "last values").is_stepped
+                assert row.cells()[6] == round(answered, 1)
+                series = shown.series(("a", "power"), "last values")
+                assert series is not None
+                assert series.samples.every is None
 
     simulated_run(go())
 
@@ -105,17 +174,17 @@ def test_devices_that_are_replaced_while_somebody_looks() -> None:
         async with Peer() as peer:
             output = PageOutput()
             fleet = Fleet([meter("a", peer.url), meter("b", peer.url, unit=2)], outputs=[output])
-            values, states = shown_of(fleet, output)
+            shown = ShownFleet("plant", fleet, output)
             async with fleet:
-                await until(lambda: fleet.statistics.up == 2)
-                await until(lambda: len(cells(values)) == 6)
-                row = row_of(values, "b", "power")
+                await until(lambda: value(shown, "b power")[0] == "7")
+                row = rows(shown)["b power"]
+                assert row.samples.every == 0.1
                 fleet.replace([meter("b", peer.url, unit=2), meter("c", peer.url, unit=3)])
-                assert sorted(cells(states)) == ["b", "c"]
-                await until(lambda: "c power" in cells(values))
-                assert "a power" not in cells(values)
-                assert row_of(values, "b", "power") is row  # with all its samples
-                assert values.cells(row)[1] == "7"
+                await until(lambda: "c power" in rows(shown))
+                assert "a" not in rows(shown)
+                assert "a power" not in rows(shown)
+                assert rows(shown)["b power"] is row  # with all its samples
+                assert value(shown, "b power")[0] == "7"
 
     simulated_run(go())
 
@@ -125,11 +194,11 @@ def test_a_look_from_another_thread_does_not_disturb_a_fleet_that_changes() -> N
         async with Peer() as peer:
             output = PageOutput()
             fleet = Fleet(outputs=[output])
-            values, states = shown_of(fleet, output)
+            shown = ShownFleet("plant", fleet, output)
 
             def look() -> None:
                 while not is_over:
-                    cells(values), cells(states)
+                    cells(shown), shown.status(), shown.figures()
 
             async with fleet:
                 looking = asyncio.create_task(asyncio.to_thread(look))
@@ -138,17 +207,7 @@ def test_a_look_from_another_thread_does_not_disturb_a_fleet_that_changes() -> N
                     await output.write([])
                 is_over.append(True)
                 await looking
-                assert cells(states) == {}
+                assert cells(shown) == {}
 
     is_over: list[bool] = []
     simulated_run(go())
-
-
-def test_readings_of_a_journal_are_found_if_there_is_one() -> None:
-    fleet = Fleet([])
-
-    def older(*_: object) -> list[HistoricalValue]:
-        return []
-
-    assert ShownFleet("plant", fleet, PageOutput(), older).older is older
-    assert ShownFleet("plant", fleet, PageOutput()).older is None

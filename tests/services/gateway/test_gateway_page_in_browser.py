@@ -15,9 +15,9 @@ import pytest
 
 from libmodbus_py import Context, Device, Gateway, IllegalDataAddress, Mapping, Route, Server
 from libmodbus_py.services.gateway.shown_gateway import ShownGateway
-from libmodbus_py.tools.page import row_history
+from libmodbus_py.tools.page import samples
 from libmodbus_py.tools.page.page import table_page
-from libmodbus_py.tools.page.table_source import TableSource
+from libmodbus_py.tools.page.tables import TableSource
 from tests.tools.page.browsers import browser, console, missing, resize
 from tests.tools.page.persons import Person
 from tests.tools.page.watching import Visitor, until
@@ -31,7 +31,7 @@ pytestmark = [
 @contextlib.contextmanager
 def gateway_page(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, str, str]]:
     """Run a gateway with a page; its URL, that of the page, and that of its line."""
-    monkeypatch.setattr(row_history, "SAMPLED", 0.0)
+    monkeypatch.setattr(samples, "SAMPLED", 0.0)
     device = Device(Mapping(holding_registers=10))
     with Server(device).background("tcp://127.0.0.1:0") as behind:
         place = behind.urls[0]
@@ -58,7 +58,7 @@ def test_a_person_looks_at_a_gateway(monkeypatch: pytest.MonkeyPatch) -> None:
     with gateway_page(monkeypatch) as (url, page, place), browser() as driver:
         person = Person(driver)
         driver.get(page)
-        person.sees("#state", "live")
+        person.sees("#state", "connected")
         until(lambda: driver.title == "<b>house</b> - gateway")
         asked(url)
 
@@ -71,26 +71,24 @@ def test_a_person_looks_at_a_gateway(monkeypatch: pytest.MonkeyPatch) -> None:
         person.sees("#read", "requests/s")
         assert until(lambda: person.attribute("#plot .line", "d"))
         driver.execute_script(
-            "document.querySelectorAll('#rows tr[data-at=\"0\"] .spark')[1].click()"
+            "document.querySelectorAll('#rows tr[data-at=\"0\"] .spark')[2].click()"
         )
         person.sees("#charted", f"{place}  queue")
 
         # A unit, and how long its answers took.
-        person.click("#tables button", "Units")
-        person.sees("#rows tr[data-at='0'] th", "unit 3")
-        person.click("#rows tr[data-at='0'] button")
+        person.sees("#rows tr[data-at='1'] th", "unit 3")
+        person.click("#rows tr[data-at='1'] button")
         person.sees("#charted", f"{place}  unit 3  rate")
         driver.execute_script(
-            "document.querySelectorAll('#rows tr[data-at=\"0\"] .spark')[1].click()"
+            "document.querySelectorAll('#rows tr[data-at=\"1\"] .spark')[1].click()"
         )
         person.sees("#charted", "unit 3  time")
         person.sees("#read", "ms")
 
         # Who asks what has no chart.
         person.click("#close-chart")
-        person.click("#tables button", "Clients")
         person.sees("#rows", "6 write register")
-        person.click("#rows tr[data-at='0'] button")
+        person.click("#rows tr[data-at='2'] button")
         assert driver.execute_script("return document.querySelector('#chart').hidden")
         assert [each["message"] for each in console(driver)] == []
 
@@ -137,13 +135,12 @@ def test_nothing_sticks_out(width: int, monkeypatch: pytest.MonkeyPatch) -> None
         resize(driver, width, 740)
         driver.get(page)
         asked(url)
-        for title in ("Lines", "Units", "Clients"):
-            person.click("#tables button", title)
-            person.sees("#rows tr[data-at='0'] th", place if title != "Clients" else "127.0.0.1")
-            sizes: Any = driver.execute_script(
-                "const box = document.querySelector('#scroll');"
-                "return [document.documentElement.scrollWidth, box.scrollWidth - box.clientWidth]"
-            )
-            assert sizes[0] <= width
-            assert sizes[1] == 0
+        person.sees("#rows tr[data-at='0'] th", place)
+        person.sees("#rows tr[data-at='2'] th", "127.0.0.1")
+        sizes: Any = driver.execute_script(
+            "const box = document.querySelector('#scroll');"
+            "return [document.documentElement.scrollWidth, box.scrollWidth - box.clientWidth]"
+        )
+        assert sizes[0] <= width
+        assert sizes[1] == 0
         assert [each["message"] for each in console(driver)] == []

@@ -17,50 +17,160 @@ from libmodbus_py import (
     Route,
     Server,
 )
+from libmodbus_py.client.statistics import Statistics
 from libmodbus_py.ports.trace import Traced
+from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.services.gateway import shown_gateway
-from libmodbus_py.services.gateway.shown_gateway import ClientsTable, ShownGateway
-from libmodbus_py.tools.page import row_history
+from libmodbus_py.services.gateway.shown_gateway import Clients, ShownGateway
+from libmodbus_py.services.gateway.statistics import GatewayStatistics, LineStatistics
+from libmodbus_py.tools.page import samples
 from libmodbus_py.tools.page.page import table_page
-from libmodbus_py.tools.page.table_source import TableSource
+from libmodbus_py.tools.page.tables import TableSource
 from tests.tools.page.watching import Visitor, until
 
+FIRST, SECOND = "tcp://10.0.0.1", "rtu:///dev/line"
 
-def cells(table: Any) -> dict[str, list[Any]]:
-    """The cells of each row, by the name of the row."""
-    return {" ".join(row[0][:2]).strip(): row for row in map(table.cells, table.rows())}
+
+def rows(shown: Any) -> dict[str, Any]:
+    """Return the rows by their names."""
+    return {" ".join(row.cells()[0][:2]).strip(): row for row in shown.rows()}
+
+
+def cells(shown: Any) -> dict[str, list[Any]]:
+    return {name: row.cells() for name, row in rows(shown).items()}
+
+
+def problems(shown: Any) -> list[str]:
+    return [name for name, row in rows(shown).items() if row.is_problem]
 
 
 def traced(direction: Any, function: int, peer: str = "192.0.2.7:4711", unit: int = 3) -> Traced:
-    return Traced(100.0, "tcp://0.0.0.0:502", direction, b"", unit, function, peer)
+    return Traced(100.04, "tcp://0.0.0.0:502", direction, b"", unit, function, peer)
+
+
+class Counted:
+    """What a page looks at of a gateway, with two lines."""
+
+    def __init__(self) -> None:
+        self.lines = [LineStatistics(url, Statistics()) for url in (FIRST, SECOND)]
+        self.traffic = GatewayStatistics({each.url: each for each in self.lines})
+        self.statistics = ServerStatistics()
+        self.shown: Any = ShownGateway("house", self)  # type: ignore[arg-type]
+
+
+# --- counters -------------------------------------------------------------------------------------
+
+
+def test_a_line_has_its_counters_and_its_state() -> None:
+    counted = Counted()
+    line = counted.lines[0]
+    line.since, line.waiting, line.in_flight, line.full = 12.34, 5, 2, 3
+    line.connection.requests, line.connection.responses = 70, 60
+    details = "waiting 5, in flight 2, refused 3"
+    expected = [["", FIRST], ["new", "", 12.3], 70, 60, [], None, [], details, 0]
+    assert cells(counted.shown)[FIRST] == expected
+    line.connection.connects = 1
+    assert cells(counted.shown)[FIRST][1] == ["open", "", 12.3]
+    assert problems(counted.shown) == []
+    assert counted.shown.status() == ("no line is down", False)
+    line.trouble = f"{FIRST} (unit 1): it is gone"
+    assert cells(counted.shown)[FIRST][1] == ["down", "it is gone", 12.3]
+    assert problems(counted.shown) == [FIRST]
+    assert counted.shown.status() == ("1 of 2 lines down", True)
+    assert rows(counted.shown)[SECOND].words == SECOND
+
+
+def test_a_unit_has_its_counters_and_its_state() -> None:
+    counted = Counted()
+    name, unit = f"{FIRST} unit 3", counted.lines[0].unit(3)
+    unit.requests, unit.timeouts, unit.invalid, unit.resting, unit.cached = 9, 2, 3, 4, 5
+    details = "timeouts 2, invalid 3, refused 4, cached 5"
+    expected = [[FIRST, "unit 3"], ["new", "", 0], 9, 0, [], [], None, details, 0]
+    assert cells(counted.shown)[name] == expected
+    unit.answers, unit.exceptions, unit.seconds = 4, 1, 0.5
+    assert cells(counted.shown)[name][1:4] == [["answers", "", 0], 9, 4]
+    assert cells(counted.shown)[name][7] == f"mean 125.0 ms, exceptions 1, {details}"
+    assert problems(counted.shown) == []
+    unit.is_silent = True
+    assert cells(counted.shown)[name][1] == ["silent", "4 requests refused meanwhile", 0]
+    assert problems(counted.shown) == [name]
+    assert counted.shown.status() == ("silent units: 1", True)
+    assert rows(counted.shown)[name].words == name
+
+
+def test_units_stand_below_their_lines_in_the_order_of_their_numbers() -> None:
+    counted = Counted()
+    for line, unit in ((0, 9), (1, 4), (0, 2)):
+        counted.lines[line].unit(unit)
+    assert list(rows(counted.shown)) == [
+        *(FIRST, f"{FIRST} unit 2", f"{FIRST} unit 9", SECOND, f"{SECOND} unit 4"),
+    ]
+
+
+def test_the_figures_are_the_sums_of_all_lines() -> None:
+    counted = Counted()
+    assert set(counted.shown.figures().values()) == {0}
+    counted.statistics.connections, counted.traffic.requests = 3, 40
+    counted.traffic.refused, counted.traffic.no_route, counted.traffic.malformed = 1, 20, 300
+    counted.lines[0].waiting, counted.lines[1].waiting = 4, 6
+    counted.lines[1].trouble = "gone"
+    expected = {"clients": 3, "requests": 40, "waiting": 10, "refused": 321, "down": 1}
+    assert counted.shown.figures() == expected
+
+
+def test_samples_are_taken_although_nobody_looks() -> None:
+    counted, now = Counted(), [1000.0]
+    counted.lines[0].unit(1)
+    counted.shown._history._clock = lambda: now[0]
+    for requests in (0, 4, 10):
+        counted.lines[0].connection.requests = counted.lines[0].unit(1).requests = requests
+        counted.lines[0].waiting = 2
+        counted.shown.note(traced("received", 3))
+        now[0] += 2.0
+    assert cells(counted.shown)[FIRST][4] != []
+    assert counted.shown.series(("", FIRST), "rate").samples.pairs()[-1][1] == 3.0
+    assert counted.shown.series((FIRST, "unit 1"), "time") is not None
+    assert counted.shown.series((FIRST, "unit 2"), "time") is None
+
+
+# --- clients --------------------------------------------------------------------------------------
 
 
 def test_who_asks_what_is_counted() -> None:
-    table = ClientsTable()
+    clients = Clients()
     for peer in ("192.0.2.7:4711", "192.0.2.7:4712", "[2001:db8::1]:99", "/dev/ttyUSB0"):
-        table.note(traced("received", 3, peer))
-        table.note(traced("sent", 3, peer))
-    table.note(traced("received", 16))
-    table.note(traced("sent", 0x90))
-    table.note(traced("received", 0x41))
-    table.note(traced("sent", 0x83, "192.0.2.99:1"))  # to a request before the page
-    table.note(traced("received", 3)._replace(unit=None, function=None))
-    assert [table.cells(row)[:4] for row in table.rows()] == [
-        [["/dev/ttyUSB0", "unit 3"], "3 read holding registers", 1, 0],
-        [["192.0.2.7", "unit 3"], "3 read holding registers", 2, 0],
-        [["192.0.2.7", "unit 3"], "16 write registers", 1, 1],
-        [["192.0.2.7", "unit 3"], "65 ", 1, 0],
-        [["2001:db8::1", "unit 3"], "3 read holding registers", 1, 0],
+        clients.note(traced("received", 3, peer))
+        clients.note(traced("sent", 3, peer))
+    clients.note(traced("received", 16))
+    clients.note(traced("sent", 0x90))
+    clients.note(traced("received", 0x41))
+    clients.note(traced("sent", 0x83, "192.0.2.99:1"))  # to a request before the page
+    clients.note(traced("received", 3)._replace(unit=None, function=None))
+    read, write = "unit 3, 3 read holding registers", "unit 3, 16 write registers"
+    found = [row.cells() for row in clients.rows()]
+    assert [each[:3] for each in found] == [
+        [["/dev/ttyUSB0", read], ["client", "", 0], 1],
+        [["192.0.2.7", read], ["client", "", 0], 2],
+        [["192.0.2.7", write], ["client", "exceptions 1", 0], 1],
+        [["192.0.2.7", "unit 3, 65"], ["client", "", 0], 1],
+        [["2001:db8::1", read], ["client", "", 0], 1],
     ]
-    assert [table.is_trouble(row) for row in table.rows()] == [False, False, True, False, False]
+    assert found[0][-1] == 100.0
+    assert [row.is_problem for row in clients.rows()] == [False, False, True, False, False]
+    assert clients.rows()[1].words == "192.0.2.7 unit 3 function 3 read holding registers"
 
 
-def test_clients_that_never_end_take_a_bounded_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shown_gateway, "MOST_ASKING", 10)
-    table = ClientsTable()
-    for at in range(1000):
-        table.note(traced("received", 3, f"192.0.2.{at % 250}:1", unit=at % 200))
-    assert len(table.rows()) == 10
+def test_the_client_that_came_first_is_dropped_for_one_too_many(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(shown_gateway, "MOST_ASKING", 2)
+    clients = Clients()
+    for last in (1, 2, 1, 3):
+        clients.note(traced("received", 3, f"192.0.2.{last}:1"))
+    assert [row.key[0] for row in clients.rows()] == ["192.0.2.2", "192.0.2.3"]
+
+
+# --- a gateway that runs --------------------------------------------------------------------------
 
 
 def test_lines_units_and_clients_of_a_gateway_on_a_page() -> None:
@@ -71,7 +181,6 @@ def test_lines_units_and_clients_of_a_gateway_on_a_page() -> None:
             [Route(f"{there}?timeout=0.05", units="1-2"), Route(gone, units="9")], longest_wait=1
         )
         shown = ShownGateway("house", gateway)
-        lines, units, clients = shown.tables
         with (
             gateway.tracing(shown.note),
             gateway.background("tcp://127.0.0.1:0") as running,
@@ -83,32 +192,27 @@ def test_lines_units_and_clients_of_a_gateway_on_a_page() -> None:
             for unit in (2, 9):
                 with pytest.raises(GatewayTargetFailedToRespond):
                     plc.for_unit(unit).read_holding_registers(0, 1)
-            rows = cells(lines)
-            assert rows[there][1] == ["open", "", ""]
-            assert rows[there][7:9] == [2, 1]
-            down = until(lambda: (found := cells(lines)[gone])[1][0] == "down" and found)
-            assert "Connection refused" in down[1][2]
-            assert down[2] > 0
-            assert [each.url for each in lines.rows() if lines.is_trouble(each)] == [gone]
-            assert cells(units)[f"{there} unit 1"][1:4] == [["answers", ""], 1, 1]
-            assert cells(units)[f"{there} unit 2"][1][0] == "silent"
-            found = [clients.cells(row)[:4] for row in clients.rows()]
-            assert [[each[0][1], *each[1:]] for each in found] == [
-                ["unit 1", "3 read holding registers", 1, 0],
-                ["unit 2", "3 read holding registers", 1, 1],
-                ["unit 9", "3 read holding registers", 1, 1],
-            ]
+            found = cells(shown)
+            assert found[there][1][:2] == ["open", ""]
+            assert found[there][2:4] == [2, 1]
+            down = until(lambda: (now := cells(shown)[gone])[1][0] == "down" and now)
+            assert "Connection refused" in down[1][1]
+            assert down[1][2] > 0
+            assert found[f"{there} unit 1"][1:4] == [["answers", "", 0], 1, 1]
+            assert found[f"{there} unit 2"][1][0] == "silent"
             visitor.receive(lambda: visitor.seen["figures"]["requests"] == 3)
-            assert visitor.seen["figures"]["down"] == 1
-            visitor.receive(lambda: len(visitor.seen["log"]) == 3)
-            assert visitor.seen["log"][0][5] == "read holding registers 3..4"
-            visitor.look_at("units", trouble=True)
-            visitor.receive(lambda: visitor.seen["rows"])
-            assert visitor.seen["rows"]["0"][0][1] == "unit 2"
+            visitor.receive(lambda: len(visitor.rows("log")) == 3)
+            assert visitor.rows("log")[0][5] == "read holding registers 3..4"
+            visitor.look_at(problems=True)
+            read = "3 read holding registers"
+            visitor.receive(lambda: len(visitor.rows("rows")) == 4)
+            assert [each[0][-1] for each in visitor.rows("rows")] == [
+                *("unit 2", gone, f"unit 2, {read}", f"unit 9, {read}"),
+            ]
 
 
 def test_numbers_of_lines_and_units_over_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(row_history, "SAMPLED", 0.0)
+    monkeypatch.setattr(samples, "SAMPLED", 0.0)
     with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as behind:
         place = behind.urls[0]
         gateway = Gateway([Route(place, units="1-2")])
@@ -123,21 +227,17 @@ def test_numbers_of_lines_and_units_over_time(monkeypatch: pytest.MonkeyPatch) -
         with table_page(TableSource(shown)) as page:
             visitor = Visitor(page.url)
             charts = {
-                (table, column): visitor.history(list(name), 60, table, column)
-                for table, name in (("lines", ("", place)), ("units", (place, "unit 1")))
-                for column in ("rate", "queue", "time")
+                column: visitor.history(name, 60, column)
+                for column, name in (
+                    ("rate", ["", place]),
+                    ("queue", ["", place]),
+                    ("time", [place, "unit 1"]),
+                )
             }
-            assert visitor.history(["127.0.0.1", "unit 1"], 60, "clients", "requests") == (
-                "this value no longer exists"
-            )
-    assert max(charts["lines", "rate"]["values"]) > 0
-    assert max(charts["units", "rate"]["values"]) > 0
-    assert set(charts["lines", "queue"]["values"]) <= {0, 1}
-    assert all(took is None or 0 < took < 60_000 for took in charts["units", "time"]["values"])
-    units = {key: chart["units"] for key, chart in charts.items() if isinstance(chart, dict)}
-    assert units == {
-        ("lines", "rate"): "requests/s",
-        ("lines", "queue"): "requests",
-        ("units", "rate"): "requests/s",
-        ("units", "time"): "ms",
-    }
+            gone = visitor.history(["127.0.0.1", "unit 1"], 60, "requests")
+            assert gone == "this value no longer exists"
+    assert max(charts["rate"]["values"]) > 0
+    assert set(charts["queue"]["values"]) <= {0, 1, None}
+    assert all(took is None or 0 < took < 60_000 for took in charts["time"]["values"])
+    units = {column: chart["units"] for column, chart in charts.items()}
+    assert units == {"rate": "requests/s", "queue": "requests", "time": "ms"}

@@ -16,7 +16,7 @@ from libmodbus_py.ports.trace import Traced
 from libmodbus_py.tools.listener.pairing import MOST, TIMEOUT
 from libmodbus_py.tools.listener.traces import MOST_CONNECTIONS, TracePairing
 from libmodbus_py.tools.page.log import Log
-from libmodbus_py.tools.page.shown import ShownServer
+from libmodbus_py.tools.page.units import ShownServer
 from libmodbus_py.tools.testing.recording import Exchanges
 from tests.support.cases import each_case
 from tests.support.talk import rtu

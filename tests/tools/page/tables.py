@@ -10,8 +10,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from libmodbus_py.tools.page.page import table_page
-from libmodbus_py.tools.page.table_source import TableSource
-from libmodbus_py.tools.page.tables import ValuesTable
+from libmodbus_py.tools.page.tables import TableSource
+from libmodbus_py.tools.page.text import cell_text
+from libmodbus_py.tools.page.values import COLUMNS, ShownPoint, Values
 from tests.tools.page.watching import Visitor
 
 __all__ = ["HOSTILE", "Plant", "visited"]
@@ -28,23 +29,64 @@ HOSTILE = (
 )
 
 
+class Meter:
+    """See `GroupRow`: a device that is up unless a test says why it is not."""
+
+    answered_at = 0.0
+
+    def __init__(self, name: str) -> None:
+        self.name = self.words = name
+        self.reason = ""
+
+    @property
+    def is_down(self) -> bool:
+        return bool(self.reason)
+
+    is_problem = is_down
+
+    def cells(self) -> list[Any]:
+        state = ["down" if self.reason else "up", self.reason, 1000.0]
+        return [["", cell_text(self.name)], state, ["", ""], None, "", "", 0]
+
+
 class Plant:
-    """See `Shown` of the page: values of devices, by their names."""
+    """
+    See `Shown` of the page: values of devices, by their names.
+
+    Attributes:
+        meters: the devices by their names.
+        extra: rows before those of the devices.
+    """
 
     kind = "fleet"
     log = None
+    columns = COLUMNS
 
-    def __init__(
-        self, title: str = "plant.toml", older: Any = None, stepped: str | None = None
-    ) -> None:
+    def __init__(self, title: str = "plant.toml", older: Any = None) -> None:
         self.title = title
         self.older = older
-        self.values = ValuesTable(is_stepped=lambda device, name: name == stepped)
-        self.tables = [self.values]
+        self.meters: dict[str, Meter] = {}
+        self.extra: list[Any] = []
+        self.values = Values(lambda name: self.meters.setdefault(name, Meter(name)))
         self.counts: dict[str, float] = {"devices": 1, "down": 0}
+
+    def describe(
+        self, *points: tuple[str, str], every: float | None = 1.0, units: str = "V"
+    ) -> None:
+        self.values.describe(ShownPoint(*names, "V", every) for names in points)
+
+    def status(self) -> tuple[str, bool]:
+        down = sum(each.is_down for each in self.meters.values())
+        return f"{down} of {len(self.meters)} devices down", down > 0
 
     def figures(self) -> dict[str, float]:
         return self.counts
+
+    def rows(self) -> list[Any]:
+        return [*self.extra, *self.values.rows]
+
+    def series(self, name: tuple[str, str], column: str) -> Any:
+        return self.values.series(name, column)
 
     def put(self, device: str, name: str, value: Any, at: float | None = None, **more: Any) -> None:
         quality = more.get("quality", "good" if value is not None else "bad")

@@ -11,7 +11,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.page import live_page
-from libmodbus_py.tools.page.shown import CanHold
+from libmodbus_py.tools.page.units import CanHold
 from libmodbus_py.tools.simulator.clockwork import Clockwork
 from libmodbus_py.tools.simulator.device_file import load
 from libmodbus_py.tools.simulator.simulated import SimulatedDevice
@@ -41,25 +41,29 @@ def visitor(tmp_path: Path) -> Iterator[Visitor]:
 
 
 def test_a_held_value_stays_can_be_set_and_goes_on(visitor: Visitor) -> None:
-    seen = visitor.seen
     level = {"unit": 1, "point": 0, "name": "level"}
-    visitor.receive(lambda: seen.get("moving") == {"0": True})
-    before = seen["points"]["0"]
-    visitor.receive(lambda: seen["points"]["0"] != before)
+
+    def row() -> tuple[str, bool | None, list[int]]:
+        text, moves, spark = visitor.seen.get("1/points", {"0": ["", None, []]})["0"]
+        return text, moves, spark
+
+    visitor.receive(lambda: row()[1])
+    before = row()[0]
+    visitor.receive(lambda: row()[0] != before)
     refusal = visitor.post("/value", **level, text="5")
     assert refusal == "level: the device computes this value itself"
 
     assert visitor.post("/hold", **level, on=True) == {}
-    visitor.receive(lambda: seen["moving"] == {"0": False})
+    visitor.receive(lambda: row()[1] is False)
     assert visitor.post("/value", **level, text="5") == {}
-    visitor.receive(lambda: seen["points"]["0"] == "5")
-    samples = len(seen["sparks"].get("0", []))
-    visitor.receive(lambda: len(seen["sparks"]["0"]) > samples + 1)  # time passes
-    assert seen["points"]["0"] == "5"
+    visitor.receive(lambda: row()[0] == "5")
+    samples = len(row()[2])
+    visitor.receive(lambda: len(row()[2]) > samples + 1)  # time passes
+    assert row()[0] == "5"
 
     assert visitor.post("/hold", **level, on=False) == {}
-    visitor.receive(lambda: int(seen["points"]["0"]) > 10)
-    assert seen["moving"] == {"0": True}
+    visitor.receive(lambda: int(row()[0]) > 10)
+    assert row()[1] is True
     history = visitor.post("/history", row=[1, "level"], seconds=60)
     assert 5 in history["values"]
     assert len(history["times"]) == len(history["values"])

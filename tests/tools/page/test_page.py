@@ -1,5 +1,5 @@
 """
-A page as a whole: what it shows first, what changes on it, and its end.
+A page as a whole: what it shows first, what changes on it, pages beside each other, and its end.
 """
 
 from __future__ import annotations
@@ -9,14 +9,41 @@ import threading
 
 import pytest
 
-from libmodbus_py import Context, Device, Mapping, Server
+from libmodbus_py import (
+    Access,
+    Context,
+    Device,
+    IllegalDataAddress,
+    Mapping,
+    Server,
+    ServerDeviceBusy,
+)
 from libmodbus_py.page import live_page
+from libmodbus_py.tools.page.streams import difference
+from tests.support.cases import each_case
 from tests.tools.page.watching import NAMES, Visitor, made_server, shown, until
+
+TOKEN = "Bookmarked-by_the-plant-2026"
+
+
+@each_case(
+    ("before", "after", "message"),
+    [
+        ({}, {"log": {}}, {"log": {}}),
+        ({}, {"log": {1: ["a"]}}, {"log": {1: ["a"]}}),
+        ({"log": {1: ["a"]}}, {"log": {1: ["a"]}}, {}),
+        ({"log": {1: ["a"], 2: ["b"]}}, {"log": {2: ["c"], 3: ["d"]}}, None),
+        ({"log": {1: ["a"]}, "view": {"n": 1}}, {"log": {1: ["a"]}}, {"view": None}),
+    ],
+)
+def test_a_message_is_the_difference_of_rows(before: dict, after: dict, message: object) -> None:  # type: ignore[type-arg]
+    expected = {"log": {1: None, 2: ["c"], 3: ["d"]}} if message is None else message
+    assert difference(before, after) == expected
 
 
 def test_everything_there_is_comes_first() -> None:
     with shown() as (_, _, visitor), visitor.watching():
-        first, second = visitor.seen["units"]
+        first, second = visitor.rows("units")
     assert (first["number"], second["number"]) == (1, 2)
     assert first["name"] == "tank <script>alert(1)</script>"
     assert first["description"] == "a & b"
@@ -30,32 +57,37 @@ def test_everything_there_is_comes_first() -> None:
     assert first["points"][0][1:5] == ["holding_registers", 0, "float32 CDAB", "°C"]
     assert second["points"] == []
     assert visitor.seen["counters"]["requests"] == 0
+    assert all(isinstance(each, int) for each in visitor.rows("counters"))
 
 
-def test_points_are_shown_with_their_values_and_change() -> None:
+def test_points_are_shown_with_their_values_and_only_what_changes_is_sent() -> None:
     with shown() as (_, url, visitor), visitor.watching():
         visitor.look(1, "points", 0, 100)
-        texts = visitor.receive(lambda: len(visitor.seen["points"]) == 6 and visitor.seen["points"])
-        assert texts == {"0": "21.5", "1": "0.0", "2": "abc", "3": "0, 0", "4": "off", "5": "0"}
+        visitor.receive(lambda: visitor.points("1/points"))
+        assert visitor.points("1/points") == ["21.5", "0.0", "abc", "0, 0", "off", "0"]
+        before = len(visitor.messages)
         with Context.from_url(url, unit=1) as plc:
             plc.write_registers(2, [123])
-            plc.write_coil(0, True)
-            visitor.receive(lambda: (texts["1"], texts["4"]) == ("12.3", "on"))
+            visitor.receive(lambda: visitor.points("1/points")[1] == "12.3")
+        sent = [each["1/points"] for each in visitor.messages[before:] if "1/points" in each]
+        assert {key for each in sent for key, row in each.items() if row[0] != "abc"} == {"1"}
 
 
 def test_cells_are_shown_as_far_as_they_are_looked_at() -> None:
     with shown() as (_, url, visitor), visitor.watching():
         visitor.look(1, "holding_registers", 100, 110)
-        cells = visitor.receive(lambda: visitor.seen["cells"])
-        assert cells == dict.fromkeys(range(100, 110), 0)
+        cells = visitor.receive(lambda: visitor.cells("1/holding_registers"))
+        assert {cells[at] for at in range(100, 110)} == {0}
+        assert 2 not in cells
         with Context.from_url(url, unit=1) as plc:
             plc.write_registers(2, [123])
             plc.write_registers(104, [7])
-        visitor.receive(lambda: cells[104] == 7)
-        assert sorted(cells) == list(range(100, 110))
+        visitor.receive(lambda: visitor.cells("1/holding_registers")[104] == 7)
         visitor.look(1, "coils", 0, 4)
-        visitor.receive(lambda: visitor.seen["what"] == "coils")
-        assert visitor.seen["unit"] == 1
+        visitor.receive(lambda: "1/coils" in visitor.seen)
+        assert "1/holding_registers" not in visitor.seen
+        visitor.look(1, "holding_registers", 500, 600)
+        visitor.receive(lambda: visitor.seen.get("1/holding_registers") == {})
 
 
 def test_the_server_itself_is_its_only_device() -> None:
@@ -65,7 +97,7 @@ def test_the_server_itself_is_its_only_device() -> None:
         with visitor.watching(), Context.from_url(running.urls[0], unit=255) as plc:
             plc.write_register(1, 1)
             visitor.receive(lambda: visitor.seen["written"])
-    assert visitor.seen["written"][0][1:3] == [7, "holding_registers"]
+    assert visitor.rows("written")[0][1:3] == [7, "holding_registers"]
 
 
 def test_nothing_is_left_behind() -> None:
@@ -82,6 +114,115 @@ def test_an_address_that_is_taken() -> None:
         page = live_page(made_server(), port=taken.getsockname()[1])
         with pytest.raises(OSError, match="in use"):
             page.__enter__()
+
+
+# --- two pages ------------------------------------------------------------------------------------
+
+
+def test_two_pages_on_one_token_do_not_meet() -> None:
+    with live_page(made_server(), token=TOKEN) as second:
+        second_visitor = Visitor(second.url)
+        with live_page(made_server(), token=TOKEN) as first:
+            visitors = [Visitor(first.url), second_visitor]
+            # A browser sends the cookies of all ports of a host to each of them.
+            cookies = "; ".join(each.headers["Cookie"] for each in visitors)
+            for each in visitors:
+                each.headers["Cookie"] = cookies
+                assert each.ask("GET", "/")[0] == 200
+            assert visitors[0].ask("GET", "/", Origin=f"http://{second_visitor.host}")[0] == 403
+            with visitors[0].watching(), second_visitor.watching():
+                # Streams of one page are unknown to the other.
+                view = {"unit": 1, "what": "coils", "first": 0, "stop": 1}
+                stream = visitors[0].seen["page"]["stream"]
+                assert visitors[0].post("/view", stream=stream, **view) == {}
+                assert second_visitor.post("/view", stream=stream, **view) != {}
+        with Visitor(second.url).watching() as still_there:
+            still_there.look(2, "holding_registers", 0, 8)
+
+
+def test_two_pages_of_one_server_on_one_token_both_follow_it() -> None:
     server = made_server()
-    with live_page(server) as one, live_page(server) as other:  # two of one server
-        assert one.url != other.url
+    with (
+        server.background("tcp://127.0.0.1:0"),
+        live_page(server, token=TOKEN) as first,
+        live_page(server, token=TOKEN) as second,
+        Visitor(first.url).watching() as one,
+        Visitor(second.url).watching() as other,
+    ):
+        assert one.host != other.host
+        for each in (one, other):
+            each.look(2, "holding_registers", 0, 8)
+        place = {"unit": 2, "table": "holding_registers", "address": 3, "order": "ABCD"}
+        assert one.post("/value", **place, type="uint16", text="1234") == {}
+        for each in (one, other):
+            each.receive(
+                lambda each=each: each.cells("2/holding_registers").get(3) == 1234  # type: ignore[misc]
+            )
+
+
+# --- values that a device computes ----------------------------------------------------------------
+
+
+def test_what_moves_is_computed_when_it_is_looked_at() -> None:
+    mapping = Mapping(holding_registers=8, input_registers=8)
+    seen: list[Access] = []
+
+    def compute(access: Access) -> None:
+        if access.address <= 3 < access.address + access.count:
+            raise IllegalDataAddress("clients may not read it")
+        seen.append(access)
+        if access.address == 4:
+            mapping.input_registers[4] += 1
+
+    with live_page(server := Server(Device(mapping, before_read=compute))) as page:
+        visitor = Visitor(page.url)
+        with visitor.watching():
+            assert not seen
+            visitor.look(None, "input_registers", 0, 8)
+            visitor.receive(lambda: visitor.cells("every/input_registers").get(4, 0) >= 3)
+        count = len(seen)
+        assert {each.table for each in seen} == {"input_registers"}
+        assert server.statistics.requests == 0
+    assert len(seen) <= count + 8  # nothing is computed when nobody looks
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError, SystemExit])
+def test_a_hook_that_fails_is_logged_once_and_the_page_goes_on(
+    error: type[BaseException],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    def broken(access: Access) -> None:
+        raise error
+
+    mapping = Mapping(coils=8)
+    with live_page(Server(Device(mapping, before_read=broken))) as page:
+        visitor = Visitor(page.url)
+        with visitor.watching():
+            visitor.look(None, "coils", 0, 8)
+            visitor.receive(lambda: visitor.cells("every/coils"))
+            mapping.coils[3] = True
+            visitor.receive(lambda: visitor.cells("every/coils")[3] == 1)
+            body = {"unit": None, "table": "coils", "address": 5, "text": "on"}
+            assert visitor.post("/value", **body, type="", order="ABCD") == {}
+            visitor.receive(lambda: visitor.cells("every/coils")[5] == 1)
+    assert [each.getMessage() for each in caplog.records] == [
+        "coils range(0, 8): before_read failed"
+    ]
+
+
+def test_what_was_busy_is_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("libmodbus_py.tools.page.units.RETRY", 0.3)
+    mapping, is_busy = Mapping(input_registers=8), True
+
+    def compute(access: Access) -> None:
+        if is_busy:
+            raise ServerDeviceBusy
+        mapping.input_registers[4] = 42
+
+    with live_page(Server(Device(mapping, before_read=compute))) as page:
+        visitor = Visitor(page.url)
+        with visitor.watching():
+            visitor.look(None, "input_registers", 0, 8)
+            visitor.receive(lambda: visitor.cells("every/input_registers"))
+            is_busy = False
+            visitor.receive(lambda: visitor.cells("every/input_registers")[4] == 42)

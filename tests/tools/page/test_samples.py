@@ -1,21 +1,31 @@
 """
-The samples of a value: bounded, with gaps, in the order of time, and their extremes.
+The samples of a value: bounded, with gaps, in the order of time, and their extremes; and numbers of
+rows over time, made of counters.
 """
 
 from __future__ import annotations
 
 import math
+import threading
 from typing import Any
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from libmodbus_py.tools.page.samples import Samples, thinned
+from libmodbus_py.tools.page.samples import (
+    MOST_BYTES,
+    MOST_SAMPLES,
+    Counts,
+    RowHistory,
+    Samples,
+    _thinned,
+    with_gaps,
+)
 from tests.support.cases import each_case
 
 
 def made(*values: Any, most: int = 10, start: float = 100.0) -> Samples:
-    samples = Samples(most)
+    samples = Samples(most=most)
     for at, value in enumerate(values):
         samples.add(start + at, value)
     return samples
@@ -67,6 +77,32 @@ def test_a_clock_that_was_set_back_leaves_them_in_order() -> None:
     assert [time for time, _ in samples.pairs()] == [10, 11, 50, 60]
 
 
+@each_case(
+    ("every", "values"),
+    [
+        (1.0, [1, 2, None, 3]),  # nothing came for three seconds and more
+        (2.0, [1, 2, 3]),
+        (None, [1, 2, 3]),  # it came when it changed
+        (math.inf, [1, 2, 3]),
+    ],
+)
+def test_a_time_without_samples_is_a_gap(every: float | None, values: list[float | None]) -> None:
+    given = [(1.0, 1.0), (2.0, 2.0), (5.5, 3.0)]
+    samples = Samples(every)
+    for time, value in given:
+        samples.add(time, value)
+    assert [each for _, each in samples.pairs()] == values
+    assert samples.spark(60).count(-1) == values.count(None)
+    assert [each for _, each in with_gaps([*given], every)] == values
+
+
+def test_a_gap_is_one_sample_however_long_it_is() -> None:
+    samples = Samples(1.0)
+    for time, value in [(1.0, 1), (2.0, None), (900.0, None), (5000.0, 2)]:
+        samples.add(time, value)
+    assert samples.pairs() == [(1.0, 1), (2.0, None), (900.0, None), (5000.0, 2)]
+
+
 @given(st.lists(st.integers(0, 9), max_size=40), st.integers(2, 12), st.integers(2, 12))
 def test_a_ring_that_is_resized_keeps_the_latest(values: list[int], most: int, then: int) -> None:
     samples = made(*values, most=most)
@@ -81,7 +117,7 @@ def test_a_ring_that_is_resized_keeps_the_latest(values: list[int], most: int, t
 @given(st.lists(st.one_of(st.none(), st.integers(-99, 99)), max_size=300), st.integers(4, 60))
 def test_thinned_samples_keep_extremes_gaps_and_order(values: list[int | None], most: int) -> None:
     pairs = [(float(at), value) for at, value in enumerate(values)]
-    found = thinned(pairs, most)
+    found = _thinned(pairs, most)
     assert len(found) <= max(most, 4)
     assert found == sorted(found, key=lambda pair: pair[0])
     assert set(found) <= set(pairs)
@@ -90,3 +126,135 @@ def test_thinned_samples_keep_extremes_gaps_and_order(values: list[int | None], 
         kept = [each for _, each in found if each is not None]
         assert (min(kept), max(kept)) == (min(numbers), max(numbers))
     assert (None in values) == (None in [each for _, each in found])
+
+
+# --- numbers made of counters ---------------------------------------------------------------------
+
+Name = tuple[str, str]
+LINE = "", "tcp://192.0.2.1"
+
+
+class Counters:
+    """Counters of rows that a test changes, and a clock that it moves."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+        self.counts: dict[Name, int] = {LINE: 0}
+        self.history = RowHistory(
+            lambda: [(name, Counts(count)) for name, count in self.counts.items()],
+            lambda: self.now,
+        )
+
+    def go_on(self, seconds: float, requests: int, name: Name = LINE) -> None:
+        self.now += seconds
+        self.counts[name] += requests
+        self.history.sample()
+
+    def numbers(self, name: Name = LINE) -> list[tuple[float, float | None]]:
+        series = self.history.series(name, "rate")
+        return [] if series is None else series.samples.pairs()
+
+
+def test_a_number_is_what_changed_in_the_seconds_since_the_last_sample() -> None:
+    counters = Counters()
+    counters.history.sample()
+    for seconds, requests in ((1.0, 50), (2.0, 50), (3.0, 0)):
+        counters.go_on(seconds, requests)
+    assert counters.numbers() == [(1001.0, 50.0), (1003.0, 25.0), (1006.0, 0.0)]
+    series = counters.history.series(LINE, "rate")
+    assert series is not None
+    assert series.units == "requests/s"
+    assert counters.history.spark(LINE, "rate") == [20, 10, 0]
+
+
+def test_a_number_of_a_long_time_is_drawn_from_its_beginning() -> None:
+    """Nobody asked and nobody looked: the rate of that time is known all the same."""
+    counters = Counters()
+    counters.history.sample()
+    counters.go_on(1, 5)
+    counters.go_on(100, 50)
+    assert counters.numbers() == [(1001.0, 5.0), (1002.0, 0.5), (1101.0, 0.5)]
+
+
+def test_numbers_over_time_are_those_of_the_time_between() -> None:
+    rows = [Counts(100, 90, 2.0, 5)]
+    clock = [10.0]
+    history = RowHistory(lambda: [(LINE, rows[-1])], lambda: clock[0])
+    history.sample()
+    for counts, passed in (
+        (Counts(130, 100, 2.2, 1), 3.0),
+        (Counts(131, 101, 2.2012345, 2), 3.0),
+        (Counts(131, 101, 2.2012345, None), 1.0),
+        (Counts(5, 1, 0.1, 0), 1.0),  # after a change of routes counters may begin again
+    ):
+        rows.append(counts)
+        clock[0] += passed
+        history.sample()
+    found = {}
+    for column in ("rate", "time", "queue"):
+        series = history.series(LINE, column)
+        assert series is not None
+        found[column] = [number for _, number in series.samples.pairs()]
+    assert found == {
+        "rate": [10.0, 0.33, 0, 0],
+        "time": [20.0, 1.23, None, None],
+        "queue": [1, 2, None, 0],
+    }
+
+
+def test_samples_are_a_second_apart_and_count_all_between() -> None:
+    counters = Counters()
+    counters.history.sample()
+    for _ in range(12):
+        counters.go_on(0.25, 1)
+    assert counters.numbers() == [(1001.0, 4.0), (1002.0, 4.0), (1003.0, 4.0)]
+
+
+def test_rows_come_and_go() -> None:
+    counters = Counters()
+    counters.history.sample()
+    counters.go_on(1, 5)
+    other = "", "tcp://192.0.2.2"
+    counters.counts[other] = 1_000_000  # it counted before it was seen
+    counters.go_on(1, 5)
+    counters.go_on(1, 7, other)
+    assert counters.numbers(other) == [(1003.0, 7.0)]
+    del counters.counts[LINE]
+    counters.now += 1
+    counters.history.sample()
+    assert counters.history.series(LINE, "rate") is None
+    assert counters.history.spark(LINE, "rate") == []
+
+
+def test_a_clock_that_is_set_back_makes_no_number_and_stops_none() -> None:
+    counters = Counters()
+    counters.history.sample()
+    counters.go_on(1, 10)
+    counters.go_on(-3600, 10)
+    counters.go_on(1, 10)
+    assert sorted(number or 0 for _, number in counters.numbers()) == [10, 10]
+
+
+def test_all_rows_together_take_a_bounded_room() -> None:
+    counters = Counters()
+    counters.counts = {("", str(at)): 0 for at in range(20_000)}
+    for _ in range(3):
+        counters.go_on(1, 1, ("", "0"))
+    series = counters.history.series(("", "7"), "rate")
+    assert series is not None
+    for at in range(MOST_SAMPLES):
+        series.samples.add(5000.0 + at, at)
+    assert len(series.samples) * 16 * 20_000 <= MOST_BYTES
+
+
+def test_threads_that_sample_at_once_count_nothing_twice() -> None:
+    counters = Counters()
+    counters.history.sample()
+    threads = [threading.Thread(target=counters.history.sample) for _ in range(8)]
+    counters.now += 1
+    counters.counts[LINE] = 40
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert counters.numbers() == [(1001.0, 40.0)]

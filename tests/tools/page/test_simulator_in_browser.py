@@ -33,12 +33,12 @@ def test_a_person_holds_a_value_and_reads_the_log(tmp_path: Path) -> None:
     ):
         person = Person(driver)
         driver.get(page.url)
-        person.sees("#state", "live")
+        person.sees("#state", "connected")
         until(lambda: driver.title == "Unit 1 - libmodbus-py")
 
         # The value moves, and is drawn.
-        until(lambda: "L" in (person.attribute('[data-chart="0"] path', "d") or ""), 30)
-        person.click('[data-chart="0"]')
+        until(lambda: "L" in (person.attribute("#rows .spark path", "d") or ""), 30)
+        person.click("#rows th button", "level")
         person.sees("#charted", "level")
         person.sees("#read", "lowest")
         person.click("#close-chart")
@@ -47,7 +47,7 @@ def test_a_person_holds_a_value_and_reads_the_log(tmp_path: Path) -> None:
         person.click('[data-point="0"]')
         person.click("#hold", "Hold")
         person.sees("#answer", "held")
-        until(lambda: "held" in person.attribute("#space .point", "class"))
+        until(lambda: "held" in person.attribute("#rows tr[data-at]", "class"))
         person.one("#text").clear()
         person.one("#text").send_keys("5\n")
         person.sees('[data-point="0"]', "5")

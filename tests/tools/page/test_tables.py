@@ -1,9 +1,10 @@
 """
-Pages of tables: rows that are looked at, searches, history, and names that are attacks.
+Pages with a table: rows that are looked at, searches, problems, history, names that are attacks.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Any
 
@@ -11,84 +12,96 @@ import pytest
 
 from libmodbus_py.tools.page.page import table_page
 from libmodbus_py.tools.page.samples import MOST_BYTES
-from libmodbus_py.tools.page.table_source import MOST_VISIBLE, TableSource
-from libmodbus_py.tools.page.tables import ValuesTable, cell_text, value_text
+from libmodbus_py.tools.page.tables import MOST_VISIBLE, TableSource
+from libmodbus_py.tools.page.text import cell_text, value_text
 from tests.support.cases import each_case
 from tests.tools.page.tables import HOSTILE, Plant, visited
 from tests.tools.page.watching import Visitor
 
 
 def names(visitor: Visitor) -> list[str]:
-    return [
-        cells[0][1] for _, cells in sorted(visitor.seen["rows"].items(), key=lambda x: int(x[0]))
-    ]
+    return [cells[0][1] for cells in visitor.rows("rows")]
+
+
+def count(visitor: Visitor) -> Any:
+    return visitor.seen.get("view", {}).get("count")
 
 
 def test_rows_come_when_they_are_looked_at_and_change_when_their_values_do() -> None:
     plant = Plant()
-    plant.values.describe([("meter", f"p{at}", "V") for at in range(500)])
+    plant.describe(*(("meter", f"p{at}") for at in range(500)))
     with visited(plant) as visitor:
-        assert visitor.seen["title"] == "plant.toml"
-        assert visitor.seen["tables"][0]["columns"][0][:2] == ["point", "row"]
-        visitor.look_at("values", 100, 130)
-        visitor.receive(lambda: len(visitor.seen["rows"]) == 30)
-        assert visitor.seen["count"] == 500
+        assert visitor.seen["head"]["title"] == "plant.toml"
+        assert visitor.seen["head"]["columns"][0][:2] == ["name", "row"]
+        visitor.look_at(101, 131)
+        visitor.receive(lambda: len(visitor.rows("rows")) == 30)
+        assert count(visitor) == 501
         assert names(visitor)[0] == "p100"
-        visitor.seen["rows"] = {}
+        visitor.messages.clear()
         plant.put("meter", "p7", 1.0)  # out of sight
         plant.put("meter", "p101", 21.5)
-        visitor.receive(lambda: visitor.seen["rows"])
-        assert list(visitor.seen["rows"]) == ["101"]
-        assert visitor.seen["rows"]["101"][1:3] == ["21.5", "V"]
-
-
-def test_a_view_that_is_looked_at_again_is_sent_whole() -> None:
-    plant = Plant()
-    plant.values.describe([("meter", f"p{at}", "V") for at in range(500)])
-    with visited(plant) as visitor:
-        for _ in range(2):
-            visitor.look_at("values", 100, 130)
-            visitor.receive(lambda: len(visitor.seen["rows"]) == 30)
-            visitor.seen["rows"] = {}
+        visitor.receive(lambda: visitor.seen["rows"]["102"][2] == ["21.5", "V"])
+        assert [list(each["rows"]) for each in visitor.messages] == [["102"]]
+        visitor.look_at(111, 141)
+        visitor.receive(lambda: "140" in visitor.seen["rows"])
+        assert sorted(map(int, visitor.seen["rows"])) == list(range(111, 141))
 
 
 def test_a_view_has_a_bounded_number_of_rows() -> None:
     plant = Plant()
-    plant.values.describe([("meter", f"p{at}", "V") for at in range(1000)])
+    plant.describe(*(("meter", f"p{at}") for at in range(1000)))
     with visited(plant) as visitor:
-        visitor.look_at("values", 0, 10_000_000)
-        visitor.receive(lambda: visitor.seen["rows"])
-        assert len(visitor.seen["rows"]) == MOST_VISIBLE
+        visitor.look_at(0, 10_000_000)
+        visitor.receive(lambda: visitor.rows("rows"))
+        assert len(visitor.rows("rows")) == MOST_VISIBLE
 
 
-def test_rows_are_found_by_words_and_by_trouble() -> None:
+def test_rows_are_found_by_words() -> None:
     plant = Plant()
-    plant.values.describe([(f"meter {at}", name, "V") for at in range(9) for name in ("Load", "I")])
+    plant.describe(*((f"meter {at}", name) for at in range(9) for name in ("Load", "I")))
+    with visited(plant) as visitor:
+        visitor.look_at(find="meter LOAD")
+        visitor.receive(lambda: count(visitor) == 9)
+        visitor.look_at(find="meter 4")
+        visitor.receive(lambda: count(visitor) == 3)
+        assert names(visitor) == ["meter 4", "Load", "I"]
+
+
+def test_a_device_that_is_down_is_one_problem_with_its_reason_in_words() -> None:
+    plant = Plant()
+    plant.describe(*((f"meter {at}", name) for at in range(9) for name in ("Load", "I")))
     for at in range(9):
         plant.put(f"meter {at}", "Load", at)
-    plant.put("meter 4", "Load", None, quality="down", reason="ModbusTimeoutError")
+    plant.put("meter 2", "I", None, reason="IllegalDataAddress")
+    for name in ("Load", "I"):
+        plant.put("meter 4", name, None, quality="down", reason="ModbusTimeoutError")
+    plant.meters["meter 4"].reason = "no answer within 0.5 s"
     with visited(plant) as visitor:
-        visitor.look_at("values", find="meter LOAD")
-        visitor.receive(lambda: visitor.seen.get("count") == 9)
-        visitor.look_at("values", trouble=True)
-        visitor.receive(lambda: visitor.seen["count"] == 1 and visitor.seen["rows"])
-        assert visitor.seen["rows"]["0"][6] == ["down", "ModbusTimeoutError"]
+        visitor.look_at(problems=True)
+        visitor.receive(lambda: count(visitor) == 2)
+        assert [cells[:2] for cells in visitor.rows("rows")] == [
+            [["meter 2", "I"], ["bad", "illegal data address", 0]],
+            [["", "meter 4"], ["down", "no answer within 0.5 s", 1000.0]],
+        ]
+        plant.put("meter 2", "I", 3)
+        plant.meters["meter 4"].reason = ""
         plant.put("meter 4", "Load", 3)
-        visitor.receive(lambda: visitor.seen["count"] == 0)
+        plant.put("meter 4", "I", 3)
+        visitor.receive(lambda: count(visitor) == 0)
 
 
 def test_devices_that_are_replaced_vanish_and_their_history_stays_with_those_that_do_not() -> None:
     plant = Plant()
-    plant.values.describe([("a", "x", "V"), ("b", "x", "V")])
+    plant.describe(("a", "x"), ("b", "x"))
     plant.put("a", "x", 1)
     plant.put("b", "x", 2)
     with visited(plant) as visitor:
-        visitor.look_at("values")
-        visitor.receive(lambda: visitor.seen.get("count") == 2)
-        plant.values.describe([("b", "x", "A"), ("c", "x", "V")])
+        visitor.look_at()
+        visitor.receive(lambda: count(visitor) == 4)
+        plant.describe(("b", "x"), ("c", "x"))
         plant.put("a", "x", 5)  # a reading that was under way
-        visitor.receive(lambda: visitor.seen["rows"].get("0", [["", ""]])[0][0] == "b")
-        assert visitor.seen["rows"]["0"][1:3] == ["2", "A"]
+        visitor.receive(lambda: names(visitor) == ["b", "x", "c", "x"])
+        assert visitor.seen["rows"]["1"][2] == ["2", "V"]
         assert visitor.history(row=["b", "x"], seconds=60)["values"] == [2]
         gone = visitor.history(row=["a", "x"], seconds=60)
         assert gone == "this value no longer exists"
@@ -103,7 +116,7 @@ def test_history_is_that_of_memory_and_before_it_that_of_the_journal() -> None:
         return [(now - 3000, 1.0), (now - 2000, None), (now - 50, 2.0), (now - 5, 99.0)]
 
     plant = Plant(older=older)
-    plant.values.describe([("a", "x", "V")])
+    plant.describe(("a", "x"), every=math.inf)
     for at in range(40):
         plant.put("a", "x", 100 + at, now - 40 + at)
     with visited(plant) as visitor:
@@ -115,11 +128,28 @@ def test_history_is_that_of_memory_and_before_it_that_of_the_journal() -> None:
 
 
 @each_case(
+    ("every", "values"),
+    [
+        (10.0, [1.0, 2.0, None, 3.0, None, 7]),
+        (300.0, [1.0, 2.0, 3.0, None, 7]),
+        (None, [1.0, 2.0, 3.0, 7]),
+    ],
+)
+def test_a_time_in_which_the_journal_has_nothing_is_a_gap(
+    every: float | None, values: list[float | None]
+) -> None:
+    now = time.time()
+    older = [(now - 3000, 1.0), (now - 2995, 2.0), (now - 2500, 3.0)]
+    plant = Plant(older=lambda *_: older)
+    plant.describe(("a", "x"), every=every)
+    plant.put("a", "x", 7)
+    with visited(plant) as visitor:
+        assert visitor.history(row=["a", "x"], seconds=3600)["values"] == values
+
+
+@each_case(
     ("request_", "said"),
     [
-        ({"table": "none"}, "there is no such table"),
-        ({"table": ["values"]}, "there is no such table"),
-        ({"table": "__proto__"}, "there is no such table"),
         ({"find": 5}, "find must be a string"),
         ({"find": "x" * 101}, "find must be a string of at most 100 characters"),
         ({"first": -1}, "first must be in"),
@@ -129,44 +159,41 @@ def test_history_is_that_of_memory_and_before_it_that_of_the_journal() -> None:
 )
 def test_wrong_views_are_refused(request_: dict[str, Any], said: str) -> None:
     with visited(Plant()) as visitor:
-        view = {"table": "values", "find": "", "trouble": False, "first": 0, "stop": 9}
-        given = {"stream": visitor.seen["stream"], **view, **request_}
+        view = {"find": "", "problems": False, "first": 0, "stop": 9}
+        given = {"stream": visitor.seen["page"]["stream"], **view, **request_}
         assert said in visitor.post("/view", **given)
 
 
 @each_case(
-    ("row", "seconds"),
-    [(["a"], 5), ("ab", 5), ([1, 2], 5), ([["a"], "x"], 5), (["a", "x"], 0), (["a", "x"], "1")],
+    ("row", "seconds", "column"),
+    [
+        (["a"], 5, "x"),
+        ("ab", 5, "x"),
+        ([1, 2], 5, "x"),
+        ([["a"], "x"], 5, "x"),
+        (["a", "x"], 0, "x"),
+        (["a", "x"], "1", "x"),
+        (["a", "x"], 5, 1),
+        (["a", "x"], 5, None),
+    ],
 )
-def test_wrong_histories_are_refused(row: Any, seconds: Any) -> None:
+def test_wrong_histories_are_refused(row: Any, seconds: Any, column: Any) -> None:
     plant = Plant()
-    plant.values.describe([("a", "x", "V")])
+    plant.describe(("a", "x"))
     with visited(plant) as visitor:
-        assert isinstance(visitor.history(row=row, seconds=seconds), str)
-
-
-@each_case(
-    ("table", "column"),
-    [("none", "x"), (["values"], "x"), ("__proto__", "x"), ("values", 1), ("values", None)],
-)
-def test_charts_of_what_is_no_sparkline_are_refused(table: Any, column: Any) -> None:
-    plant = Plant()
-    plant.values.describe([("a", "x", "V")])
-    with visited(plant) as visitor:
-        assert isinstance(visitor.history(["a", "x"], 5, table, column), str)
+        assert isinstance(visitor.history(row, seconds, column), str)
 
 
 def test_long_names_are_cut_and_hostile_ones_arrive_as_text() -> None:
     plant = Plant(title="<b>" + "t" * 1_000_000)
     given = [*HOSTILE, "n" * 1_000_000]
-    plant.values.describe([(name, name, name) for name in given])
+    plant.describe(*((name, name) for name in given))
     for name in given:
         plant.put(name, name, name, reason=name)
     with visited(plant) as visitor:
-        visitor.look_at("values")
-        visitor.receive(lambda: visitor.seen.get("count") == len(given))
-        visitor.receive(lambda: len(visitor.seen["rows"]) == len(given))
-        assert len(visitor.seen["title"]) < 300
+        visitor.look_at()
+        visitor.receive(lambda: count(visitor) == 2 * len(given))
+        assert len(visitor.seen["head"]["title"]) < 300
         assert names(visitor)[0] == HOSTILE[0]
         assert len(str(visitor.seen["rows"])) < 20_000
         assert visitor.history(row=["__proto__"] * 2, seconds=5)["values"] == [None]
@@ -195,13 +222,11 @@ def test_values_as_text(value: Any, text: str) -> None:
 
 
 def test_the_samples_of_many_values_take_a_bounded_memory() -> None:
-    values = ValuesTable()
-    values.describe([("a", str(at), "") for at in range(20_000)])
+    plant = Plant()
+    plant.describe(*(("a", str(at)) for at in range(20_000)))
     for at in range(1000):
-        values.put([(float(at), "a", "7", at)])
-    series = values.series(("a", "7"), "last values")
-    assert series is not None
-    assert len(series.samples) == MOST_BYTES // 16 // 20_000
+        plant.put("a", "7", at, float(at))
+    assert len(plant.series(("a", "7"), "last values").samples) == MOST_BYTES // 16 // 20_000
 
 
 def test_two_pages_cannot_be_at_one_address() -> None:

@@ -63,7 +63,8 @@ class Visitor:
     Asks as the page does.
 
     Attributes:
-        seen: what the stream has told so far, one on the other.
+        seen: the tables that the stream has brought: table -> key -> row.
+        messages: what it brought, one message after the other.
     """
 
     def __init__(self, url: str) -> None:
@@ -76,8 +77,24 @@ class Visitor:
             "Origin": f"http://{self.host}",
             "Content-Type": "application/json",
         }
-        self.seen: dict[str, Any] = {"log": [], "written": []}
-        self.seen |= {"points": {}, "cells": {}, "rows": {}, "sparks": {}}
+        self.seen: dict[str, dict[str, Any]] = {}
+        self.messages: list[dict[str, Any]] = []
+
+    def rows(self, table: str) -> list[Any]:
+        """Return the rows of a table, in the order of their keys if these are numbers."""
+        rows = self.seen.get(table, {})
+        keys = sorted(rows, key=int) if all(map(str.isdigit, rows)) else rows
+        return [rows[key] for key in keys]
+
+    def cells(self, table: str) -> dict[int, int]:
+        """Return the cells that exist of a table of a unit, such as "1/coils", by address."""
+        found = self.seen.get(table, {}).items()
+        cells = ((int(first) + at, cell) for first, row in found for at, cell in enumerate(row))
+        return {at: cell for at, cell in cells if cell is not None}
+
+    def points(self, table: str) -> list[str]:
+        """Return the texts of points of a unit."""
+        return [row[0] for row in self.rows(table)]
 
     def ask(
         self, method: str, path: str, body: Any = None, **headers: str | None
@@ -103,11 +120,9 @@ class Visitor:
         found = json.loads(data)
         return found if status == 200 else found["error"]
 
-    def history(
-        self, row: Any, seconds: Any, table: Any = "values", column: Any = "last values"
-    ) -> Any:
+    def history(self, row: Any, seconds: Any, column: Any = "last values") -> Any:
         """Return the samples of a chart, or the text of the refusal."""
-        return self.post("/history", table=table, row=row, column=column, seconds=seconds)
+        return self.post("/history", row=row, column=column, seconds=seconds)
 
     @contextlib.contextmanager
     def watching(self) -> Iterator[Visitor]:
@@ -118,7 +133,7 @@ class Visitor:
             self._response = connection.getresponse()
             assert self._response.status == 200, self._response.read()
             try:
-                self.receive(lambda: "stream" in self.seen)
+                self.receive(lambda: "page" in self.seen)
                 yield self
             finally:
                 self._response.close()
@@ -135,34 +150,31 @@ class Visitor:
         return found
 
     def _take(self, message: dict[str, Any]) -> None:
-        for name, value in message.items():
-            if name in ("log", "written"):
-                self.seen[name] += value
-            elif name in ("points", "rows", "sparks"):
-                self.seen[name].update(value)
-            elif name == "counters":
-                self.seen[name] = {**self.seen.get(name, {}), **value}
-            elif name == "cells":
-                for first, cells in value.items():
-                    for at, cell in enumerate(cells):
-                        self.seen[name][int(first) + at] = cell
-            else:
-                self.seen[name] = value
+        self.messages.append(message)
+        for table, changed in message.items():
+            if changed is None:
+                del self.seen[table]
+                continue
+            rows = self.seen.setdefault(table, {})
+            for key, row in changed.items():
+                if row is None:
+                    del rows[key]
+                else:
+                    rows[key] = row
+
+    def _view(self, **view: Any) -> None:
+        found = self.post("/view", stream=self.seen["page"]["stream"], **view)
+        assert found == {}, found
 
     def look(self, unit: int | None, what: str, first: int, stop: int) -> None:
-        found = self.post(
-            "/view", stream=self.seen["stream"], unit=unit, what=what, first=first, stop=stop
-        )
-        assert found == {}, found
+        """Look at points or cells of a unit."""
+        self._view(unit=unit, what=what, first=first, stop=stop)
 
     def look_at(
-        self, table: str, first: int = 0, stop: int = 50, find: str = "", *, trouble: bool = False
+        self, first: int = 0, stop: int = 50, find: str = "", *, problems: bool = False
     ) -> None:
-        """Look at rows of a page of tables."""
-        self.seen["rows"] = {}
-        view = {"table": table, "find": find, "trouble": trouble, "first": first, "stop": stop}
-        found = self.post("/view", stream=self.seen["stream"], **view)
-        assert found == {}, found
+        """Look at rows of a page with a table."""
+        self._view(find=find, problems=problems, first=first, stop=stop)
 
 
 @contextlib.contextmanager

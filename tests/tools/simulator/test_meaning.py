@@ -10,9 +10,9 @@ import pytest
 
 from libmodbus_py import Device
 from libmodbus_py.device_file import DeviceFileError, load
-from libmodbus_py.tools.page.setting import set_point
-from libmodbus_py.tools.page.shown import ShownUnit
-from libmodbus_py.tools.page.views import PointsView
+from libmodbus_py.tools.page.changes import set_point
+from libmodbus_py.tools.page.samples import Samples
+from libmodbus_py.tools.page.units import ShownUnit, point_rows
 
 MAP = """
 [[point]]
@@ -87,18 +87,20 @@ def test_values_of_device_files_are_what_points_mean(device: Device) -> None:
 
 def test_a_page_shows_and_sets_what_points_mean(device: Device) -> None:
     points = device.points
-    unit = ShownUnit(None, device, "", "", tuple(points.values()))
-    view = PointsView(unit, 0, 100)
-    assert view.look()["points"] == {
-        0: "230.5", 1: "-1", 2: "on", 3: "on", 4: "5", 5: "door=0 alarm=1", 6: "- (Missing)",
-    }  # fmt: skip
+    unit = ShownUnit(None, device, points=tuple(points.values()))
+
+    def texts() -> list[str]:
+        return [row[0] for row in point_rows(unit, 0, 100, lambda *_: Samples()).values()]
+
+    before = ["230.5", "-1", "on", "on", "5", "door=0 alarm=1", "- (Missing)"]
+    assert texts() == before
     set_point(unit, points["mode"], "2")
     set_point(unit, points["state"], "off")
     set_point(unit, points["flags"], "door=1")
-    assert view.look()["points"] == {2: "off", 4: "2", 5: "door=1 alarm=1"}
+    assert texts() == ["230.5", "-1", "off", "on", "2", "door=1 alarm=1", "- (Missing)"]
     assert device.mapping.holding_registers[3] == 0x28
     set_point(unit, points["v_sf"], "0")
-    assert view.look()["points"] == {0: "2305", 1: "0"}
+    assert texts()[:2] == ["2305", "0"]
     with pytest.raises(ValueError, match="value must be one of off, on, or a number, not 'up'"):
         set_point(unit, points["state"], "up")
 

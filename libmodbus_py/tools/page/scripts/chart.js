@@ -1,23 +1,19 @@
 // The chart of one value: minutes from memory, hours from the journal.
 
-import { $, clock, made } from "./elements.js";
-import { post } from "./requests.js";
-import { drawn } from "./spark.js";
+import { $, clock, drawn, madeButton } from "./elements.js";
+import { choose } from "./grid.js";
+import { post } from "./rows.js";
 
 const SPANS = [["5 min", 300], ["15 min", 900], ["1 h", 3600], ["6 h", 21600], ["24 h", 86400], ["7 d", 604800]];
 const ROOM = { left: 64, right: 14, top: 12, bottom: 22 };
 
-let choose = () => {};
-
-export function onChosen(call) { choose = call; }
-
 const chart = { of: null, seconds: 300, data: null, at: null, asked: 0 };
 
-// `of` names what the chart shows: a point, or in tables a row and a column.
-export function openChart(of, name) {
+// `of` names what the chart shows: a row, and in tables a column; `key` is the first cell of the row.
+export function openChart(of, name, key) {
   const isNew = JSON.stringify(of) !== JSON.stringify(chart.of);
   if (isNew) { chart.of = of; chart.data = null; chart.at = null; }
-  choose(JSON.stringify(of.row));
+  choose(JSON.stringify(key));
   $("charted").textContent = name;
   $("chart").hidden = false;
   showSpans();
@@ -37,10 +33,8 @@ export function setJournal(is) { hasJournal = is; }
 function showSpans() {
   const some = hasJournal ? SPANS : SPANS.slice(0, 2);
   $("spans").replaceChildren(...some.map(([name, seconds]) => {
-    const button = made("button", name);
-    button.type = "button";
+    const button = madeButton(name, () => { chart.seconds = seconds; showSpans(); refresh(); });
     button.setAttribute("aria-pressed", String(seconds === chart.seconds));
-    button.addEventListener("click", () => { chart.seconds = seconds; showSpans(); refresh(); });
     return button;
   }));
 }

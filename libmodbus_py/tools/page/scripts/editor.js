@@ -1,143 +1,104 @@
 // Changing a value.
 
-import { openChart } from "./chart.js";
-import { $, clock, made } from "./elements.js";
-import { chooseCell, refill } from "./list.js";
-import { post } from "./requests.js";
-import { SHORT, isBits, lastWrite, unit, view } from "./state.js";
+import { $, madeButton, made } from "./elements.js";
+import { fill } from "./grid.js";
+import { post, rowsOf } from "./rows.js";
+
+let now = null;  // what is edited: a point or a cell
+
+export const edited = () => now;
+
+export const isBits = (table) => table === "coils" || table === "discrete_inputs";
+
+// A bit changes at once; the editor opens only if it cannot.
+export function edit(what) {
+  if (what.kind !== "bit" && !isBits(what.table)) { openEditor(what); return; }
+  const text = ["on", "1"].includes(what.text) ? "off" : "on";
+  send({ ...what, text }, "", "ABCD").catch((error) => {
+    openEditor({ ...what, text });
+    say(error.message, false);
+  });
+}
 
 function openEditor(what) {
-  view.edited = what;
-  const { table, address, name, text, isPoint, note } = what;
-  $("edited").textContent = isPoint ? name : `${SHORT[table]} ${address}`;
-  $("edited-note").textContent = note;
+  now = what;
+  const isPoint = what.point !== undefined;
+  $("edited").textContent = what.title;
+  $("edited-note").textContent = what.note;
   for (const each of document.querySelectorAll(".typed")) each.hidden = isPoint;
   $("meanings").hidden = isPoint;
   $("meanings").open = false;
-  $("text").value = text;
-  $("text").removeAttribute("aria-invalid");
+  choose("uint16", "ABCD", what.text);
   say("", true);
   $("editor").hidden = false;
   showHold();
-  refill(false);
+  fill(false);
   $("text").focus();
   $("text").select();
 }
 
-// A moving value of a simulator can be held, and then set.
-export function showHold() {
-  const moves = view.edited?.isPoint ? view.moving.get(view.edited.point) : undefined;
-  $("hold").hidden = moves === undefined;
-  $("hold").textContent = moves === false ? "Release" : "Hold";
-  $("hold").setAttribute("aria-pressed", String(moves === false));
+function choose(type, order, text) {
+  $("type").value = type;
+  $("order").value = order;
+  $("text").value = text;
 }
 
-$("hold").addEventListener("click", () => {
-  const { point, name } = view.edited;
-  const on = view.moving.get(point) === true;
-  post("/hold", { unit: view.unit, point, name, on }).then(() => say(on ? "held" : "released", true),
-    (error) => say(error.message, false));
-});
+// A moving value of a simulator can be held, and then set.
+const moves = () => (now?.point === undefined ? null : rowsOf(`${now.unit ?? "every"}/points`).get(String(now.point))?.[1] ?? null);
+
+export function showHold() {
+  $("hold").hidden = moves() === null;
+  $("hold").textContent = moves() === false ? "Release" : "Hold";
+  $("hold").setAttribute("aria-pressed", String(moves() === false));
+}
 
 export function closeEditor(isFocused) {
-  const was = view.edited;
-  view.edited = null;
+  const was = now;
+  now = null;
   $("editor").hidden = true;
-  refill(false);
+  fill(false);
   if (isFocused && was) {
-    const again = was.isPoint ? `[data-point="${was.point}"]` : `[data-cell="${was.address}"]`;
-    (document.querySelector(again) || $("list")).focus();
+    const again = was.point !== undefined ? `[data-point="${was.point}"]` : `[data-cell="${was.address}"]`;
+    (document.querySelector(again) || $("scroll")).focus();
   }
 }
 
 function say(text, isGood) {
-  const answer = $("answer");
-  answer.textContent = text;
-  answer.className = isGood ? "good" : "";
-  if (isGood) $("text").removeAttribute("aria-invalid");
-  else $("text").setAttribute("aria-invalid", "true");
+  $("answer").textContent = text;
+  $("answer").className = isGood ? "good" : "";
+  $("text").setAttribute("aria-invalid", String(!isGood));
 }
 
-function editPoint(index) {
-  const [name, table, address, kind, measure, access, description] = unit().points[index];
-  const text = view.points.get(index) ?? "";
-  if (kind === "bit") {
-    const value = text === "on" ? "off" : "on";
-    send({ unit: view.unit, point: index, name, text: value }).catch((error) => {
-      openEditor({ isPoint: true, point: index, name, table, address, text: value, note: "" });
-      say(error.message, false);
-    });
-    return;
-  }
-  const note = [`${SHORT[table]} ${address}`, kind, measure, access === "read" ? "read-only for clients" : "",
-    description].filter(Boolean).join(" · ");
-  openEditor({ isPoint: true, point: index, name, table, address, text, note });
+const refused = (error) => say(error.message, false);
+
+function send({ unit, table, address, point, name, text }, type, order) {
+  return post("/value", point === undefined ? { unit, table, address, type, order, text } : { unit, point, name, text });
 }
 
-function editCell(address) {
-  chooseCell(address);
-  if (isBits(view.what)) {
-    const body = { unit: view.unit, table: view.what, address, type: "", order: "ABCD",
-      text: view.cells.get(address) ? "off" : "on" };
-    send(body).catch((error) => {
-      openEditor({ table: view.what, address, text: body.text, note: "" });
-      say(error.message, false);
-    });
-    return;
-  }
-  const last = lastWrite(view.what, address);
-  openEditor({ table: view.what, address, text: String(view.cells.get(address) ?? ""),
-    note: last ? `written at ${clock(last.time)} by ${last.who}` : "" });
-  $("type").value = "uint16";
-  $("order").value = "ABCD";
-}
-
-function send(body) {
-  return post("/value", body);
-}
+$("hold").addEventListener("click", () => {
+  const { unit, point, name } = now;
+  const on = moves() === true;
+  post("/hold", { unit, point, name, on }).then(() => say(on ? "held" : "released", true), refused);
+});
 
 $("editor").addEventListener("submit", (event) => {
   event.preventDefault();
-  const text = $("text").value;
-  const body = view.edited.isPoint
-    ? { unit: view.unit, point: view.edited.point, name: view.edited.name, text }
-    : { unit: view.unit, table: view.edited.table, address: view.edited.address, type: $("type").value,
-        order: $("order").value, text };
-  send(body).then(() => say("set", true), (error) => say(error.message, false));
+  send({ ...now, text: $("text").value }, $("type").value, $("order").value).then(() => say("set", true), refused);
 });
-
-$("editor").addEventListener("keydown", (event) => {
-  if (event.key === "Escape") closeEditor(true);
-});
+$("editor").addEventListener("keydown", (event) => { if (event.key === "Escape") closeEditor(true); });
 $("close").addEventListener("click", () => closeEditor(true));
 
 $("meanings").addEventListener("toggle", () => {
-  if (!$("meanings").open || !view.edited) return;
-  post("/readings", { unit: view.unit, table: view.edited.table, address: view.edited.address }).then((found) => {
-    $("readings").replaceChildren(...Object.values(found).map(([type, order, text]) => {
-      const button = made("button");
-      button.type = "button";
-      button.append(made("span", `${type} ${order}`), made("b", text));
-      button.addEventListener("click", () => {
+  if (!$("meanings").open || !now) return;
+  post("/readings", { unit: now.unit, table: now.table, address: now.address }).then(({ readings }) => {
+    $("readings").replaceChildren(...readings.map(([type, order, text]) => {
+      const button = madeButton("", () => {
         if (![...$("type").options].some((each) => each.value === type)) return;
-        $("type").value = type;
-        $("order").value = order;
-        $("text").value = text;
+        choose(type, order, text);
         $("text").focus();
       });
+      button.append(made("span", `${type} ${order}`), made("b", text));
       return button;
     }));
-  }, (error) => say(error.message, false));
-});
-
-$("list").addEventListener("click", (event) => {
-  const button = event.target.closest("button");
-  if (!button) return;
-  if (button.dataset.chart !== undefined) {
-    const [name] = unit().points[Number(button.dataset.chart)];
-    openChart({ row: [view.unit, name] }, name);
-    return;
-  }
-  if (button.dataset.point !== undefined) editPoint(Number(button.dataset.point));
-  else editCell(Number(button.dataset.cell));
+  }, refused);
 });

@@ -1,51 +1,62 @@
-// The faults of the server, on and off.
+// The faults of the server, on and off, and the choices of its forms.
 
-import { $, made } from "./elements.js";
-import { post } from "./requests.js";
-import { known, unitName } from "./state.js";
+import { $, made, madeButton, replaceButtons } from "./elements.js";
+import { post, rowsOf } from "./rows.js";
+
+const settingOf = () => rowsOf("words").get("kinds")[$("fault-kind").value];
+
+function change(path, body) {
+  const say = (text) => { $("fault-answer").textContent = text; };
+  post(path, body).then(() => say(""), (error) => say(error.message));
+}
 
 export function showFaults() {
-  const rowsNow = known.faults.map(([number, where, kind, words, isOn]) => {
+  const rows = [...rowsOf("faults")].map(([number, [unit, kind, words, isOn]]) => {
     const row = made("li", undefined, isOn ? "" : "off");
     const what = made("span");
     what.append(made("span", kind.replaceAll("_", " "), "kind"), " ", made("span", words, "what"));
-    const button = made("button", isOn ? "on" : "off", "value");
-    button.type = "button";
+    const button = madeButton(isOn ? "on" : "off", () => change("/fault", { number: Number(number), on: !isOn }), "value");
+    const where = unit === null ? "every" : `unit ${unit}`;
     button.setAttribute("role", "switch");
     button.setAttribute("aria-checked", String(isOn));
-    button.setAttribute("aria-label", `${kind} ${words}, unit ${unitName(where)}`);
-    button.addEventListener("click", () => {
-      post("/fault", { number, on: !isOn }).then(() => sayFault(""), (error) => sayFault(error.message));
-    });
-    row.append(made("span", where === null ? "every" : `unit ${where}`, "where"), what, button);
+    button.setAttribute("aria-label", `${kind} ${words}, ${where}`);
+    row.append(made("span", where, "where"), what, button);
     return row;
   });
-  const at = [...$("faults").querySelectorAll("button")].indexOf(document.activeElement);
-  $("faults").replaceChildren(...(rowsNow.length ? rowsNow : [made("li", "No faults.", "none")]));
-  if (at >= 0) $("faults").querySelectorAll("button")[at]?.focus();
+  replaceButtons($("faults"), rows.length ? rows : [made("li", "No faults.", "none")]);
 }
 
-function sayFault(text) {
-  $("fault-answer").textContent = text;
+export function showKinds() {
+  const fill = (id, names) => {
+    if ($(id).options.length) return;
+    $(id).replaceChildren(...names.map((name) => {
+      const option = made("option", name.replaceAll("_", " "));
+      option.value = name;
+      return option;
+    }));
+  };
+  const words = rowsOf("words");
+  fill("type", words.get("types"));
+  fill("order", words.get("orders"));
+  fill("fault-kind", Object.keys(words.get("kinds")));
+  showSetting();
 }
 
-export function showSetting() {
-  const setting = known.words?.kinds[$("fault-kind").value];
-  $("fault-setting-label").hidden = !setting;
-  $("fault-setting-label").firstElementChild.textContent = setting || "";
+function showSetting() {
+  $("fault-setting-label").hidden = !settingOf();
+  $("fault-setting-label").firstElementChild.textContent = settingOf() || "";
 }
 
-function number(text) {
-  return text.trim() === "" ? null : Number.isNaN(Number(text)) ? text : Number(text);
+function number(id) {
+  const text = $(id).value.trim();
+  return text === "" ? null : Number.isNaN(Number(text)) ? text : Number(text);
 }
 
 $("fault-kind").addEventListener("change", showSetting);
 $("adding").addEventListener("submit", (event) => {
   event.preventDefault();
-  const kind = $("fault-kind").value;
-  const setting = known.words.kinds[kind];
-  const body = { unit: JSON.parse($("fault-unit").value), kind,
-    function: number($("fault-function").value), every: number($("fault-every").value) };
-  if (setting) body[setting] = number($("fault-setting").value);
-  post("/faults", body).then(() => sayFault(""), (error) => sayFault(error.message));
+  const body = { unit: JSON.parse($("fault-unit").value), kind: $("fault-kind").value,
+    function: number("fault-function"), every: number("fault-every") };
+  if (settingOf()) body[settingOf()] = number("fault-setting");
+  change("/faults", body);
 });

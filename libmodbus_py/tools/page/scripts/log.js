@@ -1,11 +1,11 @@
 // The log of transactions.
 
 import { $, clock, made } from "./elements.js";
-import { known } from "./state.js";
+import { onRows, rowsOf } from "./rows.js";
 
-const MOST_LOG = 300;
 const GOOD = new Set(["answered", "broadcast"]);
 
+const shown = new Map();  // number of a row -> its element
 let paused = false;
 let cleared = 0;
 
@@ -36,33 +36,40 @@ function aim() {
   $("save").href = `/log.csv${fields.size ? "?" : ""}${fields}`;
 }
 
-// If the units are not known beforehand, the filter lists the units in the log.
-function addUnits(entries) {
+// The filter lists the units in the log, and those that a server has.
+export function addUnits(units) {
   const filter = $("filter");
-  const known = new Set([...filter.options].map((each) => each.value));
-  for (const [, , , unit] of entries) {
+  const there = new Set([...filter.options].map((each) => each.value));
+  for (const unit of units) {
     const name = JSON.stringify(unit);
-    if (unit === null || known.has(name) || known.size > 256) continue;
-    known.add(name);
+    if (unit === null || there.has(name) || there.size > 256) continue;
+    there.add(name);
     const option = made("option", String(unit));
     option.value = name;
     filter.append(option);
   }
 }
 
-function showLog() {
-  $("log").replaceChildren(...known.log.filter(wanted).reverse().map(logRow));
+function take(number, entry) {
+  shown.get(number)?.remove();
+  shown.delete(number);
+  if (!entry || !wanted(entry)) return;
+  shown.set(number, logRow(entry));
+  $("log").prepend(shown.get(number));
 }
 
-export function addToLog(entries) {
-  known.log.push(...entries);
-  known.log.splice(0, Math.max(0, known.log.length - MOST_LOG));
-  if (!known.units.length) addUnits(entries);
-  if (paused) return;
-  const log = $("log");
-  log.prepend(...entries.slice(-MOST_LOG).filter(wanted).reverse().map(logRow));
-  while (log.children.length > MOST_LOG) log.lastElementChild.remove();
+function showLog() {
+  $("log").replaceChildren();
+  shown.clear();
+  for (const [number, entry] of rowsOf("log")) take(number, entry);
 }
+
+onRows(({ page, log }) => {
+  if (log) addUnits(Object.values(log).filter(Boolean).map(([, , , unit]) => unit));
+  if (paused) return;
+  if (page) showLog();
+  else for (const [number, entry] of Object.entries(log || {})) take(number, entry);
+});
 
 $("pause").addEventListener("click", () => {
   paused = !paused;
@@ -71,7 +78,7 @@ $("pause").addEventListener("click", () => {
   if (!paused) showLog();
 });
 $("clear").addEventListener("click", () => {
-  cleared = known.log.at(-1)?.[0] || cleared;
+  cleared = Math.max(cleared, ...[...rowsOf("log").keys()].map(Number));
   showLog();
 });
 for (const id of ["filter", "only-writes", "only-errors"]) {

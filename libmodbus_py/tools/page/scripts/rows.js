@@ -1,93 +1,82 @@
-// One row of the list: a point, or some cells.
+// The tables of rows that the server has sent, and the stream of their changes. A message has the rows that
+// changed, by table and key, and null for a row or a table that is gone.
 
-import { asCell, clock, glow, made } from "./elements.js";
-import { addressOf, layout } from "./layout.js";
-import { fillSpark, sparkline } from "./spark.js";
-import { SHORT, has, isBits, lastWrite, unit, view } from "./state.js";
+import { $, clock } from "./elements.js";
 
-export function template() {
-  return `60px repeat(${layout.each}, minmax(0, ${isBits(view.what) ? "44px" : "1fr"}))`;
-}
+const tables = new Map();
+const watching = [];
 
-export function pointRow(index) {
-  const [name, table, address, kind, measure, , description] = unit().points[index];
-  const row = made("div", undefined, "row point");
-  const label = made("span", name);
-  label.title = description || name;
-  const value = made("button", "", "value");
-  value.type = "button";
-  value.dataset.point = index;
-  const drawing = made("button", undefined, "drawing wide");
-  drawing.type = "button";
-  drawing.dataset.chart = index;
-  drawing.setAttribute("aria-label", `${name}: chart`);
-  drawing.append(sparkline());
-  const others = [value, made("span", measure, "faint"), drawing, made("span", `${SHORT[table]} ${address}`, "faint wide"),
-    made("span", kind, "faint wide"), made("span", "", "faint wide written")];
-  row.append(asCell(label, "rowheader"), ...others.map((each) => asCell(each)));
-  fillPoint(row, index, false);
-  return row;
-}
+// The rows of a table by their keys, which are text.
+export function rowsOf(table) { return tables.get(table) || new Map(); }
 
-export function fillPoint(row, index, glows) {
-  const [name, table, address, kind] = unit().points[index];
-  const value = row.querySelector(".value");
-  const text = view.points.get(index);
-  const isSwitch = kind === "bit";
-  const shown = text === undefined ? "…" : text;
-  if (value.textContent !== shown) {
-    value.textContent = shown;
-    if (glows) glow(value);
+// Call a function with each message, once its rows are in the tables. Everything is new if it has a `page`.
+export function onRows(call) { watching.push(call); }
+
+function take(message) {
+  for (const [name, changed] of Object.entries(message)) {
+    if (changed === null) { tables.delete(name); continue; }
+    const rows = rowsOf(name);
+    tables.set(name, rows);
+    for (const [key, row] of Object.entries(changed)) if (row === null) rows.delete(key); else rows.set(key, row);
   }
-  value.title = shown;
-  value.classList.toggle("wrong", shown.startsWith("? ") || shown === "no such cells");
-  value.setAttribute("aria-label", `${name}: ${shown}${isSwitch ? "" : ", change"}`);
-  if (isSwitch) {
-    value.setAttribute("role", "switch");
-    value.setAttribute("aria-checked", String(text === "on"));
-  }
-  fillSpark(row.querySelector(".drawing svg"), view.sparks.get(index) || []);
-  row.classList.toggle("held", view.moving.get(index) === false);
-  row.classList.toggle("selected", view.edited?.point === index);
-  const last = lastWrite(table, address);
-  const written = row.querySelector(".written");
-  written.textContent = last ? `${clock(last.time)} ${last.who.replace(/:[0-9]+$/, "")}` : "";
-  written.title = last ? `${clock(last.time)} by ${last.who}` : "";
+  for (const call of watching) call(message);
 }
 
-export function cellRow(index) {
-  const first = addressOf(index);
-  const row = made("div", undefined, "row cells");
-  row.style.gridTemplateColumns = template();
-  row.append(asCell(made("span", String(first), "at"), "rowheader"));
-  for (let at = first; at < first + layout.each; at += 1) {
-    if (!has(at)) { row.append(asCell(made("span", "·", "hole"))); continue; }
-    const cell = made("button", "", isBits(view.what) ? "value bit" : "value");
-    cell.type = "button";
-    cell.dataset.cell = at;
-    cell.tabIndex = at === view.chosen || (view.chosen === null && at === firstCell()) ? 0 : -1;
-    fillCell(cell, at, false);
-    row.append(asCell(cell));
-  }
-  return row;
+// --- the stream; while it is lost, the page is grey and shows since when ----------------------------------
+
+let since = 0;
+
+function say(text, name) {
+  $("state").textContent = text;
+  $("state").className = name;
+  document.body.classList.toggle("lost", name === "lost");
 }
 
-function firstCell() {
-  return unit()?.tables[view.what]?.[0]?.[0];
+export function connect() {
+  const events = new EventSource("/events");
+  events.onopen = () => { tables.clear(); since = 0; say("connected", "live"); };
+  events.onmessage = (event) => take(JSON.parse(event.data));
+  events.onerror = () => {
+    since = since || Date.now() / 1000;
+    say(`no connection to the server since ${clock(since)}; the page shows the last known values`, "lost");
+    if (events.readyState !== EventSource.CLOSED) return;
+    events.close();
+    setTimeout(connect, 2000);
+    fetch("/icon.svg").then((response) => {
+      if (response.status === 403) say("the server has a new token: open the URL that it printed", "lost");
+    }, () => {});
+  };
 }
 
-export function fillCell(cell, address, glows) {
-  const value = view.cells.get(address);
-  const shown = value === undefined ? "…" : String(value);
-  if (cell.textContent !== shown) {
-    cell.textContent = shown;
-    if (glows) glow(cell);
+// --- requests ---------------------------------------------------------------------------------------------
+
+export async function post(path, body) {
+  const response = await fetch(path, {
+    method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body),
+  });
+  const found = await response.json();
+  if (!response.ok) throw new Error(found.error);
+  return found;
+}
+
+// Views are requested one at a time: each request has its own connection and may overtake another one, and the
+// server shows the view of the last request.
+
+let latest = "";
+let next = null;
+let isAsking = false;
+
+export async function lookAt(view) {
+  const stream = rowsOf("page").get("stream");
+  const text = JSON.stringify({ ...view, stream });
+  if (!stream || text === latest) return;
+  latest = next = text;
+  if (isAsking) return;
+  isAsking = true;
+  while (next) {
+    const body = JSON.parse(next);
+    next = null;
+    await post("/view", body).catch(() => { latest = ""; });
   }
-  cell.classList.toggle("zero", value === 0);
-  cell.classList.toggle("on", isBits(view.what) && value === 1);
-  cell.classList.toggle("chosen", view.edited?.address === address);
-  const last = lastWrite(view.what, address);
-  const who = last ? `, written at ${clock(last.time)} by ${last.who}` : "";
-  cell.title = `${SHORT[view.what]} ${address}${who}`;
-  cell.setAttribute("aria-label", `${SHORT[view.what]} ${address}: ${shown}${who}`);
+  isAsking = false;
 }

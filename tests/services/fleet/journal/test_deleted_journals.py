@@ -6,6 +6,7 @@ reads them.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import time
 from pathlib import Path
@@ -147,7 +148,7 @@ def test_a_page_shows_what_is_in_memory(path: str) -> None:
     with contextlib.closing(file), visited(plant) as visitor:
         file.open([])
         file.write(polls(1, 3, time=now - 60), {}, 0)
-        plant.values.describe([("a", "p1", "V")])
+        plant.describe(("a", "p1"), every=math.inf)
         plant.put("a", "p1", 5, at=now - 1)
         assert len(visitor.history(["a", "p1"], 100)["values"]) == 4
         delete(path, "", "-wal", "-shm")

@@ -1,12 +1,13 @@
 """
-Values that are typed on a page: set, or refused with the reason.
+Values that are typed on a page: set, or refused with the reason; also times, states and bits.
 """
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from typing import Any
 
-from libmodbus_py import Access, Context, Device, Mapping, Point, Server
+from libmodbus_py import Access, Context, Device, Mapping, Point, RegisterMap, Server
 from libmodbus_py.page import live_page
 from tests.support.cases import each_case
 from tests.tools.page.watching import NAMES, NamedDevice, Visitor, shown
@@ -28,7 +29,8 @@ def test_a_value_that_is_typed_is_set(name: str, typed: str, text: str) -> None:
     with shown() as (_, _, visitor), visitor.watching():
         assert visitor.post("/value", unit=1, point=point, name=name, text=typed) == {}
         visitor.look(1, "points", 0, 100)
-        visitor.receive(lambda: visitor.seen["points"].get(str(point)) == text)
+        visitor.receive(lambda: visitor.rows("1/points"))
+        visitor.receive(lambda: visitor.points("1/points")[point] == text)
 
 
 def test_what_is_set_is_what_clients_read() -> None:
@@ -119,6 +121,81 @@ def test_a_value_that_the_device_computes_is_told() -> None:
 def test_what_registers_may_mean() -> None:
     with shown() as (_, _, visitor):
         found = visitor.post("/readings", unit=1, table="holding_registers", address=0)
-        assert ["float32", "CDAB", "21.5"] in found
-        assert visitor.post("/readings", unit=1, table="coils", address=0) == {}
-        assert visitor.post("/readings", unit=1, table="holding_registers", address=60) == {}
+        assert ["float32", "CDAB", "21.5"] in found["readings"]
+        for place in ({"table": "coils", "address": 0}, {"table": H, "address": 60}):
+            assert visitor.post("/readings", unit=1, **place) == {"readings": []}
+
+
+# --- times, states and named bits -----------------------------------------------------------------
+
+H = "holding_registers"
+
+MAP = RegisterMap(
+    [
+        Point("state", H, 0, states={0: "off", 1: "on"}),
+        Point("flags", H, 1, bits={0: "door", "4..7": "mode"}),
+        Point("clock", H, 2, type="unix32"),
+        Point("local", H, 4, type="date48", time_zone="Europe/Berlin"),
+        Point("flag", H, 7, bit=3),
+        Point("doors", H, 8, count=2, bits={0: "door, left", 1: "b"}),
+        Point("modes", H, 10, count=2, states={0: "off, idle", 1: "on"}),
+    ]
+)
+
+NOON = datetime(2026, 7, 1, 12, tzinfo=UTC)
+
+# Name, text, value.
+MEANT: list[tuple[str, str, Any]] = [
+    ("state", "on", "on"),
+    ("state", "1", "on"),
+    ("flags", "door=1, mode=5", {"door": True, "mode": 5}),
+    ("flags", '{"door": true, "mode": 5}', {"door": True, "mode": 5}),
+    ("clock", "2026-07-01T12:00:00Z", NOON),
+    ("clock", "2026-07-01T14:00:00+02:00", NOON),
+    ("local", "2026-07-01T12:00:00Z", NOON),
+    ("flag", "on", True),
+    (
+        "doors",
+        '[{"door, left": 1, "b": 0}, {"door, left": 0, "b": 1}]',
+        [{"door, left": True, "b": False}, {"door, left": False, "b": True}],
+    ),
+    ("modes", "on, 0", ["on", "off, idle"]),
+    ("modes", '["off, idle", "on"]', ["off, idle", "on"]),
+]
+
+MEANINGLESS = [
+    ("state", "up"),
+    ("flags", "dor=1"),
+    ("flags", '{"door": 1'),
+    ("flags", '{"door": "yes"}'),
+    ("clock", "noon"),
+    ("clock", "2026-07-01T12:00:00"),
+    ("flag", "2"),
+    ("doors", "b=1, b=1"),
+    ("doors", '{"b": 1}'),
+    ("doors", '[{"b": 1, "b": 0}, {}]'),
+    ("doors", '[{"b": 1}]'),
+    ("modes", '["on"'),
+    ("modes", "[" * 1900),
+]
+
+
+def sent(device: Device, name: str, text: str) -> Any:
+    with live_page(Server(device)) as page:
+        given = {"unit": None, "point": list(MAP).index(name), "name": name, "text": text}
+        return Visitor(page.url).post("/value", **given)
+
+
+@each_case(("name", "text", "value"), MEANT)
+def test_a_value_is_set(name: str, text: str, value: Any) -> None:
+    device = Device.of_map(MAP)
+    assert sent(device, name, text) == {}
+    assert device[name] == value
+
+
+@each_case(("name", "text"), MEANINGLESS)
+def test_a_wrong_value_is_refused_and_nothing_changes(name: str, text: str) -> None:
+    device = Device.of_map(MAP)
+    before = list(device.mapping.holding_registers[0:8])
+    assert "value" in sent(device, name, text)
+    assert list(device.mapping.holding_registers[0:8]) == before

@@ -1,13 +1,16 @@
 """
-Sets cells to values that a person typed. Values are checked, set under the lock, and compared
-afterwards.
+Changes that a person makes on the page of a server: values of points and cells, and faults.
 
-The program of the device sets them, not a client: cells that clients cannot write can be set, and
-hooks for writes are not called. Values that do not fit a point are refused.
+The program of the device sets values, not a client: cells that clients cannot write can be set, and
+hooks for writes are not called. Values that do not fit a point are refused. Values are checked, set
+under the lock, and compared afterwards.
 """
 
 from __future__ import annotations
 
+import threading
+from dataclasses import fields
+from itertools import count
 from typing import Any
 
 from ...device.named_values import cells_after
@@ -16,12 +19,17 @@ from ...maps.typed import typed_register, typed_value, typed_values
 from ...protocol.spelling import text_of
 from ...protocol.tables import TABLES
 from ...protocol.values import readings, value_type
-from .refreshing import Refreshing
-from .shown import ShownUnit
+from ..faults.fault import Fault
+from ..faults.switch import FaultState, FaultSwitch
+from .units import ShownUnit
 
-__all__ = ["readings_at", "set_cells", "set_point"]
+__all__ = ["FaultList", "readings_at", "set_cells", "set_point"]
 
+# Characters of a value that is typed.
 MOST_TEXT = 2000
+
+# Faults of a server to which pages can add others.
+MOST_FAULTS = 200
 
 
 def set_point(unit: ShownUnit, point: Point, text: str) -> None:
@@ -101,6 +109,77 @@ def _check_set(unit: ShownUnit, point: Point, cells: list[Any]) -> None:
     Raises:
         ValueError: the point has other cells, because the device computes them when they are read.
     """
-    Refreshing(unit.device).refresh(point.table, point.cells)
+    unit.refresh(point.table, point.cells)
     if cells_after(point, unit.device.mapping) != cells:
         raise ValueError("the device computes this value itself")
+
+
+# --- faults ---------------------------------------------------------------------------------------
+
+
+class FaultList:
+    """
+    The faults of one server, each with a number that does not change. Safe from any thread.
+
+    Args:
+        switch: the fault switch of the server, which other programs may use, too.
+    """
+
+    def __init__(self, switch: FaultSwitch) -> None:
+        self._switch = switch
+        self._lock = threading.Lock()
+        self._numbers = count()
+        self._states: dict[int, FaultState] = {}
+
+    def rows(self) -> dict[int, list[Any]]:
+        """Return unit, kind, settings and state of each fault, by its number, the oldest first."""
+        with self._lock:
+            self._follow()
+            return {
+                number: [each.unit, each.fault.kind, _settings(each.fault), each.is_on]
+                for number, each in self._states.items()
+            }
+
+    def turn(self, number: int, *, is_on: bool) -> None:
+        """
+        Switch a fault on or off.
+
+        Raises:
+            ValueError: the server does not have this fault any more.
+        """
+        with self._lock:
+            self._follow()
+            if number not in self._states:
+                raise ValueError("this fault no longer exists")
+            self._switch.turn(self._states[number], is_on=is_on)
+
+    def add(self, unit: int | None, fault: Fault) -> None:
+        """
+        Add a fault and switch it on; `unit` is None for every unit.
+
+        Raises:
+            ValueError: there are `MOST_FAULTS` already.
+        """
+        with self._lock:
+            self._follow()
+            if len(self._states) >= MOST_FAULTS:
+                raise ValueError(f"there are {MOST_FAULTS} faults already, which is the maximum")
+            self._switch.switch_on(fault, unit=unit)
+
+    def _follow(self) -> None:
+        now = self._switch.states()
+        known = {id(each): number for number, each in self._states.items()}
+        numbered = {
+            known[id(each)] if id(each) in known else next(self._numbers): each for each in now
+        }
+        self._states = dict(sorted(numbered.items()))
+
+
+def _settings(fault: Fault) -> str:
+    """Return all settings except the kind, such as ``seconds 1.5, function 3``."""
+    given = {each.name: getattr(fault, each.name) for each in fields(fault) if each.name != "kind"}
+    return ", ".join(
+        f"{name} {value.hex(' ') if isinstance(value, bytes) else value}"
+        for name, value in given.items()
+        if value is not None
+    )

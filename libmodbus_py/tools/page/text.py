@@ -1,0 +1,79 @@
+"""
+Values and names as the text of a cell.
+"""
+
+from __future__ import annotations
+
+import reprlib
+from typing import Any
+
+from ...maps.point import Point
+from ...protocol.spelling import shown
+
+__all__ = ["cell_text", "judged_point", "point_text", "value_text"]
+
+# Characters of a cell.
+MOST_TEXT = 200
+
+# Items of a list that a cell shows.
+MOST_VALUES = 20
+
+# Characters of a number that is shown to the last digit.
+LONGEST = 12
+
+
+def cell_text(text: object) -> str:
+    """Return a text for a cell: cut, and without characters that cannot be printed."""
+    found = text if isinstance(text, str) else str(text)
+    cut = found[:MOST_TEXT]
+    plain = cut if cut.isprintable() else "".join(x if x.isprintable() else "?" for x in cut)
+    return plain if len(found) <= MOST_TEXT else f"{plain}..."
+
+
+def value_text(value: Any) -> str:
+    """Return a value as text, of at most about `MOST_TEXT` characters."""
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    if isinstance(value, float):
+        # A longer number was decoded from 32 bits, which hold only seven exact digits.
+        return text if len(text := repr(value)) <= LONGEST else f"{value:.7g}"
+    if isinstance(value, list | tuple):
+        more = ", ..." if len(value) > MOST_VALUES else ""
+        return cell_text(
+            ", ".join("-" if x is None else value_text(x) for x in value[:MOST_VALUES]) + more
+        )
+    if isinstance(value, dict):
+        return cell_text(" ".join(f"{name}={value_text(each)}" for name, each in value.items()))
+    if isinstance(value, int | str):
+        return cell_text(value)
+    return cell_text(reprlib.repr(value))
+
+
+def point_text(point: Point, cells: list[Any], source: Any) -> str:
+    """Return the value of a point as a row shows it, or the reason that it has none."""
+    return judged_point(point, cells, source)[1]
+
+
+def judged_point(point: Point, cells: list[Any], source: Any) -> tuple[Any, str]:
+    """Return the value of a point, or None if it has none, and the text that a row shows."""
+    try:
+        value, _, reason = point.judge(cells, source=source)
+    except (TypeError, ValueError) as error:
+        return None, "no such cells" if not cells else f"? {error}"
+    if value is None:
+        return None, f"- ({reason})"
+    values = value if point.count > 1 else [value]
+    text = ", ".join(_text_of(point, each) for each in values[:MOST_TEXT])
+    return value, text if len(text) <= MOST_TEXT else f"{text[:MOST_TEXT]}..."
+
+
+def _text_of(point: Point, value: Any) -> str:
+    kind = point.read.kind
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    if isinstance(value, str):
+        return value if value.isprintable() else reprlib.repr(value)
+    if isinstance(value, dict):
+        return " ".join(f"{name}={int(each)}" for name, each in value.items())
+    is_plain = not point.is_part and (point.scale, point.offset, point.scale_from) == (1, 0, None)
+    return shown(value, kind) if is_plain and kind is not None else str(value)

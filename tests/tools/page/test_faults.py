@@ -1,0 +1,142 @@
+"""
+The faults of a server as its page lists, switches and adds them.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from libmodbus_py import (
+    Context,
+    Device,
+    Fault,
+    Mapping,
+    ModbusTimeoutError,
+    Server,
+    ServerDeviceBusy,
+)
+from libmodbus_py.tools.page.changes import FaultList
+from libmodbus_py.tools.testing.recording import RecordingServer
+from tests.tools.page.watching import shown, until
+
+GIVEN = {1: [Fault("exception", code=6, function=3)], None: [Fault("no_answer", function=1)]}
+
+
+def listed() -> tuple[Server, FaultList]:
+    server = Server({1: Device(Mapping())}, faults=GIVEN)
+    return server, FaultList(server.fault_switch)
+
+
+def test_faults_are_switched_off_and_on() -> None:
+    with (
+        shown(faults=GIVEN) as (_, url, visitor),
+        visitor.watching(),
+        Context.from_url(url, unit=1, timeout=5) as plc,
+    ):
+        assert visitor.seen["faults"] == {
+            "0": [1, "exception", "function 3, code 6", True],
+            "1": [None, "no_answer", "function 1", True],
+        }
+        with pytest.raises(ServerDeviceBusy):
+            plc.read_holding_registers(0, 1)
+        assert visitor.post("/fault", number=0, on=False) == {}
+        visitor.receive(lambda: not visitor.seen["faults"]["0"][3])
+        until(lambda: _reads(plc))
+        visitor.post("/fault", number=0, on=True)
+        until(lambda: not _reads(plc))
+        found = visitor.post("/fault", number=9, on=True)
+        assert found == "this fault no longer exists"
+
+
+def _reads(plc: Context) -> bool:
+    try:
+        plc.read_holding_registers(0, 1)
+    except ServerDeviceBusy:
+        return False
+    return True
+
+
+def test_a_fault_is_added() -> None:
+    with shown() as (server, url, visitor), visitor.watching():
+        body = {"unit": 2, "kind": "no_answer", "function": 3, "every": None, "seconds": None}
+        assert visitor.post("/faults", **body) == {}
+        visitor.receive(lambda: visitor.seen["faults"])
+        (state,) = server.fault_switch.states()
+        assert (state.unit, state.fault) == (2, Fault("no_answer", function=3))
+        with Context.from_url(url, unit=2, timeout=0.3) as plc, pytest.raises(ModbusTimeoutError):
+            until(lambda: plc.read_holding_registers(0, 1) is None)
+        for wrong, text in (
+            ({"unit": 2, "kind": "delay"}, "seconds is missing"),
+            ({"unit": None, "kind": "explode"}, "kind must be one of delay"),
+            ({"unit": 3, "kind": "no_answer"}, "there is no unit 3"),
+            ({"unit": 2, "kind": "delay", "seconds": "soon"}, "seconds must be"),
+            ({"unit": 2, "kind": ["delay"]}, "kind must be one of"),
+        ):
+            assert text in visitor.post("/faults", **wrong)
+
+
+def test_others_may_change_devices_and_faults() -> None:
+    with shown() as (server, _, visitor), visitor.watching():
+        visitor.look(1, "holding_registers", 0, 8)
+        visitor.receive(lambda: visitor.cells("1/holding_registers"))
+        mapping = Mapping(holding_registers={0: [77] * 8})
+        server.replace({1: Device(mapping)}, {1: [Fault("no_answer")]})
+        visitor.receive(
+            lambda: visitor.cells("1/holding_registers")[0] == 77 and visitor.seen["faults"]
+        )
+        assert [each["number"] for each in visitor.rows("units")] == [1]
+        assert visitor.rows("units")[0]["tables"] == {"holding_registers": [[0, 8]]}
+        server.replace({3: Device(mapping)})
+        visitor.receive(lambda: list(visitor.seen["units"]) == ["3"])
+        assert "1/holding_registers" not in visitor.seen
+        visitor.look(3, "holding_registers", 0, 8)
+        visitor.receive(lambda: visitor.cells("3/holding_registers"))
+
+
+def test_a_fault_is_listed_with_its_settings() -> None:
+    _, faults = listed()
+    faults.rows()
+    faults.add(7, Fault("exception", code=2, function=3))
+    faults.rows()
+    faults.add(None, Fault("delay", seconds=1.5))
+    assert [each[2] for each in faults.rows().values()][2:] == ["function 3, code 2", "seconds 1.5"]
+
+
+def test_there_may_be_so_many_and_no_more() -> None:
+    _, faults = listed()
+    for _ in range(198):
+        faults.add(None, Fault("no_answer"))
+    with pytest.raises(ValueError, match="there are 200 faults"):
+        faults.add(None, Fault("no_answer"))
+    assert len(faults.rows()) == 200
+
+
+def test_what_others_change_is_followed() -> None:
+    server, faults = listed()
+    faults.turn(0, is_on=False)
+    server.replace(server.devices, {3: [Fault("disconnect")]})
+    assert faults.rows() == {2: [3, "disconnect", "", True]}
+    for gone in (0, -1):
+        with pytest.raises(ValueError, match="fault no longer exists"):
+            faults.turn(gone, is_on=True)
+
+
+def test_equal_faults_are_switched_each_for_itself() -> None:
+    server = Server({1: Device(Mapping())}, {1: [Fault("no_answer"), Fault("no_answer")]})
+    faults = FaultList(server.fault_switch)
+    faults.turn(1, is_on=False)
+    assert [each[-1] for each in faults.rows().values()] == [True, False]
+
+
+def test_a_page_and_the_pytest_plugin_do_not_undo_each_other() -> None:
+    recording = RecordingServer(["tcp://127.0.0.1:0"], Device(Mapping(coils=8)), None)
+    try:
+        faults = FaultList(recording.faults)
+        with recording.faults.switch_on(Fault("exception", code=6)):
+            faults.add(None, Fault("no_answer"))
+            assert [each[1] for each in faults.rows().values()] == ["exception", "no_answer"]
+            faults.turn(1, is_on=False)
+            assert [each.is_on for each in recording.faults.states()] == [False, True]
+        assert [each[1::2] for each in faults.rows().values()] == [["no_answer", False]]
+    finally:
+        recording.close()
