@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import count
 from typing import Self
 
 from .fault import Fault
@@ -16,6 +17,8 @@ __all__ = ["FaultState", "FaultSwitch", "FaultsByUnit", "Switched"]
 FaultsByUnit = dict[int | None, list[Fault]]
 """Unit 0..255 -> the faults of its answers; None is every unit."""
 
+_numbers = count()
+
 
 class FaultState:
     """
@@ -24,14 +27,16 @@ class FaultState:
     Attributes:
         unit: the unit whose responses have the fault, 0..255; None for every unit.
         fault: the fault.
+        number: a number that no other fault of the program has; later ones have greater ones.
         is_on: True if the fault is on; `FaultSwitch.turn` changes this.
     """
 
-    __slots__ = ("fault", "is_on", "unit")
+    __slots__ = ("fault", "is_on", "number", "unit")
 
     def __init__(self, unit: int | None, fault: Fault) -> None:
         self.unit: int | None = unit
         self.fault: Fault = fault
+        self.number: int = next(_numbers)
         self.is_on: bool = True
 
 

@@ -8,9 +8,7 @@ under the lock, and compared afterwards.
 
 from __future__ import annotations
 
-import threading
 from dataclasses import fields
-from itertools import count
 from typing import Any
 
 from ...device.named_values import cells_after
@@ -20,10 +18,10 @@ from ...protocol.spelling import text_of
 from ...protocol.tables import TABLES
 from ...protocol.values import readings, value_type
 from ..faults.fault import Fault
-from ..faults.switch import FaultState, FaultSwitch
+from ..faults.switch import FaultSwitch
 from .units import ShownUnit
 
-__all__ = ["FaultList", "readings_at", "set_cells", "set_point"]
+__all__ = ["add_fault", "fault_rows", "readings_at", "set_cells", "set_point", "turn_fault"]
 
 # Characters of a value that is typed.
 MOST_TEXT = 2000
@@ -117,62 +115,37 @@ def _check_set(unit: ShownUnit, point: Point, cells: list[Any]) -> None:
 # --- faults ---------------------------------------------------------------------------------------
 
 
-class FaultList:
+def fault_rows(switch: FaultSwitch) -> dict[int, list[Any]]:
+    """Return unit, kind, settings and state of each fault, by its number, the oldest first."""
+    return {
+        each.number: [each.unit, each.fault.kind, _settings(each.fault), each.is_on]
+        for each in sorted(switch.states(), key=lambda state: state.number)
+    }
+
+
+def turn_fault(switch: FaultSwitch, number: int, *, is_on: bool) -> None:
     """
-    The faults of one server, each with a number that does not change. Safe from any thread.
+    Switch a fault on or off.
 
-    Args:
-        switch: the fault switch of the server, which other programs may use, too.
+    Raises:
+        ValueError: the server does not have this fault any more.
     """
+    found = [each for each in switch.states() if each.number == number]
+    if not found:
+        raise ValueError("this fault no longer exists")
+    switch.turn(found[0], is_on=is_on)
 
-    def __init__(self, switch: FaultSwitch) -> None:
-        self._switch = switch
-        self._lock = threading.Lock()
-        self._numbers = count()
-        self._states: dict[int, FaultState] = {}
 
-    def rows(self) -> dict[int, list[Any]]:
-        """Return unit, kind, settings and state of each fault, by its number, the oldest first."""
-        with self._lock:
-            self._follow()
-            return {
-                number: [each.unit, each.fault.kind, _settings(each.fault), each.is_on]
-                for number, each in self._states.items()
-            }
+def add_fault(switch: FaultSwitch, unit: int | None, fault: Fault) -> None:
+    """
+    Add a fault and switch it on; `unit` is None for every unit.
 
-    def turn(self, number: int, *, is_on: bool) -> None:
-        """
-        Switch a fault on or off.
-
-        Raises:
-            ValueError: the server does not have this fault any more.
-        """
-        with self._lock:
-            self._follow()
-            if number not in self._states:
-                raise ValueError("this fault no longer exists")
-            self._switch.turn(self._states[number], is_on=is_on)
-
-    def add(self, unit: int | None, fault: Fault) -> None:
-        """
-        Add a fault and switch it on; `unit` is None for every unit.
-
-        Raises:
-            ValueError: there are `MOST_FAULTS` already.
-        """
-        with self._lock:
-            self._follow()
-            if len(self._states) >= MOST_FAULTS:
-                raise ValueError(f"there are {MOST_FAULTS} faults already, which is the maximum")
-            self._switch.switch_on(fault, unit=unit)
-
-    def _follow(self) -> None:
-        now = self._switch.states()
-        known = {id(each): number for number, each in self._states.items()}
-        numbered = {
-            known[id(each)] if id(each) in known else next(self._numbers): each for each in now
-        }
-        self._states = dict(sorted(numbered.items()))
+    Raises:
+        ValueError: there are `MOST_FAULTS` already.
+    """
+    if len(switch.states()) >= MOST_FAULTS:
+        raise ValueError(f"there are {MOST_FAULTS} faults already, which is the maximum")
+    switch.switch_on(fault, unit=unit)
 
 
 def _settings(fault: Fault) -> str:

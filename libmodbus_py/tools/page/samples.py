@@ -84,7 +84,7 @@ class Samples:
         low, high: the lowest and the highest number since the first sample; None if there is none.
     """
 
-    __slots__ = ("_at", "_most", "_times", "_values", "every", "high", "low", "newest")
+    __slots__ = ("_most", "_numbers", "every", "high", "low", "newest")
 
     def __init__(self, every: float | None = None, most: int = MOST_SAMPLES) -> None:
         self.every: float | None = every
@@ -92,12 +92,10 @@ class Samples:
         self.low: float | None = None
         self.high: float | None = None
         self._most = most
-        self._at = 0
-        self._times = array("d")
-        self._values = array("d")
+        self._numbers = array("d")  # time and number of each: others read it in one step
 
     def __len__(self) -> int:
-        return len(self._times)
+        return len(self._numbers) // 2
 
     def add(self, time: float, value: Any) -> None:
         """Keep a sample; a value that is not a finite number is a gap."""
@@ -113,37 +111,29 @@ class Samples:
         passed = time - self.newest
         if 0 <= passed < SHORTEST:
             if number == number:  # a gap must not replace a number
-                self._values[self._at - 1] = number
+                self._numbers[-1] = number
             return
-        if self._times and _is_gap(passed, self.every) and self._values[self._at - 1] >= -GREATEST:
+        last = self._numbers[-1] if self._numbers else math.nan
+        if last == last and _is_gap(passed, self.every):
             self._keep(self.newest + SHORTEST, math.nan)
         self._keep(time, number)
 
     def _keep(self, time: float, number: float) -> None:
-        self.newest, at = time, self._at
-        if len(self._times) < self._most:
-            self._values.append(number)
-            self._times.append(time)
-        else:
-            self._values[at] = number
-            self._times[at] = time
-            self._at = (at + 1) % self._most
+        self.newest = time
+        self._numbers.extend((time, number))
+        self.resize(self._most)
 
     def resize(self, most: int) -> None:
         """Set the most samples that are kept; the oldest ones are dropped."""
-        if most != self._most:
-            at, self._most, self._at = self._at, most, 0
-            self._times = (self._times[at:] + self._times[:at])[-most:]
-            self._values = (self._values[at:] + self._values[:at])[-most:]
+        self._most = most
+        del self._numbers[: -2 * most]
 
     def pairs(self, since: float = -math.inf) -> Pairs:
         """Return time and number of each sample after a time, the oldest first; None for a gap."""
-        at = self._at
-        times = self._times[at:] + self._times[:at]
-        values = self._values[at:] + self._values[:at]
+        numbers = self._numbers[:]
         found = [
             (time, value if value == value else None)
-            for time, value in zip(times, values, strict=False)
+            for time, value in zip(numbers[::2], numbers[1::2], strict=True)
             if time > since
         ]
         # The clock may have been set back.
@@ -151,8 +141,7 @@ class Samples:
 
     def spark(self, count: int) -> list[int]:
         """Return the last samples as levels from 0 to 20, and -1 for each gap."""
-        at, held = self._at, self._values
-        values = held[max(0, at - count) : at] if at >= count else (held[at:] + held[:at])[-count:]
+        values = self._numbers[-2 * count :][1::2]
         numbers = [each for each in values if each == each]
         if not numbers:
             return []

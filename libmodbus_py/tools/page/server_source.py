@@ -15,7 +15,7 @@ from ...protocol.tables import TABLE_SIZE, TABLES
 from ...protocol.values import ORDERS, TYPES
 from ..faults.fault import KINDS, OPTIONAL, Fault
 from ..faults.server import Server
-from .changes import FaultList, readings_at, set_cells, set_point
+from .changes import add_fault, fault_rows, readings_at, set_cells, set_point, turn_fault
 from .log import Log
 from .samples import Samples, charted
 from .streams import Action, Download, Tables
@@ -65,7 +65,6 @@ class ServerSource:
         self._server = server
         self._shown = shown_of(server)
         self.log: Log = Log(lambda: self._shown)
-        self._faults = FaultList(server.fault_switch)
         self._samples: dict[tuple[int | None, str], Samples] = {}
         self.downloads: Mapping[str, Download] = {"/log.csv": self.log.download}
         self.actions: Mapping[str, Action] = {
@@ -101,7 +100,7 @@ class ServerSource:
         return {
             "words": WORDS,
             "units": {_name(number): unit.row for number, unit in self._units().items()},
-            "faults": self._faults.rows(),
+            "faults": fault_rows(self._server.fault_switch),
             "counters": {name: each for name, each in counters.items() if isinstance(each, int)},
             **self.log.tables(),
         }
@@ -180,12 +179,12 @@ class ServerSource:
 
     def _switch(self, given: Given) -> None:
         number = integer("number", given["number"], 0, 1_000_000_000)
-        self._faults.turn(number, is_on=given["on"] is True)
+        turn_fault(self._server.fault_switch, number, is_on=given["on"] is True)
 
     def _add(self, given: Given) -> None:
         unit = None if given["unit"] is None else self._unit(given).number
         fault = Fault(**{name: given[name] for name in SETTINGS if given.get(name) is not None})
-        self._faults.add(unit, fault)
+        add_fault(self._server.fault_switch, unit, fault)
 
 
 def _name(number: int | None) -> str:

@@ -15,16 +15,16 @@ from libmodbus_py import (
     Server,
     ServerDeviceBusy,
 )
-from libmodbus_py.tools.page.changes import FaultList
+from libmodbus_py.tools.page.changes import add_fault, fault_rows, turn_fault
 from libmodbus_py.tools.testing.recording import RecordingServer
 from tests.tools.page.watching import shown, until
 
 GIVEN = {1: [Fault("exception", code=6, function=3)], None: [Fault("no_answer", function=1)]}
 
 
-def listed() -> tuple[Server, FaultList]:
-    server = Server({1: Device(Mapping())}, faults=GIVEN)
-    return server, FaultList(server.fault_switch)
+@pytest.fixture
+def server() -> Server:
+    return Server({1: Device(Mapping())}, faults=GIVEN)
 
 
 def test_faults_are_switched_off_and_on() -> None:
@@ -33,18 +33,19 @@ def test_faults_are_switched_off_and_on() -> None:
         visitor.watching(),
         Context.from_url(url, unit=1, timeout=5) as plc,
     ):
-        assert visitor.seen["faults"] == {
-            "0": [1, "exception", "function 3, code 6", True],
-            "1": [None, "no_answer", "function 1", True],
-        }
+        assert visitor.rows("faults") == [
+            [1, "exception", "function 3, code 6", True],
+            [None, "no_answer", "function 1", True],
+        ]
+        number = min(map(int, visitor.seen["faults"]))
         with pytest.raises(ServerDeviceBusy):
             plc.read_holding_registers(0, 1)
-        assert visitor.post("/fault", number=0, on=False) == {}
-        visitor.receive(lambda: not visitor.seen["faults"]["0"][3])
+        assert visitor.post("/fault", number=number, on=False) == {}
+        visitor.receive(lambda: not visitor.rows("faults")[0][3])
         until(lambda: _reads(plc))
-        visitor.post("/fault", number=0, on=True)
+        visitor.post("/fault", number=number, on=True)
         until(lambda: not _reads(plc))
-        found = visitor.post("/fault", number=9, on=True)
+        found = visitor.post("/fault", number=number + 1000, on=True)
         assert found == "this fault no longer exists"
 
 
@@ -93,50 +94,48 @@ def test_others_may_change_devices_and_faults() -> None:
         visitor.receive(lambda: visitor.cells("3/holding_registers"))
 
 
-def test_a_fault_is_listed_with_its_settings() -> None:
-    _, faults = listed()
-    faults.rows()
-    faults.add(7, Fault("exception", code=2, function=3))
-    faults.rows()
-    faults.add(None, Fault("delay", seconds=1.5))
-    assert [each[2] for each in faults.rows().values()][2:] == ["function 3, code 2", "seconds 1.5"]
+def test_a_fault_is_listed_with_its_settings(server: Server) -> None:
+    switch = server.fault_switch
+    add_fault(switch, 7, Fault("exception", code=2, function=3))
+    add_fault(switch, None, Fault("delay", seconds=1.5))
+    found = [each[2] for each in fault_rows(switch).values()]
+    assert found[2:] == ["function 3, code 2", "seconds 1.5"]
 
 
-def test_there_may_be_so_many_and_no_more() -> None:
-    _, faults = listed()
+def test_there_may_be_so_many_and_no_more(server: Server) -> None:
     for _ in range(198):
-        faults.add(None, Fault("no_answer"))
+        add_fault(server.fault_switch, None, Fault("no_answer"))
     with pytest.raises(ValueError, match="there are 200 faults"):
-        faults.add(None, Fault("no_answer"))
-    assert len(faults.rows()) == 200
+        add_fault(server.fault_switch, None, Fault("no_answer"))
+    assert len(fault_rows(server.fault_switch)) == 200
 
 
-def test_what_others_change_is_followed() -> None:
-    server, faults = listed()
-    faults.turn(0, is_on=False)
+def test_what_others_change_is_followed(server: Server) -> None:
+    switch = server.fault_switch
+    gone = min(fault_rows(switch))
+    turn_fault(switch, gone, is_on=False)
     server.replace(server.devices, {3: [Fault("disconnect")]})
-    assert faults.rows() == {2: [3, "disconnect", "", True]}
-    for gone in (0, -1):
+    assert list(fault_rows(switch).values()) == [[3, "disconnect", "", True]]
+    for number in (gone, -1):
         with pytest.raises(ValueError, match="fault no longer exists"):
-            faults.turn(gone, is_on=True)
+            turn_fault(switch, number, is_on=True)
 
 
 def test_equal_faults_are_switched_each_for_itself() -> None:
-    server = Server({1: Device(Mapping())}, {1: [Fault("no_answer"), Fault("no_answer")]})
-    faults = FaultList(server.fault_switch)
-    faults.turn(1, is_on=False)
-    assert [each[-1] for each in faults.rows().values()] == [True, False]
+    switch = Server(Device(Mapping()), {1: [Fault("no_answer"), Fault("no_answer")]}).fault_switch
+    turn_fault(switch, max(fault_rows(switch)), is_on=False)
+    assert [each[-1] for each in fault_rows(switch).values()] == [True, False]
 
 
 def test_a_page_and_the_pytest_plugin_do_not_undo_each_other() -> None:
     recording = RecordingServer(["tcp://127.0.0.1:0"], Device(Mapping(coils=8)), None)
+    switch = recording.faults
     try:
-        faults = FaultList(recording.faults)
-        with recording.faults.switch_on(Fault("exception", code=6)):
-            faults.add(None, Fault("no_answer"))
-            assert [each[1] for each in faults.rows().values()] == ["exception", "no_answer"]
-            faults.turn(1, is_on=False)
-            assert [each.is_on for each in recording.faults.states()] == [False, True]
-        assert [each[1::2] for each in faults.rows().values()] == [["no_answer", False]]
+        with switch.switch_on(Fault("exception", code=6)):
+            add_fault(switch, None, Fault("no_answer"))
+            assert [each[1] for each in fault_rows(switch).values()] == ["exception", "no_answer"]
+            turn_fault(switch, max(fault_rows(switch)), is_on=False)
+            assert [each.is_on for each in switch.states()] == [False, True]
+        assert [each[1::2] for each in fault_rows(switch).values()] == [["no_answer", False]]
     finally:
         recording.close()
