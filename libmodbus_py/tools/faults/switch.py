@@ -12,7 +12,7 @@ from typing import Self
 
 from .fault import Fault
 
-__all__ = ["FaultState", "FaultSwitch", "FaultsByUnit", "Switched"]
+__all__ = ["FaultSwitch", "FaultsByUnit", "Switched"]
 
 FaultsByUnit = dict[int | None, list[Fault]]
 """Unit 0..255 -> the faults of its answers; None is every unit."""
