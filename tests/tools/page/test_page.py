@@ -4,7 +4,6 @@ A page as a whole: what it shows first, what changes on it, pages beside each ot
 
 from __future__ import annotations
 
-import socket
 import threading
 
 import pytest
@@ -107,13 +106,6 @@ def test_nothing_is_left_behind() -> None:
     with live_page(made_server()):
         pass
     until(lambda: threading.active_count() == before)
-
-
-def test_an_address_that_is_taken() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        page = live_page(made_server(), port=taken.getsockname()[1])
-        with pytest.raises(OSError, match="in use"):
-            page.__enter__()
 
 
 # --- two pages ------------------------------------------------------------------------------------
