@@ -198,14 +198,14 @@ class PollerRow:
 
     def cells(self) -> list[Any]:
         poller, config = self._poller, self._poller.config
-        place = f"{config.endpoint}, unit {poller.unit}, every {config.interval:g} s"
+        place = f"{config.endpoint}, unit {poller.unit}"
         # A device that answers, but refuses something, is "partly" there.
         word = "partly" if poller.is_refused else poller.state.value
         reason = "" if poller.error is None else problem_text(poller.error)
         return [
             ["", cell_text(poller.name), cell_text(place)],
             [word, reason, round(poller.since, 1)],
-            [str(len(poller.reads.names)), "points"],
+            [f"{len(poller.reads.names)} points", f"every {config.interval:g} s"],
             None,
             "",
             "",

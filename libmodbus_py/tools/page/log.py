@@ -169,23 +169,21 @@ class Log:
         return list(self._rows)
 
     def download(self, query: Mapping[str, str]) -> str:
-        """Return the remembered rows that a query selects as CSV; see `as_csv`."""
-        writes, errors = ("1" in query.get(name, "") for name in ("writes", "errors"))
-        return self.as_csv(query.get("unit", ""), writes=writes, errors=errors)
-
-    def as_csv(self, unit: str = "", *, writes: bool = False, errors: bool = False) -> str:
         """
         Return the remembered rows as CSV.
 
         Args:
-            unit: only rows of this unit; empty for all units.
-            writes: True for only writes.
-            errors: True for only failed requests; with `writes` both kinds are returned.
+            query: "unit" selects the rows of a unit, "writes": "1" writes, and "errors": "1" failed
+                requests; with both, either.
         """
+        unit, wanted = (
+            query.get("unit", ""),
+            (query.get("writes") == "1", query.get("errors") == "1"),
+        )
         rows = [
             [time_text(each.time), *each[2:6], each.named, each.outcome, each.kind, each.seconds]
             for each in self.rows()
-            if unit in ("", str(each.unit)) and _is_wanted(each, writes=writes, errors=errors)
+            if unit in ("", str(each.unit)) and _is_wanted(each, *wanted)
         ]
         return csv_rows([HEAD, *(map(_cell, row) for row in rows)])
 
@@ -202,10 +200,8 @@ class Log:
         return ""
 
 
-def _is_wanted(row: LogRow, *, writes: bool, errors: bool) -> bool:
-    if not (writes or errors):
-        return True
-    return (writes and row.writes) or (errors and row.kind not in GOOD)
+def _is_wanted(row: LogRow, writes: bool, errors: bool) -> bool:
+    return not (writes or errors) or (writes and row.writes) or (errors and row.kind not in GOOD)
 
 
 def _cell(value: Any) -> Any:
@@ -222,7 +218,7 @@ def _row(number: int, exchange: Exchange, named: str) -> LogRow:
         each.unit,
         each.function,
         "" if each.request is None else _words(each.request),
-        _cut(each.outcome(_listed)),
+        cell_text(each.outcome(_listed)),
         each.kind,
         each.duration,
         named,
@@ -278,10 +274,6 @@ def _all_words(request: Request[Any]) -> str:
 def request_name(kind: type[Request[Any]]) -> str:
     """Return the name of a kind of requests in words, such as "read holding registers"."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", kind.__name__).lower()
-
-
-def _cut(text: str) -> str:
-    return text if len(text) <= 200 else f"{text[:200]}..."
 
 
 def named_cells(unit: ShownUnit, request: Request[Any], response: Any) -> str:

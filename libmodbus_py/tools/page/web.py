@@ -163,8 +163,7 @@ class Handler(BaseHTTPRequestHandler):
         if path not in FILES:
             raise Refused(404, "not found")
         name, kind = FILES[path]
-        data = FOLDER.joinpath(name).read_bytes()
-        self._send(200, kind, data, with_cookie=path == "/")
+        self._send(200, kind, FOLDER.joinpath(name).read_bytes(), with_cookie=path == "/")
 
     def _post(self, path: str, query: str) -> None:
         action = self.server.actions.get(path)
@@ -201,8 +200,7 @@ class Handler(BaseHTTPRequestHandler):
         if with_cookie:
             self.send_header("Set-Cookie", self.server.guard.cookie)
         self.end_headers()
-        if self.command != "HEAD":
-            self.wfile.write(data)
+        self.wfile.write(data)
 
     # --- the stream ----------------------------------------------------------------------------
 

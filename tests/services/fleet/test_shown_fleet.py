@@ -79,8 +79,8 @@ def test_values_and_devices_also_of_one_that_is_down() -> None:
                 assert rows(shown)["b"].words == f"b {place}"
                 assert cells(shown)["b power"][1] == ["good", "", 0]
                 up, told = cells(shown)["b"], fleet.devices["b"]
-                assert up[0] == ["", "b", f"{place}, unit 2, every 0.1 s"]
-                assert up[1:3] == [["up", "", round(told.since, 1)], ["3", "points"]]
+                assert up[0] == ["", "b", f"{place}, unit 2"]
+                assert up[1:3] == [["up", "", round(told.since, 1)], ["3 points", "every 0.1 s"]]
                 assert 0 < told.since <= told.answered_at
                 assert up[6] == round(told.answered_at, 1)
                 assert problems(shown) == []

@@ -173,7 +173,8 @@ def test_the_client_that_came_first_is_dropped_for_one_too_many(
 # --- a gateway that runs --------------------------------------------------------------------------
 
 
-def test_lines_units_and_clients_of_a_gateway_on_a_page() -> None:
+def test_lines_units_and_clients_of_a_gateway_on_a_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(samples, "SAMPLED", 0.0)
     devices = {1: Device(Mapping(holding_registers=10))}
     with Server(devices, unknown_unit="silent").background("tcp://127.0.0.1:0") as behind:
         there, gone = behind.urls[0], "tcp://127.0.0.1:9"
@@ -184,10 +185,10 @@ def test_lines_units_and_clients_of_a_gateway_on_a_page() -> None:
         with (
             gateway.tracing(shown.note),
             gateway.background("tcp://127.0.0.1:0") as running,
-            table_page(TableSource(shown)) as page,
-            Visitor(page.url).watching() as visitor,
             Context.from_url(running.urls[0], unit=1, timeout=10) as plc,
+            table_page(TableSource(shown)) as page,
         ):
+            # Nobody looks at the page yet.
             assert plc.read_holding_registers(3, 2) == [0, 0]
             for unit in (2, 9):
                 with pytest.raises(GatewayTargetFailedToRespond):
@@ -200,44 +201,19 @@ def test_lines_units_and_clients_of_a_gateway_on_a_page() -> None:
             assert down[1][2] > 0
             assert found[f"{there} unit 1"][1:4] == [["answers", "", 0], 1, 1]
             assert found[f"{there} unit 2"][1][0] == "silent"
-            visitor.receive(lambda: visitor.seen["figures"]["requests"] == 3)
-            visitor.receive(lambda: len(visitor.rows("log")) == 3)
-            assert visitor.rows("log")[0][5] == "read holding registers 3..4"
-            visitor.look_at(problems=True)
-            read = "3 read holding registers"
-            visitor.receive(lambda: len(visitor.rows("rows")) == 4)
-            assert [each[0][-1] for each in visitor.rows("rows")] == [
-                *("unit 2", gone, f"unit 2, {read}", f"unit 9, {read}"),
-            ]
-
-
-def test_numbers_of_lines_and_units_over_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(samples, "SAMPLED", 0.0)
-    with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as behind:
-        place = behind.urls[0]
-        gateway = Gateway([Route(place, units="1-2")])
-        shown = ShownGateway("house", gateway)
-        with (
-            gateway.tracing(shown.note),
-            gateway.background("tcp://127.0.0.1:0") as running,
-            Context.from_url(running.urls[0], unit=1) as plc,
-        ):
-            for _ in range(5):  # nobody looks at the page yet
-                plc.read_holding_registers(0, 1)
-        with table_page(TableSource(shown)) as page:
-            visitor = Visitor(page.url)
-            charts = {
-                column: visitor.history(name, 60, column)
-                for column, name in (
-                    ("rate", ["", place]),
-                    ("queue", ["", place]),
-                    ("time", [place, "unit 1"]),
-                )
-            }
-            gone = visitor.history(["127.0.0.1", "unit 1"], 60, "requests")
-            assert gone == "this value no longer exists"
-    assert max(charts["rate"]["values"]) > 0
-    assert set(charts["queue"]["values"]) <= {0, 1, None}
-    assert all(took is None or 0 < took < 60_000 for took in charts["time"]["values"])
-    units = {column: chart["units"] for column, chart in charts.items()}
-    assert units == {"rate": "requests/s", "queue": "requests", "time": "ms"}
+            with Visitor(page.url).watching() as visitor:
+                visitor.receive(lambda: visitor.seen["figures"]["requests"] == 3)
+                visitor.receive(lambda: len(visitor.rows("log")) == 3)
+                assert visitor.rows("log")[0][5] == "read holding registers 3..4"
+                visitor.look_at(problems=True)
+                read = "3 read holding registers"
+                visitor.receive(lambda: len(visitor.rows("rows")) == 4)
+                assert [each[0][-1] for each in visitor.rows("rows")] == [
+                    *("unit 2", gone, f"unit 2, {read}", f"unit 9, {read}"),
+                ]
+                rate = visitor.history(["", there], 60, "rate")
+                assert (rate["units"], rate["values"] != []) == ("requests/s", True)
+                took = visitor.history([there, "unit 1"], 60, "time")
+                assert took["units"] == "ms"
+                gone = visitor.history(["127.0.0.1", "unit 1"], 60, "requests")
+                assert gone == "this value no longer exists"

@@ -21,7 +21,7 @@ from tests.support.cases import each_case
 from tests.support.commands import Started, run
 from tests.tools.page.watching import Visitor, shown, until
 
-PATHS = ["/", "/scripts/page.js", "/events", "/value"]
+PATHS = ["/", "/scripts/page.js", "/events", "/log.csv", "/value"]
 
 
 def raw(visitor: Visitor, data: bytes, *, ends: bool = False) -> bytes:
@@ -138,6 +138,7 @@ def test_too_many_fields_are_refused_and_answered() -> None:
     with shown() as (_, _, visitor):
         path = "/?" + "&".join(f"a={at}" for at in range(20))
         assert visitor.ask("GET", path, Cookie=None)[0] == 403
+        assert visitor.ask("GET", f"/log.csv{path[1:]}")[0] == 400
 
 
 def test_what_a_browser_may_do_with_it() -> None:
