@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from ...tools.page.log import Log
 from ...tools.page.samples import Series
 from ...tools.page.tables import Column, Older, PageRow
 from ...tools.page.text import cell_text
@@ -81,7 +82,7 @@ class ShownFleet:
     """
 
     kind = "fleet"
-    log = None
+    log: Log | None = None
     columns: Sequence[Column] = COLUMNS
 
     def __init__(

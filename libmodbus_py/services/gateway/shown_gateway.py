@@ -55,13 +55,14 @@ class ShownGateway:
     def __init__(self, title: str, gateway: Gateway) -> None:
         self.title = title
         self._gateway = gateway
-        self.log: Log = Log(lambda: NOTHING)
+        self._log = Log(lambda: NOTHING)
+        self.log: Log | None = self._log
         self._history = RowHistory(self._counts)
         self._clients = Clients()
 
     def note(self, traced: Traced) -> None:
         """Take what a trace is called with; quickly, because the gateway waits."""
-        self.log.note(traced)
+        self._log.note(traced)
         self._clients.note(traced)
         self._history.sample()  # whether a page is open or not
 

@@ -57,8 +57,6 @@ def live_page(
         TypeError, ValueError: the token is wrong.
         OSError: the address cannot be used, or the system has no thread left.
     """
-    if token is not None:
-        checked_token(token)
     source = ServerSource(server)
     with _page_of(source, host, port, token, server.tracing(source.log.note)) as page:
         yield page
@@ -78,8 +76,6 @@ def table_page(
     Raises:
         TypeError, ValueError, OSError: as for `live_page`.
     """
-    if token is not None:
-        checked_token(token)
     with _page_of(source, host, port, token, contextlib.nullcontext()) as page:
         yield page
 
@@ -92,6 +88,8 @@ def _page_of(
     token: str | None,
     tracing: contextlib.AbstractContextManager[None],
 ) -> Iterator[Page]:
+    if token is not None:
+        checked_token(token)
     streams = Streams(source)
     web = WebServer(host, port, streams, token)
     with contextlib.ExitStack() as stack:

@@ -63,22 +63,16 @@ Download = Callable[[Mapping[str, str]], str]
 class PageSource(Protocol):
     """
     The things that all open pages of one address show; a thread of the page calls the methods.
+
+    Attributes:
+        script: the script of the page that shows these tables.
+        actions: the functions that answer requests of pages, by path; called in any thread.
+        downloads: the functions that make files to download, by path; called in any thread.
     """
 
-    @property
-    def script(self) -> str:
-        """The script of the page that shows these tables."""
-        ...
-
-    @property
-    def actions(self) -> Mapping[str, Action]:
-        """The functions that answer requests of pages, by path; called in any thread."""
-        ...
-
-    @property
-    def downloads(self) -> Mapping[str, Download]:
-        """The functions that make files to download, by path; called in any thread."""
-        ...
+    script: str
+    actions: Mapping[str, Action]
+    downloads: Mapping[str, Download]
 
     def common(self) -> Tables:
         """Return the tables that all pages show."""

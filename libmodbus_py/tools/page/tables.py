@@ -78,32 +78,22 @@ class PageRow(Protocol):
 
 
 class Shown(Protocol):
-    """The table of a page and its head; a thread of the page calls the methods."""
+    """
+    The table of a page and its head; a thread of the page calls the methods.
 
-    @property
-    def kind(self) -> str:
-        """The kind of the page in one word, such as "fleet"."""
-        ...
+    Attributes:
+        kind: the kind of the page in one word, such as "fleet".
+        title: the title of the page.
+        columns: the columns of the table.
+        log: the log that is shown beside the table; None for no log.
+        older: finds samples of values that are not in memory any more; None without a journal.
+    """
 
-    @property
-    def title(self) -> str:
-        """The title of the page."""
-        ...
-
-    @property
-    def columns(self) -> Sequence[Column]:
-        """The columns of the table."""
-        ...
-
-    @property
-    def log(self) -> Log | None:
-        """The log that is shown beside the table; None for no log."""
-        ...
-
-    @property
-    def older(self) -> Older | None:
-        """Finds samples of values that are not in memory any more; None without a journal."""
-        ...
+    kind: str
+    title: str
+    columns: Sequence[Column]
+    log: Log | None
+    older: Older | None
 
     def status(self) -> tuple[str, bool]:
         """Return a sentence for the head of the page, and True if it names a problem."""

@@ -1,9 +1,11 @@
 """
-The page as people use it: in Chromium, with a mouse, with a keyboard alone, in a narrow window,
-while a client talks to the server.
+The page of a server as people use it: in Chromium, with a mouse, with a keyboard alone, in a narrow
+window, while a client talks to the server, and with values that move.
 """
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import pytest
 
@@ -11,6 +13,7 @@ from libmodbus_py import (
     Context,
     Device,
     Fault,
+    IllegalDataAddress,
     Mapping,
     Point,
     RegisterMap,
@@ -18,8 +21,10 @@ from libmodbus_py import (
     ServerDeviceBusy,
 )
 from libmodbus_py.page import live_page
+from libmodbus_py.tools.simulator.device_file import load
 from tests.tools.page.browsers import browser, console, missing, resize
 from tests.tools.page.persons import Person
+from tests.tools.page.test_holding import PLANT
 from tests.tools.page.watching import made_server, until
 
 pytestmark = [
@@ -150,37 +155,64 @@ def test_large_tables_and_a_server_that_goes() -> None:
         person.sees("#state", "no connection")
 
 
-# Of the accessibility tree: the roles of the cells of each row that has any.
-ROWS = """
-const nodes = new Map(arguments[0].map((each) => [each.nodeId, each]));
-const inside = (node) => (node.childIds || []).map((id) => nodes.get(id)).filter(Boolean)
-  .flatMap((each) => each.ignored ? inside(each) : [each]);
-const role = (each) => each.role.value;
-return [...nodes.values()].filter((each) => !each.ignored && role(each) === "row")
-  .map((row) => inside(row).map(role)).filter((roles) => roles.length > 1);
-"""
-
-
 def test_values_are_a_table_to_those_who_cannot_see_them() -> None:
     device = Device.of_map(RegisterMap([Point("level", "holding_registers", 0, units="cm")]))
     with live_page(Server({1: device})) as page, browser() as driver:
         person = Person(driver)
         driver.get(page.url)
-        person.sees("#heads", "Last written")
         person.sees("[data-point='0']", "0")
-        assert person.attribute("#grid", "aria-rowcount") == "2"
+        for tab, head in (("oints", "Last written"), ("olding", "+1")):
+            person.click("#tables button", tab)
+            person.sees("#heads", head)
+            assert person.attribute("#grid", "aria-rowcount") == "2"
+            assert person.attribute("#heads th", "scope") == "col"
+            assert person.attribute("#rows [data-at] th", "scope") == "row"
+            assert len(person.all("#rows [data-at] > *")) == len(person.all("#heads th"))
 
-        def rows() -> list[list[str]]:
-            command = {"cmd": "Accessibility.getFullAXTree", "params": {}}
-            tree = driver.execute("executeCdpCommand", command)["value"]["nodes"]
-            found: list[list[str]] = driver.execute_script(ROWS, tree)
-            return found
 
-        heads, cells = until(lambda: len(found := rows()) == 2 and found)
-        assert heads == ["columnheader"] * 7
-        assert cells == ["rowheader"] + ["cell"] * 6
-        person.click("#tables button", "olding")
-        person.sees("#heads", "+1")
-        heads, cells = until(lambda: len(found := rows()) == 2 and found)
-        assert set(heads) == {"columnheader"}
-        assert cells == ["rowheader"] + ["cell"] * (len(heads) - 1)
+def test_a_person_holds_a_value_and_reads_the_log(tmp_path: Path) -> None:
+    (tmp_path / "plant.toml").write_text(PLANT)
+    server = Server(load(tmp_path / "plant.toml").devices)
+    with (
+        live_page(server) as page,
+        server.background("tcp://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0], unit=1, timeout=5) as plc,
+        browser(1400) as driver,
+    ):
+        person = Person(driver)
+        driver.get(page.url)
+        person.sees("#state", "connected")
+        until(lambda: driver.title == "Unit 1 - libmodbus-py")
+
+        # The value moves, and is drawn.
+        until(lambda: "L" in (person.attribute("#rows .spark path", "d") or ""), 30)
+        person.click("#rows th button", "level")
+        person.sees("#charted", "level")
+        person.sees("#read", "lowest")
+        person.click("#close-chart")
+
+        # It is held, set, and released.
+        person.click('[data-point="0"]')
+        person.click("#hold", "Hold")
+        person.sees("#answer", "held")
+        until(lambda: "held" in person.attribute("#rows tr[data-at]", "class"))
+        person.one("#text").clear()
+        person.one("#text").send_keys("5\n")
+        person.sees('[data-point="0"]', "5")
+        assert plc.read_holding_registers(0, 1) == [5]
+        person.click("#hold", "Release")
+        until(lambda: plc.read_holding_registers(0, 1) != [5])
+        person.click("#close")
+
+        # The log names what was read, and is filtered.
+        plc.write_register(1, 9)
+        with pytest.raises(IllegalDataAddress):
+            plc.read_coils(60, 1)
+        person.sees("#log .named", "fixed 9")
+        person.sees("#log", "read coils 60")
+        person.click("#only-errors")
+        until(lambda: len(person.all("#log li")) == 1)
+        person.click("#only-writes")
+        until(lambda: len(person.all("#log li")) == 2)
+        assert person.attribute("#save", "href") == "/log.csv?writes=1&errors=1"
+        assert [each["message"] for each in console(driver)] == []

@@ -148,40 +148,26 @@ def test_a_time_in_which_the_journal_has_nothing_is_a_gap(
 
 
 @each_case(
-    ("request_", "said"),
+    ("path", "request_", "said"),
     [
-        ({"find": 5}, "find must be a string"),
-        ({"find": "x" * 101}, "find must be a string of at most 100 characters"),
-        ({"first": -1}, "first must be in"),
-        ({"stop": "9"}, "stop must be an integer"),
-        ({"stream": "none"}, "this page is no longer open"),
+        ("/view", {"find": 5}, "find must be a string"),
+        ("/view", {"find": "x" * 101}, "find must be a string of at most 100 characters"),
+        ("/view", {"first": -1}, "first must be in"),
+        ("/view", {"stop": "9"}, "stop must be an integer"),
+        ("/view", {"stream": "none"}, "this page is no longer open"),
+        *(("/history", {"row": row}, "row must be") for row in (["a"], "ab", [1, 2], [["a"], "x"])),
+        *(("/history", {"seconds": seconds}, "seconds must be") for seconds in (0, "1")),
+        *(("/history", {"column": column}, "column a string") for column in (1, None)),
     ],
 )
-def test_wrong_views_are_refused(request_: dict[str, Any], said: str) -> None:
-    with visited(Plant()) as visitor:
-        view = {"find": "", "problems": False, "first": 0, "stop": 9}
-        given = {"stream": visitor.seen["page"]["stream"], **view, **request_}
-        assert said in visitor.post("/view", **given)
-
-
-@each_case(
-    ("row", "seconds", "column"),
-    [
-        (["a"], 5, "x"),
-        ("ab", 5, "x"),
-        ([1, 2], 5, "x"),
-        ([["a"], "x"], 5, "x"),
-        (["a", "x"], 0, "x"),
-        (["a", "x"], "1", "x"),
-        (["a", "x"], 5, 1),
-        (["a", "x"], 5, None),
-    ],
-)
-def test_wrong_histories_are_refused(row: Any, seconds: Any, column: Any) -> None:
+def test_wrong_requests_are_refused(path: str, request_: dict[str, Any], said: str) -> None:
     plant = Plant()
     plant.describe(("a", "x"))
     with visited(plant) as visitor:
-        assert isinstance(visitor.history(row, seconds, column), str)
+        view = {"find": "", "problems": False, "first": 0, "stop": 9}
+        chart = {"row": ["a", "x"], "column": "last values", "seconds": 5}
+        stream = visitor.seen["page"]["stream"]
+        assert said in visitor.post(path, **{"stream": stream, **view, **chart, **request_})
 
 
 def test_long_names_are_cut_and_hostile_ones_arrive_as_text() -> None:
