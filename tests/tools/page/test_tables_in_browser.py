@@ -193,6 +193,10 @@ def test_reasons_are_shown_with_all_their_words(width: int) -> None:
         driver.get(page.url)
         person.sees("#rows tr.trouble .state", "192.0.2.10: Connection refused")
         assert driver.execute_script(CUT) == []
+        person.click("#problems")  # there, rows have room for more words
+        plant.meters["meter"].reason = f"cannot connect to {'a-long-name.' * 8}: Connection refused"
+        person.sees("#rows tr.trouble .state", "a-long-name.: Connection refused")
+        assert driver.execute_script(CUT) == []
         plant.meters["meter"].reason = ""
         person.sees("#rows tr.trouble .state", "gateway target failed to respond")
         assert driver.execute_script(CUT) == []

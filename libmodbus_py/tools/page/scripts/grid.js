@@ -191,7 +191,7 @@ export const KINDS = {
       const isProblem = kind === "bad" || kind === "down";
       setText(cell.firstChild, word);
       setText(cell.lastChild, [isProblem && since ? `since ${moment(since)}` : "", reason].filter(Boolean).join(": "));
-      cell.title = since ? `since ${new Date(since * 1000)}` : "";
+      cell.title = [since ? `since ${new Date(since * 1000)}` : "", reason].filter(Boolean).join(": ");
       cell.className = `state ${kind}`;
       row.classList.toggle("trouble", isProblem || reason !== "");
     },

@@ -34,7 +34,7 @@ function say(text, name) {
 
 export function connect() {
   const events = new EventSource("/events");
-  events.onopen = () => { tables.clear(); since = 0; say("connected", "live"); };
+  events.onopen = () => { tables.clear(); since = 0; say("connected", ""); };
   events.onmessage = (event) => take(JSON.parse(event.data));
   events.onerror = () => {
     since = since || Date.now() / 1000;

@@ -94,7 +94,7 @@ const firstOf = (each) => tablesOf(each)[0]?.[0] || "points";
 function showUnits() {
   const [name, what] = decodeURIComponent(location.hash.slice(1)).split("/");
   const units = rowsOf("units");
-  if (!units.size) return;
+  if (!units.size) { setCount(0); return; }
   const here = [view.unit, name].find((each) => units.has(each)) || [...units.keys()][0];
   const wanted = view.what || what;
   choose(here, tablesOf(units.get(here)).some(([each]) => each === wanted) ? wanted : firstOf(units.get(here)));

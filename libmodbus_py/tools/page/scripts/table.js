@@ -28,7 +28,10 @@ function search(text) {
 }
 
 $("find").addEventListener("input", () => search());
-$("problems").addEventListener("change", () => search());
+$("problems").addEventListener("change", () => {
+  document.body.classList.toggle("problems", $("problems").checked);  // rows with room for long reasons
+  search();
+});
 $("finding").addEventListener("submit", (event) => event.preventDefault());
 
 // A click on a row opens the chart of the sparkline that was clicked, or of the first one. A device, which has
