@@ -176,10 +176,8 @@ class Log:
             query: "unit" selects the rows of a unit, "writes": "1" writes, and "errors": "1" failed
                 requests; with both, either.
         """
-        unit, wanted = (
-            query.get("unit", ""),
-            (query.get("writes") == "1", query.get("errors") == "1"),
-        )
+        unit = query.get("unit", "")
+        wanted = query.get("writes") == "1", query.get("errors") == "1"
         rows = [
             [time_text(each.time), *each[2:6], each.named, each.outcome, each.kind, each.seconds]
             for each in self.rows()
