@@ -29,7 +29,7 @@ from .announcing import announcing
 from .hangup import Hangup, is_secure, noted
 
 if TYPE_CHECKING:
-    from ...tools.page.tables import Shown
+    from ...tools.page.table_source import Shown
 
 __all__ = ["add_command"]
 

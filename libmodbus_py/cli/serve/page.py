@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ...server.server import Running
     from ...tools.faults.server import Server
     from ...tools.page.page import Page
-    from ...tools.page.tables import Shown
+    from ...tools.page.table_source import Shown
 
 __all__ = ["add_argument", "shown", "tables_shown"]
 
@@ -127,7 +127,7 @@ def tables_shown(
         yield
         return
     from ...tools.page.page import table_page
-    from ...tools.page.tables import TableSource
+    from ...tools.page.table_source import TableSource
 
     with _opened(partial(table_page, TableSource(make())), address, token_file) as tell:
         tell("can see all values", to)

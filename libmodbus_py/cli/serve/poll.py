@@ -43,7 +43,7 @@ from .readiness import notify_ready
 
 if TYPE_CHECKING:
     from ...services.fleet.shown_fleet import PageOutput
-    from ...tools.page.tables import Shown
+    from ...tools.page.table_source import Shown
 
 __all__ = ["add_command"]
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 from functools import partial
 
 from ...protocol.logs import HarmlessLogger
-from ...tools.page.tables import Older
+from ...tools.page.table_source import Older
 from .journal.errors import JournalError
 from .journal.journal_reader import history
 

@@ -15,7 +15,7 @@ the traffic, and faults; those of fleets, gateways and watched devices show one 
       changes        sets cells to values that a person typed, and switches faults
       log            transactions as text, and the last write to each address
 
-    tables           a table: its search, and charts of its rows
+    table_source     a table: its search, and charts of its rows
       values         rows of values, below those of their devices
       samples        the last numbers of a value, in few bytes, and their gaps
       text           values and names as the text of a cell

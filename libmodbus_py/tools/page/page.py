@@ -12,7 +12,7 @@ from ..faults.server import Server
 from .guard import checked_token
 from .server_source import ServerSource
 from .streams import PageSource, Streams
-from .tables import TableSource
+from .table_source import TableSource
 from .web import WebServer
 
 __all__ = ["Page", "live_page", "table_page"]

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, Protocol
 
 from .samples import SPARK, Samples, Series, samples_of_each
-from .tables import Column, PageRow
+from .table_source import Column, PageRow
 from .text import cell_text, value_text
 
 __all__ = ["COLUMNS", "GroupRow", "ShownPoint", "Values", "problem_text"]

@@ -11,7 +11,7 @@ from libmodbus_py import Context, Device, Gateway, IllegalDataAddress, Mapping, 
 from libmodbus_py.services.gateway.shown_gateway import ShownGateway
 from libmodbus_py.tools.page import samples
 from libmodbus_py.tools.page.page import table_page
-from libmodbus_py.tools.page.tables import TableSource
+from libmodbus_py.tools.page.table_source import TableSource
 from tests.tools.page.browsers import browser, console, missing, resize
 from tests.tools.page.persons import Person
 from tests.tools.page.watching import until

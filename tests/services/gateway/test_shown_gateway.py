@@ -25,7 +25,7 @@ from libmodbus_py.services.gateway.shown_gateway import Clients, ShownGateway
 from libmodbus_py.services.gateway.statistics import GatewayStatistics, LineStatistics
 from libmodbus_py.tools.page import samples
 from libmodbus_py.tools.page.page import table_page
-from libmodbus_py.tools.page.tables import TableSource
+from libmodbus_py.tools.page.table_source import TableSource
 from tests.tools.page.watching import Visitor, until
 
 FIRST, SECOND = "tcp://10.0.0.1", "rtu:///dev/line"

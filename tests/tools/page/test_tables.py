@@ -12,7 +12,7 @@ import pytest
 
 from libmodbus_py.tools.page.page import table_page
 from libmodbus_py.tools.page.samples import MOST_BYTES
-from libmodbus_py.tools.page.tables import MOST_VISIBLE, TableSource
+from libmodbus_py.tools.page.table_source import MOST_VISIBLE, TableSource
 from libmodbus_py.tools.page.text import cell_text, value_text
 from tests.support.cases import each_case
 from tests.tools.page.tables import HOSTILE, Plant, visited

@@ -14,7 +14,7 @@ import pytest
 
 from libmodbus_py.page import live_page
 from libmodbus_py.tools.page.page import table_page
-from libmodbus_py.tools.page.tables import TableSource
+from libmodbus_py.tools.page.table_source import TableSource
 from tests.tools.page.browsers import browser, console, missing, resize
 from tests.tools.page.persons import Person
 from tests.tools.page.tables import HOSTILE, Plant
