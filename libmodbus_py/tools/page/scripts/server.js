@@ -220,7 +220,10 @@ $("rows").addEventListener("click", (event) => {
   } else if (row && view.what === "points") {
     const index = Number(row.dataset.at);
     const [name, table, address, kind, measure, access, description] = unit().points[index];
-    if (point === undefined) { openChart({ row: [unit().number, name] }, name, pointCells(index)[0]); return; }
+    if (point === undefined) {
+      if (event.target.closest("th, .spark")) openChart({ row: [unit().number, name] }, name, pointCells(index)[0]);
+      return;
+    }
     const note = [`${SHORT[table]} ${address}`, kind, measure, access === "read" ? "read-only for clients" : "",
       description].filter(Boolean).join(" · ");
     edit({ unit: unit().number, point: index, name, kind, text: values().get(point)?.[0] ?? "", title: name, note });
