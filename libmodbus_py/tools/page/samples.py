@@ -272,17 +272,21 @@ class RowHistory:
         before, self._at, passed = self._at, now, now - self._at
         counted = dict(self._counts())
         most = samples_of_each(len(counted) * len(UNITS))
-        known, self._known = self._known, {}
+        known = {}
         for name, counts in counted.items():
-            old, series = known.get(name, (counts, {key: Samples(math.inf, most) for key in UNITS}))
-            if name in known and passed > 0:
-                for column, figure in _figures(old, counts, passed).items():
-                    series[column].resize(most)
-                    if passed > GAP * SAMPLED:
-                        first = None if column == "queue" else figure  # it had its own length then
-                        series[column].add(before + SAMPLED, first)
-                    series[column].add(now, figure)
-            self._known[name] = counts, series
+            if name in self._known:
+                old, series = self._known[name]
+                figures = _figures(old, counts, passed) if passed > 0 else {}
+            else:
+                series, figures = {column: Samples(math.inf, most) for column in UNITS}, {}
+            for column, figure in figures.items():
+                series[column].resize(most)
+                if passed > GAP * SAMPLED:
+                    first = None if column == "queue" else figure  # it had its own length then
+                    series[column].add(before + SAMPLED, first)
+                series[column].add(now, figure)
+            known[name] = counts, series
+        self._known = known
 
     def spark(self, name: Name, column: str) -> list[int]:
         """Return the last numbers of a row as levels; an empty list if there are none."""
