@@ -11,7 +11,7 @@ from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.cli.ask.formatters import FormattedValue, ReadResult, formatter_of
 from libmodbus_py.cli.ask.items import Item
 from libmodbus_py.cli.ask.shown_watch import ShownWatch
-from tests.support.commands import Started, run
+from tests.support.commands import Started
 from tests.tools.page.watching import Visitor
 
 
@@ -36,11 +36,6 @@ def test_values_are_shown_and_printed() -> None:
                 assert process.stdout.readline().endswith("  0 0 0\n")
             process.send_signal(signal.SIGINT)
             process.wait()
-
-
-def test_a_page_implies_watching_and_a_token_needs_a_page() -> None:
-    done = run("read", "tcp://127.0.0.1:9", "holding", "0", "--watch", "1", "--page-token", "file")
-    assert (done.code, "--page-token needs --page" in done.err) == (2, True)
 
 
 class Silent:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import signal
 
 from libmodbus_py import Context, Device, Mapping, Server
-from tests.support.commands import Started, run
+from tests.support.commands import Started
 from tests.tools.page.watching import Visitor
 
 
@@ -33,10 +33,3 @@ def test_the_gateway_is_shown() -> None:
                 ]
             process.send_signal(signal.SIGTERM)
             process.wait()
-
-
-def test_a_token_needs_a_page() -> None:
-    done = run(
-        *("gateway", "tcp://127.0.0.1:0", "--to", "tcp://127.0.0.1:1", "--page-token", "file")
-    )
-    assert (done.code, "--page-token needs --page" in done.err) == (2, True)
