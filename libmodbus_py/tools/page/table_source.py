@@ -55,7 +55,7 @@ class Column(NamedTuple):
     """
 
     title: str
-    kind: Literal["row", "text", "note", "value", "number", "age", "state", "spark"] = "text"
+    kind: Literal["row", "note", "value", "number", "age", "state", "spark"]
     is_wide: bool = False
 
 
