@@ -8,7 +8,7 @@ import reprlib
 from typing import Any
 
 from ...maps.point import Point
-from ...protocol.spelling import shown
+from ...protocol.spelling import text_of
 
 __all__ = ["cell_text", "judged_point", "point_text", "value_text"]
 
@@ -76,4 +76,4 @@ def _text_of(point: Point, value: Any) -> str:
     if isinstance(value, dict):
         return " ".join(f"{name}={int(each)}" for name, each in value.items())
     is_plain = not point.is_part and (point.scale, point.offset, point.scale_from) == (1, 0, None)
-    return shown(value, kind) if is_plain and kind is not None else str(value)
+    return text_of(value, kind) if is_plain and kind is not None else str(value)
