@@ -21,7 +21,6 @@ The command line, on top of everything: arguments become requests and servers.
     serve          serve, gateway, poll, fleet
     certificates   certificates: of an authority, a server and clients with roles
     completers     ... and what is completed besides commands and options
-    word_order     words as argparse understands them best, for completion
     completion     completion: scripts for shells, and the answers to their questions
     demo           demo: worked examples on three kinds of lines, with the bytes sent
 """

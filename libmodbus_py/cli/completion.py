@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Sequence
 from typing import Any
 
 from .commands import COMMANDS, whole_parser
 from .help import VerbatimHelp
 from .output import PROGRAM
-from .word_order import options_first
 
 __all__ = ["add_command", "complete"]
 
@@ -53,18 +53,49 @@ def complete() -> None:
         ImportError: argcomplete is not installed.
     """
     words = os.environ.get("COMP_LINE", "").split()
-    asked = [word for word in words[1:2] if word in COMMANDS]
+    parser = whole_parser([word for word in words[1:2] if word in COMMANDS])
     argcomplete = _argcomplete()
 
-    class AnyOrder(argcomplete.CompletionFinder):  # type: ignore[misc, name-defined]
-        """Completes words wherever they stand."""
-
+    class WithoutOptions(argcomplete.CompletionFinder):  # type: ignore[misc, name-defined]
         def _get_completions(self, comp_words: list[str], *others: Any) -> Any:
-            program, *typed = comp_words
-            return super()._get_completions([program, *options_first(parser, typed)], *others)
+            return super()._get_completions(_without_options(parser, comp_words), *others)
 
-    parser = whole_parser(asked)
-    AnyOrder()(parser, always_complete_options="long")
+    WithoutOptions()(parser, always_complete_options="long")
+
+
+def _without_options(parser: argparse.ArgumentParser, words: Sequence[str]) -> list[str]:
+    """
+    Return the words before the one that is completed, without options and their values.
+
+    argparse gives no words after an option to a positional argument that may be missing, so that
+    nothing would be completed in ``read URL -u 3 NAME``. An option whose value is completed stays.
+    """
+    flags = _flags(parser)
+    found: list[str] = []
+    at = 0
+    while at < len(words):
+        action = flags.get(words[at])
+        if action is None:
+            found.append(words[at])
+            at += 1
+            continue
+        count = 1 if action.nargs is None else action.nargs if isinstance(action.nargs, int) else 0
+        end = at + 1 + count
+        may_have_one = action.nargs == "?" and hasattr(action, "completer")
+        if end > len(words) or (may_have_one and end == len(words)):
+            return [*found, *words[at:]]
+        at = end
+    return found
+
+
+def _flags(parser: argparse.ArgumentParser) -> dict[str, argparse.Action]:
+    """Return the options of a parser and of all its commands."""
+    found = dict(parser._option_string_actions)
+    for action in parser._actions:
+        if action.nargs == argparse.PARSER:
+            for each in dict(action.choices or {}).values():
+                found |= _flags(each)
+    return found
 
 
 def _argcomplete() -> Any:

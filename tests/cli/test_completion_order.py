@@ -4,16 +4,12 @@ Completion whatever the order of the words, as bash and zsh ask argcomplete for 
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 from pathlib import Path
 
 import pytest
 
-from libmodbus_py.cli.commands import whole_parser
-from libmodbus_py.cli.word_order import options_first
-from tests.support.cases import each_case
 from tests.support.commands import PROGRAM
 
 pytest.importorskip("argcomplete")
@@ -85,39 +81,3 @@ def test_zsh(folder: Path) -> None:
     line, found = LINES[1]
     answer = completed(f"libmodbus-py {line}", folder, _ARGCOMPLETE_SHELL="zsh")
     assert {each.partition(":")[0] for each in answer.split("\013")} == found
-
-
-def ordered(text: str) -> str:
-    name = text.split()[0]
-    return " ".join(options_first(whole_parser([name]), text.split()))
-
-
-@each_case(
-    ("typed", "found"),
-    [
-        ("read URL --map m -u 3", "read --map m -u 3 URL"),
-        ("read URL hr 0 -u", "read URL hr 0 -u"),  # its value is completed
-        ("read URL -u 3 hr --type", "read -u 3 URL hr --type"),
-        ("read URL --watch hr", "read URL hr"),
-        ("read URL --watch 5 hr", "read --watch 5 URL hr"),
-        ("read --json URL hr", "read URL hr"),
-        ("read --json a.json URL", "read --json a.json URL"),
-        ("write URL hr 0 -5 -v", "write -v URL hr 0 -5"),
-        ("write URL hr 0 --mask 1", "write URL hr 0 --mask 1"),
-        ("write URL hr 0 --mask 1 2", "write --mask 1 2 URL hr 0"),
-        ("write URL hr 0 -- -x -u 3", "write URL hr 0 -- -x -u 3"),
-        ("read URL --no-such-option -u 3 hr", "read --no-such-option -u 3 URL hr"),
-        ("read URL --timeout=3 hr", "read --timeout=3 URL hr"),
-        ("map check a.csv -u 3 b.csv", "map check -u 3 a.csv b.csv"),
-        ("serve URL --example", "serve URL --example"),
-        ("serve URL --page --example x", "serve --example x URL"),
-    ],
-)
-def test_options_come_first(typed: str, found: str) -> None:
-    assert ordered(typed) == found
-
-
-def test_a_parser_without_commands_takes_no_word_for_one() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("word", nargs="*")
-    assert options_first(parser, ["read", "-x", "map"]) == ["-x", "read", "map"]
