@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 __all__ = [
     "SCHEMES_OF_URLS", "URLS", "add_client", "add_client_options", "add_csv", "add_defaults",
     "add_json", "add_security_options", "add_serial_options", "add_units", "add_url", "add_verbose",
-    "checked", "flag", "given", "is_form", "is_of_form", "read_as", "with_forms",
+    "checked", "flag", "given", "with_forms",
 ]
 # fmt: on
 
@@ -172,17 +172,17 @@ def with_forms(parser: argparse.ArgumentParser, words: Sequence[str]) -> list[st
     pairs = zip(words, [*words[1:], ""], strict=False)
     end = words.index("--") if "--" in words else len(words)
     return [
-        f"{word}=" if at < end and word in forms and not is_of_form(following) else word
+        f"{word}=" if at < end and word in forms and not _is_of_form(following) else word
         for at, (word, following) in enumerate(pairs)
     ]
 
 
-def is_form(action: argparse.Action) -> bool:
+def _is_form(action: argparse.Action) -> bool:
     """Return True if an option is a form of output, which a file may follow."""
     return isinstance(action, _Form)
 
 
-def is_of_form(word: str) -> bool:
+def _is_of_form(word: str) -> bool:
     """Return True if the word behind a form of output is a file for it."""
     is_path = word.startswith(("/", "./", "../")) and not word.startswith("/dev/")
     return is_path or word.lower().endswith(SUFFIXES)
@@ -191,7 +191,7 @@ def is_of_form(word: str) -> bool:
 def _forms(parser: argparse.ArgumentParser) -> set[str]:
     """Return the options of a command and of its actions that a file may follow."""
     found = {
-        flag for action in parser._actions if is_form(action) for flag in action.option_strings
+        flag for action in parser._actions if _is_form(action) for flag in action.option_strings
     }
     for action in parser._actions:
         if action.nargs == argparse.PARSER:
@@ -199,7 +199,7 @@ def _forms(parser: argparse.ArgumentParser) -> set[str]:
     return found
 
 
-def read_as(option: Option) -> Callable[[str], Any]:
+def _read_as(option: Option) -> Callable[[str], Any]:
     """Return the function that converts what is typed, for argparse."""
 
     def read(text: str) -> Any:
@@ -293,7 +293,7 @@ def _add(group: Any, options: Mapping[str, Option]) -> list[argparse.Action]:
             continue
         if name in REPEATED:
             others |= {"action": "append", "help": f"{option.text}; may be repeated"}
-        others |= {"metavar": option.placeholder, "type": read_as(option)}
+        others |= {"metavar": option.placeholder, "type": _read_as(option)}
         added.append(group.add_argument(*flags, **others))
         if name == "parity":
             completers.completing(added[-1], completers.parities)

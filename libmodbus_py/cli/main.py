@@ -63,8 +63,10 @@ def _run(arguments: Sequence[str] | None) -> int:
 
         complete()
     options = parsed(sys.argv[1:] if arguments is None else arguments)
+    options.screen = sys.stdout  # while what is printed goes to a file
+    options.written_to = getattr(options, "written_to", None)
     try:
-        with written_to(getattr(options, "written_to", None)):
+        with written_to(options.written_to):
             return int(options.run(options))
     except (ValueError, TypeError) as error:
         parser: argparse.ArgumentParser = options.parser

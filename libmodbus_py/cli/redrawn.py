@@ -38,7 +38,9 @@ class Redrawn:
             more = len(lines) - room + 1
             lines = [*lines[: room - 1], (f"... {more} more", False)]
         drawn = [(_fitting(line, columns), is_bold) for line, is_bold in lines]
-        text = "\n".join(styled(line, "1" if is_bold else "") for line, is_bold in drawn)
+        text = "\n".join(
+            styled(line, "1" if is_bold else "", self._stream) for line, is_bold in drawn
+        )
         self._stream.write(f"{self._back(columns)}{text}\n")
         self._stream.flush()
         self._drawn = [line for line, _ in drawn]

@@ -4,16 +4,11 @@ Commands that ask one device: read, write, identify, diagnose, raw and map.
 ::
 
     read             the arguments of read
-    reading          the requests of read, and their results
-    watching         read --watch: reading again and again
-    shown_watch      the values of read --watch as the live page shows them
-    table            ... on a terminal, drawn again in place
-    lines            ... elsewhere, a line for each poll
+    reading          its requests, and its results in each form
+    watching         read --watch: again and again, on a terminal in a table
     write            the arguments of write
     writing          the requests of write
-    verifying        ... read back, and compared
-    items            the words that say what is read or written: tables, references, names
-    item_plan        the requests that read items
+    items            what is read or written, as words and as requests
     formatters       values as lines, cells of CSV and fields of JSON
     units            several units, asked one after the other
     identify         identify

@@ -5,7 +5,7 @@ Values that were read, as lines of text, cells of CSV and fields of JSON.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...protocol.plain import plain
@@ -18,7 +18,11 @@ if TYPE_CHECKING:
     from ...maps.meaning import Judged
     from ...maps.point import Point
 
-__all__ = ["FormattedValue", "Formatter", "ReadResult", "aligned", "formatter_of"]
+__all__ = ["FormattedValue", "Formatter", "ReadResult", "aligned", "formatter_of", "in_line"]
+
+
+NUMBER_CHARACTERS = 5
+"""The width of an address, so that the addresses of several commands are below each other."""
 
 
 class FormattedValue(NamedTuple):
@@ -49,7 +53,10 @@ class Formatter:
     Attributes:
         item: as given.
         source: the value of the point that scales the item's point.
+        shows_all: True if the rows are interpretations of one value.
     """
+
+    shows_all: bool = False
 
     def __init__(self, item: Item, *, in_hex: bool = False) -> None:
         self.item = item
@@ -65,16 +72,14 @@ class Formatter:
         """Return the titles of the columns of CSV, one for each value."""
         if self.item.table == "fifo_queue":
             raise ValueError("fifo cannot be used with --csv: its number of columns is unknown")
-        return [f"{self.item.word} {number}" for number in self._numbers(self.item.count)]
+        return [self.item.label(at) for at in self._cells(self.item.count)]
 
     def rows(self, cells: list[int]) -> list[FormattedValue]:
         """Return each value as text."""
         form = "0x{:04X}" if self._in_hex else "{}"
         texts = [form.format(cell) for cell in cells]
-        numbers = self._numbers(len(texts))
-        return [
-            FormattedValue(f"{at:>5}", text, text) for at, text in zip(numbers, texts, strict=True)
-        ]
+        pairs = zip(self._cells(len(texts)), texts, strict=True)
+        return [FormattedValue(self.item.number(at), text, text) for at, text in pairs]
 
     def fields(self, cells: list[int]) -> dict[str, Any]:
         """Return the fields of JSON."""
@@ -87,12 +92,13 @@ class Formatter:
     @property
     def whence(self) -> dict[str, Any]:
         """The fields of JSON that name the item."""
-        found: dict[str, Any] = {"table": self.item.table, "address": self.item.first}
-        return {**found, "file": self.item.file} if self.item.table == "file" else found
+        item = self.item
+        found: dict[str, Any] = {"table": item.table, "address": item.address + item.base}
+        return {**found, "file": item.file} if item.table == "file" else found
 
-    def _numbers(self, count: int) -> Iterable[int]:
-        first, step = self.item.first, self.item.size
-        return range(first, first + count * step, step)
+    def _cells(self, count: int) -> range:
+        """Return the first cell of each value."""
+        return range(0, count * self.item.size, self.item.size)
 
 
 class _TypedFormatter(Formatter):
@@ -108,10 +114,9 @@ class _TypedFormatter(Formatter):
 
     def rows(self, cells: list[int]) -> list[FormattedValue]:
         values = self._values(cells)
-        numbers = self._numbers(len(values))
+        pairs = zip(self._cells(len(values)), values, strict=True)
         return [
-            FormattedValue(f"{at:>5}", *_texts(value, self._kind))
-            for at, value in zip(numbers, values, strict=True)
+            FormattedValue(self.item.number(at), *_texts(each, self._kind)) for at, each in pairs
         ]
 
     def fields(self, cells: list[int]) -> dict[str, Any]:
@@ -119,9 +124,10 @@ class _TypedFormatter(Formatter):
         kind = {"type": self._kind.name, "order": self._kind.order}
         told = {"values": [_as_json(value) for value in values]}
         # Which JSON has no numbers for: the values are null, and their texts stand here.
+        first = self.item.address + self.item.base
         texts = {
-            str(at): str(value)
-            for at, value in zip(self._numbers(len(values)), values, strict=True)
+            str(first + at): str(value)
+            for at, value in zip(self._cells(len(values)), values, strict=True)
             if isinstance(value, float) and not math.isfinite(value)
         }
         return {**self.whence, **kind, **told, **({"no_value": texts} if texts else {})}
@@ -130,17 +136,19 @@ class _TypedFormatter(Formatter):
         try:
             return self._kind.decode_many(cells)
         except ValueError as error:
-            place = f"{self.item.table.replace('_', ' ')} from {self.item.first}"
+            place = f"{self.item.table.replace('_', ' ')} from {self.item.number()}"
             raise CommandError(f"{place}: {error}") from None
 
 
 class _AllFormatter(Formatter):
     """Formats registers as one value, in every way that makes sense."""
 
+    shows_all = True
+
     def __init__(self, item: Item) -> None:
         super().__init__(item)
         if item.table not in REGISTERS:
-            raise ValueError(f"{item.word} takes no --type")
+            raise ValueError(f"{item.label()} takes no --type")
         limit = REGISTERS[item.table][0]
         if not 1 <= item.count <= limit:
             raise ValueError(f"count must be in 1..{limit}, not {item.count}")
@@ -287,29 +295,40 @@ def formatter_of(item: Item, *, as_all: bool, in_hex: bool) -> Formatter:
 def aligned(groups: Sequence[tuple[Formatter, list[FormattedValue]]]) -> list[str]:
     """Return a line for each value, which begins with the table if there are several items."""
     several = len(groups) > 1
-    wheres = [
-        [_where(formatter, row) if several else row.where for row in rows]
-        for formatter, rows in groups
-    ]
+    placed = [each for each in groups if each[0].item.word]  # neither references nor names
+    word = max((len(each.item.word) for each, _ in placed), default=0) if several else 0
+    width = max((len(row.where) for _, rows in placed for row in rows), default=0)
+    width = width if several else NUMBER_CHARACTERS
+    wheres = [[_where(each, row, word, width) for row in rows] for each, rows in groups]
     label = max((len(where) for group in wheres for where in group), default=0)
     numbers = max(
         (len(row.text) for formatter, rows in groups if not formatter.is_text for row in rows),
         default=0,
     )
-    lines = []
-    for (formatter, rows), group in zip(groups, wheres, strict=True):
-        width = 0 if formatter.is_text else numbers
-        lines += [
-            f"{where:<{label}}  {row.text:>{width}}{' ' if row.unit else ''}{row.unit}"
-            for where, row in zip(group, rows, strict=True)
-        ]
-    return lines
+    return [
+        f"{where:<{label}}  {row.text:>{0 if formatter.is_text else numbers}} {row.unit}".rstrip()
+        for (formatter, rows), group in zip(groups, wheres, strict=True)
+        for where, row in zip(group, rows, strict=True)
+    ]
 
 
-def _where(formatter: Formatter, row: FormattedValue) -> str:
-    return (
-        row.where if formatter.item.point is not None else f"{formatter.item.word:<8} {row.where}"
-    )
+def _where(formatter: Formatter, row: FormattedValue, word: int, width: int) -> str:
+    """Return what a line begins with: a name, or a table and a number below those of others."""
+    item = formatter.item
+    if item.point is not None or formatter.shows_all or (word and not item.word):
+        return row.where
+    return f"{item.word:<{word}} {row.where:>{width}}" if word else f"{row.where:>{width}}"
+
+
+def in_line(result: ReadResult, *, several: bool) -> str:
+    """Return the values of an item in one line; several items are named."""
+    item = result.formatter.item
+    values = " ".join(f"{row.text} {row.unit}".rstrip() for row in result.rows)
+    values = values or f"({result.failure})"
+    values += " (fell)" * result.has_fallen
+    if item.point is not None:
+        return f"{item.point.name}={values}"
+    return f"{item.label()}: {values}" if several else values
 
 
 def _texts(value: Any, kind: ValueType) -> tuple[str, str]:

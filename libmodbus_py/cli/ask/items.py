@@ -1,5 +1,12 @@
 """
-The words that say what is read or written: tables and addresses, references, names.
+Items that are read or written: tables and addresses, references, names; as words and requests.
+
+::
+
+    hr 100    40101    voltage      a cell of a table, a reference, a point of a map
+    hr 100:float32                  a type for this item, in place of --type
+    hr 100-105    40101-40106       a range of cells
+    40101=5    hr 100=5             a value behind it, for a write
 """
 
 from __future__ import annotations
@@ -7,11 +14,13 @@ from __future__ import annotations
 import argparse
 import re
 from collections import deque
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from ...maps.plan import Read
+from ...maps.plan import Plan, Read
+from ...protocol import pdu
+from ...protocol.errors import ModbusError
 from ...protocol.spelling import number_of
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...protocol.values import ValueType, parse_reference, value_type
@@ -22,7 +31,7 @@ if TYPE_CHECKING:
     from ...maps.point import Point
     from ...maps.register_map import RegisterMap
 
-__all__ = ["ALL", "REGISTERS", "TABLE_WORDS", "Item", "Words", "map_of"]
+__all__ = ["ALL", "REGISTERS", "TABLE_WORDS", "Cells", "Item", "ItemPlan", "Words", "map_of"]
 
 TABLE_WORDS = {
     "coils": "coils",
@@ -44,11 +53,19 @@ REGISTERS = {
 } | {"file": (124, 122)}
 """Table of registers -> the most that one request reads, and writes."""
 
+USUAL_RECORDS = 121
+"""Records of a request; the byte count of an answer goes to 245 (section 6.14), although 251 would
+fit, so that longer requests are sent only for a count that asks for them."""
+
 USUAL = {"order": "ABCD", "encoding": "ascii", "padding": "\0"}
 """Options of a type -> their defaults."""
 
 ALL = "all"
 """Argument of --type that shows every interpretation."""
+
+Cells = list[int] | ModbusError
+
+_PLACE = re.compile(r"(?P<first>-?[^-:]*)(?:-(?P<last>[0-9]+))?(?P<type>:.+)?", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -64,8 +81,10 @@ class Item:
         layout: name, order, encoding and padding of the type, as `Read` takes them.
         file: the number of the file, for the table "file".
         point: the point of a map, which determines the other attributes; or None.
-        first: the address that is printed for the first cell.
-        typed: the word with the address, for hints.
+        word: the table as it was typed; empty for references and points.
+        typed: the address or the reference as it was typed, without range and type.
+        base: the number of the first cell of a table, 0 or 1.
+        is_range: True if the words say how many cells there are.
     """
 
     table: str
@@ -75,8 +94,10 @@ class Item:
     layout: tuple[Any, ...] = ()
     file: int = 0
     point: Point | None = None
-    first: int = 0
+    word: str = ""
     typed: str = ""
+    base: int = 0
+    is_range: bool = False
 
     @property
     def size(self) -> int:
@@ -88,10 +109,15 @@ class Item:
         """The number of cells of all values."""
         return self.count * self.size
 
-    @property
-    def word(self) -> str:
-        """The table as a word of the command line."""
-        return f"file:{self.file}" if self.table == "file" else WORD_OF[self.table]
+    def number(self, cell: int = 0) -> str:
+        """Return the number of a cell of this item, counted as the first one was typed."""
+        if self.word or not self.typed:
+            return str(self.address + self.base + cell)
+        return f"{self.typed[0]}{int(self.typed[1:]) + cell:0{len(self.typed) - 1}}"
+
+    def label(self, cell: int = 0) -> str:
+        """Return the name of a cell of this item as it would be typed, such as "hr 101"."""
+        return f"{self.word} {self.number(cell)}".lstrip()
 
     @property
     def read(self) -> Read:
@@ -103,7 +129,7 @@ class Item:
     @property
     def hint(self) -> str:
         """A remark for errors if the address looks like a reference; or empty."""
-        return _hint(self.word, self.table, self.typed)
+        return _hint(self.word, self.table, self.typed) if self.word else ""
 
 
 class Words:
@@ -114,21 +140,34 @@ class Words:
         options: those of the command: `type`, `order`, `encoding`, `padding`, `map`,
             `count_from_1`.
         words: the words that say what is read or written.
+        have_values: True if values follow the items, to write.
 
     Attributes:
         map: the register map, or None.
+        is_all: True if every interpretation is shown.
 
     Raises:
         ValueError: options that do not fit together, or a mistake in the map.
     """
 
-    def __init__(self, options: argparse.Namespace, words: list[str]) -> None:
+    def __init__(
+        self, options: argparse.Namespace, words: Sequence[str], *, have_values: bool = False
+    ) -> None:
         self.map: RegisterMap | None = map_of(options.map) if options.map is not None else None
+        self.is_all: bool = options.type == ALL and not have_values
         self._words = deque(words)
+        self._have_values = have_values
         self._base = 1 if options.count_from_1 else 0
-        self._has_type = options.type is not None
-        self._layout = _layout(options)
-        self._kind = value_type(self._layout[0], **_named(self._layout)) if self._layout else None
+        self._type: str | None = None if self.is_all else options.type
+        self._given = {
+            name: value for name in USUAL if (value := getattr(options, name)) is not None
+        }
+        for name in self._given:
+            if self.is_all:
+                raise ValueError(f"--type all shows every interpretation, and has no --{name}")
+            if self._type is None and not any(re.match(r"[0-9][0-9-]*:", each) for each in words):
+                raise ValueError(f"--{name} needs --type, or a type as in hr 100:float32")
+        self._typed(self._type)  # refuses what is wrong without any item, too
 
     def __bool__(self) -> bool:
         return bool(self._words)
@@ -136,7 +175,7 @@ class Words:
     def whole_map(self) -> list[Item]:
         """Return all points of the map that can be read."""
         points = self.map.values() if self.map is not None else ()
-        return [self._of_point(point) for point in points if point.is_readable]
+        return [_of_point(point) for point in points if point.is_readable]
 
     def group(self, name: str) -> list[Item]:
         """
@@ -146,7 +185,7 @@ class Words:
             ValueError: the map has no such group.
         """
         assert self.map is not None
-        return [self._of_point(self.map[each]) for each in self.map.group(name)]
+        return [_of_point(self.map[each]) for each in self.map.group(name)]
 
     def sources_of(self, items: Iterable[Item]) -> list[Item]:
         """Return the points that scale the items, each before the points that it scales."""
@@ -155,8 +194,7 @@ class Words:
         from ...maps.point_plan import sources_of
 
         points = [item.point for item in items if item.point is not None]
-        found = sources_of(points, self.map)
-        return [self._of_point(point) for point in found.values()]
+        return [_of_point(point) for point in sources_of(points, self.map).values()]
 
     # --- places --------------------------------------------------------------------------
 
@@ -167,14 +205,17 @@ class Words:
         Raises:
             ValueError: the word is none of these.
         """
-        first = self._words.popleft()
-        if (name := first.partition(":")[0]) in TABLE_WORDS:
+        first = self._pop()
+        name = first.partition(":")[0]
+        if name in TABLE_WORDS:
             return self._in_table(first, name)
         if self.map is not None and first in self.map:
-            return self._named(first, self.map)
+            if self._type is not None or self.is_all:
+                raise ValueError(f"{first} has the type that the map gives, and takes no --type")
+            return _of_point(self.map[first])
         if word := _table_word(name):
             return self._in_table(first, word)
-        if first.isdecimal():
+        if name.partition("-")[0].isdecimal():
             return self._referred(first)
         if self.map is not None:
             self.map.plan([first])  # raises an error with similar names
@@ -185,29 +226,42 @@ class Words:
 
     def take_count(self, item: Item) -> int:
         """Take the count of an item; 1 if the next word is not a count."""
-        if self._words and re.match("[+-]?[0-9]", self._words[0]) and not self._has_next(item):
-            return number_of("count", self._words.popleft())
-        return 1
+        if item.is_range or not self._words or not re.match("[+-]?[0-9]", self._words[0]):
+            return item.count
+        if not item.word and re.match("[0-9]{5,6}(?![0-9])", self._words[0]):  # a reference
+            return item.count
+        return number_of("count", self._words.popleft())
 
     def take_values(self) -> list[str]:
-        """Take all words up to the next table or name."""
+        """Take all words up to the next item."""
         values = []
         while self._words and not self._begins_item(self._words[0]):
             values.append(self._words.popleft())
         return values
 
+    def _pop(self) -> str:
+        """Take a word; of a word such as 40101=5 only what stands before the value."""
+        word = self._words.popleft()
+        if "=" not in word or (self.map is not None and word in self.map):
+            return word
+        if not self._have_values:
+            raise ValueError(f"{word!r} has a value, which the command write takes")
+        word, _, value = word.partition("=")
+        self._words.appendleft(value)
+        return word
+
     def _begins_item(self, word: str) -> bool:
         name = word.partition(":")[0]
         if name in TABLE_WORDS or (self.map is not None and word in self.map):
             return True
+        before, has_value, _ = word.partition("=")
+        if has_value and self.map is not None and before in self.map:
+            return True
+        if has_value and re.fullmatch("[0-9]{5,6}(:.+)?", before):
+            return True
         # Short words such as "di" may be texts to write; a table has an address behind it.
         has_address = len(self._words) > 1 and re.match("[0-9]", self._words[1])
         return bool(has_address and _table_word(name))
-
-    def _has_next(self, item: Item) -> bool:
-        """Return True if the next word is a reference, and not the count of a reference."""
-        word = self._words[0]
-        return not item.typed and word.isdecimal() and len(word) in (5, 6)
 
     def _in_table(self, first: str, name: str) -> Item:
         file = first.partition(":")[2]
@@ -217,38 +271,73 @@ class Words:
             )
         if not self._words:
             raise ValueError(f"{first} lacks an address")
-        typed = self._words.popleft()
+        typed, last, kind = _split(self._pop())
         table, number = TABLE_WORDS[name], number_of("file", file) if file else 0
         base = 0 if table == "file" else self._base
         try:
-            shown = number_of("address", typed)
-            if not base <= shown < TABLE_SIZE + base:
-                span = f"{base}..{TABLE_SIZE - 1 + base}"
-                raise ValueError(f"address must be in {span}, not {shown}")
+            address = _address(typed, base)
+            end = address if last is None else _address(last, base)
         except ValueError as error:
             raise ValueError(f"{error}{_hint(name, table, typed)}") from None
-        return self._item(table, shown - base, shown, file=number, typed=typed)
+        item = Item(table, address, file=number, word=first, typed=typed, base=base)
+        return self._with_type(item, kind, end)
 
     def _referred(self, first: str) -> Item:
-        table, address = parse_reference(first)
+        typed, last, kind = _split(first)
+        table, address = parse_reference(typed)
         if table == "file":
-            raise ValueError(f"{first!r} lacks the number of the file: type file:N {address}")
-        return self._item(table, address, address + self._base)
+            raise ValueError(f"{typed!r} lacks the number of the file: type file:N {address}")
+        end = parse_reference(last) if last is not None else (table, address)
+        if end[0] != table:
+            raise ValueError(f"{first!r}: both references must be of one table")
+        return self._with_type(Item(table, address, typed=typed, base=self._base), kind, end[1])
 
-    def _named(self, name: str, points: RegisterMap) -> Item:
-        if self._has_type:
-            raise ValueError(f"{name} has the type that the map gives, and takes no --type")
-        return self._of_point(points[name])
+    def _with_type(self, item: Item, name: str | None, last: int) -> Item:
+        """Return an item with its type, or that of --type, up to the cell at an address."""
+        wanted = name or self._type
+        if (wanted is not None or self.is_all) and item.table not in REGISTERS:
+            allowed = ", ".join(word for word, table in TABLE_WORDS.items() if table in REGISTERS)
+            raise ValueError(f"{item.table.replace('_', ' ')} have no type, only {allowed} have")
+        layout = self._typed(wanted)
+        kind = (
+            value_type(layout[0], **dict(zip(USUAL, layout[1:], strict=True))) if layout else None
+        )
+        item = replace(item, kind=kind, layout=layout, is_range=last != item.address)
+        if not item.is_range:
+            return item
+        cells = last - item.address + 1
+        if cells < 1 or cells % item.size:
+            what = f"registers of {kind.name}, {item.size} each" if kind else "cells"
+            raise ValueError(f"{item.label()} to {item.number(cells - 1)} is no range of {what}")
+        return replace(item, count=cells // item.size)
 
-    def _of_point(self, point: Point) -> Item:
-        return Item(point.table, point.address, point.count, point.read.kind, point=point)
+    def _typed(self, name: str | None) -> tuple[Any, ...]:
+        """Return name, order, encoding and padding of a type; empty without a type."""
+        if name is None:
+            return ()
+        layout = {**USUAL, **self._given}
+        value_type(name, **layout)
+        return (name, *layout.values())
 
-    def _item(self, table: str, address: int, first: int, **others: Any) -> Item:
-        if self._has_type and table not in REGISTERS:
-            allowed = ", ".join(word for word, name in TABLE_WORDS.items() if name in REGISTERS)
-            raise ValueError(f"{table.replace('_', ' ')} have no --type, only {allowed} have")
-        layout = self._layout
-        return Item(table, address, kind=self._kind, layout=layout, first=first, **others)
+
+def _split(text: str) -> tuple[str, str | None, str | None]:
+    """Return the address, the end of the range and the type of a word such as 100-105:float32."""
+    found = _PLACE.fullmatch(text)
+    if found is None:
+        return text, None, None
+    return found["first"], found["last"], found["type"] and found["type"][1:]
+
+
+def _address(text: str, base: int) -> int:
+    """Return an address from 0 of one that counts from a base."""
+    shown = number_of("address", text)
+    if not base <= shown < TABLE_SIZE + base:
+        raise ValueError(f"address must be in {base}..{TABLE_SIZE - 1 + base}, not {shown}")
+    return shown - base
+
+
+def _of_point(point: Point) -> Item:
+    return Item(point.table, point.address, point.count, point.read.kind, point=point)
 
 
 def _table_word(text: str) -> str:
@@ -270,25 +359,6 @@ def map_of(file: str) -> RegisterMap:
     return load_map(map_file(file))
 
 
-def _layout(options: argparse.Namespace) -> tuple[Any, ...]:
-    """Return name, order, encoding and padding of the type; empty without --type."""
-    given = {name: getattr(options, name) for name in USUAL}
-    told = [name for name, value in given.items() if value is not None]
-    if options.type is None:
-        for name in told:
-            raise ValueError(f"--{name} needs --type")
-        return ()
-    if options.type == ALL and options.can_show_all:
-        for name in told:
-            raise ValueError(f"--type all shows every interpretation, and has no --{name}")
-        return ()
-    return (options.type, *(given[name] or usual for name, usual in USUAL.items()))
-
-
-def _named(layout: tuple[Any, ...]) -> dict[str, Any]:
-    return dict(zip(USUAL, layout[1:], strict=True))
-
-
 def _hint(word: str, table: str, typed: str) -> str:
     try:
         reference = parse_reference(typed)
@@ -300,3 +370,83 @@ def _hint(word: str, table: str, typed: str) -> str:
         f" ({word} {typed} counts from 0; the reference {typed}, which is address"
         f" {reference.address}, is typed without {word})"
     )
+
+
+# --- requests ------------------------------------------------------------------------
+
+
+class ItemPlan:
+    """
+    The requests that read items, as `Plan` has them, and those of files and queues.
+
+    Args:
+        items: what is read.
+
+    Attributes:
+        plan: reads the items of the four tables.
+        requests: those of the other items.
+
+    Raises:
+        ValueError: a count or address out of range.
+    """
+
+    def __init__(self, items: Sequence[Item]) -> None:
+        self._count = len(items)
+        self.plan: Plan = _CellPlan(
+            {at: item.read for at, item in enumerate(items) if item.table not in OTHERS}
+        )
+        self._others = {
+            at: OTHERS[item.table](item) for at, item in enumerate(items) if item.table in OTHERS
+        }
+        self.requests: list[pdu.Request[Any]] = [
+            each for requests in self._others.values() for each in requests
+        ]
+
+    def cells(self, answers: Sequence[Any], others: Sequence[Any]) -> list[Cells]:
+        """Return the cells of each item, or the error in place of them."""
+        found: dict[int, Cells] = self.plan.results(answers)
+        given = iter(others)
+        for at, requests in self._others.items():
+            found[at] = _joined([next(given) for _ in requests])
+        return [found[at] for at in range(self._count)]
+
+
+class _CellPlan(Plan):
+    """A plan whose results are cells; a formatter decodes them."""
+
+    def _decoded(self, name: Any, cells: list[Any]) -> Any:
+        return [int(cell) for cell in cells]
+
+
+def _joined(answers: list[Any]) -> Cells:
+    cells: list[int] = []
+    for answer in answers:
+        if isinstance(answer, ModbusError):
+            return answer
+        cells += answer[0] if answer and isinstance(answer[0], list) else answer
+    return cells
+
+
+def _of_file(item: Item) -> list[pdu.Request[Any]]:
+    """Return requests that divide no value, because its halves could be of different age."""
+    most = REGISTERS["file"][0]
+    if item.kind is not None and item.size > most:
+        raise ValueError(f"{item.kind.name} takes {item.size} registers, and a request {most}")
+    if item.count < 1:
+        raise ValueError(f"count must be 1 or more, not {item.count}")
+    step = max(USUAL_RECORDS // item.size, 1) * item.size if item.cells > most else item.cells
+    stop = item.address + item.cells
+    return [
+        pdu.ReadFileRecords(((item.file, at, min(step, stop - at)),))
+        for at in range(item.address, stop, step)
+    ]
+
+
+def _of_queue(item: Item) -> list[pdu.Request[Any]]:
+    if item.count != 1:
+        raise ValueError("fifo takes no count: a queue is always read as a whole")
+    return [pdu.ReadFifoQueue(item.address)]
+
+
+OTHERS = {"file": _of_file, "fifo_queue": _of_queue}
+"""Item outside the four tables -> function that returns its requests."""

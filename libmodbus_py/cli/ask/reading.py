@@ -1,5 +1,5 @@
 """
-The command read: the requests, and the results of all items.
+The command read: all items of a unit are asked for, and their results are printed.
 """
 
 from __future__ import annotations
@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import sys
+import time
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -15,33 +16,26 @@ from typing import Any, Protocol
 from ...client.blocking import Context
 from ...maps.holes import Holes, carried_out, reading
 from ...maps.watched import PointIntervals, Totals
-from ...protocol.errors import (
-    ExceptionResponse,
-    IllegalDataAddress,
-    ModbusError,
-)
+from ...protocol.errors import ExceptionResponse, IllegalDataAddress, ModbusError
+from ...protocol.plain import time_text, without_controls
 from ..connecting import connected, endpoint_of
 from ..failing import CommandError, advice
 from ..output import complain, print_json
 from ..status import Status
-from .formatters import Formatter, ReadResult, aligned, formatter_of
-from .item_plan import Cells, ItemPlan
-from .items import ALL, Item, Words
+from .formatters import Formatter, ReadResult, aligned, formatter_of, in_line
+from .items import Cells, Item, ItemPlan, Words
 from .units import ask_units, client_of, fail, units_of
 
-__all__ = ["Printer", "Reader", "object_of", "read", "readers_of"]
+__all__ = ["Printer", "Reader", "printer_of", "read", "readers_of"]
 
-ONCE = 1.0
+ONCE_S = 1.0
 """The interval of a read without --watch, where it has no effect."""
 
-MOST_PLANS = 64
-"""Plans for different sets of items that are kept."""
+MAX_PLANS = 64
+"""Plans for different sets of items that are kept: intervals of points can combine to many."""
 
-FELL = "is smaller than before"
-"""The remark about a total that was read twice."""
-
-STATUS_AFTER = 1.0
-"""Seconds until a status line is shown."""
+STATUS_AFTER_S = 1.0
+"""Until a status line is shown: most reads are over by then."""
 
 
 class Reader:
@@ -66,12 +60,12 @@ class Reader:
         # The points that scale others are read, too, if they are not among the items.
         sources = words.sources_of(items)
         self.formatters: list[Formatter] = [
-            formatter_of(item, as_all=options.type == ALL, in_hex=options.hex) for item in items
+            formatter_of(item, as_all=words.is_all, in_hex=options.hex) for item in items
         ]
         self._sources = [formatter_of(item, as_all=False, in_hex=False) for item in sources]
         self._plans: dict[tuple[int, ...], ItemPlan] = {(): ItemPlan([*items, *sources])}
         own = [None if item.point is None else item.point.interval for item in items]
-        self._pace = PointIntervals(own, getattr(options, "watch", None) or ONCE)
+        self._pace = PointIntervals(own, getattr(options, "watch", None) or ONCE_S)
         self.interval: float = self._pace.interval
         points = [item.point for item in items]
         self._totals = Totals(at for at, point in enumerate(points) if point and point.never_falls)
@@ -104,7 +98,7 @@ class Reader:
         if doubtful:
             again = self._read(context, tuple(sorted(doubtful)))
             for at in self._totals.take(self._values(again)).fell:
-                remark = f"{again[at].fields['name']} {FELL}"
+                remark = f"{again[at].fields['name']} is smaller than before"
                 again[at] = again[at]._replace(remark=remark, has_fallen=True)
             found |= again
         self._pace.done()
@@ -119,7 +113,7 @@ class Reader:
         indexes = tuple(range(len(self.formatters))) if due is None else due
         formatters = [self.formatters[at] for at in indexes]
         plan = self._plan_of(due or (), formatters)
-        self._status = Status(after=STATUS_AFTER)
+        self._status = Status(after=STATUS_AFTER_S)
         try:
             connects = context.statistics.connects
             steps = reading(plan.plan.blocks, self._holes, context.now(), connects)
@@ -134,7 +128,7 @@ class Reader:
 
     def _plan_of(self, due: tuple[int, ...], formatters: list[Formatter]) -> ItemPlan:
         if due not in self._plans:
-            if len(self._plans) == MOST_PLANS:
+            if len(self._plans) == MAX_PLANS:
                 self._plans = {(): self._plans[()]}
             items = [each.item for each in (*formatters, *self._sources)]
             self._plans[due] = ItemPlan(items)
@@ -178,6 +172,9 @@ class Reader:
                 raise CommandError(_reason(answer, self.formatters[0].item))
 
 
+# --- read once -----------------------------------------------------------------------
+
+
 def readers_of(options: argparse.Namespace) -> list[Reader]:
     """
     Return a reader for each unit that was typed.
@@ -191,7 +188,7 @@ def readers_of(options: argparse.Namespace) -> list[Reader]:
 def read(options: argparse.Namespace) -> int:
     """Read each unit once, and print."""
     readers = {reader.unit: reader for reader in readers_of(options)}
-    printer = _printer(options, [*readers.values()])
+    printer = printer_of(options, [*readers.values()], are_polls=False)
     with closing(connected(options)) as context:
 
         def ask(unit: int) -> int:
@@ -200,47 +197,6 @@ def read(options: argparse.Namespace) -> int:
             return _say_failures(results)
 
         return ask_units([*readers], ask, printer.fail)
-
-
-def _printer(options: argparse.Namespace, readers: Sequence[Reader]) -> Printer:
-    several = len(readers) > 1
-    if options.csv:
-        from .lines import CsvPolls
-
-        return CsvPolls(readers[0].formatters, has_unit=several)
-    return _JsonOnce() if options.json else _TextOnce(has_unit=several)
-
-
-class Printer(Protocol):
-    """Prints the results of a unit, or why there are none."""
-
-    def print(self, unit: int, results: Sequence[ReadResult]) -> None: ...
-
-    def fail(self, unit: int, reason: str) -> None: ...
-
-
-class _JsonOnce:
-    def print(self, unit: int, results: Sequence[ReadResult]) -> None:
-        print_json(object_of(unit, results))
-
-    def fail(self, unit: int, reason: str) -> None:
-        fail(unit, reason, as_json=True, lacks="values")
-
-
-class _TextOnce:
-    def __init__(self, *, has_unit: bool) -> None:
-        self._has_unit = has_unit
-
-    def print(self, unit: int, results: Sequence[ReadResult]) -> None:
-        lines = aligned([(each.formatter, each.rows) for each in results])
-        if self._has_unit:
-            print(f"unit {unit}:")
-            lines = [f"  {line}" for line in lines]
-        if lines:
-            print("\n".join(lines))
-
-    def fail(self, unit: int, reason: str) -> None:
-        fail(unit, reason, as_json=False, lacks="values")
 
 
 def _say_failures(results: Sequence[ReadResult]) -> int:
@@ -288,7 +244,142 @@ def _reason(error: ModbusError, item: Item) -> str:
     return f"{error}{hint}"
 
 
-def object_of(unit: int, results: Sequence[ReadResult]) -> dict[str, Any]:
+# --- printers ------------------------------------------------------------------------
+
+
+class Printer(Protocol):
+    """Prints the results of a unit, or why there are none."""
+
+    def print(self, unit: int, results: Sequence[ReadResult]) -> None: ...
+
+    def fail(self, unit: int, reason: str) -> None: ...
+
+
+def printer_of(
+    options: argparse.Namespace, readers: Sequence[Reader], *, are_polls: bool
+) -> Printer:
+    """
+    Return what prints results in the form that was typed.
+
+    Args:
+        are_polls: True for repeated reads, which are printed with the time.
+
+    Raises:
+        ValueError: an item cannot be printed in this form.
+    """
+    several = len(readers) > 1
+    if options.csv:
+        return CsvRows(readers[0].formatters, has_unit=several)
+    if options.json:
+        return JsonLines(has_time=are_polls)
+    return TextLines(has_unit=several) if are_polls else Blocks(has_unit=several)
+
+
+class Blocks:
+    """Prints a line for each value; of several units, and of one item, a line for each unit."""
+
+    def __init__(self, *, has_unit: bool) -> None:
+        self._has_unit = has_unit
+
+    def print(self, unit: int, results: Sequence[ReadResult]) -> None:
+        if self._has_unit and len(results) == 1 and not results[0].formatter.shows_all:
+            print(f"unit {unit:<3}  {in_line(results[0], several=False)}", flush=True)
+            return
+        lines = aligned([(each.formatter, each.rows) for each in results])
+        if self._has_unit:
+            lines = [f"unit {unit}:", *(f"  {line}" for line in lines)]
+        if lines:
+            print("\n".join(lines))
+
+    def fail(self, unit: int, reason: str) -> None:
+        fail(unit, reason, as_json=False, lacks="values")
+
+
+class TextLines:
+    """Prints the time and the values of each poll; with their addresses if there are several."""
+
+    def __init__(self, *, has_unit: bool = False) -> None:
+        self._has_unit = has_unit
+
+    def print(self, unit: int, results: Sequence[ReadResult]) -> None:
+        several = len(results) > 1
+        self._print(unit, "  ".join(in_line(each, several=several) for each in results))
+
+    def fail(self, unit: int, reason: str) -> None:
+        self._print(unit, reason)
+
+    def _print(self, unit: int, text: str) -> None:
+        whence = f"unit {unit}  " if self._has_unit else ""
+        print(f"{_now()}  {whence}{text}", flush=True)
+
+
+class JsonLines:
+    """
+    Prints an object for each poll of a unit.
+
+    Args:
+        has_time: True if it begins with the time.
+    """
+
+    def __init__(self, *, has_time: bool) -> None:
+        self._has_time = has_time
+
+    def print(self, unit: int, results: Sequence[ReadResult]) -> None:
+        self._print(_object(unit, results))
+
+    def fail(self, unit: int, reason: str) -> None:
+        self._print({"unit": unit, "error": reason})
+
+    def _print(self, fields: dict[str, Any]) -> None:
+        print_json({"time": _now(), **fields} if self._has_time else fields)
+
+
+class CsvRows:
+    """
+    Prints a header, then a row for each poll: the time, the values and the error.
+
+    Args:
+        formatters: those of the items, which name the columns.
+        has_unit: True for a column with the unit that was asked.
+
+    Raises:
+        ValueError: an item has no fixed number of columns.
+    """
+
+    def __init__(self, formatters: Sequence[Formatter], *, has_unit: bool = False) -> None:
+        self._titles = [title for formatter in formatters for title in formatter.titles()]
+        self._has_unit = has_unit
+        self._begun = False
+
+    def print(self, unit: int, results: Sequence[ReadResult]) -> None:
+        cells: list[str] = []
+        for each in results:
+            cells += [row.plain for row in each.rows] or [""] * len(each.formatter.titles())
+        errors = "; ".join(filter(None, (each.failure or each.remark for each in results)))
+        self._write(unit, [*cells, errors])
+
+    def fail(self, unit: int, reason: str) -> None:
+        self._write(unit, [*[""] * len(self._titles), reason])
+
+    def _write(self, unit: int, cells: list[str]) -> None:
+        if not self._begun:
+            self._begun = True
+            self._print(["time", *["unit"] * self._has_unit, *self._titles, "error"])
+        self._print([_now(), *[str(unit)] * self._has_unit, *cells])
+        sys.stdout.flush()
+
+    def _print(self, cells: list[str]) -> None:
+        from ...tools.files.csv_text import csv_rows
+
+        text = csv_rows([cells])
+        print(without_controls(text) if sys.stdout.isatty() else text, end="")
+
+
+def _now() -> str:
+    return time_text(time.time())
+
+
+def _object(unit: int, results: Sequence[ReadResult]) -> dict[str, Any]:
     """Return the object of JSON: values by name, one item, or a list of items."""
     told = [each.fields for each in results]
     if all(each.formatter.item.point for each in results):

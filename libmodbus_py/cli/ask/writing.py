@@ -6,8 +6,10 @@ from __future__ import annotations
 
 import argparse
 from contextlib import closing
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from ...client.blocking import Context
 from ...maps.typed import typed_register, typed_value
 from ...protocol import pdu
 from ...protocol.errors import IllegalDataAddress
@@ -16,9 +18,8 @@ from ...protocol.spelling import bit_of, number_of, value_of
 from ..connecting import connected, endpoint_of
 from ..failing import CommandError
 from ..output import complain, counted
-from .formatters import Formatter, aligned
+from .formatters import Formatter, aligned, formatter_of
 from .items import REGISTERS, Item, Words
-from .verifying import verified
 
 if TYPE_CHECKING:
     from ...maps.register_map import RegisterMap
@@ -28,26 +29,39 @@ __all__ = ["write"]
 Request = pdu.Request[Any]
 
 
+class Write(NamedTuple):
+    """An item, the values that were typed for it, and the requests that write them."""
+
+    item: Item
+    texts: list[str]
+    requests: list[Request]
+
+
 def write(options: argparse.Namespace) -> int:
-    """Send the requests, or print them for --dry-run."""
-    requests = _requests(options)
+    """Send the requests, or print them for --dry-run; return 1 if --verify finds a difference."""
+    words = Words(options, options.what, have_values=True)
+    writes = _writes(options, words)
     if options.dry_run:
-        _show(options, [request for request, _ in requests])
+        _show(options, [request for each in writes for request in each.requests])
         return 0
     if options.verify:
         _check_unit(options)
-    differing: list[str] = []
     with closing(connected(options)) as context:
-        for request, item in requests:
-            try:
-                result = context.execute(request)
-            except IllegalDataAddress as error:
-                raise CommandError(f"{error}{item.hint}") from None
-            if options.and_read:
-                _print_registers(options, request, result)
+        for each in writes:
+            for request in each.requests:
+                try:
+                    result = context.execute(request)
+                except IllegalDataAddress as error:
+                    raise CommandError(f"{error}{each.item.hint}") from None
+                if options.and_read:
+                    _print_registers(options, request, result)
         # After the last write, because one may change what another wrote.
-        for request, item in requests if options.verify else ():
-            differing += verified(context, request, item)
+        differing: list[str] = []
+        for each in writes:
+            found, lines = _verified(context, each) if options.verify else ([], [])
+            differing += lines
+            if options.screen.isatty():
+                _say(context, words.map, each, found if options.verify else None)
     for line in differing:
         complain(line)
     return 1 if differing else 0
@@ -77,26 +91,46 @@ def _show(options: argparse.Namespace, requests: list[Request]) -> None:
 
 def _print_registers(options: argparse.Namespace, request: Request, values: list[int]) -> None:
     address: int = request.read_address  # type: ignore[attr-defined]
-    first = address + (1 if options.count_from_1 else 0)
-    formatter = Formatter(Item("holding_registers", address, len(values), first=first))
+    base = 1 if options.count_from_1 else 0
+    formatter = Formatter(Item("holding_registers", address, len(values), base=base))
     print("\n".join(aligned([(formatter, formatter.rows(values))])))
+
+
+def _say(context: Context, map: RegisterMap | None, write: Write, cells: list[int] | None) -> None:
+    """
+    Print what was written, and what was read back.
+
+    Args:
+        cells: those that --verify read; None without it.
+    """
+    item = write.item
+    name = item.label() if item.point is None else item.point.name
+    line = f"{name}: wrote {' '.join(write.texts) or 'the bits of the mask'}"
+    if cells is not None and item.point is not None and map is not None:
+        value = context.read_map(map, [name])[name]
+        line += f", read back {value} {item.point.units}".rstrip()
+    elif cells is not None:
+        shown = formatter_of(
+            replace(item, count=len(cells) // item.size), as_all=False, in_hex=False
+        )
+        line += f", read back {' '.join(row.text for row in shown.rows(cells))}"
+    print(line)
 
 
 # --- requests ------------------------------------------------------------------------
 
 
-def _requests(options: argparse.Namespace) -> list[tuple[Request, Item]]:
-    """Return the requests in the order typed, which devices may depend on."""
-    words = Words(options, options.what)
-    found: list[tuple[Request, Item]] = []
+def _writes(options: argparse.Namespace, words: Words) -> list[Write]:
+    """Return the writes in the order typed, which devices may depend on."""
+    found: list[Write] = []
     while words:
         item = words.take_item()
-        values = words.take_values()
+        texts = words.take_values()
         if words.map is not None and item.point is not None:
-            requests = _point_requests(options, words.map, item, values)
+            requests = _point_requests(options, words.map, item, texts)
         else:
-            requests = [_request(options, item, values)]
-        found += [(request, item) for request in requests]
+            requests = [_request(options, item, texts)]
+        found.append(Write(item, texts, requests))
     if len(found) > 1 and (options.mask or options.and_read):
         raise ValueError("--mask and --and-read allow one item only")
     return found
@@ -104,13 +138,13 @@ def _requests(options: argparse.Namespace) -> list[tuple[Request, Item]]:
 
 def _point_requests(
     options: argparse.Namespace, points: RegisterMap, item: Item, texts: list[str]
-) -> list[pdu.Request[None]]:
+) -> list[Request]:
     assert item.point is not None
     if options.mask or options.and_read:
         raise ValueError("--mask and --and-read need a register, not a name")
     values = {item.point.name: _point_value(item, texts)}
     scales = _scales(options, points, points.scale_sources(values))
-    return points.writes(values, multiple=options.multiple, sources=scales)
+    return [*points.writes(values, multiple=options.multiple, sources=scales)]
 
 
 def _scales(options: argparse.Namespace, points: RegisterMap, names: list[str]) -> dict[str, Any]:
@@ -143,7 +177,9 @@ def _request(options: argparse.Namespace, item: Item, texts: list[str]) -> Reque
     if options.mask:
         return _mask(options, item, texts)
     if not texts:
-        raise ValueError(f"there is no value to write to {item.word} {item.first}")
+        raise ValueError(f"there is no value to write to {item.label()}")
+    if item.is_range and len(texts) != item.count:
+        raise ValueError(f"the range from {item.label()} on needs {item.count} values")
     if item.table == "coils":
         bits = tuple(bit_of(text) for text in texts)
         if len(bits) == 1 and not options.multiple:
@@ -161,7 +197,7 @@ def _request(options: argparse.Namespace, item: Item, texts: list[str]) -> Reque
 
 def _mask(options: argparse.Namespace, item: Item, texts: list[str]) -> Request:
     if item.table != "holding_registers":
-        raise ValueError(f"--mask is for holding registers, not {item.word}")
+        raise ValueError(f"--mask is for holding registers, not {item.label()}")
     if texts:
         raise ValueError("--mask and values exclude each other")
     return pdu.MaskWriteRegister(item.address, *(number_of("mask", text) for text in options.mask))
@@ -169,7 +205,7 @@ def _mask(options: argparse.Namespace, item: Item, texts: list[str]) -> Request:
 
 def _and_read(options: argparse.Namespace, item: Item, values: tuple[int, ...]) -> Request:
     if item.table != "holding_registers":
-        raise ValueError(f"--and-read is for holding registers, not {item.word}")
+        raise ValueError(f"--and-read is for holding registers, not {item.label()}")
     names = ("address", "count")
     address, count = (number_of(*pair) for pair in zip(names, options.and_read, strict=True))
     base = 1 if options.count_from_1 else 0
@@ -189,3 +225,57 @@ def _registers(item: Item, texts: list[str]) -> tuple[int, ...]:
             f"the number of values of {kind.name} must be in 1..{most}, not {len(texts)}"
         )
     return tuple(kind.encode_many([value_of(text, kind) for text in texts]))
+
+
+# --- verifying -----------------------------------------------------------------------
+
+
+def _verified(context: Context, write: Write) -> tuple[list[int], list[str]]:
+    """
+    Read what was written.
+
+    Returns:
+        The cells, and what differs, a line for each cell.
+
+    Raises:
+        ModbusError: it cannot be read.
+    """
+    item = write.item
+    found: list[int] = []
+    differing: list[str] = []
+    for request in write.requests:
+        read, written, masks = _expected(request)
+        cells = context.execute(read)
+        if isinstance(read, pdu.ReadFileRecords):
+            cells = cells[0]
+        first = getattr(request, "address", item.address) - item.address
+        name = item.label if item.point is None else f"{item.point.name}, register {{}}".format
+        differing += [
+            f"{name(first + at)}: wrote {int(wanted)}, reads {int(cell)}"
+            for at, (wanted, cell, mask) in enumerate(zip(written, cells, masks, strict=False))
+            if (int(wanted) ^ int(cell)) & mask
+        ]
+        found += [int(cell) for cell in cells[: len(written)]]
+    return found, differing
+
+
+def _expected(request: Any) -> tuple[pdu.Request[Any], list[int], list[int]]:
+    """Return the request that reads back, the cells that it should read, and their bits."""
+    if isinstance(request, pdu.WriteCoil | pdu.WriteCoils):
+        values = [request.value] if isinstance(request, pdu.WriteCoil) else [*request.values]
+        read: pdu.Request[Any] = pdu.ReadCoils(request.address, len(values))
+        return read, [int(each) for each in values], [1] * len(values)
+    if isinstance(request, pdu.WriteFileRecords):
+        ((file, address, records),) = request.records
+        read = pdu.ReadFileRecords(((file, address, len(records)),))
+        return read, [*records], [0xFFFF] * len(records)
+    if isinstance(request, pdu.MaskWriteRegister):
+        # A bit of the AND mask keeps what was there, which is not known.
+        read = pdu.ReadHoldingRegisters(request.address, 1)
+        return read, [request.or_mask], [~request.and_mask & 0xFFFF]
+    is_both = isinstance(request, pdu.ReadWriteRegisters)
+    first: int = request.write_address if is_both else request.address
+    is_one = isinstance(request, pdu.WriteRegister)
+    registers: list[int] = [request.value] if is_one else [*request.values]
+    read = pdu.ReadHoldingRegisters(first, len(registers))
+    return read, registers, [0xFFFF] * len(registers)

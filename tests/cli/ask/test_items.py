@@ -20,19 +20,30 @@ from tests.support.commands import run
         ("holding 0 2", "    0  1\n    1  2\n"),
         (
             "holding 0 2 coils 5 file:4 0 2",
-            "holding      0  1\nholding      1  2\ncoils        5  1\n"
-            "file:4       0  7\nfile:4       1  8\n",
+            "holding 0  1\nholding 1  2\ncoils   5  1\nfile:4  0  7\nfile:4  1  8\n",
         ),
-        ("40001 40502 2", "holding      0    1\nholding    501  501\nholding    502  502\n"),
+        ("40001 40502 2", "40001    1\n40502  501\n40503  502\n"),
         ("holding 0x1F4", "  500  500\n"),
         ("holding 0 4 --hex", "    0  0x0001\n    1  0x0002\n    2  0x0003\n    3  0xFFFC\n"),
         ("coils 5 --hex", "    5  1\n"),
         ("--count-from-1 holding 1 2", "    1  1\n    2  2\n"),
-        ("--count-from-1 40001", "    1  1\n"),
+        ("--count-from-1 40001", "40001  1\n"),
         ("holding 0 --type int16 --order BADC 2", "    0  256\n    1  512\n"),
         ("holding 20 --type string:4 --encoding utf-8", "   20  'abcd'\n"),
         ("holding 20 --type string:4 --padding d", "   20  'abc'\n"),
         ("fifo 40", "   40  5\n   41  6\n"),
+        # A type for one item, and ranges.
+        ("hr 0:int16 3", "    0  1\n    1  2\n    2  3\n"),
+        ("HR 3:int16 hr 3", "HR 3     -4\nhr 3  65532\n"),
+        ("hr 20:string4", "   20  'abcd'\n"),
+        ("hr 0:bits16", "    0  1000000000000000\n"),
+        ("hr 2:int32 hr 0 --order CDAB", "hr 2  -262141\nhr 0        1\n"),
+        ("hr 0-2", "    0  1\n    1  2\n    2  3\n"),
+        (
+            "hr 0-3:uint32 40001-40002",
+            "hr 0    65538\nhr 2   262140\n40001       1\n40002       2\n",
+        ),
+        ("40501-40502:int16", "40501  500\n40502  501\n"),
         ("file:4 0 200 --type uint32 --json", None),
     ],
 )
@@ -48,7 +59,7 @@ def test_ranges_take_as_many_requests_as_they_must(url: str) -> None:
     assert done.out.count("\n") == 700
     requests = [line for line in done.err.splitlines() if " > " in line]
     assert len(requests) == 6  # 600 registers of 125, and 100 coils of 2000
-    assert "holding    500    500\n" in done.out
+    assert "holding 500    500\n" in done.out
     done = run("read", url, "file:4", "0", "403", "--json")
     assert json.loads(done.out)["values"][:3] == [7, 8, 9]
 
@@ -58,10 +69,10 @@ def test_names_of_a_map(url: str, meter: str) -> None:
     assert done.out == "voltage  230.5 V\npump         0\nlabel    'abcd'\n"
     done = run("read", "--map", meter, url, "phases", "holding", "0")
     assert done.out.splitlines() == [
-        "phases[0]        1 A",
-        "phases[1]        2 A",
-        "phases[2]       -1 A",
-        "holding      0   1",
+        "phases[0]   1 A",
+        "phases[1]   2 A",
+        "phases[2]  -1 A",
+        "holding 0   1",
     ]
     whole = json.loads(run("read", url, "--map", meter, "--json").out)
     assert whole["values"] == {
@@ -104,7 +115,7 @@ def test_csv(url: str, meter: str) -> None:
 def test_one_item_that_is_refused_does_not_hinder_the_others(url: str) -> None:
     done = run("read", url, "holding", "0", "holding", "5000", "input", "0")
     assert done.code == 1
-    assert done.out == "holding      0     1\ninput        0  2305\n"
+    assert done.out == "holding 0     1\ninput   0  2305\n"
     assert done.err.count("\n") == 1
     assert "illegal data address (exception 2)" in done.err
     done = run("read", url, "holding", "0", "holding", "5000", "--json")
@@ -182,3 +193,22 @@ def test_names_that_a_map_lacks_are_guessed(url: str, meter: str) -> None:
     assert "no point 'setpont'; did you mean setpoint" in done.err
     done = run("read", url, "--map", meter, "pump", "--type", "int16")
     assert "pump has the type that the map gives" in done.err
+
+
+@each_case(
+    ("words", "said"),
+    [
+        ("hr 5-3", "is no range of cells"),
+        ("hr 0-2:float32", "is no range of registers of float32, 2 each"),
+        ("40001-30002", "both references must be of one table"),
+        ("hr 0:flaot32", "did you mean float32"),
+        ("hr 0 --order CDAB", "--order needs --type, or a type as in hr 100:float32"),
+        ("40001=5", "'40001=5' has a value, which the command write takes"),
+        ("hr 0:all", "type must be one of"),
+    ],
+)
+def test_wrong_ranges_and_types_are_refused(words: str, said: str) -> None:
+    done = run("read", "127.0.0.1:1", *words.split())
+    assert (done.code, done.out) == (2, "")
+    assert said in done.err
+    assert done.err.count("\n") == 1

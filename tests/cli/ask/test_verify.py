@@ -64,14 +64,14 @@ class Stubborn:
     ("words", "lines"),
     [
         ("hr 5 7", []),
-        ("hr 5 8", ["holding 5: wrote 8, reads 7"]),
-        ("hr 5 7 8 9", ["holding 6: wrote 8, reads 7", "holding 7: wrote 9, reads 7"]),
-        ("co 3 off", ["coils 3: wrote 0, reads 1"]),
-        ("co 3 on off", ["coils 4: wrote 0, reads 1"]),
-        ("hr 5 8 co 3 off", ["holding 5: wrote 8, reads 7", "coils 3: wrote 0, reads 1"]),
+        ("hr 5 8", ["hr 5: wrote 8, reads 7"]),
+        ("hr 5 7 8 9", ["hr 6: wrote 8, reads 7", "hr 7: wrote 9, reads 7"]),
+        ("co 3 off", ["co 3: wrote 0, reads 1"]),
+        ("co 3 on off", ["co 4: wrote 0, reads 1"]),
+        ("hr 5 8 co 3 off", ["hr 5: wrote 8, reads 7", "co 3: wrote 0, reads 1"]),
         ("hr 5 --mask 0xFFF0 0x0007", []),
-        ("hr 5 --mask 0xFFF0 0x0006", ["holding 5: wrote 6, reads 7"]),
-        ("hr 6 8 --count-from-1", ["holding 6: wrote 8, reads 7"]),
+        ("hr 5 --mask 0xFFF0 0x0006", ["hr 5: wrote 6, reads 7"]),
+        ("hr 6 8 --count-from-1", ["hr 6: wrote 8, reads 7"]),
     ],
 )
 def test_what_differs_is_named(words: str, lines: list[str]) -> None:

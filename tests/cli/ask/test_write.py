@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from libmodbus_py import Mapping
 from tests.support.cases import each_case
-from tests.support.commands import run
+from tests.support.commands import on_terminal, run
 
 
 def frames(err: str) -> list[str]:
@@ -30,6 +30,9 @@ def frames(err: str) -> list[str]:
           "15 09 06 00 04 00 01 00 01 00 06"]),
         ("--count-from-1 holding 1 3", ["06 00 00 00 03"]),
         ("40002 -1", ["06 00 01 ff ff"]),
+        ("40002=-1 hr 3=4 40005=6", ["06 00 01 ff ff", "06 00 03 00 04", "06 00 04 00 06"]),
+        ("hr 3:float32=0.5 coils 7=on", ["10 00 03 00 02 04 3f 00 00 00", "05 00 07 ff 00"]),
+        ("hr 3-4 5 6", ["10 00 03 00 02 04 00 05 00 06"]),
     ],
 )  # fmt: skip
 def test_writes_are_these_bytes(url: str, words: str, pdus: list[str]) -> None:
@@ -79,6 +82,38 @@ def test_names_are_written_scaled_and_checked(url: str, meter: str, mapping: Map
         assert named in done.err
         assert done.err.count("\n") == 1
     assert mapping.holding_registers[30] == 215
+
+
+@each_case(
+    ("words", "said"),
+    [
+        ("hr 3=", "value must be a number, not ''"),
+        ("hr 3-4 5", "the range from hr 3 on needs 2 values"),
+        ("input 3=4", "can only be read"),
+    ],
+)
+def test_wrong_values_behind_a_place(url: str, words: str, said: str) -> None:
+    done = run("write", url, *words.split())
+    assert (done.code, done.out) == (2, "")
+    assert said in done.err
+
+
+@each_case(
+    ("words", "line"),
+    [
+        ("hr 0 5", "hr 0: wrote 5"),
+        ("40001=5 --verify", "40001: wrote 5, read back 5"),
+        ("hr 0 3.5 --type float32 --verify", "hr 0: wrote 3.5, read back 3.5"),
+        ("co 1 on off --verify", "co 1: wrote on off, read back 1 0"),
+        ("hr 0 --mask 0 9 --verify", "hr 0: wrote the bits of the mask, read back 9"),
+        ("setpoint=21.5 --verify --map", "setpoint: wrote 21.5, read back 21.5 C"),
+    ],
+)
+def test_a_terminal_says_what_was_written(url: str, meter: str, words: str, line: str) -> None:
+    typed = words.split() + [meter] * words.endswith("--map")
+    with on_terminal("write", url, *typed) as terminal:
+        assert terminal.read_to_end() == f"{line}\r\n"
+    assert run("write", url, *typed) == (0, "", "")
 
 
 def test_names_and_places_are_written_as_typed(url: str, meter: str) -> None:
