@@ -77,23 +77,57 @@ def written_to(path: str | None) -> Iterator[None]:
     """
     Write all that is printed to a new file while the block runs; print it if there is no path.
 
+    A file in which nothing was written does not remain, so that the command can be repeated.
+
     Raises:
         ValueError: the file exists.
-        OSError: the file cannot be written.
+        OSError: the file cannot be written; it names the file, which ends with a whole line.
     """
     if path is None:
         yield
         return
     try:
-        file = open(path, "x", encoding="utf-8", newline="")  # noqa: SIM115 (closed below)
+        raw = _File(path, "x")
     except FileExistsError:
         raise ValueError(f"{path} exists, and would be overwritten") from None
-    with file, contextlib.redirect_stdout(file):
-        yield
-        try:
+    file = io.TextIOWrapper(io.BufferedWriter(raw), encoding="utf-8", newline="")
+    try:
+        with file, contextlib.redirect_stdout(file):
+            yield
             file.flush()
+    finally:
+        if raw.is_empty:
+            with contextlib.suppress(OSError):
+                os.unlink(path)
+
+
+class _File(io.FileIO):
+    """
+    A file whose errors name it, and that loses the line which does not fit on a full disk.
+
+    Attributes:
+        is_empty: True until something is written.
+    """
+
+    is_empty: bool = True
+
+    def __init__(self, path: str, mode: str) -> None:
+        super().__init__(path, mode)
+        self._whole_lines = 0  # bytes
+
+    def write(self, data: Any) -> int:
+        begin = self.tell()
+        try:
+            count: int = super().write(data)
         except OSError as error:
-            raise OSError(error.errno, error.strerror, path) from None
+            with contextlib.suppress(OSError):
+                self.truncate(self._whole_lines)
+            self.is_empty = not self._whole_lines
+            raise OSError(error.errno, error.strerror, self.name) from None
+        self.is_empty = False
+        end = bytes(data[:count]).rfind(b"\n") + 1
+        self._whole_lines = begin + end if end else self._whole_lines
+        return count
 
 
 def styled(text: str, style: str, stream: TextIO | None = None) -> str:

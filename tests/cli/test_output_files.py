@@ -1,0 +1,82 @@
+"""
+--csv FILE and --json FILE: what is in the file after a success, a failure and on a full disk; and
+what a terminal shows meanwhile.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import resource
+from collections.abc import Iterator
+from pathlib import Path
+
+from tests.support.cases import each_case
+from tests.support.commands import on_terminal, run
+
+FULL_BYTES = 100
+
+
+@contextlib.contextmanager
+def small_files() -> Iterator[None]:
+    """Let files grow to some bytes only, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (FULL_BYTES, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@each_case(
+    "words",
+    [
+        "read 127.0.0.1:1 hr 0 --json",
+        "read 127.0.0.1:1 hr 0 --csv",
+        "identify 127.0.0.1:1 --json",
+        "diagnose 127.0.0.1:1 --json",
+        "sunspec 127.0.0.1:1 --json",
+        "listen /dev/no-such-port --json",
+    ],
+)
+def test_a_command_that_fails_leaves_no_empty_file(words: str, tmp_path: Path) -> None:
+    for _ in range(2):
+        done = run(*words.split(), tmp_path / "log.json")
+        assert (done.code, done.out) == (1, "")
+        assert "exists" not in done.err
+        assert [*tmp_path.iterdir()] == []
+
+
+@each_case("form", ["--csv", "--json"])
+def test_a_full_disk_is_that_of_the_file(url: str, form: str, tmp_path: Path) -> None:
+    path = tmp_path / f"log{form.replace('--', '.')}"
+    with small_files():
+        done = run("read", url, "hr", 0, 9, "--watch", "0.01", form, path)
+    assert (done.code, done.out) == (1, "")
+    assert done.err == f"libmodbus-py: {path}: File too large\n"
+    if form == "--csv":
+        assert path.read_text().endswith("\n")
+    else:  # not even one line fits
+        assert not path.exists()
+
+
+def test_a_terminal_shows_a_watch_that_a_file_gets(url: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    words = ("read", url, "hr", 0, "--watch", "0.02", "--count", "3", "--csv", path)
+    with on_terminal(*words, columns=200) as terminal:
+        shown = terminal.read_to_end()
+    assert terminal.process.wait() == 0
+    assert "1 polls" in shown
+    assert shown.endswith(f"3 polls in {path}\r\n")
+    assert path.read_text().count("\n") == 4
+
+
+def test_errors_of_such_a_watch_are_seen(tmp_path: Path) -> None:
+    path = tmp_path / "log.json"
+    words = ("read", "127.0.0.1:1", "hr", 0, "--watch", "0.02", "--count", "2", "--json", path)
+    with on_terminal(*words, columns=200) as terminal:
+        shown = terminal.read_to_end()
+    assert "1 failed" in shown
+    assert "Connection refused" in shown
+    done = run(*words[:-1], tmp_path / "again.json")
+    assert (done.code, done.out) == (1, "")
+    assert done.err.count("Connection refused") == 1  # said once, not at each poll
