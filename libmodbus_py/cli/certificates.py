@@ -1,5 +1,5 @@
 """
-The command certificates: certificates for trying Modbus Security.
+The command certificates: those for trying Modbus Security, or those of the machines of a fleet.
 """
 
 from __future__ import annotations
@@ -7,10 +7,11 @@ from __future__ import annotations
 import argparse
 import re
 import shlex
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from ..tools.certificates import Identity, make, write
+from ..tools.certificates import Identity, load, make, write
 from .help import VerbatimHelp
 
 __all__ = ["add_command"]
@@ -22,12 +23,14 @@ ROLES = ("Viewer", "Operator", "Engineer")
 ENDPOINT = "tls://127.0.0.1:1802"
 """The endpoint of the example commands: only root can listen on port 802."""
 
+AUTHORITY_DAYS = 3650
+"""Ten years: the authority of machines outlives their certificates, which are made again."""
 
 EXAMPLES = """\
 examples:
-  libmodbus-py certificates papers
-  libmodbus-py certificates papers --host plc.example --host 192.0.2.10
   libmodbus-py certificates papers --role Operator --role Engineer --days 30
+  libmodbus-py certificates papers --host plc.example --host 192.0.2.10
+  libmodbus-py certificates fleet n1.example n2.example n3.example
   libmodbus-py serve tls://127.0.0.1:1802 --ca papers/ca.pem \\
       --cert papers/server.pem --key papers/server-key.pem"""
 
@@ -38,7 +41,11 @@ def add_command(commands: Any) -> None:
         "certificates",
         description="Make certificates of an authority, a server, clients with roles and a client\n"
         "without one. They are for trials only: the key of the authority is in the same\n"
-        "folder.",
+        "folder.\n\n"
+        "With MACHINE, make those of an authority and of each machine instead. Copy\n"
+        "DIR/MACHINE/ (ca.pem, server.pem, server-key.pem) to the machine, and keep\n"
+        "DIR/ca-key.pem. The authority is made once; a machine gets a new certificate\n"
+        "each time.",
         epilog=EXAMPLES,
         formatter_class=VerbatimHelp,
     )
@@ -47,6 +54,9 @@ def add_command(commands: Any) -> None:
         metavar="DIR",
         type=Path,
         help="folder for the files; existing files are not overwritten",
+    )
+    command.add_argument(
+        "machines", metavar="MACHINE", nargs="*", help="name or address of a machine of a fleet"
     )
     command.add_argument(
         "--host",
@@ -70,6 +80,32 @@ def add_command(commands: Any) -> None:
 
 
 def _make(options: argparse.Namespace) -> int:
+    if not options.machines:
+        return _make_for_trials(options)
+    if options.hosts or options.roles:
+        raise ValueError("--host and --role are for trials, without MACHINE")
+    return _make_for_machines(options.directory, dict.fromkeys(options.machines), options.days)
+
+
+def _make_for_machines(directory: Path, machines: Iterable[str], days: int) -> int:
+    for machine in machines:
+        if "/" in machine or machine in (".", ".."):
+            raise ValueError(f"MACHINE {machine!r} is neither an address nor a name")
+    authority = load(directory, "ca")
+    is_new = authority is None
+    authority = authority or make("Modbus authority", is_authority=True, days=AUTHORITY_DAYS)
+    made = {machine: make(machine, authority, hosts=[machine], days=days) for machine in machines}
+    if is_new:
+        write(directory, {"ca": authority}, replaces=True)  # of a key alone nothing is known
+    for machine, identity in made.items():
+        folder = directory / machine
+        write(folder, {"server": identity}, replaces=True)
+        (folder / "ca.pem").write_bytes(authority.pem)
+        print(folder)
+    return 0
+
+
+def _make_for_trials(options: argparse.Namespace) -> int:
     roles = _file_names(options.roles or ROLES)
     hosts = tuple(dict.fromkeys([*HOSTS, *options.hosts]))
     days = options.days
@@ -80,8 +116,7 @@ def _make(options: argparse.Namespace) -> int:
         "no-role": make("Modbus trial client without a role", authority, days=days),
     }
     for file, role in roles.items():
-        # A common name has 64 characters at most (RFC 5280, ub-common-name).
-        made[file] = make(f"Modbus trial {role}"[:64], authority, role=role, days=days)
+        made[file] = make(f"Modbus trial {role}", authority, role=role, days=days)
     paths = write(options.directory, made)
     says = {"ca": "the authority", "server": f"the server {', '.join(hosts)}"}
     says |= {"no-role": "a client without a role"}

@@ -1,5 +1,5 @@
 """
-Certificates for trials and tests: authorities, servers, clients with roles.
+Certificates for trials, tests and fleets: authorities, servers, clients with roles.
 
 Keys are EC P-256, which every peer must support (MB-TCP-Security-v36, R-61, R-62), unless
 others are given. The certificates pass the strict checks of Python 3.13 (RFC 5280).
@@ -11,10 +11,13 @@ import contextlib
 import os
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from errno import EEXIST
 from ipaddress import ip_address
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..device.state import replace_file
 from ..security.describing import require_cryptography
 from ..security.role import ROLE_OID, encode_role
 
@@ -26,13 +29,15 @@ if TYPE_CHECKING:
 
     PrivateKey = ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey
 
-__all__ = ["Identity", "make", "write"]
+__all__ = ["Identity", "load", "make", "write"]
 
 EARLIER = timedelta(hours=1)
 """Certificates are valid from before they are made, because the clocks of devices are wrong."""
 
 MAX_DAYS = 36_500
 """A century; a longer time is a typing error."""
+
+MAX_NAME_CHARACTERS = 64
 
 
 @dataclass(frozen=True)
@@ -95,7 +100,7 @@ def make(
     Make a key and a certificate for it.
 
     Args:
-        name: the common name, 1..64 characters.
+        name: the common name; of a longer one the first 64 characters (RFC 5280, ub-common-name).
         issuer: the identity that signs the certificate; None for a self-signed one.
         is_authority: True if the certificate may sign others.
         role: the role of a client; None for no role.
@@ -116,7 +121,7 @@ def make(
     if not 0 < days <= MAX_DAYS:
         raise ValueError(f"days must be in 1..{MAX_DAYS}, not {days:g}")
     key = key or ec.generate_private_key(ec.SECP256R1())
-    subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)])
+    subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name[:MAX_NAME_CHARACTERS])])
     begin = begin or datetime.now(UTC) - EARLIER
     builder = x509.CertificateBuilder(
         issuer_name=subject if issuer is None else issuer.certificate.subject,
@@ -198,16 +203,20 @@ def _issuers(issuer: Identity | None) -> tuple[x509.Certificate, ...]:
 # --- files ---------------------------------------------------------------------------
 
 
-def write(directory: Path, identities: Mapping[str, Identity]) -> dict[str, tuple[Path, Path]]:
+def write(
+    directory: Path, identities: Mapping[str, Identity], *, replaces: bool = False
+) -> dict[str, tuple[Path, Path]]:
     """
     Write certificates with their issuers to ``NAME.pem``, and their keys to ``NAME-key.pem``.
 
-    Only the owner can read the keys. Either all files are written or none, and no file is
-    overwritten.
+    Only the owner can read the keys. Either all files are written or none. Each file is written
+    beside its place and then moved there, the certificate last, so that an interrupted run leaves
+    no half of a file and no certificate without its key.
 
     Args:
         directory: the directory, which is made if it does not exist.
         identities: the identities by name.
+        replaces: True to replace files that exist.
 
     Returns:
         The paths of certificate and key, by name.
@@ -217,23 +226,49 @@ def write(directory: Path, identities: Mapping[str, Identity]) -> dict[str, tupl
         OSError: a file cannot be written.
     """
     directory.mkdir(parents=True, exist_ok=True)
-    written: list[Path] = []
-    paths: dict[str, tuple[Path, Path]] = {}
+    paths = {
+        name: (directory / f"{name}.pem", directory / f"{name}-key.pem") for name in identities
+    }
+    for path in chain(*paths.values()) if not replaces else ():
+        if os.path.lexists(path):
+            raise FileExistsError(EEXIST, os.strerror(EEXIST), str(path))
     try:
         for name, identity in identities.items():
-            certificate, key = directory / f"{name}.pem", directory / f"{name}-key.pem"
-            paths[name] = certificate, key
-            for path, mode, data in (
-                (certificate, 0o644, identity.pem),
-                (key, 0o600, identity.key_pem()),
-            ):
-                # Created with its mode, so that only its owner can read a key at any time.
-                with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
-                    written.append(path)
-                    file.write(data)
+            certificate, key = paths[name]
+            with contextlib.suppress(FileNotFoundError):
+                key.chmod(0o600)  # a new file keeps the permissions of the one that it replaces
+            replace_file(key, identity.key_pem().decode())
+            replace_file(certificate, identity.pem.decode())
+            certificate.chmod(0o644)
     except BaseException:
-        for path in written:
+        for path in chain(*paths.values()) if not replaces else ():
             with contextlib.suppress(OSError):
                 path.unlink()
         raise
     return paths
+
+
+def load(directory: Path, name: str) -> Identity | None:
+    """
+    Load a self-signed identity that `write` has written; None if there is no certificate.
+
+    Raises:
+        ImportError: cryptography is not installed.
+        OSError: a file cannot be read.
+        ValueError: the certificate is none, or its key is missing, is none or of another one.
+    """
+    require_cryptography()
+    from cryptography import x509
+    from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
+    certificate, key = directory / f"{name}.pem", directory / f"{name}-key.pem"
+    if not certificate.exists():
+        return None
+    found = x509.load_pem_x509_certificate(certificate.read_bytes())
+    try:
+        private: PrivateKey = load_pem_private_key(key.read_bytes(), None)  # type: ignore[assignment]
+    except (FileNotFoundError, TypeError, ValueError):
+        private = None  # type: ignore[assignment]
+    if private is None or private.public_key() != found.public_key():
+        raise ValueError(f"{key} is not the key of {certificate}")
+    return Identity(found, private)

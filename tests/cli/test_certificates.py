@@ -141,3 +141,95 @@ def test_the_commands_it_prints_work(tmp_path: Path) -> None:
         read[1] = server.stdout.readline().removeprefix("listening on ").rstrip("\n")
         done = run(*read)
     assert (done.out, done.err) == ("    0  0\n", "")
+
+
+# --- of machines ----------------------------------------------------------------------------
+
+LONG = "a-machine-whose-name-is-longer-than-a-common-name-may-be-in-a-plant.example"
+
+
+def names_in(path: Path) -> list[str]:
+    names = load(path).extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    return [str(each.value) for each in names]
+
+
+def test_machines_have_certificates_of_one_authority(tmp_path: Path) -> None:
+    machines = ("n1.example", "192.0.2.7", "::1", LONG)
+    assert made(tmp_path, *machines[:2]).out.splitlines() == [
+        str(tmp_path / name) for name in machines[:2]
+    ]
+    assert made(tmp_path, *machines[2:]).code == 0
+    ca = load(tmp_path / "ca.pem")
+    assert (tmp_path / "ca-key.pem").stat().st_mode & 0o777 == 0o600
+    for name in machines:
+        folder = tmp_path / name
+        assert {each.name for each in folder.iterdir()} == {
+            *("ca.pem", "server.pem", "server-key.pem")
+        }
+        load(folder / "server.pem").verify_directly_issued_by(ca)
+        assert load(folder / "ca.pem") == ca
+        assert names_in(folder / "server.pem") == [name]
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.load_cert_chain(folder / "server.pem", folder / "server-key.pem")
+    addresses = load(tmp_path / "::1" / "server.pem").extensions.get_extension_for_class(
+        x509.SubjectAlternativeName
+    )
+    assert [type(each) for each in addresses.value] == [x509.IPAddress]
+
+
+def test_a_machine_gets_a_new_certificate_each_time(tmp_path: Path) -> None:
+    path = tmp_path / "n1" / "server.pem"
+    made(tmp_path, "n1")
+    before = load(path)
+    made(tmp_path, "n1")
+    assert load(path).serial_number != before.serial_number
+
+
+@each_case("left", ["", "-----BEGIN PRIVATE KEY-----\nMIGHAgEA"])
+def test_a_key_of_an_interrupted_run_is_no_authority(left: str, tmp_path: Path) -> None:
+    folder = tmp_path / f"{len(left)} characters"
+    folder.mkdir()
+    (folder / "ca-key.pem").write_text(left)
+    assert made(folder, "n1").code == 0
+    assert (folder / "ca-key.pem").stat().st_mode & 0o777 == 0o600
+    load(folder / "n1" / "server.pem").verify_directly_issued_by(load(folder / "ca.pem"))
+
+
+@each_case("left", ["", "-----BEGIN PRIVATE KEY-----\nMIGHAgEA", None])
+def test_an_authority_without_its_key_is_named(left: str | None, tmp_path: Path) -> None:
+    made(tmp_path, "n1")
+    key = tmp_path / "ca-key.pem"
+    key.unlink() if left is None else key.write_text(left)
+    done = made(tmp_path, "n2")
+    assert done.code == 2
+    assert f"{key} is not the key of {tmp_path}/ca.pem" in done.err
+    assert not (tmp_path / "n2").exists()
+
+
+def test_what_cannot_be_written_leaves_no_half(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    assert made(tmp_path, "n1").code == 1
+    assert made(tmp_path).code == 1
+    assert [each for each in tmp_path.rglob("*") if each.is_file()] == []
+
+
+@each_case(
+    ("words", "said"),
+    [
+        (["../n1"], "MACHINE '../n1' is neither an address nor a name"),
+        ([".."], "neither an address nor a name"),
+        (["n1", "--role", "Operator"], "--host and --role are for trials"),
+        (["n1", "--days", "0"], "days must be in 1..36500"),
+        (["n\u00e4"], "neither an address nor an ASCII name"),
+    ],
+)
+def test_wrong_machines(words: list[str], said: str, tmp_path: Path) -> None:
+    done = made(tmp_path / "new", *words)
+    assert done.code == 2
+    assert said in done.err
+    assert not (tmp_path / "new").exists()
