@@ -147,7 +147,8 @@ def test_signatures_and_copies_are_as_before() -> None:
         ("hr 0 --type flot32", "did you mean float32"),
         ("hr 0 --type dwrd", "did you mean dword"),
         ("hr 0 2 --type float32 --order ABDC", "did you mean "),
-        ("hr 0 2 --type float32 --order big-endia", "did you mean big endian"),
+        ("hr 0 2 --type float32 --order word-swaped", "did you mean word swapped"),
+        ("hr 0 2 --type float32 --order little-endian", "DCBA to some, and CDAB"),
     ],
 )
 def test_a_wrong_word_on_the_command_line(words: str, close: str) -> None:

@@ -62,11 +62,13 @@ from .type_names import (
 )
 from .words import (
     ORDER_WORDS,
+    TWO_ORDERS,
     TYPE_WORDS,
     Reference,
     close_word,
     order_named,
     parse_reference,
+    plain,
     type_named,
 )
 
@@ -109,7 +111,7 @@ def _order(order: object, kind: ValueType) -> str:
     name, width = _SPELLINGS.get(order.upper(), (order.upper(), None))
     name = name if name in ORDERS else order_named(order) or name
     if name not in ORDERS:
-        close = close_word(name, ORDERS, ORDER_WORDS)
+        close = TWO_ORDERS.get(plain(name)) or close_word(name, ORDERS, ORDER_WORDS)
         wanted = f"must be one of {', '.join(ORDERS)}"
         raise WrongValue("order", f"{wanted}, not {reprlib.repr(order)}{close}")
     if width not in (None, 1 if kind.is_text else kind.registers):
@@ -421,7 +423,7 @@ def value_type(
         name: the name as in the module's docstring, or as vendors write it, such as "FLOAT" or
             "u16".
         order: ABCD, CDAB, BADC or DCBA, or written out for the width of the type, in upper
-            or lower case; or in words, such as "big endian" or "word swapped".
+            or lower case; or in words, such as "word swapped" or "byte swapped".
         encoding: the encoding of strings: one of `ENCODINGS`, or another name that Python has
             for one of them, such as "latin-1" or "windows-1252".
         padding: the character with which strings are filled up, and which is removed from

@@ -18,8 +18,8 @@ from .mistakes import WrongValue
 
 # fmt: off
 __all__ = [
-    "ORDER_WORDS", "REFERENCE_TABLES", "TABLE_WORDS", "TYPE_WORDS", "Reference", "by_word",
-    "close_word", "order_named", "parse_reference", "plain", "table_named", "type_named",
+    "ORDER_WORDS", "REFERENCE_TABLES", "TABLE_WORDS", "TWO_ORDERS", "TYPE_WORDS", "Reference",
+    "by_word", "close_word", "order_named", "parse_reference", "plain", "table_named", "type_named",
 ]
 # fmt: on
 
@@ -83,12 +83,18 @@ TYPE_WORDS = by_word(
 
 ORDER_WORDS = by_word(
     {
-        "ABCD": "big endian, be",
+        "ABCD": "",
         "CDAB": "word swapped, word swap, swapped words",
         "BADC": "byte swapped, byte swap, swapped bytes",
-        "DCBA": "little endian, le",
+        "DCBA": "",
     }
 )
+
+_LITTLE = ", which is DCBA to some, and CDAB (the low word first) to others"
+_BIG = ", which is ABCD to some, and CDAB (each register alone, the low word first) to others"
+
+TWO_ORDERS = {"little endian": _LITTLE, "le": _LITTLE, "big endian": _BIG, "be": _BIG}
+"""Word that names no order, because vendors mean two -> the end of the message about it."""
 
 
 def table_named(text: object) -> str | None:
@@ -119,7 +125,7 @@ def type_named(text: object) -> str | None:
 
 
 def order_named(text: object) -> str | None:
-    """Return the name of an order, such as "ABCD" for "big endian"; None if it is none."""
+    """Return the name of an order, such as "CDAB" for "word swapped"; None if it is none."""
     return ORDER_WORDS.get(plain(text)) if isinstance(text, str) else None
 
 

@@ -54,7 +54,7 @@ def test_json_and_csv_name_the_unit(url: str) -> None:
 
 
 def test_what_json_prints_can_be_typed(url: str) -> None:
-    found = json.loads(run("read", url, "4x", 0, "--type", "U16", "--order", "be", "--json").out)
+    found = json.loads(run("read", url, "4x", 0, "--type", "U16", "--order", "abcd", "--json").out)
     again = run(
         *("read", url, "-u", found["unit"], found["table"], found["address"], "--json"),
         *("--type", found["type"], "--order", found["order"]),
