@@ -8,6 +8,7 @@ hyphens. Options that are not typed are None, so that the URL or the default app
 from __future__ import annotations
 
 import argparse
+import re
 
 from ..ports.schemes import (
     CLIENT_OPTIONS,
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 __all__ = [
     "SCHEMES_OF_URLS", "URLS", "add_client", "add_client_options", "add_csv", "add_defaults",
     "add_json", "add_security_options", "add_serial_options", "add_units", "add_url", "add_verbose",
-    "checked", "flag", "given", "with_forms",
+    "checked", "flag", "given", "is_place", "place", "with_forms",
 ]
 # fmt: on
 
@@ -124,10 +125,26 @@ def _wrong(
 # --- single arguments ---------------------------------------------------------------------------
 
 
+_PORT_NAME = re.compile(r"tty[A-Za-z]{1,4}[0-9]+(?:\?.*)?")
+
+
+def is_place(word: str) -> bool:
+    """Return True if a word can only be a device: a URL, an address, a path, or a serial port."""
+    return word == "localhost" or not {":", "/", "."}.isdisjoint(word) or place(word) != word
+
+
+def place(text: str) -> str:
+    """Return a URL as it was typed; the name of a serial port such as ttyUSB0 becomes its path."""
+    return f"/dev/{text}" if _PORT_NAME.fullmatch(text) else text
+
+
 def add_url(command: argparse.ArgumentParser) -> None:
     command.formatter_class = VerbatimHelp
     command.add_argument(
-        "url", metavar="URL", help="such as 192.0.2.10, tcp://192.0.2.10:1502 or /dev/ttyUSB0"
+        "url",
+        type=place,
+        metavar="URL",
+        help="such as 192.0.2.10, tcp://192.0.2.10:1502 or /dev/ttyUSB0",
     )
 
 

@@ -67,6 +67,8 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
     Raises:
         SystemExit: --help or --version was asked for, with 0; wrong usage, with 2.
     """
+    if arguments and arguments[0] not in COMMANDS and _is_read(arguments):
+        arguments = ["read", *arguments]
     # Options before the command have no values, so the first word must be the command.
     if not arguments or arguments[0] not in COMMANDS:
         names = whole_parser(())
@@ -75,7 +77,10 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
     name, *others = arguments
     parser = parser_of(name)
     from .arguments import with_forms
+    from .foreign import equivalents
 
+    if message := equivalents(*_of_action(parser, others)):
+        parser.error(message)
     others = with_forms(parser, others)
     if any(action.nargs == argparse.PARSER for action in parser._actions):
         found, unknown = parser.parse_known_args(others)  # its actions have their own parsers
@@ -83,6 +88,26 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
         found, unknown = parser.parse_known_intermixed_args(others)
     _refuse(found.parser, unknown)
     return found
+
+
+def _is_read(arguments: Sequence[str]) -> bool:
+    """Return True if a device stands where a command should: then it is read."""
+    from .arguments import is_place
+
+    if arguments[0].startswith("-"):
+        is_asked = arguments[0] in ("-h", "--help", "--version")
+        return not is_asked and any(map(is_place, arguments))
+    return is_place(arguments[0])
+
+
+def _of_action(
+    parser: argparse.ArgumentParser, words: Sequence[str]
+) -> tuple[argparse.ArgumentParser, Sequence[str]]:
+    """Return the parser of the action that was typed, such as `map check`, and its words."""
+    for action in parser._actions:
+        if action.nargs == argparse.PARSER and words and words[0] in (action.choices or {}):
+            return dict(action.choices or {})[words[0]], words[1:]
+    return parser, words
 
 
 def _refuse(parser: argparse.ArgumentParser, unknown: Sequence[str]) -> None:

@@ -15,7 +15,7 @@ __all__ = ["add_command"]
 
 EXAMPLES = """\
 examples:
-  libmodbus-py raw 192.0.2.10 3 0000 000a
+  libmodbus-py raw 192.0.2.10 03 00 64 00 02
   libmodbus-py raw 192.0.2.10 0x2B "0E 01 00" -v
   libmodbus-py raw /dev/ttyUSB0 -b 9600 -u 7 43 0D0102
   libmodbus-py raw 'tcp://192.0.2.10?unit=7&timeout=0.5' 100"""
@@ -30,7 +30,9 @@ def add_command(commands: Any) -> None:
         epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
     )
     arguments.add_client(command)
-    command.add_argument("function", metavar="FUNCTION", help="function code, 1..127")
+    command.add_argument(
+        "function", metavar="FUNCTION", help="function code, 1..127, or 03 before single bytes"
+    )
     command.add_argument(
         "data", metavar="HEX", nargs="*", help="data after the function code, in hexadecimal"
     )
@@ -42,14 +44,30 @@ def _raw(options: argparse.Namespace) -> int:
     from ...protocol.spelling import number_of
     from ..connecting import connected
 
-    function = number_of("function", options.function)
-    request = RawRequest(function, b"".join(map(_bytes_of, options.data)))
+    function = options.function
+    words = [function, *options.data]
+    if all(re.fullmatch("[0-9A-Fa-f]{2}", word) for word in words) and len(words) > 1:
+        function = _function_of(function)
+    request = RawRequest(number_of("function", function), b"".join(map(_bytes_of, options.data)))
     with closing(connected(options)) as context:
         response = request.encode_response(context.execute(request))
     print(response.hex(" "))
     if (text := _decoded(request.encode(), response)) is not None:
         print(text)
     return 0
+
+
+def _function_of(byte: str) -> str:
+    """
+    Return a function code that stands before bytes as in manuals, such as 03 in 03 00 64 00 02.
+
+    Raises:
+        ValueError: it could be decimal and hexadecimal.
+    """
+    if not re.fullmatch("[1-9][0-9]", byte):
+        return f"0x{byte}"
+    decimal = f"0x{int(byte):02x}"
+    raise ValueError(f"FUNCTION {byte} can be 0x{byte} or {decimal}; type the one that is meant")
 
 
 def _bytes_of(word: str) -> bytes:

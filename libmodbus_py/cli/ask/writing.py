@@ -214,7 +214,7 @@ def _and_read(options: argparse.Namespace, item: Item, values: tuple[int, ...]) 
 
 def _registers(item: Item, texts: list[str]) -> tuple[int, ...]:
     if item.kind is None:
-        return tuple(typed_register(text) for text in texts)
+        return tuple(map(_register, texts))
     kind, limit = item.kind, REGISTERS[item.table][1]
     most = limit // kind.registers
     if not most:
@@ -225,6 +225,25 @@ def _registers(item: Item, texts: list[str]) -> tuple[int, ...]:
             f"the number of values of {kind.name} must be in 1..{most}, not {len(texts)}"
         )
     return tuple(kind.encode_many([value_of(text, kind) for text in texts]))
+
+
+def _register(text: str) -> int:
+    try:
+        return typed_register(text)
+    except ValueError as error:
+        raise ValueError(f"{error}{_advice(text)}") from None
+
+
+def _advice(text: str) -> str:
+    """Return what is typed in place of a number such as 1e3 or 1.5; empty for other text."""
+    try:
+        number = float(text)
+    except ValueError:
+        return ""
+    if "." in text or "e" in text.lower():
+        is_whole = number.is_integer()
+        return f"; type {number:.0f}" if is_whole else "; give it a type, as in hr 0:float32"
+    return ""
 
 
 # --- verifying -----------------------------------------------------------------------

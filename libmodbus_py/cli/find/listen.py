@@ -59,7 +59,10 @@ def add_command(commands: Any) -> None:
         formatter_class=VerbatimHelp,
     )
     command.add_argument(
-        "url", metavar="URL", help="where to listen, or a capture to read: FILE.pcapng"
+        "url",
+        type=arguments.place,
+        metavar="URL",
+        help="where to listen, or a capture to read: FILE.pcapng",
     )
     command.add_argument(
         "--between",

@@ -63,7 +63,11 @@ def add_command(commands: Any) -> None:
         formatter_class=VerbatimHelp,
     )
     command.add_argument(
-        "urls", metavar="URL", nargs="*", help="where to listen, such as tcp://0.0.0.0:502"
+        "urls",
+        type=arguments.place,
+        metavar="URL",
+        nargs="*",
+        help="where to listen, such as tcp://0.0.0.0:502",
     )
     command.add_argument(
         "--to",

@@ -50,6 +50,7 @@ def add_command(commands: Any) -> None:
     )
     command.add_argument(
         "urls",
+        type=arguments.place,
         metavar="URL",
         nargs="*",
         help=f"where to listen, such as {EXAMPLE_URL}, the default for examples",

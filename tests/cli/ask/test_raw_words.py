@@ -41,8 +41,11 @@ def test_words_that_are_no_whole_bytes_are_refused(server: RecordingServer, word
         ["0000,0002,"],
     ],
 )
-def test_words_of_whole_bytes_are_taken(server: RecordingServer, words: list[str]) -> None:
-    assert run("raw", server.url, 3, *words).out.startswith("03 04 00 01 00 02\n")
+@each_case("function", ["3", "0x03"])
+def test_words_of_whole_bytes_are_taken(
+    server: RecordingServer, function: str, words: list[str]
+) -> None:
+    assert run("raw", server.url, function, *words).out.startswith("03 04 00 01 00 02\n")
 
 
 @each_case(
@@ -58,3 +61,15 @@ def test_words_of_whole_bytes_are_taken(server: RecordingServer, words: list[str
 def test_the_error_says_how_a_number_is_typed(word: str, said: str | None) -> None:
     done = run("raw", "127.0.0.1:1", 100, word)
     assert (said or "cannot connect") in done.err
+
+
+def test_bytes_as_they_stand_in_manuals_are_taken(server: RecordingServer) -> None:
+    for words, answer in (("03 00 00 00 02", "03 04"), ("0x10 00 00 00 01 02 00 07", "10 00 00")):
+        assert run("raw", server.url, *words.split()).out.startswith(answer)
+
+
+@each_case(("byte", "other"), [("10", "0x0a"), ("16", "0x10"), ("43", "0x2b")])
+def test_a_byte_that_could_be_decimal_is_refused(byte: str, other: str) -> None:
+    done = run("raw", "127.0.0.1:1", byte, "00", "01")
+    assert done.code == 2
+    assert f"FUNCTION {byte} can be 0x{byte} or {other}" in done.err
