@@ -8,7 +8,6 @@ hyphens. Options that are not typed are None, so that the URL or the default app
 from __future__ import annotations
 
 import argparse
-import re
 
 from ..ports.schemes import (
     CLIENT_OPTIONS,
@@ -19,7 +18,8 @@ from ..ports.schemes import (
     shape_of,
 )
 from . import completers
-from .help import VerbatimHelp
+from .foreign import place
+from .help import VerbatimHelp, make_rare
 
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 # fmt: off
 __all__ = [
     "SCHEMES_OF_URLS", "URLS", "add_client", "add_client_options", "add_csv", "add_defaults",
-    "add_json", "add_security_options", "add_serial_options", "add_units", "add_url", "add_verbose",
-    "checked", "flag", "given", "is_place", "place", "with_forms",
+    "add_json", "add_requests", "add_security_options", "add_serial_options", "add_units",
+    "add_url", "add_verbose", "checked", "flag", "given", "with_forms",
 ]
 # fmt: on
 
@@ -56,10 +56,9 @@ def _listed(shapes: Iterable[str]) -> str:
 
 URLS = f"""\
 {_listed(shape_of(scheme) for scheme in SCHEMES)}
-     Settings follow a question mark, as in "tcp://192.0.2.10?unit=7&timeout=2"
-     or "rtu:///dev/ttyUSB0?baudrate=9600&parity=N". Their names are those of
-     the options above, with _ in place of -. Quote such a URL, because shells
-     interpret &. An option overrides the setting in the URL."""
+     Settings follow ?, as in "tcp://192.0.2.10?unit=7&timeout=2", under the
+     names of options, with _ in place of -; an option overrides them. Quote
+     such a URL, because shells interpret &."""
 """The end of each --help of a client."""
 
 SCHEMES_OF_URLS = _listed(f"{scheme}://" for scheme in SCHEMES)
@@ -76,6 +75,13 @@ MEANINGLESS: dict[str, dict[str, str]] = {
     "serve": dict.fromkeys(_ASKS, "; serve sends no requests; --frame-timeout limits its clients"),
 }
 """Command -> options of other commands, and why the command does not take them."""
+
+RARE = {
+    *("busy_retries", "max_in_flight", "turnaround", "request_spacing", "connect_delay"),
+    *("timeouts_before_reconnect", "keepalive", "max_pause", "native", "accept_unit", "delimiter"),
+    *("rs485", "rts_delay", "echo", "silence", *SECURITY_OPTIONS),
+}
+"""Options that --help leaves out."""
 
 REPEATED = ("pin",)
 """Options that may be given several times; a URL has their values with commas between."""
@@ -125,26 +131,13 @@ def _wrong(
 # --- single arguments ---------------------------------------------------------------------------
 
 
-_PORT_NAME = re.compile(r"tty[A-Za-z]{1,4}[0-9]+(?:\?.*)?")
-
-
-def is_place(word: str) -> bool:
-    """Return True if a word can only be a device: a URL, an address, a path, or a serial port."""
-    return word == "localhost" or not {":", "/", "."}.isdisjoint(word) or place(word) != word
-
-
-def place(text: str) -> str:
-    """Return a URL as it was typed; the name of a serial port such as ttyUSB0 becomes its path."""
-    return f"/dev/{text}" if _PORT_NAME.fullmatch(text) else text
-
-
 def add_url(command: argparse.ArgumentParser) -> None:
     command.formatter_class = VerbatimHelp
     command.add_argument(
         "url",
         type=place,
         metavar="URL",
-        help="such as 192.0.2.10, tcp://192.0.2.10:1502 or /dev/ttyUSB0",
+        help="such as 192.0.2.10, 192.0.2.10:1502 or /dev/ttyUSB0",
     )
 
 
@@ -154,17 +147,17 @@ def add_verbose(command: argparse.ArgumentParser) -> None:
     )
 
 
-def add_json(group: Any, text: str = "print JSON, an object in each line") -> None:
+def add_json(group: Any, text: str = "print JSON in lines") -> None:
     _add_form(group, "--json", text)
 
 
-def add_csv(group: Any, text: str) -> None:
-    _add_form(group, "--csv", text)
+def add_csv(group: Any) -> None:
+    _add_form(group, "--csv", "print CSV")
 
 
 def _add_form(group: Any, name: str, text: str) -> None:
     """Add a form of output; with the name of a file the output is written there."""
-    text += "; to a new file, if one is named"
+    text += ", or write it to a new FILE"
     group.add_argument(name, action=_Form, nargs="?", const="", metavar="FILE", help=text)
 
 
@@ -239,9 +232,14 @@ def add_client(command: argparse.ArgumentParser, *, several: bool = False) -> No
         several: True if the command asks several units, one after the other.
     """
     add_url(command)
+    add_requests(command, several=several)
+
+
+def add_requests(command: argparse.ArgumentParser, *, several: bool = False) -> None:
+    """Add the options of `add_client`, for a command whose own groups come before them."""
     if several:
         group = command.add_argument_group("requests")
-        add_units(group, "unit that is addressed, 0..255, or several, such as 1-9,17 (1)")
+        add_units(group, "unit to ask, 0..255, or several, such as 1-9,17 (1)")
         add_client_options(group, without=("unit",))
     else:
         add_client_options(command.add_argument_group("requests"))
@@ -304,14 +302,14 @@ def _add(group: Any, options: Mapping[str, Option]) -> list[argparse.Action]:
         flags += [flag(other) for other, known in OTHER_NAMES.items() if known == name]
         others: dict[str, Any] = {"dest": name, "help": option.text}
         if not option.placeholder:
-            added.append(
-                group.add_argument(*flags, action=argparse.BooleanOptionalAction, **others)
-            )
-            continue
+            others["action"] = argparse.BooleanOptionalAction
+        else:
+            others |= {"metavar": option.placeholder, "type": _read_as(option)}
         if name in REPEATED:
             others |= {"action": "append", "help": f"{option.text}; may be repeated"}
-        others |= {"metavar": option.placeholder, "type": _read_as(option)}
         added.append(group.add_argument(*flags, **others))
+        if name in RARE:
+            make_rare(added[-1])
         if name == "parity":
             completers.completing(added[-1], completers.parities)
     return added

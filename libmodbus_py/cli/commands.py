@@ -13,7 +13,7 @@ import sys
 from importlib import import_module
 
 from ..version import __version__
-from .help import Help, VerbatimHelp, coloured, tell_defaults
+from .help import Help, HelpAll, VerbatimHelp, coloured, shown, tell_defaults
 from .output import PROGRAM
 from .output import message as printed
 
@@ -92,10 +92,10 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
 
 def _is_read(arguments: Sequence[str]) -> bool:
     """Return True if a device stands where a command should: then it is read."""
-    from .arguments import is_place
+    from .foreign import is_place
 
     if arguments[0].startswith("-"):
-        is_asked = arguments[0] in ("-h", "--help", "--version")
+        is_asked = arguments[0] in ("-h", "--help", "--help-all", "--version")
         return not is_asked and any(map(is_place, arguments))
     return is_place(arguments[0])
 
@@ -124,7 +124,7 @@ def _refuse(parser: argparse.ArgumentParser, unknown: Sequence[str]) -> None:
     parser.error(f"unrecognized arguments: {' '.join(unknown)}{reason}")
 
 
-def parser_of(name: str) -> argparse.ArgumentParser:
+def parser_of(name: str) -> _Parser:
     """Import the file of a command, and return the parser."""
     about = COMMANDS[name][1]
     parser = _Parser(prog=f"{PROGRAM} {name}", description=f"{about[0].upper()}{about[1:]}.")
@@ -178,16 +178,25 @@ def whole_parser(filled: Collection[str] = COMMANDS) -> argparse.ArgumentParser:
 
 
 class _Parser(argparse.ArgumentParser):
+    """
+    Attributes:
+        shows_all: True if the help contains rare options.
+    """
+
+    shows_all: bool = False
+
     def __init__(self, **options: Any) -> None:
         # The beginning of an option is refused: --count would be taken for --count-from-1.
         super().__init__(**{"formatter_class": Help, "allow_abbrev": False, **options})
         # argparse would take -1e5 and -inf for options.
+        self.add_argument("--help-all", action=HelpAll, nargs=0)
         self.color = False  # of newer versions of Python; `coloured` does it in all
         self._negative_number_matcher = re.compile(r"-(\.?[0-9]|inf|nan)", re.IGNORECASE)
 
     def format_help(self) -> str:
         tell_defaults(self)
-        return super().format_help()
+        with shown(self, all=self.shows_all):
+            return super().format_help()
 
     def print_help(self, file: Any = None) -> None:
         stream = file or sys.stdout

@@ -1,5 +1,5 @@
 """
-Options of other programs that are typed here, and what is typed in place of them.
+Words of other programs that are typed here: their options, and names of serial ports.
 
 mbpoll, modpoll and modbus-cli have options of one letter for what is a part of the URL or of WHAT
 here. An option that a command has itself is looked up only with a value that it cannot have, such
@@ -15,7 +15,7 @@ TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-__all__ = ["equivalents"]
+__all__ = ["equivalents", "is_place", "place"]
 
 TABLES = {"0": "co", "1": "di", "3": "ir", "4": "hr"}
 """Number of a table in mbpoll and modpoll -> its word here."""
@@ -132,3 +132,16 @@ def _is_foreign(parser: argparse.ArgumentParser, word: str, before: Sequence[str
     option = known.get(before[-1]) if before else None
     is_value = option is not None and option.nargs != 0
     return not is_value and not parser.prog.endswith(" write")
+
+
+_PORT_NAME = re.compile(r"tty[A-Za-z]{1,4}[0-9]+(?:\?.*)?")
+
+
+def is_place(word: str) -> bool:
+    """Return True if a word can only be a device: a URL, an address, a path, or a serial port."""
+    return word == "localhost" or not {":", "/", "."}.isdisjoint(word) or place(word) != word
+
+
+def place(text: str) -> str:
+    """Return a URL as it was typed; the name of a serial port such as ttyUSB0 becomes its path."""
+    return f"/dev/{text}" if _PORT_NAME.fullmatch(text) else text

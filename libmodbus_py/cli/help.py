@@ -1,12 +1,14 @@
 """
 The layout of --help: as wide as the terminal, and the same in all versions of Python.
 
-argparse asks shutil for that width, which imports three compressors at each start.
+--help leaves out options that few people need, and --help-all shows them, too. argparse asks
+shutil for the width, which imports three compressors at each start.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import re
 
@@ -14,10 +16,10 @@ from .output import has_styles, styled
 
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
     from typing import Any, TextIO
 
-__all__ = ["Help", "VerbatimHelp", "coloured", "tell_defaults"]
+__all__ = ["Help", "HelpAll", "VerbatimHelp", "coloured", "make_rare", "shown", "tell_defaults"]
 
 PARTS = (
     r"(?m)(?P<heading>^usage:|^[a-z][^\n]*:$)"
@@ -70,6 +72,53 @@ class Help(argparse.HelpFormatter):
 
 class VerbatimHelp(Help, argparse.RawDescriptionHelpFormatter):
     """Help whose description and epilog stay as they are."""
+
+
+class HelpAll(argparse.Action):
+    """The option --help-all."""
+
+    def __call__(self, parser: Any, *_: Any) -> None:
+        parser.shows_all = True
+        parser.print_help()
+        parser.exit()
+
+
+def make_rare(*actions: argparse.Action) -> None:
+    """Let options be shown by --help-all only."""
+    for action in actions:
+        action.is_rare = True  # type: ignore[attr-defined]
+
+
+@contextlib.contextmanager
+def shown(parser: argparse.ArgumentParser, *, all: bool) -> Iterator[None]:
+    """
+    Hide the rare options of a parser from its help while the block runs.
+
+    Args:
+        all: True to hide only --help-all, and that only if it would show nothing new.
+    """
+    rare = [each for each in parser._actions if getattr(each, "is_rare", False)]
+    more = [each for each in parser._actions if isinstance(each, HelpAll)]
+    for each in more:
+        each.help = _about_all(parser, rare)
+    left_out: list[argparse.Action] = [*more] if not rare else [] if all else rare
+    hidden = {each: each.help for each in left_out}
+    for action in hidden:
+        action.help = argparse.SUPPRESS
+    try:
+        yield
+    finally:
+        for action, text in hidden.items():
+            action.help = text
+
+
+def _about_all(parser: argparse.ArgumentParser, rare: list[argparse.Action]) -> str:
+    """Return the text of --help-all, with a rare option of the first and of the last group."""
+    groups = [
+        [each for each in group._group_actions if each in rare] for group in parser._action_groups
+    ]
+    names = [group[0].option_strings[0] for group in groups if group]
+    return f"show rare options, too: {', '.join(dict.fromkeys([*names[:1], *names[-1:]]))}, ..."
 
 
 def coloured(text: str, stream: TextIO) -> str:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from ..protocol.plain import time_text
+from .help import make_rare
 
 __all__ = ["add_arguments", "called_before_lines", "logged"]
 
@@ -32,12 +33,13 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         help=f"lowest level to log: {', '.join(LEVELS)}; debug logs every frame."
         " Each line begins with the time",
     )
-    group.add_argument(
+    form = group.add_argument(
         "--log-format",
         choices=sorted(FORMATTERS),
         metavar="FORMAT",
         help="json, one object in each line; or text",
     )
+    make_rare(form)
 
 
 @contextlib.contextmanager

@@ -32,7 +32,7 @@ TAKING = [*CLIENTS, *WITHOUT]
 
 def texts(command: str) -> dict[str, str]:
     """Return the texts of --help: the longest form of each option -> its text."""
-    help_text = run(*command.split(), "--help", environment={"COLUMNS": "200"}).out
+    help_text = run(*command.split(), "--help-all", environment={"COLUMNS": "200"}).out
     entries = re.split(r"\n(?=  -)", help_text.partition("\n\nexamples:")[0])
     found = {}
     for entry in entries[1:]:

@@ -1,5 +1,5 @@
 """
-The text of every --help, compared with a golden file.
+The text of every --help and --help-all, compared with golden files.
 
 `./run test --make-golden tests/cli` writes the files again after a change of texts or options.
 """
@@ -24,6 +24,13 @@ PLACES = [
 
 @pytest.mark.parametrize("words", PLACES, ids=lambda words: " ".join(words) or "no command")
 def test_help_is_the_golden_file(words: tuple[str, ...], golden: Golden) -> None:
-    done = run(*words, "--help", environment={"COLUMNS": "100"})
-    assert (done.code, done.err) == (0, "")
-    golden(f"help_{'_'.join(words) or 'libmodbus-py'}.txt", done.out)
+    name = "_".join(words) or "libmodbus-py"
+    done, whole = (
+        run(*words, option, environment={"COLUMNS": "80"}) for option in ("--help", "--help-all")
+    )
+    assert [done.code, done.err, whole.code, whole.err] == [0, "", 0, ""]
+    golden(f"help_{name}.txt", done.out)
+    if "--help-all" in done.out:
+        golden(f"help-all_{name}.txt", whole.out)
+    else:  # there are no rare options
+        assert done.out == whole.out

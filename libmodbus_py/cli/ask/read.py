@@ -13,6 +13,7 @@ from ...protocol.checks import DURATION, duration_of
 from ...protocol.type_names import BitsType, NumberType, Order
 from .. import arguments, completers
 from ..completers import behind, completing
+from ..help import make_rare
 from ..serve import page
 
 __all__ = ["WHAT", "add_command", "add_item_arguments", "names"]
@@ -25,7 +26,7 @@ WHAT is one of
 
 EXAMPLES = """\
 examples:
-  libmodbus-py read 192.0.2.10 holding 0 10 coils 0 8
+  libmodbus-py read 192.0.2.10 hr 0-9 coils 0 8 hr 100:float32
   libmodbus-py read /dev/ttyUSB0 -b 9600 -p none -u 7 30001 2 --type float32
   libmodbus-py read 192.0.2.10 -u 1-3,17 --map meter.csv voltage current --watch
   libmodbus-py read 'tcp://192.0.2.10?unit=7&timeout=0.5' ir 0 9 --csv log.csv"""
@@ -38,10 +39,11 @@ def add_command(commands: Any) -> None:
         description="Read values of a device, in as few requests as possible.\n\n"
         f"{WHAT}\n"
         "and may be followed by a number of values (1). Several may follow each other.\n"
+        "An address may have a type (hr 100:float32) and be a range (hr 100-105).\n"
         "With --map and without WHAT, all points of the map are read.",
         epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
     )
-    arguments.add_client(command, several=True)
+    arguments.add_url(command)
     what = command.add_argument("what", metavar="WHAT", nargs="*", help="the values to read")
     completing(what, names)
     command.add_argument(
@@ -54,7 +56,7 @@ def add_command(commands: Any) -> None:
     group = command.add_argument_group("output")
     form = group.add_mutually_exclusive_group()
     form.add_argument("--hex", action="store_true", help="print registers in hexadecimal")
-    arguments.add_csv(form, "print CSV: a header, and a row for each poll")
+    arguments.add_csv(form)
     arguments.add_json(form)
     group.add_argument(
         "--watch",
@@ -62,8 +64,7 @@ def add_command(commands: Any) -> None:
         const=1.0,
         type=_seconds,
         metavar="SECONDS",
-        help="poll until Ctrl-C, each second unless given, or at the intervals that points of a map"
-        " have; on a terminal in a table",
+        help="poll until Ctrl-C, each second unless given; on a terminal in a table",
     )
     group.add_argument(
         "--count", type=_polls, metavar="N", help="end after N polls; implies --watch"
@@ -73,9 +74,10 @@ def add_command(commands: Any) -> None:
         dest="lasts",
         type=_seconds,
         metavar="SECONDS",
-        help="end after this time, such as 90, 10m or 1h30m; implies --watch",
+        help="end after a time, such as 90 or 1h30m; implies --watch",
     )
     page.add_argument(group, "the values of --watch")
+    arguments.add_requests(command, several=True)
     command.set_defaults(run=_read)
 
 
@@ -86,20 +88,19 @@ def add_item_arguments(
     group = command.add_argument_group("values")
     types = ", ".join((*get_args(NumberType), *get_args(BitsType)))
     orders = ", ".join(get_args(Order))
-    kind = group.add_argument(
-        "--type", metavar="T", help=f"type of the values: {types}, string:N{more}"
-    )
+    kind = group.add_argument("--type", metavar="T", help=f"type: {types}, string:N{more}")
     completing(kind, completers.types)
-    order = group.add_argument("--order", metavar="O", help=f"byte order of the values: {orders}")
+    order = group.add_argument("--order", metavar="O", help=f"byte order: {orders}")
     encoding = group.add_argument("--encoding", metavar="E", help="encoding of text")
     padding = group.add_argument("--padding", metavar="C", help="character that fills up text")
+    make_rare(encoding, padding)
     arguments.add_defaults([order, encoding, padding], _of_reads)
     completing(order, completers.orders)
     completing(encoding, completers.encodings)
     file = group.add_argument(
         "--map",
         metavar="FILE",
-        help="a register map in CSV or TOML, or the name of an example, such as meter",
+        help="register map, CSV or TOML, or an example such as meter",
     )
     completing(file, completers.maps)
     group.add_argument(

@@ -15,7 +15,7 @@ __all__ = ["add_command"]
 
 EXAMPLES = """\
 examples:
-  libmodbus-py write 192.0.2.10 holding 0 555 0 100 coils 7 on --verify
+  libmodbus-py write 192.0.2.10 40001=555 hr 4:float32=3.5 coils 7 on --verify
   libmodbus-py write /dev/ttyUSB0 -b 9600 40123 3.14 --type float32 --order CDAB
   libmodbus-py write 192.0.2.10 --map meter.csv setpoint 21.5 --dry-run -v
   libmodbus-py write 'tcp://192.0.2.10?unit=7&timeout=0.5' hr 4 --mask 0xFFF0 5"""
@@ -27,12 +27,12 @@ def add_command(commands: Any) -> None:
         "write",
         description="Write values to a device, one request for each WHAT. All values are\n"
         f"checked before the first request.\n\n{WHAT}\n"
-        "followed by its values. Several may follow each other. Values of coils are\n"
-        "0, 1, off, on, false and true. After -- a text may begin with -; options must\n"
-        "be before it.",
+        "followed by its values, as in hr 10 5 6, or 40011=5. Several may follow each\n"
+        "other. Values of coils are 0, 1, off, on, false and true. After -- a text may\n"
+        "begin with -; options must be before it.",
         epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
     )
-    arguments.add_client(command)
+    arguments.add_url(command)
     what = command.add_argument("what", metavar="WHAT VALUE", nargs="+", help="the values to write")
     completing(what, names)
     add_item_arguments(command)
@@ -62,6 +62,7 @@ def add_command(commands: Any) -> None:
     group.add_argument(
         "--dry-run", action="store_true", help="print the frames instead of sending them"
     )
+    arguments.add_requests(command)
     command.set_defaults(run=_write)
 
 

@@ -18,6 +18,7 @@ from ...tools.listener.listener import Listener, listen
 from ...tools.listener.transaction import Transaction
 from .. import arguments
 from ..connecting import with_options
+from ..foreign import place
 from ..help import VerbatimHelp
 from ..output import print_json, styled
 
@@ -60,7 +61,7 @@ def add_command(commands: Any) -> None:
     )
     command.add_argument(
         "url",
-        type=arguments.place,
+        type=place,
         metavar="URL",
         help="where to listen, or a capture to read: FILE.pcapng",
     )

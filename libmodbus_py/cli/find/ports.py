@@ -39,7 +39,7 @@ def add_command(commands: Any) -> None:
         "--all", action="store_true", help="list those without a USB device too, such as ttyS0"
     )
     form = command.add_mutually_exclusive_group()
-    arguments.add_csv(form, "print CSV: a header, and a row each")
+    arguments.add_csv(form)
     arguments.add_json(form)
     command.set_defaults(run=_ports)
 

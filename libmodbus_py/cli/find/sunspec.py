@@ -39,7 +39,7 @@ def add_command(commands: Any) -> None:
         help="the address at which the models begin (0, 40000 and 50000 are tried)",
     )
     form = command.add_mutually_exclusive_group()
-    arguments.add_csv(form, "print CSV: a header, and a row each")
+    arguments.add_csv(form)
     arguments.add_json(form)
     command.set_defaults(run=_sunspec)
 

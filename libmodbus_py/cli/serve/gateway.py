@@ -22,6 +22,7 @@ from ...services.gateway.routes import Route, parse_route
 from ...tools.files.rereading import compared, reread
 from .. import arguments, logs
 from ..connecting import with_options
+from ..foreign import place
 from ..help import VerbatimHelp
 from ..tracing import print_frame
 from . import audit, limits, metrics, page
@@ -64,7 +65,7 @@ def add_command(commands: Any) -> None:
     )
     command.add_argument(
         "urls",
-        type=arguments.place,
+        type=place,
         metavar="URL",
         nargs="*",
         help="where to listen, such as tcp://0.0.0.0:502",

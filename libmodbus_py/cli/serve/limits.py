@@ -12,6 +12,7 @@ from typing import Any
 
 from ...server.limits import FULL_POLICIES, Limits
 from ..arguments import add_defaults, checked, flag, given
+from ..help import make_rare
 
 __all__ = ["add_arguments", "limits_of"]
 
@@ -60,6 +61,7 @@ def add_arguments(command: argparse.ArgumentParser) -> Any:
             " idle; refuse closes the new one",
         )
     )
+    make_rare(*added)
     add_defaults(added, lambda: {each.name: each.default for each in fields(Limits)})
     group.add_argument(
         "--allow",

@@ -13,6 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING, TextIO, TypeGuard
 
 from ...protocol.errors import ModbusConnectionError
+from ..help import make_rare
 from ..output import complain
 from .addresses import Address, OneAddress, address_like
 
@@ -49,12 +50,13 @@ def add_argument(command: argparse._ActionsContainer, what: str = "the devices")
         metavar="HOST:PORT",
         help="serve a live page of {} at this address, over HTTP ({}:{})".format(what, *EXAMPLE),
     )
-    command.add_argument(
+    token = command.add_argument(
         "--page-token",
         metavar="FILE",
         help="file with the token of the page, 22 or more letters, digits, - or _, so that its URL"
         f" stays the same; unless given, {TOKEN} in the environment, or a new one",
     )
+    make_rare(token)
 
 
 def token_of(file: str | None) -> str | None:

@@ -21,6 +21,7 @@ from ...tools.simulator import device_file, example_files
 from ...tools.simulator.reloading import Reloader
 from .. import arguments, completers, logs
 from ..connecting import OF_SERVERS, with_options
+from ..foreign import place
 from ..help import VerbatimHelp
 from ..tracing import print_frame
 from . import audit, limits, metrics, page, state
@@ -50,7 +51,7 @@ def add_command(commands: Any) -> None:
     )
     command.add_argument(
         "urls",
-        type=arguments.place,
+        type=place,
         metavar="URL",
         nargs="*",
         help=f"where to listen, such as {EXAMPLE_URL}, the default for examples",
