@@ -4,23 +4,21 @@ The command line, on top of everything: arguments become requests and servers.
 ::
 
     main           the entry point, and the exit codes
-    terminating    SIGTERM, which ends commands as Ctrl-C does
     commands       every command, and the parser of the arguments
-    help           the layout of --help
+    foreign        words of other programs, and what is typed in place of them
+    help           the layout of --help and --help-all
     arguments      the arguments that several commands take, each declared once
     connecting     endpoints and clients, made of URLs and options
-    output         standard output and error: messages, JSON, styles
-    failing        errors: a line on stderr, and an exit code
+    output         standard output and error, files: messages, JSON, styles
+    failing        how a command ends: errors, exit codes, SIGTERM
     logs           the log of commands that run for long
     tracing        --verbose: frames in columns
-    status         a status line for long work
-    redrawn        ... lines that are drawn again in place
-    progress       progress and results of scans and searches, in words
+    screen         a status line, lines that are drawn again in place, progress
     ask            read, write, identify, diagnose, raw, map
     find           scan, ports, sunspec, listen
     serve          serve, gateway, poll, fleet
-    certificates   certificates: of an authority, a server and clients with roles
-    completers     ... and what is completed besides commands and options
+    certificates   certificates: for trials, or of the machines of a fleet
     completion     completion: scripts for shells, and the answers to their questions
+    completers     ... and what is completed besides commands and options
     demo           demo: worked examples on three kinds of lines, with the bytes sent
 """

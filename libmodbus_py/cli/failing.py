@@ -1,16 +1,22 @@
 """
-Errors: one line on stderr, and an exit code.
+The end of a command: an error is one line on stderr and an exit code, and SIGTERM is as Ctrl-C, so that serial ports get their settings back, and files are complete.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import signal
 
-from ..protocol.errors import NO_UNIT, ModbusError, ModbusTimeoutError
 from . import output
 
-__all__ = ["CommandError", "advice", "failed"]
+TYPE_CHECKING = False  # see commands
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from ..protocol.errors import ModbusError
+
+__all__ = ["CommandError", "advice", "ended_by_sigterm", "failed"]
 
 
 class CommandError(Exception):
@@ -19,6 +25,8 @@ class CommandError(Exception):
 
 def failed(error: Exception) -> int:
     """Print an error, and return the exit code."""
+    from ..protocol.errors import ModbusError
+
     if isinstance(error, OSError) and not isinstance(error, ModbusError):
         output.abandon()
     if not isinstance(error, BrokenPipeError):
@@ -30,6 +38,8 @@ def failed(error: Exception) -> int:
 
 def advice(error: ModbusError) -> str:
     """Return what to try after a failure; empty if nothing is known that would help."""
+    from ..protocol.errors import NO_UNIT, ModbusTimeoutError
+
     is_silent = isinstance(error, ModbusTimeoutError) and not error.received
     if not error.endpoint or not (is_silent or isinstance(error, NO_UNIT)):
         return ""
@@ -38,6 +48,8 @@ def advice(error: ModbusError) -> str:
 
 
 def _line(error: Exception) -> str:
+    from ..protocol.errors import ModbusError
+
     if isinstance(error, ModbusError):
         text = f"{error}{advice(error)}"
     elif isinstance(error, CommandError | ImportError):
@@ -50,3 +62,32 @@ def _line(error: Exception) -> str:
         place = extract_tb(error.__traceback__)[-1]
         text = f"unexpected {error!r} ({os.path.basename(place.filename)}, line {place.lineno})"
     return text.replace("\n", " ")
+
+
+@contextlib.contextmanager
+def ended_by_sigterm() -> Iterator[None]:
+    """
+    Raise KeyboardInterrupt in the block when SIGTERM comes, and end the process by it afterwards.
+
+    A second SIGTERM ends the process at once. Commands that serve replace this with their own
+    handlers. A process that ignores SIGTERM continues to, and a thread other than the main one
+    changes nothing.
+    """
+    has_come = False
+
+    def terminate(number: int, frame: object) -> None:
+        nonlocal has_come
+        has_come = True
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        raise KeyboardInterrupt
+
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        with contextlib.suppress(ValueError):
+            signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        if signal.getsignal(signal.SIGTERM) is terminate:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        if has_come:
+            signal.raise_signal(signal.SIGTERM)

@@ -36,10 +36,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     # Everything is imported within the try, where Ctrl-C is caught.
     try:
-        from . import output, terminating
+        from . import output
+        from .failing import ended_by_sigterm
 
         output.prepare()
-        with terminating.ended_by_sigterm():
+        with ended_by_sigterm():
             try:
                 return _run(arguments)
             finally:

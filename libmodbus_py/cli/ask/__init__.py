@@ -10,14 +10,12 @@ Commands that ask one device: read, write, identify, diagnose, raw and map.
     writing          the requests of write
     items            what is read or written, as words and as requests
     formatters       values as lines, cells of CSV and fields of JSON
-    units            several units, asked one after the other
+    units            several units, asked one after the other, and reports of their answers
+    shown_watch      the values of read --watch as the live page shows them
     identify         identify
     diagnose         diagnose
-    report           answers to several functions, as identify and diagnose print them
     raw              raw
-    map              the arguments of map
+    map              the arguments of map, map list and map class
     map_check        map check
-    map_class        map class
-    map_from_device  map from-device
-    map_from_sunspec map from-sunspec
+    map_making       map from-device and map from-sunspec
 """

@@ -16,7 +16,7 @@ from ..output import print_json
 
 if TYPE_CHECKING:
     from ...client.blocking import Context
-    from .report import Named
+    from .units import Named
 
 __all__ = ["add_command"]
 
@@ -58,7 +58,7 @@ def add_command(commands: Any) -> None:
 
 def _diagnose(options: argparse.Namespace) -> int:
     from ...protocol.spelling import number_of
-    from .report import print_report, report_units
+    from .units import print_report, report_units
 
     if options.sub_function is None:
         return report_units(

@@ -47,7 +47,7 @@ def add_command(commands: Any) -> None:
 
 def _identify(options: argparse.Namespace) -> int:
     from ...protocol.spelling import number_of
-    from .report import print_report, report_units
+    from .units import print_report, report_units
 
     level = options.level
     wanted: str | int = number_of("level", level) if level[:1].isdigit() else level

@@ -1,15 +1,17 @@
 """
-The command map: its actions check, class, list and from-device.
+The command map: the arguments of its actions, and the actions list and class.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 from typing import Any
 
 from .. import arguments
 from ..completers import completing, maps
 from ..help import VerbatimHelp
+from ..output import counted
 
 __all__ = ["add_command"]
 
@@ -179,18 +181,51 @@ def _list(options: argparse.Namespace) -> int:
 
 
 def _class(options: argparse.Namespace) -> int:
-    from .map_class import write_class
+    """Write a class for a register map to a file, or print it."""
+    from pathlib import Path, PurePath
 
-    return write_class(options)
+    from ...tools.files.maps.class_text import class_text
+    from ...tools.files.maps.map_file import load_map
+    from ...tools.simulator.example_files import map_file
+
+    map = load_map(map_file(options.file))
+    text = class_text(map, PurePath(options.file).stem)
+    if options.output is None:
+        print(text, end="", flush=True)
+        return 0
+    _check_output(options.output)
+    Path(options.output).write_text(text, encoding="utf-8")
+    print(f"{options.output}: {counted(len(map), 'point')}", file=sys.stderr)
+    return 0
+
+
+def _check_output(output: str) -> None:
+    """Refuse to overwrite a file that this command has not written."""
+    from pathlib import Path
+
+    from ...tools.files.maps.class_text import MARK
+
+    path = Path(output)
+    if path.suffix != ".py":
+        raise ValueError(f"{output}: it must end with .py")
+    if not path.absolute().parent.is_dir():
+        raise ValueError(f"{output}: the folder does not exist")
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            start = file.read(2000)
+    except FileNotFoundError:
+        return
+    if MARK not in start:
+        raise ValueError(f"{output} exists, and would be overwritten")
 
 
 def _from_device(options: argparse.Namespace) -> int:
-    from .map_from_device import from_device
+    from .map_making import from_device
 
     return from_device(options)
 
 
 def _from_sunspec(options: argparse.Namespace) -> int:
-    from .map_from_sunspec import from_sunspec
+    from .map_making import from_sunspec
 
     return from_sunspec(options)

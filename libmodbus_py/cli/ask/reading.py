@@ -21,7 +21,7 @@ from ...protocol.plain import time_text, without_controls
 from ..connecting import connected, endpoint_of
 from ..failing import CommandError, advice
 from ..output import complain, print_json
-from ..status import Status
+from ..screen import Status
 from .formatters import Formatter, ReadResult, aligned, formatter_of, in_line
 from .items import Cells, Item, ItemPlan, Words
 from .units import ask_units, client_of, fail, units_of

@@ -14,21 +14,18 @@ import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
 from ...protocol.errors import ModbusError
 from ...protocol.plain import clock_text
 from ..connecting import connected
 from ..failing import CommandError
 from ..output import complain, counted
-from ..redrawn import Redrawn
+from ..screen import Redrawn
 from ..serve import page
 from .formatters import FormattedValue, ReadResult, aligned
 from .reading import Printer, Reader, printer_of, readers_of
 from .units import reason_of
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["watch"]
 
@@ -142,6 +139,21 @@ class _Failures:
         if reason and self._reasons.get(unit) != reason:
             complain(reason)
         self._reasons[unit] = reason
+
+
+@contextmanager
+def _on_page(
+    options: argparse.Namespace, title: str, printer: Printer, interval: float
+) -> Iterator[Printer]:
+    """Show the values on a page too while the block runs, if there is an address."""
+    if options.page is None and options.page_token is None:
+        yield printer
+        return
+    from .shown_watch import ShownWatch
+
+    shown = ShownWatch(title, printer, interval)
+    with page.tables_shown(lambda: shown, options.page, options.page_token, sys.stderr):
+        yield shown
 
 
 # --- on a terminal -------------------------------------------------------------------
@@ -279,21 +291,3 @@ def _has_sparks(screen: TextIO) -> bool:
 
 def _clock() -> str:
     return clock_text(time.time())
-
-
-# --- on a page -----------------------------------------------------------------------
-
-
-@contextmanager
-def _on_page(
-    options: argparse.Namespace, title: str, printer: Printer, interval: float
-) -> Iterator[Printer]:
-    """Show the values on a page too while the block runs, if there is an address."""
-    if options.page is None and options.page_token is None:
-        yield printer
-        return
-    from .shown_watch import ShownWatch
-
-    shown = ShownWatch(title, printer, interval)
-    with page.tables_shown(lambda: shown, options.page, options.page_token, sys.stderr):
-        yield shown

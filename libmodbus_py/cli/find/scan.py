@@ -30,8 +30,7 @@ from ..completers import completing, lists_of_parities
 from ..connecting import endpoint_of
 from ..main import INTERRUPTED
 from ..output import counted, print_json
-from ..progress import duration, missing, progress
-from ..status import Status
+from ..screen import Status, duration, missing, progress
 from .hosts import AT_ONCE, host_range, may_go_on
 
 __all__ = ["add_command"]

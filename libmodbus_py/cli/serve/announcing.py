@@ -1,18 +1,23 @@
 """
-Messages of a server: where it listens, and who can reach it.
+Messages of a server: where it listens and who can reach it, and to systemd that it serves.
 """
 
 from __future__ import annotations
 
+import contextlib
+import os
+import socket
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from ...ports.endpoint import Endpoint, parse
 from ...ports.hosts import is_loopback
-from ...server.server import Running
 from ..output import complain
-from .readiness import notify_ready
 
-__all__ = ["announcing"]
+if TYPE_CHECKING:
+    from ...server.server import Running
+
+__all__ = ["announcing", "notify_ready"]
 
 
 def announcing(allowed: list[str] | None) -> Callable[[Running], None]:
@@ -40,3 +45,20 @@ def announcing(allowed: list[str] | None) -> Callable[[Running], None]:
 def _is_open(endpoint: Endpoint) -> bool:
     """Return True if other machines can reach an endpoint that asks for no certificate."""
     return not (endpoint.has_path or endpoint.is_secure or is_loopback(endpoint.host))
+
+
+def notify_ready() -> None:
+    """
+    Notify the service manager that the command serves, with one datagram as sd_notify(3) describes;
+    do nothing without one.
+    """
+    place = os.environ.get("NOTIFY_SOCKET", "")
+    if not place.startswith(("/", "@")):
+        return
+    address = "\0" + place[1:] if place.startswith("@") else place
+    # A manager that is gone is not a reason to stop serving.
+    with (
+        contextlib.suppress(OSError),
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender,
+    ):
+        sender.sendto(b"READY=1", address)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, TextIO, TypeGuard
 from ...protocol.errors import ModbusConnectionError
 from ..help import make_rare
 from ..output import complain
-from .addresses import Address, OneAddress, address_like
+from .metrics import Address, OneAddress, address_like
 
 if TYPE_CHECKING:
     from ...server.server import Running

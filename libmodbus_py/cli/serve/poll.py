@@ -33,13 +33,12 @@ from .. import arguments, logs, tracing
 from ..failing import CommandError
 from ..help import VerbatimHelp
 from ..output import complain, counted
-from ..redrawn import Redrawn
-from ..status import Status
+from ..screen import Redrawn, Status
 from . import fleet as workers
 from . import metrics, page
+from .announcing import notify_ready
 from .fleet_table import fleet_lines
 from .hangup import Hangup, noted
-from .readiness import notify_ready
 
 if TYPE_CHECKING:
     from ...services.fleet.shown_fleet import PageOutput

@@ -7,15 +7,13 @@ from __future__ import annotations
 import io
 import os
 import signal
-import types
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from libmodbus_py import Device, Fleet, Mapping, Server
-from libmodbus_py.cli import redrawn
-from libmodbus_py.cli.redrawn import Redrawn
+from libmodbus_py.cli.screen import Redrawn
 from libmodbus_py.cli.serve.fleet_table import fleet_lines
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.last_values import KeptReadings
@@ -63,7 +61,7 @@ def test_what_is_drawn_fits_the_terminal(
     monkeypatch: pytest.MonkeyPatch, columns: int, rows: int, shown: int
 ) -> None:
     size = os.terminal_size((columns, rows))
-    monkeypatch.setattr(redrawn, "shutil", types.SimpleNamespace(get_terminal_size=lambda: size))
+    monkeypatch.setattr("shutil.get_terminal_size", lambda: size)
     stream = io.StringIO()
     table = Redrawn(stream)
     lines = [(f"line {at} \x1b[2J" + "x" * 200, False) for at in range(9)]

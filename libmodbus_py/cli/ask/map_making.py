@@ -1,5 +1,5 @@
 """
-A register map, made by reading a device.
+Register maps that are made by reading a device, or of its SunSpec models.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Iterable
+from contextlib import closing
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -15,14 +16,13 @@ from ...maps.point import Point
 from ...ports.endpoint import parse
 from ...tools.files.maps.texts import csv_text, toml_text
 from ...tools.scan.search import Extent, search
-from ..connecting import endpoint_of
+from ..connecting import connected, endpoint_of
 from ..failing import CommandError
 from ..main import INTERRUPTED
-from ..output import PROGRAM, counted
-from ..progress import missing, progress
-from ..status import Status
+from ..output import PROGRAM, complain, counted
+from ..screen import Status, missing, progress
 
-__all__ = ["form_of", "from_device", "write"]
+__all__ = ["from_device", "from_sunspec"]
 
 # With more cells the file would be too long, so points are ranges instead.
 MOST_CELLS = 4000
@@ -40,7 +40,7 @@ TEXTS: dict[str, Callable[[Iterable[Point]], str]] = {".toml": toml_text, ".csv"
 
 def from_device(options: argparse.Namespace) -> int:
     """Find what a device has, and write a map of it."""
-    text_of = form_of(options.output)
+    text_of = _form_of(options.output)
     url = endpoint_of(options).url
     status = Status()
     searched = search(url, on_progress=lambda state: status.show(progress(state)))
@@ -56,14 +56,34 @@ def from_device(options: argparse.Namespace) -> int:
     points = _points(searched.extents)
     if not points:
         raise CommandError(f"no table can be read: {_ended(searched.extents)}")
-    write(options.output, "\n".join([*_heading(url, searched.extents), text_of(points)]))
+    _write(options.output, "\n".join([*_heading(url, searched.extents), text_of(points)]))
     if options.output is not None:
         what = counted(len(points), "point")
         print(f"{options.output}: {what}; fill in names, types and units", file=sys.stderr)
     return code
 
 
-def form_of(output: str | None) -> Callable[[Iterable[Point]], str]:
+def from_sunspec(options: argparse.Namespace) -> int:
+    """Find the SunSpec models of a device, and write a map of their points."""
+    from ...tools.sunspec.discovery import discover
+
+    text_of = _form_of(options.output)
+    with closing(connected(options)) as context:
+        try:
+            device = discover(context)
+        except ImportError as error:
+            raise CommandError(str(error)) from None
+    for note in device.notes:
+        complain(note)
+    heading = f"# SunSpec models of {endpoint_of(options)}, found by {PROGRAM} map from-sunspec"
+    models = f"# {', '.join(f'{model.id} {model.name}' for model in device)}"
+    _write(options.output, "\n".join([heading, models, "", text_of(device.map.values())]))
+    if options.output is not None:
+        print(f"{options.output}: {counted(len(device.map), 'point')}", file=sys.stderr)
+    return 0
+
+
+def _form_of(output: str | None) -> Callable[[Iterable[Point]], str]:
     """Return the writer of the file; a file that cannot be written is refused before the search."""
     if output is None:
         return toml_text
@@ -103,7 +123,7 @@ def _ended(extents: list[Extent]) -> str:
     return ", ".join(reasons) or "nothing was asked"
 
 
-def write(output: str | None, text: str) -> None:
+def _write(output: str | None, text: str) -> None:
     """Write a text to a new file, or print it if there is no name."""
     if output is None:
         print(text, end="", flush=True)
