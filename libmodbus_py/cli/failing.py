@@ -1,5 +1,6 @@
 """
-The end of a command: an error is one line on stderr and an exit code, and SIGTERM is as Ctrl-C, so that serial ports get their settings back, and files are complete.
+The end of a command: an error is one line on stderr and an exit code. SIGTERM ends it as Ctrl-C
+does, so that serial ports get their settings back, and files are complete.
 """
 
 from __future__ import annotations
