@@ -12,9 +12,12 @@ from ..completers import completing, levels
 
 if TYPE_CHECKING:
     from ...client.blocking import Context
-    from ...protocol.pdu import DeviceIdentification, ServerId
+    from ...protocol.pdu import ServerId
 
 __all__ = ["add_command"]
+
+MANDATORY = {0, 1, 2}
+"""Numbers of the objects of the basic level, which every device has (section 6.21)."""
 
 EXAMPLES = """\
 examples:
@@ -54,7 +57,7 @@ def _identify(options: argparse.Namespace) -> int:
 
     def report(context: Context, several: bool) -> int:
         questions = {
-            "identification": lambda: _objects(context.read_device_identification(wanted)),
+            "identification": lambda: _objects(_identification(context, wanted)),
             "server id": lambda: _server_id(context.report_server_id()),
         }
         return print_report(context, questions, as_json=options.json, several=several)
@@ -62,12 +65,20 @@ def _identify(options: argparse.Namespace) -> int:
     return report_units(options, report)
 
 
-def _objects(identification: DeviceIdentification) -> list[tuple[str, bytes]]:
+def _identification(context: Context, wanted: str | int) -> dict[int, bytes]:
+    """Return the objects of a level; some devices leave out those of the basic level in others."""
+    found = context.read_device_identification(wanted).objects
+    if wanted in ("regular", "extended") and MANDATORY - found.keys():
+        found = {**context.read_device_identification("basic").objects, **found}
+    return found
+
+
+def _objects(objects: dict[int, bytes]) -> list[tuple[str, bytes]]:
     from ...protocol.pdu.interface import OBJECT_NAMES
 
     return [
         (OBJECT_NAMES.get(number, f"object {number}"), value)
-        for number, value in sorted(identification.objects.items())
+        for number, value in sorted(objects.items())
     ]
 
 

@@ -8,6 +8,7 @@ import json
 
 from libmodbus_py import Device, Mapping, Server, pdu
 from tests.support.commands import run
+from tests.support.peers import FakeServer, mbap
 
 
 def test_identify(url: str) -> None:
@@ -30,3 +31,20 @@ def test_a_server_id_without_a_run_indicator_is_shown_as_it_was_sent() -> None:
     assert "running" not in told.out
     assert found["server id"] == "ACME"
     assert "running" not in found
+
+
+def test_basic_objects_that_a_device_leaves_out_at_other_levels_are_asked_for() -> None:
+    def answer(request: bytes) -> list[bytes]:
+        if request[7] != 43:
+            return [mbap(request, bytes([request[7] | 0x80, 1]))]
+        level = request[9]
+        objects = {0: b"Maker", 1: b"M1", 2: b"1.0"} if level == 1 else {3: b"example.com"}
+        listed = b"".join(bytes([at, len(text)]) + text for at, text in objects.items())
+        return [mbap(request, bytes([43, 14, level, 0x02, 0, 0, len(objects)]) + listed)]
+
+    with FakeServer(answer) as server:
+        done = run("identify", f"127.0.0.1:{server.port}")
+    assert (done.code, done.err) == (0, "")
+    assert [line.split()[0] for line in done.out.splitlines()[:4]] == [
+        *("VendorName", "ProductCode", "MajorMinorRevision", "VendorUrl")
+    ]
