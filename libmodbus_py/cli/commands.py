@@ -52,7 +52,7 @@ EXAMPLES = """\
 examples:
   libmodbus-py serve --example meter
   libmodbus-py scan /dev/ttyUSB0
-  libmodbus-py read 192.0.2.10 holding 0 10
+  libmodbus-py 192.0.2.10 hr 0 10                  # read, which may be left out
   libmodbus-py read /dev/ttyUSB0 -b 9600 -u 7 --map meter.csv --watch"""
 
 

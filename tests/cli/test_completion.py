@@ -1,5 +1,5 @@
 """
-Completion in real shells, and the manual page.
+Completion in real shells and whatever the order of the words.
 """
 
 from __future__ import annotations
@@ -15,11 +15,9 @@ import pytest
 
 from libmodbus_py.cli.ask.items import TABLE_WORDS
 from libmodbus_py.cli.ask.read import names as names_of_map
-from tests.support.commands import run
+from tests.support.commands import PROGRAM, run
 
 argcomplete = pytest.importorskip("argcomplete")
-
-MAP = "name,table,address\nvoltage,input,0\ncurrent,input,1\n"
 
 
 @pytest.fixture
@@ -44,17 +42,8 @@ def shell(place: Path, command: list[str]) -> subprocess.CompletedProcess[str]:
     ("line", "found"),
     [
         ("libmodbus-py ident", {"identify"}),
-        ("libmodbus-py read --wat", {"--watch"}),
-        ("libmodbus-py read 127.0.0.1 hol", {"holding"}),
         ("libmodbus-py read --map meter.csv 127.0.0.1 vol", {"voltage"}),
         ("libmodbus-py completion ", {"bash", "zsh", "fish"}),
-        ("libmodbus-py read --map met", {"meter", "meter.csv"}),
-        ("libmodbus-py read 127.0.0.1 curr", set()),
-        ("libmodbus-py read --map=meter.csv 127.0.0.1 hr 0 curr", {"current"}),
-        ("libmodbus-py read 127.0.0.1 hr 0 --type floa", {"float16", "float32", "float64"}),
-        ("libmodbus-py write 127.0.0.1 hr 0 1 --order AB", {"ABCD"}),
-        ("libmodbus-py read /dev/ttyUSB0 -p e", {"even"}),
-        ("libmodbus-py serve --example pla", {"plant"}),
     ],
 )
 def test_bash(place: Path, line: str, found: set[str]) -> None:
@@ -119,3 +108,75 @@ def test_the_map_may_stand_behind_the_name(
     monkeypatch.setenv("COMP_LINE", line)
     names = names_of_map(argparse.Namespace(map=None))
     assert set(names) - {*TABLE_WORDS} == found
+
+
+MAP = "name,table,address\nvoltage,input,0\ncurrent,input,1\n"
+
+LINES = [
+    ("read --wat", {"--watch"}),
+    ("read 127.0.0.1 hol", {"holding"}),
+    ("read --map met", {"meter", "meter.csv"}),
+    ("read 127.0.0.1 curr", set()),
+    ("read --map=meter.csv 127.0.0.1 hr 0 curr", {"current"}),
+    ("read 127.0.0.1 hr 0 --type floa", {"float16", "float32", "float64"}),
+    ("write 127.0.0.1 hr 0 1 --order AB", {"ABCD"}),
+    ("read /dev/ttyUSB0 -p e", {"even"}),
+    ("serve --example pla", {"plant"}),
+    ("read 192.0.2.10 -b 9600 --map meter.csv vol", {"voltage"}),
+    ("read 192.0.2.10 --map meter.csv -u 3 vol", {"voltage"}),
+    ("read 192.0.2.10 voltage -u 3 --map meter.csv cur", {"current"}),
+    ("read 192.0.2.10 --map meter.csv --watch vol", {"voltage"}),
+    ("read 192.0.2.10 --map meter.csv --watch 5 vol", {"voltage"}),
+    ("read 192.0.2.10 --csv --map meter.csv vol", {"voltage"}),
+    ("read 192.0.2.10 --csv log.csv --map meter.csv vol", {"voltage"}),
+    ("read 192.0.2.10 hr 0 -v hol", {"holding"}),
+    ("read -u 3 192.0.2.10 hr 0 --type floa", {"float16", "float32", "float64"}),
+    ("read 192.0.2.10 hr 0 -u 3 --order CD", {"CDAB"}),
+    ("read 192.0.2.10 hr 0 --encoding latin", {"latin-1"}),
+    ("read 192.0.2.10 hr 0 -v --map sdm12", {"sdm120"}),
+    ("write 192.0.2.10 --map meter.csv voltage -5 -u 2 cur", {"current"}),
+    ("write 192.0.2.10 --mask 0xF0 1 --map meter.csv vol", {"voltage"}),
+    ("identify -u 1-9 192.0.2.10 --level ext", {"extended"}),
+    ("diagnose 192.0.2.10 -u 1 return-q", {"return-query-data"}),
+    ("map check -u 3 sdm120 sdm63", {"sdm630"}),
+    ("map class -o meter.py sdm63", {"sdm630"}),
+    ("serve 127.0.0.1:1502 --page --example pla", {"plant"}),
+    ("scan /dev/ttyUSB0 --deep -p none,ev", {"none,even"}),
+    ("gateway 127.0.0.1:1502 --to 192.0.2.10 -p od", {"odd"}),
+]
+
+
+def completed(line: str, folder: Path, **shell: str) -> str:
+    """Ask as the function of a shell does: through the environment, with the answer in a file."""
+    answer = folder / "answer"
+    subprocess.run(
+        PROGRAM,
+        cwd=folder,
+        env={
+            **os.environ,
+            "COMP_LINE": line,
+            "COMP_POINT": str(len(line)),
+            "COMP_TYPE": "9",
+            "_ARGCOMPLETE": "1",
+            "_ARGCOMPLETE_SUPPRESS_SPACE": "1",
+            "_ARGCOMPLETE_IFS": "\013",
+            "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
+            **shell,
+        },
+        check=True,
+        capture_output=True,
+        timeout=60,
+    )
+    return answer.read_text()
+
+
+@pytest.mark.parametrize(("line", "found"), LINES)
+def test_answers_to_bash(place: Path, line: str, found: set[str]) -> None:
+    answer = completed(f"libmodbus-py {line}", place, _ARGCOMPLETE_SHELL="bash")
+    assert {each.strip() for each in answer.split("\013")} - {"--help", ""} == found
+
+
+def test_answers_to_zsh(place: Path) -> None:
+    line, found = "read 192.0.2.10 --map meter.csv -u 3 vol", {"voltage"}
+    answer = completed(f"libmodbus-py {line}", place, _ARGCOMPLETE_SHELL="zsh")
+    assert {each.partition(":")[0] for each in answer.split("\013")} == found

@@ -1,14 +1,17 @@
 """
-The text of every --help and --help-all, compared with golden files.
+The text of every --help and --help-all: its golden file, its size, its examples.
 
 `./run test --make-golden tests/cli` writes the files again after a change of texts or options.
 """
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from libmodbus_py.cli.commands import COMMANDS
+from tests.support.cases import each_case
 from tests.support.commands import run
 from tests.support.golden import Golden
 
@@ -34,3 +37,26 @@ def test_help_is_the_golden_file(words: tuple[str, ...], golden: Golden) -> None
         golden(f"help-all_{name}.txt", whole.out)
     else:  # there are no rare options
         assert done.out == whole.out
+
+
+WITHOUT_EXAMPLES = ("demo",)
+"""Commands that take no arguments, so that there is one way to type them."""
+
+
+@each_case("words", PLACES)
+def test_help_fits_a_terminal(words: tuple[str, ...]) -> None:
+    for option in ("--help", "--help-all"):
+        lines = run(*words, option, environment={"COLUMNS": "80"}).out.splitlines()
+        assert [line for line in lines if len(line) > 80] == []
+        assert option == "--help-all" or len(lines) <= 70
+
+
+@each_case("words", [words for words in PLACES if words[:1] != WITHOUT_EXAMPLES])
+def test_help_has_four_examples_of_its_own_command(words: tuple[str, ...]) -> None:
+    text = run(*words, "--help", environment={"COLUMNS": "80"}).out
+    examples = text.partition("\nexamples:\n")[2].partition("\n\n")[0]
+    commands = [line for line in examples.splitlines() if "libmodbus-py" in line]
+    assert len(commands) == 4
+    assert all(line.startswith("  ") for line in examples.splitlines())
+    assert "&" not in re.sub("'[^']*'|\"[^\"]*\"", "", examples)  # shells interpret it
+    assert any(" ".join(("libmodbus-py", *words)) in line for line in commands)

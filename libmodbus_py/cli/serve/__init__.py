@@ -11,7 +11,6 @@ Commands that run until a signal ends them.
     limits       the options that limit what clients may use
     metrics      the option for metrics, and HOST:PORT on the command line
     page         the option for a live page
-    state        the option for a file that keeps values
     audit        the options for an audit trail
     announcing   messages: where a server listens, who can reach it, and that it serves
     hangup       SIGHUP: a file to read again, or a terminal that was closed

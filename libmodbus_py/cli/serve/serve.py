@@ -7,7 +7,8 @@ SIGHUP reads the device file again; with --reload, so does every change of the f
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -23,8 +24,9 @@ from .. import arguments, completers, logs
 from ..connecting import OF_SERVERS, with_options
 from ..foreign import place
 from ..help import VerbatimHelp
+from ..output import complain
 from ..tracing import print_frame
-from . import audit, limits, metrics, page, state
+from . import audit, limits, metrics, page
 from .announcing import announcing
 from .hangup import Hangup, is_secure, noted
 
@@ -72,7 +74,7 @@ def add_command(commands: Any) -> None:
         metavar="N",
         help="device that answers units 0 and 255 too, on TCP and UDP",
     )
-    state.add_argument(command)
+    _add_state(command)
     metrics.add_argument(command)
     page.add_argument(command)
     limits.add_arguments(command).add_argument(
@@ -145,9 +147,9 @@ def _serve_logged(options: argparse.Namespace, hangup: Hangup) -> int:
         reloader = None
         if simulation is not None and path is not None:
             is_watching = options.reload
-            reloader = Reloader(server, path, simulation, is_watching=is_watching, tell=state.tell)
+            reloader = Reloader(server, path, simulation, is_watching=is_watching, tell=_tell)
         with (
-            state.kept(options.state, lambda: (reloader or server).devices),
+            _kept(options.state, lambda: (reloader or server).devices),
             metrics.exposed(server, options.metrics),
             page.shown(server, options.page, announce, options.page_token) as announce_all,
         ):
@@ -185,3 +187,46 @@ def _everything() -> Device:
     everything = Mapping(65536, 65536, 65536, 65536)
     files = {number: [0] * RECORDS_PER_FILE for number in range(1, 11)}
     return Device(everything, files=files)
+
+
+# --- the option --state --------------------------------------------------------------
+
+
+def _add_state(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--state",
+        metavar="FILE",
+        help="keep the values that clients write in this file, so that they survive a restart;"
+        " it is written at most once a second, and at the end",
+    )
+
+
+@contextlib.contextmanager
+def _kept(path: str | None, devices: Callable[[], Any]) -> Iterator[None]:
+    """
+    Load the values of devices from a file, and save them to it while the block runs.
+
+    Args:
+        devices: returns the devices that are served now.
+
+    Raises:
+        ValueError: the file is used by another program, or is not a file of these devices.
+    """
+    if path is None:
+        yield
+        return
+    from ...tools.simulator.values_file import ValuesFile
+
+    try:
+        file = ValuesFile(path, devices, tell=_tell)
+    except ValueError as error:
+        raise ValueError(f"--state: {error}") from None
+    with contextlib.closing(file):
+        file.start()
+        yield
+
+
+def _tell(line: str) -> None:
+    """Print a line on stderr, if there is a reader."""
+    with contextlib.suppress(OSError, ValueError):  # without a reader it still serves
+        complain(line)

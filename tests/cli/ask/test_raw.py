@@ -1,9 +1,15 @@
 """
-The command raw.
+The command raw, and which text it takes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+import pytest
+
+from libmodbus_py import Device, Mapping
+from libmodbus_py.tools.testing.recording import RecordingServer, ServerMaker
 from tests.support.cases import each_case
 from tests.support.commands import run
 
@@ -28,3 +34,64 @@ def test_raw(url: str, words: str, code: int, said: str) -> None:
     assert done.code == code
     assert said in (done.out if code == 0 else done.err)
     assert done.err.count("\n") == (code != 0)
+
+
+@pytest.fixture
+def server() -> Iterator[RecordingServer]:
+    with ServerMaker() as maker:
+        yield maker(devices=Device(Mapping(holding_registers={0: [1, 2, 3]})))
+
+
+@each_case("words", ["0 0 0 2", "000 0002", "0000 000 2", "0000 2", "00 0 0 02", "0x0000000", ""])
+def test_words_that_are_no_whole_bytes_are_refused(server: RecordingServer, words: str) -> None:
+    done = run("raw", server.url, 3, *(words.split() or ["0"]))
+    assert done.code == 2
+    assert "HEX must be pairs of hex digits, not '" in done.err
+    assert not server.transactions
+
+
+@each_case(
+    "words",
+    [
+        ["0000", "0002"],
+        ["00", "00", "00", "02"],
+        ["00 00 00 02"],
+        ["00000002"],
+        ["0x00000002"],
+        ["0x00,0x00, 0x00,02"],
+        ["00:00", "0X0002"],
+        ["0000,0002,"],
+    ],
+)
+@each_case("function", ["3", "0x03"])
+def test_words_of_whole_bytes_are_taken(
+    server: RecordingServer, function: str, words: list[str]
+) -> None:
+    assert run("raw", server.url, function, *words).out.startswith("03 04 00 01 00 02\n")
+
+
+@each_case(
+    ("word", "said"),
+    [
+        ("10", None),
+        ("100", "not '100'; the number 100 of 16 bits is 0064"),
+        ("0", "not '0'; the number 0 of 16 bits is 0000"),
+        ("a", "not 'a'; a byte has two digits, such as 0a"),
+        ("0g", "not '0g' (see"),
+    ],
+)
+def test_the_error_says_how_a_number_is_typed(word: str, said: str | None) -> None:
+    done = run("raw", "127.0.0.1:1", 100, word)
+    assert (said or "cannot connect") in done.err
+
+
+def test_bytes_as_they_stand_in_manuals_are_taken(server: RecordingServer) -> None:
+    for words, answer in (("03 00 00 00 02", "03 04"), ("0x10 00 00 00 01 02 00 07", "10 00 00")):
+        assert run("raw", server.url, *words.split()).out.startswith(answer)
+
+
+@each_case(("byte", "other"), [("10", "0x0a"), ("16", "0x10"), ("43", "0x2b")])
+def test_a_byte_that_could_be_decimal_is_refused(byte: str, other: str) -> None:
+    done = run("raw", "127.0.0.1:1", byte, "00", "01")
+    assert done.code == 2
+    assert f"FUNCTION {byte} can be 0x{byte} or {other}" in done.err
