@@ -13,7 +13,7 @@ from ..ports.trace import WIRE, Traced
 from ..protocol.pdu import REQUESTS
 from ..protocol.plain import clock_text
 
-__all__ = ["Tracing", "in_columns", "print_frame", "wire_printed"]
+__all__ = ["Tracing", "print_frame", "wire_printed"]
 
 
 class Tracing:
@@ -33,12 +33,12 @@ class Tracing:
             self._sent = traced.time
         else:
             took = traced.time - self._sent
-        print(in_columns(traced, took), file=sys.stderr, flush=True)
+        print(_in_columns(traced, took), file=sys.stderr, flush=True)
 
 
 def print_frame(traced: Traced) -> None:
     """Print a frame of a server to stderr, in the same columns."""
-    print(in_columns(traced), file=sys.stderr, flush=True)
+    print(_in_columns(traced), file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager
@@ -67,7 +67,7 @@ class _WireHandler(logging.Handler):
                 print_frame(record.args[0])
 
 
-def in_columns(traced: Traced, took: float | None = None) -> str:
+def _in_columns(traced: Traced, took: float | None = None) -> str:
     """
     Return a frame as one line.
 

@@ -6,14 +6,27 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
+from textwrap import fill
 from typing import Any
 
 from .. import arguments
 from ..completers import completing, maps
+from ..foreign import place
 from ..help import VerbatimHelp
 from ..output import counted
 
 __all__ = ["add_command"]
+
+Run = Callable[[argparse.Namespace], int]
+
+CHECK = "check register maps, and print their points and requests"
+LIST = "list the register maps that come with the package"
+CLASS = "write a Python class for a register map, in which type checkers find wrong names"
+FROM_DEVICE = "find the addresses of a device by reading, and write a map of them"
+FROM_SUNSPEC = "find the SunSpec models of a device, and write a map of their points"
+
+TO_FILL_IN = ", in which names, types and units remain to be filled in"
 
 EXAMPLES = """\
 examples:
@@ -22,61 +35,79 @@ examples:
   libmodbus-py map class meter.csv -o meter.py
   libmodbus-py map from-device "tcp://192.0.2.10?unit=17" > meter.toml"""
 
+OF_CHECK = f"""\
+The exit code is 0 if all files are right, 2 if one contains a mistake, 1 if
+the device lacks a point or does not answer.
 
-OF_ACTIONS = {
-    "check": """\
+examples:
   libmodbus-py map check meter.csv
   libmodbus-py map check meter inverter.toml
   libmodbus-py map check meter.csv --device 192.0.2.10 -u 17
-  libmodbus-py map check meter.csv --device /dev/ttyUSB0 -b 9600 -p none""",
-    "list": """\
+  libmodbus-py map check meter.csv --device /dev/ttyUSB0 -b 9600 -p none
+
+{arguments.URLS}"""
+
+OF_LIST = """\
+examples:
   libmodbus-py map list
   libmodbus-py map list | grep Eastron
   libmodbus-py map check sdm120
-  libmodbus-py read 192.0.2.10 --map sdm120""",
-    "class": """\
+  libmodbus-py read 192.0.2.10 --map sdm120"""
+
+OF_CLASS = """\
+examples:
   libmodbus-py map class meter.csv
   libmodbus-py map class meter.csv -o meter.py
   libmodbus-py map class inverter.toml --output inverter.py
-  libmodbus-py map class sdm120 -o sdm120.py""",
-    "from-device": """\
+  libmodbus-py map class sdm120 -o sdm120.py"""
+
+OF_DEVICE = f"""\
+examples:
   libmodbus-py map from-device 192.0.2.10 > meter.toml
   libmodbus-py map from-device 192.0.2.10 -u 17 -o meter.csv
   libmodbus-py map from-device /dev/ttyUSB0 -b 9600 -p none -o meter.toml
-  libmodbus-py map from-device 192.0.2.10 --timeout 300ms -o meter.csv""",
-    "from-sunspec": """\
+  libmodbus-py map from-device 192.0.2.10 --timeout 300ms -o meter.csv
+
+{arguments.URLS}"""
+
+OF_SUNSPEC = f"""\
+It needs: pip install 'libmodbus-py[sunspec]'.
+
+examples:
   libmodbus-py map from-sunspec 192.0.2.10 > inverter.toml
   libmodbus-py map from-sunspec 192.0.2.10 -u 126 -o inverter.toml
   libmodbus-py map from-sunspec /dev/ttyUSB0 -b 9600 -o inverter.csv
-  libmodbus-py map from-sunspec 192.0.2.10 --timeout 3s -o inverter.csv""",
-}
-"""Action -> the examples of its --help."""
+  libmodbus-py map from-sunspec 192.0.2.10 --timeout 3s -o inverter.csv
 
-
-def _examples(action: str, others: str = "") -> str:
-    return "\n\n".join(filter(None, [f"examples:\n{OF_ACTIONS[action]}", others]))
+{arguments.URLS}"""
 
 
 def add_command(commands: Any) -> None:
     """Add the command to argparse."""
     command = commands.add_parser("map", epilog=EXAMPLES, formatter_class=VerbatimHelp)
     actions = command.add_subparsers(metavar="ACTION", required=True)
-    _add_check(actions)
-    _add_list_and_class(actions)
-    _add_from_device(actions)
-    _add_from_sunspec(actions)
+
+    def add(name: str, run: Run, about: str, epilog: str, more: str = "") -> Any:
+        action = actions.add_parser(
+            name,
+            help=about,
+            description=f"{fill(about[0].upper() + about[1:] + more, 79)}.",
+            epilog=epilog,
+            formatter_class=VerbatimHelp,
+        )
+        action.set_defaults(run=run, parser=action)
+        return action
+
+    _add_check(add("check", _check, CHECK, OF_CHECK))
+    add("list", _list, LIST, OF_LIST, "; --map takes their names")
+    _add_class(add("class", _class, CLASS, OF_CLASS))
+    _add_from_device(add("from-device", _from_device, FROM_DEVICE, OF_DEVICE, TO_FILL_IN))
+    from_sunspec = add("from-sunspec", _from_sunspec, FROM_SUNSPEC, OF_SUNSPEC)
+    arguments.add_client(from_sunspec)
+    _add_output(from_sunspec)
 
 
-def _add_check(actions: Any) -> None:
-    about = "check register maps, and print their points and requests"
-    check = actions.add_parser(
-        "check",
-        help=about,
-        description=f"{about.capitalize()}.",
-        epilog="The exit code is 0 if all files are right, 2 if one contains a mistake, 1 if\n"
-        f"the device lacks a point or does not answer.\n\n{_examples('check', arguments.URLS)}",
-        formatter_class=VerbatimHelp,
-    )
+def _add_check(check: argparse.ArgumentParser) -> None:
     files = check.add_argument(
         "files", metavar="FILE", nargs="+", help="such as meter.csv, or a name that list prints"
     )
@@ -84,34 +115,13 @@ def _add_check(actions: Any) -> None:
     check.add_argument(
         "--device",
         metavar="URL",
+        type=place,
         help="read all points of this device, and print those that it refuses",
     )
-    arguments.add_client_options(check.add_argument_group("requests"))
-    arguments.add_serial_options(check)
-    arguments.add_security_options(check)
-    arguments.add_verbose(check)
-    check.set_defaults(run=_check, parser=check)
+    arguments.add_requests(check)
 
 
-def _add_list_and_class(actions: Any) -> None:
-    about = "list the register maps that come with the package"
-    listing = actions.add_parser(
-        "list",
-        help=about,
-        description=f"{about.capitalize()}; --map takes their names.",
-        epilog=_examples("list"),
-        formatter_class=VerbatimHelp,
-    )
-    listing.set_defaults(run=_list, parser=listing)
-    about = "write a Python class for a register map, in which type checkers find wrong names"
-    typed = actions.add_parser(
-        "class",
-        help=about,
-        description="Write a Python class for a register map, in which type checkers find\n"
-        "wrong names.",
-        epilog=_examples("class"),
-        formatter_class=VerbatimHelp,
-    )
+def _add_class(typed: argparse.ArgumentParser) -> None:
     file = typed.add_argument(
         "file", metavar="FILE", help="such as meter.csv, or a name that list prints"
     )
@@ -122,42 +132,20 @@ def _add_list_and_class(actions: Any) -> None:
         metavar="FILE",
         help="a .py file, new or written by this command before (printed)",
     )
-    typed.set_defaults(run=_class, parser=typed)
 
 
-def _add_from_device(actions: Any) -> None:
-    about = "find the addresses of a device by reading, and write a map of them"
-    skeleton = actions.add_parser(
-        "from-device",
-        help=about,
-        description="Find the addresses of a device by reading, and write a map of them, in which\n"
-        "names, types and units remain to be filled in.",
-        epilog=_examples("from-device", arguments.URLS),
-    )
+def _add_from_device(skeleton: argparse.ArgumentParser) -> None:
     arguments.add_url(skeleton)
-    skeleton.add_argument(
-        "-o", "--output", metavar="FILE", help="a new file, .toml or .csv (TOML, printed)"
-    )
+    _add_output(skeleton)
     arguments.add_client_options(skeleton.add_argument_group("requests"), defaults=_timeouts)
     arguments.add_serial_options(skeleton)
     arguments.add_security_options(skeleton)
-    skeleton.set_defaults(run=_from_device, parser=skeleton)
 
 
-def _add_from_sunspec(actions: Any) -> None:
-    about = "find the SunSpec models of a device, and write a map of their points"
-    sunspec = actions.add_parser(
-        "from-sunspec",
-        help=about,
-        description=f"{about[0].upper()}{about[1:]}.",
-        epilog="It needs: pip install 'libmodbus-py[sunspec]'.\n\n"
-        + _examples("from-sunspec", arguments.URLS),
-    )
-    arguments.add_client(sunspec)
-    sunspec.add_argument(
+def _add_output(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
         "-o", "--output", metavar="FILE", help="a new file, .toml or .csv (TOML, printed)"
     )
-    sunspec.set_defaults(run=_from_sunspec, parser=sunspec)
 
 
 def _timeouts() -> dict[str, str]:

@@ -15,12 +15,12 @@ from ipaddress import ip_network
 from ...ports.hosts import host_and_port
 from ...ports.schemes import DEFAULT_PORT
 
-__all__ = ["AT_ONCE", "MOST_HOSTS", "HostRange", "host_range", "may_go_on"]
+__all__ = ["AT_ONCE", "host_range", "may_go_on"]
 
-MOST_HOSTS = 65_536
+_MAX_HOSTS = 65_536
 """Hosts of a range, at most."""
 
-MANY = 1024
+_MANY_HOSTS = 1024
 """Hosts that are tried without a question, at most."""
 
 AT_ONCE = 64
@@ -30,7 +30,7 @@ _RANGE = re.compile(r"(?:tcp://)?\[?([0-9A-Fa-f.:]+/[0-9]{1,3})\]?(?::([0-9]{1,5
 
 
 @dataclass(frozen=True)
-class HostRange:
+class _HostRange:
     """
     The hosts of a network, and the port that is tried on each.
 
@@ -54,7 +54,7 @@ class HostRange:
                 pool.shutdown(wait=True, cancel_futures=True)
 
 
-def host_range(text: str) -> HostRange | None:
+def host_range(text: str) -> _HostRange | None:
     """
     Return the hosts of a range such as 192.0.2.0/24 or 192.0.2.0/24:1502; None for other text.
 
@@ -68,17 +68,17 @@ def host_range(text: str) -> HostRange | None:
         network = ip_network(found[1], strict=False)
     except ValueError as error:
         raise ValueError(f"{text!r}: {error}") from None
-    if network.num_addresses > MOST_HOSTS:
+    if network.num_addresses > _MAX_HOSTS:
         raise ValueError(
-            f"{text!r} has {network.num_addresses} hosts, and a scan tries {MOST_HOSTS} at most"
+            f"{text!r} has {network.num_addresses} hosts, and a scan tries {_MAX_HOSTS} at most"
         )
     port = int(found[2] or DEFAULT_PORT)
     if not 1 <= port <= 65535:
         raise ValueError(f"{text!r}: the port must be in 1..65535")
-    return HostRange(tuple(map(str, network.hosts())), port)
+    return _HostRange(tuple(map(str, network.hosts())), port)
 
 
-def may_go_on(hosts: HostRange, *, is_confirmed: bool) -> bool:
+def may_go_on(hosts: _HostRange, *, is_confirmed: bool) -> bool:
     """
     Return True if all these hosts may be tried; on a terminal, ask the user if there are many.
 
@@ -86,10 +86,12 @@ def may_go_on(hosts: HostRange, *, is_confirmed: bool) -> bool:
         ValueError: there are many hosts, and no terminal to ask at.
     """
     count = len(hosts.hosts)
-    if count <= MANY or is_confirmed:
+    if count <= _MANY_HOSTS or is_confirmed:
         return True
     if not sys.stdin.isatty():
-        raise ValueError(f"{count} hosts are more than {MANY}: --yes tries them without a question")
+        raise ValueError(
+            f"{count} hosts are more than {_MANY_HOSTS}: --yes tries them without a question"
+        )
     print(f"try {count} hosts? [y/N] ", end="", file=sys.stderr, flush=True)
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 

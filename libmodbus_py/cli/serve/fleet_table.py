@@ -19,7 +19,8 @@ MOST_LINES = 500
 WIDEST = 30
 """Characters of a name."""
 
-MOST_TEXT = 60
+MAX_TEXT_CHARACTERS = 60
+"""Of a value, so that its unit of measurement stays on the line."""
 
 
 def fleet_lines(fleet: Fleet, kept: KeptReadings, title: str) -> list[tuple[str, bool]]:
@@ -35,7 +36,11 @@ def fleet_lines(fleet: Fleet, kept: KeptReadings, title: str) -> list[tuple[str,
     device = min(max((len(each.device) for each in shown), default=0), WIDEST)
     name = min(max((len(each.name) for each in shown), default=0), WIDEST)
     for each in shown:
-        text = _text(each.value)[:MOST_TEXT] if each.quality == "good" else f"- ({each.reason})"
+        text = (
+            _text(each.value)[:MAX_TEXT_CHARACTERS]
+            if each.quality == "good"
+            else f"- ({each.reason})"
+        )
         where = f"{each.device[:WIDEST]:<{device}}  {each.name[:WIDEST]:<{name}}"
         lines.append((f"{where}  {text:>14} {each.unit}".rstrip(), False))
     hidden = len(readings) - len(shown)
