@@ -62,13 +62,11 @@ from .type_names import (
 )
 from .words import (
     ORDER_WORDS,
-    TWO_ORDERS,
     TYPE_WORDS,
     Reference,
     close_word,
     order_named,
     parse_reference,
-    plain,
     type_named,
 )
 
@@ -111,7 +109,7 @@ def _order(order: object, kind: ValueType) -> str:
     name, width = _SPELLINGS.get(order.upper(), (order.upper(), None))
     name = name if name in ORDERS else order_named(order) or name
     if name not in ORDERS:
-        close = TWO_ORDERS.get(plain(name)) or close_word(name, ORDERS, ORDER_WORDS)
+        close = close_word(name, ORDERS, ORDER_WORDS)
         wanted = f"must be one of {', '.join(ORDERS)}"
         raise WrongValue("order", f"{wanted}, not {reprlib.repr(order)}{close}")
     if width not in (None, 1 if kind.is_text else kind.registers):

@@ -18,8 +18,8 @@ from .mistakes import WrongValue
 
 # fmt: off
 __all__ = [
-    "ORDER_WORDS", "REFERENCE_TABLES", "TABLE_WORDS", "TWO_ORDERS", "TYPE_WORDS", "Reference",
-    "by_word", "close_word", "order_named", "parse_reference", "plain", "table_named", "type_named",
+    "ORDER_WORDS", "REFERENCE_TABLES", "TABLE_WORDS", "TYPE_WORDS", "Reference", "by_word",
+    "close_word", "order_named", "parse_reference", "plain", "table_named", "type_named",
 ]
 # fmt: on
 
@@ -93,7 +93,7 @@ ORDER_WORDS = by_word(
 _LITTLE = ", which is DCBA to some, and CDAB (the low word first) to others"
 _BIG = ", which is ABCD to some, and CDAB (each register alone, the low word first) to others"
 
-TWO_ORDERS = {"little endian": _LITTLE, "le": _LITTLE, "big endian": _BIG, "be": _BIG}
+_TWO_ORDERS = {"little endian": _LITTLE, "le": _LITTLE, "big endian": _BIG, "be": _BIG}
 """Word that names no order, because vendors mean two -> the end of the message about it."""
 
 
@@ -104,12 +104,15 @@ def table_named(text: object) -> str | None:
 
 def close_word(text: object, names: Iterable[str], words: Iterable[str]) -> str:
     """
-    Return the end of a message about a word that is not known: those that are close to it.
+    Return the end of a message about a word that is not known: those that are close to it, or the
+    two orders that vendors mean by it.
 
     Args:
         names: known here, and looked at first.
         words: those of vendors.
     """
+    if words is ORDER_WORDS and (meanings := _TWO_ORDERS.get(plain(str(text)))):
+        return meanings
     return close_to(text, names) or close_to(plain(str(text)), words)
 
 
