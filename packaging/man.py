@@ -1,7 +1,7 @@
 """
 Write the manual page of the command line: python packaging/man.py FILE
 
-Its text is that of --help, command by command. It is made when the package is built, and is
+Its text is that of --help-all, command by command. It is made when the package is built, and is
 the same for each time, because its date is that of SOURCE_DATE_EPOCH, or none.
 """
 

@@ -213,8 +213,9 @@ class _Parser(argparse.ArgumentParser):
         from ..protocol.close_names import close_to
 
         close = close_to(value, action.choices)
-        if action.nargs == argparse.PARSER and close:
-            raise argparse.ArgumentError(None, f"there is no command {value!r}{close}")
+        if action.nargs == argparse.PARSER and (close or self.prog == PROGRAM):
+            device = f"; a device of this name is read by {PROGRAM} read {value}"
+            raise argparse.ArgumentError(None, f"there is no command {value!r}{close or device}")
         known = ", ".join(map(str, action.choices))
         raise argparse.ArgumentError(action, f"must be one of {known}, not {value!r}{close}")
 

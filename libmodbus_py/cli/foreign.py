@@ -129,9 +129,13 @@ def _is_foreign(parser: argparse.ArgumentParser, word: str, before: Sequence[str
     known = parser._option_string_actions
     if word in known or not word[1:].isdecimal():
         return word not in known
-    option = known.get(before[-1]) if before else None
+    if not before or parser.prog.endswith(" write"):
+        return not before
+    from ..protocol.words import table_named
+
+    option = known.get(before[-1])
     is_value = option is not None and option.nargs != 0
-    return not is_value and not parser.prog.endswith(" write")
+    return not is_value and table_named(before[-1]) is None
 
 
 _PORT_NAME = re.compile(r"tty[A-Za-z]{1,4}[0-9]+(?:\?.*)?")

@@ -60,7 +60,8 @@ def test_options_and_values_of_ours_are_none_of_theirs() -> None:
         "map check sdm120 -u 3 --device 127.0.0.1:1",
     ):
         assert ": type " not in run(*words.split()).err
-    assert "-1: type" not in run("read", "127.0.0.1:1", "hr", "0", "--timeout", "-1").err
+    for words in ("hr -1", "hr 0 --timeout -1"):
+        assert ": type " not in run("read", "127.0.0.1:1", *words.split()).err
 
 
 @pytest.mark.parametrize("tool", ["mbpoll", "modpoll"])
@@ -91,7 +92,7 @@ def test_a_command_that_is_left_out_reads() -> None:
         ("gateway ttyUSB99 --to 127.0.0.1:1", "/dev/ttyUSB99"),
         ("listen ttyUSB99", "/dev/ttyUSB99"),
         ("reed 127.0.0.1", "there is no command 'reed'; did you mean read?"),
-        ("hr 0", "must be one of read, write"),
+        ("plc1 hr 0", "there is no command 'plc1'; a device of this name is read by"),
         ("--nonsense", "COMMAND"),
     ],
 )

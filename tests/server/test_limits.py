@@ -298,7 +298,7 @@ def test_serial_lines_are_silent_for_a_unit_without_a_device(
 
 def test_serve_has_an_option_for_each_limit(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
-        main(["serve", "--help"])
+        main(["serve", "--help-all"])
     assert ended.value.code == 0
     told = capsys.readouterr().out
     limits = [
