@@ -1,16 +1,19 @@
 """
-The arguments that several commands take: the same words everywhere, and what is wrong by name.
+Options: those of URLs, their names, their texts, and what is said of wrong ones.
 """
 
 from __future__ import annotations
 
+import argparse
+import contextlib
+import io
 import re
 from collections.abc import Iterator
 
 import pytest
 
 from libmodbus_py import Context, Device, Mapping, Server
-from libmodbus_py.cli.commands import COMMANDS
+from libmodbus_py.cli.commands import COMMANDS, parser_of
 from libmodbus_py.client.options import CheckedOptions
 from libmodbus_py.ports.schemes import (
     CLIENT_OPTIONS,
@@ -145,3 +148,49 @@ def test_every_sentence_of_help_is_told(name: str) -> None:
     """No option and no argument without a text."""
     for flag, text in texts(name).items():
         assert re.sub(r"^([A-Z,.\[\]:=/_]+ ?)*", "", text), flag
+
+
+def parsers(name: str) -> Iterator[argparse.ArgumentParser]:
+    """Return the parser of a command, and those of its actions."""
+    parser = parser_of(name)
+    yield parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            yield from action.choices.values()
+
+
+def beginnings(parser: argparse.ArgumentParser) -> set[str]:
+    """Return what begins a long option and is none itself."""
+    known = set(parser._option_string_actions)
+    flags = [flag for flag in known if flag.startswith("--")]
+    assert flags
+    return {flag[:end] for flag in flags for end in range(3, len(flag))} - known
+
+
+@each_case("name", COMMANDS)
+def test_no_command_completes_the_beginning_of_an_option(name: str) -> None:
+    for parser in parsers(name):
+        for action in parser._actions:
+            action.required = False
+        for text in beginnings(parser):
+            with contextlib.redirect_stderr(io.StringIO()), contextlib.suppress(SystemExit):
+                _, unknown = parser.parse_known_args([text])
+                assert unknown == [text]
+                continue
+            raise AssertionError(f"{parser.prog} takes {text} for an option")
+
+
+@each_case(
+    ("words", "option"),
+    [
+        ("read 127.0.0.1:9 holding 0 --time 3", "--time"),
+        ("write 127.0.0.1:9 holding 0 1 --typ float32", "--typ"),
+        ("map check meter --js", "--js"),
+        ("map from-device 127.0.0.1:9 --time 1", "--time"),
+        ("serve tcp://127.0.0.1:0 --dev 7", "--dev"),
+    ],
+)
+def test_the_error_names_what_was_typed(words: str, option: str) -> None:
+    done = run(*words.split())
+    assert done.code == 2
+    assert f"unrecognized arguments: {option}" in done.err

@@ -1,14 +1,17 @@
 """
-Errors of the command line: one line on stderr, and the exit code.
+Errors: one line on stderr, an exit code, and what to try.
 """
 
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.tools.testing.recording import ServerMaker
 from tests.support.cases import each_case
 from tests.support.commands import run
+from tests.support.peers import FakeServer, mbap
 
 READ = ["read", "tcp://127.0.0.1:1"]
 WRITE = ["write", "tcp://127.0.0.1:1"]
@@ -107,3 +110,44 @@ def test_errors_are_one_line_on_stderr(arguments: list[str], code: int, named: s
     assert done.err.startswith("libmodbus-py: ")
     assert done.err.count("\n") == 1
     assert named in done.err
+
+
+@each_case("code", [10, 11])
+def test_an_absent_unit_behind_a_gateway_points_to_scan(code: int) -> None:
+    with FakeServer(lambda request: [mbap(request, bytes([request[7] | 0x80, code]))]) as server:
+        place = f"127.0.0.1:{server.port}"
+        for words in (["read", place, "hr", 0], ["write", place, "hr", 0, 1], ["raw", place, 7]):
+            done = run(*words)
+            assert done.code == 1
+            assert done.err.endswith(f"; libmodbus-py scan {place} finds the units that answer\n")
+            assert done.err.count("\n") == 1
+
+
+@each_case("words", [["hr", 0], ["hr", 0, "co", 1], ["-u", "3,4", "hr", 0]])
+def test_silence_points_to_scan(words: list[object]) -> None:
+    with FakeServer(lambda _: []) as server:
+        place = f"127.0.0.1:{server.port}"
+        done = run("read", place, *words, "--timeout", "20ms")
+        assert done.code == 1
+        for line in done.err.splitlines():
+            assert line.endswith(f"no answer within 0.02 s; libmodbus-py scan {place} finds the"
+                                 " units that answer")  # fmt: skip
+
+
+def test_other_failures_do_not() -> None:
+    with ServerMaker() as maker:
+        url = maker(devices=Device(Mapping(holding_registers=2))).url
+        for words in (["read", url, "hr", 7], ["write", url, "hr", 7, 1]):
+            assert "scan" not in run(*words).err
+    assert "scan" not in run("read", "127.0.0.1:1", "hr", 0).err
+
+
+def test_tls_at_a_server_without(tmp_path: Path) -> None:
+    assert run("certificates", tmp_path).code == 0
+    papers = ["--cert", tmp_path / "operator.pem", "--key", tmp_path / "operator-key.pem"]
+    with FakeServer(None) as server:
+        url = f"tls://127.0.0.1:{server.port}"
+        done = run("read", url, "hr", 0, *papers, "--ca", tmp_path / "ca.pem")
+        assert done.code == 1
+        assert "no TLS handshake" in done.err
+        assert "is it tcp://?" in done.err
