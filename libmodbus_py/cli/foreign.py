@@ -20,8 +20,10 @@ __all__ = ["equivalents", "is_place", "place"]
 TABLES = {"0": "co", "1": "di", "3": "ir", "4": "hr"}
 """Number of a table in mbpoll and modpoll -> its word here."""
 
-FUNCTIONS = {"1": "co", "2": "di", "3": "hr", "4": "ir"}
-"""Function that reads a table -> the word of the table."""
+FUNCTIONS = {"1": "co N", "2": "di N", "3": "hr N", "4": "ir N"}
+FUNCTIONS |= dict.fromkeys(("5", "15"), "write HOST co N VALUE")
+FUNCTIONS |= dict.fromkeys(("6", "16"), "write HOST hr N VALUE")
+"""Function code -> what reads or writes with it."""
 
 TYPES = {"int": "int32", "float": "float32", "string": "string:N"}
 """Type in mbpoll and modpoll -> --type; without their -B, both have the order CDAB."""
@@ -83,7 +85,7 @@ OPTIONS: dict[str, Callable[[str], str]] = {
     "-4": _as("--rs485 kernel"),
     "--port": _port,
     **dict.fromkeys(("--host", "--ip"), _as("VALUE without an option")),
-    "--function": lambda value: f"{FUNCTIONS.get(value, 'hr')} N",
+    "--function": lambda value: FUNCTIONS.get(value, f"raw HOST {value}".rstrip()),
     "--baud": _as("-b VALUE"),
 }
 """Option of another program -> function of its value that returns what is typed here."""

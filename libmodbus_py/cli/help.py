@@ -95,7 +95,7 @@ def shown(parser: argparse.ArgumentParser, *, all: bool) -> Iterator[None]:
     Hide the rare options of a parser from its help while the block runs.
 
     Args:
-        all: True to hide only --help-all, and that only if it would show nothing new.
+        all: True to show them; --help-all is hidden if there are none.
     """
     rare = [each for each in parser._actions if getattr(each, "is_rare", False)]
     more = [each for each in parser._actions if isinstance(each, HelpAll)]

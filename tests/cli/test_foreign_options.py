@@ -37,6 +37,8 @@ from tests.support.commands import run
         ("h --slave 3", "--slave 3: type -u 3"),
         ("h --id", "--id: type -u N"),
         ("h --function 4", "--function 4: type ir N"),
+        ("h --function 16", "--function 16: type write HOST hr N VALUE"),
+        ("h --function 43", "--function 43: type raw HOST 43"),
         ("--host h hr 0", "--host h: type h without an option"),
     ],
 )
