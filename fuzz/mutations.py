@@ -116,7 +116,7 @@ TUNING: dict[str, frozenset[str]] = {
     ),
     "of memory that only floods and failures reach": frozenset(
         {
-            *("LARGEST_WAL", "MARGIN", "MAX_ABANDONED", "MAX_KEPT", "MAX_RECEIVED"),
+            *("LARGEST_WAL_BYTES", "MARGIN", "MAX_ABANDONED", "MAX_KEPT", "MAX_RECEIVED"),
             *("MAX_UNASKED_BYTES", "MAX_WAITING", "MOST_ASKING", "MOST_ERRORS", "MOST_IN_MEMORY"),
             *("MOST_MESSAGES", "MOST_OF_CSV", "MOST_STALE", "OVERHEAD"),
             *("REMEMBERED", "ROOM_AT_MOST", "SPARE_DESCRIPTORS"),

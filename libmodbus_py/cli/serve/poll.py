@@ -229,7 +229,7 @@ def _seen(
             assert shown is not None
             older = None
             if "path" in file.journal:
-                from ...services.fleet.journal_past import past_in
+                from ...services.fleet.journal.journal_reader import past_in
 
                 older = past_in(file.journal["path"])
             return ShownFleet(os.path.basename(options.file), fleet, shown, older)

@@ -18,7 +18,6 @@ From the fleet file to the wire, and back::
     commands       writes to named points that are received over an output
     levels         names of devices and points as levels of subjects and topics
     statistics     counters
-    journal_past   the past of values from a journal, for charts
     shown_fleet    values and devices as the live page shows them
     trial          checks before polling: the devices that answer, and overloaded serial lines
 """

@@ -1,81 +1,34 @@
 """
-Readings that wait for an output; the oldest are dropped if there are too many.
+Readings that wait for an output or an iteration.
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from collections import deque
 from collections.abc import Sequence
 from itertools import groupby, islice
-from typing import Protocol
 
 from ...protocol.checks import integer
 from .readings import Reading
 
-__all__ = ["MOST_KEPT", "Buffer", "WaitingReadings"]
+__all__ = ["MOST_KEPT", "Buffer"]
 
 MOST_KEPT = 100_000
-
-
-class WaitingReadings(Protocol):
-    """
-    The readings that wait for an output: a `Buffer`, or a place in a journal.
-
-    Attributes:
-        dropped: number of readings that were lost, or can never be written.
-    """
-
-    dropped: int
-
-    def __len__(self) -> int:
-        """Return the number of readings that wait."""
-        ...
-
-    @property
-    def is_over(self) -> bool:
-        """True if there are no readings, and will be none."""
-        ...
-
-    async def take_polls(self, most: int, timeout: float | None = None) -> list[Reading]:
-        """Wait for readings, and return whole polls, with about so many; none after the time."""
-        ...
-
-    async def polls(self, most: int) -> list[list[Reading]]:
-        """Return the readings of the first polls, which are not taken."""
-        ...
-
-    def put_back(self, readings: Sequence[Reading]) -> None:
-        """Return readings that were taken, and could not be written."""
-        ...
-
-    def drop(self, readings: Sequence[Reading]) -> None:
-        """Count readings that were taken, and can never be written."""
-        ...
-
-    async def confirm(self, readings: Sequence[Reading]) -> None:
-        """Note that readings that were taken were written."""
-        ...
-
-    def close(self) -> None:
-        """Expect no more readings; those that wait can still be taken."""
-        ...
-
-    def give_up(self) -> None:
-        """Close; nothing is taken any more."""
-        ...
+"""Readings that wait unless an output is told otherwise: about 15 MB."""
 
 
 class Buffer:
     """
     A queue of readings for one consumer. Adding readings never blocks.
 
+    A place in a journal (`JournalPlace`) is a buffer that fetches readings from the journal.
+
     Args:
         most: the most readings that wait, 1..10000000; the oldest are dropped beyond.
 
     Attributes:
-        dropped: number of dropped readings.
+        dropped: number of readings that were lost, or can never be written.
 
     Raises:
         TypeError, ValueError: `most` has the wrong type or range.
@@ -83,7 +36,7 @@ class Buffer:
 
     def __init__(self, most: int = MOST_KEPT) -> None:
         self._most = integer("buffer", most, 1, 10_000_000)
-        self._kept: deque[Reading] = deque(maxlen=most)
+        self._kept: deque[Reading] = deque()
         self._filled = asyncio.Event()
         self._is_closed = False
         self.dropped: int = 0
@@ -95,8 +48,10 @@ class Buffer:
         """Add readings; they are ignored after `close`."""
         if self._is_closed:
             return
-        self.dropped += max(0, len(self._kept) + len(readings) - self._most)
         self._kept.extend(readings)
+        while len(self._kept) > self._most:
+            self._kept.popleft()
+            self.dropped += 1
         self._filled.set()
 
     def put_back(self, readings: Sequence[Reading]) -> None:
@@ -106,6 +61,13 @@ class Buffer:
         self._kept.extendleft(reversed(readings[-room:] if room else ()))
         if self._kept:
             self._filled.set()
+
+    def drop(self, readings: Sequence[Reading]) -> None:
+        """Count readings that were taken, and can never be written."""
+        self.dropped += len(readings)
+
+    async def confirm(self, readings: Sequence[Reading]) -> None:
+        """Do nothing: readings that were taken are not kept."""
 
     def close(self) -> None:
         """Accept no more readings; those that wait can still be taken."""
@@ -120,16 +82,22 @@ class Buffer:
 
     @property
     def is_over(self) -> bool:
-        """True if the buffer is closed and empty."""
-        return self._is_closed and not self._kept
+        """True if there are no readings, and will be none."""
+        return self._is_at_end and not self._kept
+
+    @property
+    def _is_at_end(self) -> bool:
+        """True if no readings will be added."""
+        return self._is_closed
 
     async def take(self, most: int, timeout: float | None = None) -> list[Reading]:
         """Wait for readings; return up to `most`, none after the time or when closed."""
-        if not self._kept and not self._is_closed:
-            self._filled.clear()
-            with contextlib.suppress(TimeoutError):
+        while not self._kept and not await self._fetch(most) and not self._is_at_end:
+            try:
                 async with asyncio.timeout(timeout):
                     await self._filled.wait()
+            except TimeoutError:
+                break
         return [self._kept.popleft() for _ in range(min(most, len(self._kept)))]
 
     async def take_polls(self, most: int, timeout: float | None = None) -> list[Reading]:
@@ -141,12 +109,15 @@ class Buffer:
 
     async def polls(self, most: int) -> list[list[Reading]]:
         """Return the readings of the first polls, which stay in the buffer."""
+        while len(found := self._first_polls(most)) < most and await self._fetch(most):
+            pass
+        return found
+
+    def _first_polls(self, most: int) -> list[list[Reading]]:
         groups = groupby(self._kept, lambda each: each.poll)
         return [list(group) for _, group in islice(groups, most)]
 
-    def drop(self, readings: Sequence[Reading]) -> None:
-        """Count readings that were taken, and can never be written."""
-        self.dropped += len(readings)
-
-    async def confirm(self, readings: Sequence[Reading]) -> None:
-        """Do nothing: what was taken is not kept."""
+    async def _fetch(self, most: int) -> bool:
+        """Add about so many readings; return False if there are no others now."""
+        self._filled.clear()
+        return False

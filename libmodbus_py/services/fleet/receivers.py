@@ -106,7 +106,7 @@ class Receivers:
             pump = Pump(output, waiting=places.get(at))
             self._statistics.outputs[names[at]] = pump.statistics
             self._pumps.append(pump)
-            if at not in places and isinstance(pump.buffer, Buffer):
+            if at not in places:
                 self._live.append(pump.buffer)
             pump.start()
 

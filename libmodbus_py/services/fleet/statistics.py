@@ -7,7 +7,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from dataclasses import dataclass, field
 
-from .buffer import WaitingReadings
+from .buffer import Buffer
 
 __all__ = ["LATENESS_BOUNDS", "FleetStatistics", "JournalStatistics", "OutputStatistics"]
 
@@ -28,7 +28,7 @@ class OutputStatistics:
         trouble_since: when the output began to fail, in seconds since the epoch; 0 if it never did.
     """
 
-    buffer: WaitingReadings = field(repr=False)
+    buffer: Buffer = field(repr=False)
     written: int = 0
     failures: int = 0
     trouble: str = ""

@@ -1,14 +1,25 @@
 """
 The journal of a fleet: readings are written to it, and outputs are supplied from it.
+
+A reading is in `RecentPolls`, in the event loop, until the file has it. One task writes what is
+there, one transaction after the other, and forces it onto the disk::
+
+    a reading arrives         -> a transaction 0.05 s later, with all that arrived until then
+    an output confirms        -> a transaction at once
+    a transaction has ended   -> the disk is forced within 0.5 s; others may come before
+    a transaction has failed  -> the same polls are tried again, after a pause
+    the file is damaged       -> it is given another name, and a new one begins
+
+All of it runs in one thread, which calls the methods of `JournalFile` in order. Another thread
+reads for outputs that are behind.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
-from collections import deque
 from collections.abc import Iterable, Sequence
-from itertools import chain
 from os import PathLike, fspath
 
 from ....protocol.logs import HarmlessLogger
@@ -20,12 +31,12 @@ from ..outputs.writer_thread import WriterThread
 from ..readings import Reading
 from ..statistics import JournalStatistics
 from .errors import JournalDamaged, JournalError, JournalTrouble
-from .journal_file import Begun, JournalFile, JournalState, force
+from .journal_file import Begun, JournalFile, JournalState
 from .journal_reader import HistoricalValue, JournalReader, history
 from .numbers import Unused
-from .place import LONGEST_EPISODE, JournalPlace
+from .place import LONGEST_EPISODE_S, JournalPlace
 from .polls import JournalPoll, numbered
-from .tail import Tail
+from .recent import RecentPolls
 
 __all__ = ["KEEP_BOUNDS", "SIZE_BOUNDS", "Journal"]
 
@@ -34,26 +45,20 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 KEEP_BOUNDS = ("1 minute", "100 years")
 SIZE_BOUNDS = ("10 MB", "100 TB")
 
-# The most readings that wait for the disk, about 75 MB; it may take none for seconds.
-MOST_WAITING = 500_000
-
-# The newest readings, kept for outputs that keep up.
-MOST_IN_MEMORY = 50_000
-
-# The most readings of a transaction.
+# The most readings of a transaction: it takes about 0.1 s.
 MOST_AT_ONCE = 20_000
 
 # Seconds for which readings are collected, unless an output waits for its place to be written.
-GATHERED = 0.05
+GATHERED_S = 0.05
 
-# Seconds until data that were written are forced onto the disk, if nothing else is written.
-FORCED = 0.5
+# Seconds until data that were written are forced onto the disk.
+FORCED_S = 0.5
 
 # Seconds between attempts while the disk does not take readings, and between those to read.
-FIRST_PAUSE, LONGEST_PAUSE = 0.5, 5.0
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
 
 # Seconds that the last transaction may take, on a disk that hangs.
-LAST_WAIT = 5.0
+LAST_WAIT_S = 5.0
 
 
 class Journal:
@@ -101,27 +106,21 @@ class Journal:
         )
         self._writing = WriterThread(self.path)
         self._reading = WriterThread(self.path)
-        self._forcing_thread = WriterThread(self.path)
         self._reader = JournalReader(self.path)
         self._places: list[JournalPlace] = []
         self._unused = Unused()
-        self._tail = Tail(MOST_IN_MEMORY, 0)
-        self._queue: deque[JournalPoll] = deque()
-        self._queued = 0
-        # Polls of the transaction under way.
+        self._recent = RecentPolls(0)
+        # Polls of the transaction under way, or of one that failed.
         self._batch: list[JournalPoll] = []
-        self._noting: asyncio.Future[None] | None = None
         self._damage: JournalDamaged | None = None
-        self._moved: str | None = None
-        self._told_until = -math.inf
-        self._pause = FIRST_PAUSE
+        # Set if there is something to write; and if it cannot wait for other readings.
         self._wake = asyncio.Event()
-        self._gathering: asyncio.TimerHandle | None = None
-        # Until what was written is on the disk.
-        self._forcing: asyncio.TimerHandle | None = None
-        self._forced: asyncio.Task[None] | None = None
+        self._hurry = asyncio.Event()
+        # Done when the places are written, or cannot be.
+        self._noting: asyncio.Future[None] | None = None
+        self._force_at = math.inf
+        self._reported_until = -math.inf
         self._task: asyncio.Task[None] | None = None
-        self.last: int = 0
 
     def history(
         self, device: str, name: str, since: float, until: float, most: int = 1000
@@ -161,42 +160,35 @@ class Journal:
         """
         if self._task is not None:
             raise RuntimeError(f"the journal {self.path} is already in use; make another one")
-        self._start_thread(self._writing)
         try:
-            self._start_thread(self._reading)
-            self._start_thread(self._forcing_thread)
+            self._writing.start()
+            self._reading.start()
             begun = await self._begun(outputs)
         except BaseException as error:
             if self._reading.is_running:  # the thread may be opening the file now
-                await finish(self._writing.call(self._file.close), LAST_WAIT)
+                await finish(self._writing.call(self._file.close), LAST_WAIT_S)
             self._stop_threads()
+            if isinstance(error, OSError):
+                raise JournalError(f"{self.path}: {error.strerror}") from None
             if isinstance(error, JournalTrouble):
                 raise JournalError(str(error)) from error
             raise
         self._unused = Unused(begun.runs)
-        self.last = begun.first - 1
-        self._tail = Tail(MOST_IN_MEMORY, self.last)
+        self._recent = RecentPolls(begun.first - 1)
         self._places = [JournalPlace(name, self, begun.places[name]) for name in outputs]
         self._task = asyncio.create_task(self._run(), name=f"journal {self.path}")
         return self._places
 
     async def _begun(self, outputs: Sequence[str]) -> Begun:
+        begun: Begun
         try:
-            begun: Begun = await self._writing.call(self._file.open, outputs)
-        except JournalDamaged as error:
-            moved = await self._writing.call(self._file.set_aside)
-            _tell_replaced(error, moved)
             begun = await self._writing.call(self._file.open, outputs)
+        except JournalDamaged as error:
+            begun = await self._writing.call(self._file.replace, error, outputs)
         return begun
 
-    def _start_thread(self, thread: WriterThread) -> None:
-        try:
-            thread.start()
-        except OSError as error:
-            raise JournalError(f"{self.path}: {error.strerror}") from None
-
     def _stop_threads(self) -> None:
-        for thread in (self._writing, self._reading, self._forcing_thread):
+        for thread in (self._writing, self._reading):
             if thread.is_running:
                 thread.stop()
 
@@ -206,31 +198,30 @@ class Journal:
         if task is None:
             return
         await end_tasks([task])
-        for timer in (self._gathering, self._forcing):
-            if timer is not None:
-                timer.cancel()
-        if self._forced is not None:
-            await end_tasks([self._forced])
-        self._gathering = self._forcing = self._forced = None
         try:
-            await finish(self._end(), LAST_WAIT)
+            await finish(self._end(), LAST_WAIT_S)
         finally:
-            self._settle()
+            self._end_noting()
             self._stop_threads()
 
     async def _end(self) -> None:
         try:
-            while self._batch or self._queue:
+            while self._batch or self._recent.taken < self.last:
                 await self._write()
             await self._write()
         except JournalError as error:
-            lost = self._queued + sum(len(each.readings) for each in self._batch)
+            lost = self.between(self._written, self.last)
             self.statistics.dropped += lost
             logger.error("%s; %d readings are lost", error, lost)
         await self._reading.call(self._reader.close)
         await self._writing.call(self._file.close)
 
     # --- what a fleet calls -----------------------------------------------------------------
+
+    @property
+    def last(self) -> int:
+        """The id of the last reading."""
+        return self._recent.last
 
     @property
     def next_id(self) -> int:
@@ -241,36 +232,26 @@ class Journal:
         """Add readings, and return them with their ids. This never blocks."""
         if self._task is None:
             return list(readings)
-        told: list[Reading] = []
+        added: list[Reading] = []
+        dropped = self._recent.dropped
         for poll in numbered(readings, self.next_id):
-            self.last = poll.last
-            self._tail.add(poll)
-            self._queue.append(poll)
-            self._queued += len(poll.readings)
-            told += poll.readings
-        self._drop_oldest()
+            self._recent.add(poll)
+            added += poll.readings
+        if self._recent.dropped > dropped:
+            self._note_dropped(self._recent.dropped - dropped)
         for place in self._places:
             place.wake()
-        self._gather()
-        return told
+        self._wake.set()
+        return added
 
-    def _gather(self) -> None:
-        """Write what waits after a while, together with what comes until then."""
-        if self._gathering is None and self._task is not None:
-            self._gathering = asyncio.get_running_loop().call_later(GATHERED, self._ring)
-
-    def _drop_oldest(self) -> None:
-        while self._queued > MOST_WAITING:
-            count = len(self._queue.popleft().readings)
-            self._queued -= count
-            self.statistics.dropped += count
-            now = asyncio.get_running_loop().time()
-            if now > self._told_until:
-                logger.error(
-                    "%s: the disk is too slow, or takes no readings; the oldest are dropped",
-                    self.path,
-                )
-            self._told_until = now + LONGEST_EPISODE
+    def _note_dropped(self, count: int) -> None:
+        self.statistics.dropped += count
+        now = asyncio.get_running_loop().time()
+        if now > self._reported_until:
+            logger.error(
+                "%s: the disk is too slow, or takes no readings; the oldest are dropped", self.path
+            )
+        self._reported_until = now + LONGEST_EPISODE_S
 
     # --- what places need -------------------------------------------------------------------
 
@@ -283,58 +264,58 @@ class Journal:
         if self._noting is None:
             self._noting = asyncio.get_running_loop().create_future()
         self._wake.set()
+        self._hurry.set()
         return self._noting
 
     async def after(self, number: int, most: int) -> tuple[list[JournalPoll], int]:
         """Return polls behind an id, and the id up to which there are no others."""
-        polls = self._tail.after(number, most)
+        polls = self._recent.after(number, most)
         if polls is not None:
             return polls, number
-        # Those behind this id are not in the file yet.
-        unwritten = next(chain(self._batch, self._queue), None)
-        written = unwritten.first - 1 if unwritten else self.last
-        before = min(self._tail.before, written)
+        before = min(self._recent.before, self._written)
         try:
             polls = await self._reading.call(self._reader.read, number, most)
         except JournalError as error:
-            self._note_unread(error)
-            await asyncio.sleep(FIRST_PAUSE)
+            self._note_trouble(error)
+            self._wake.set()
+            await asyncio.sleep(FIRST_PAUSE_S)
             return [], number
         return polls, number if polls else max(number, before)
 
-    def _note_unread(self, error: JournalError) -> None:
-        if isinstance(error, JournalDamaged):
-            self._damage = error
-            self._wake.set()
-        self._note_trouble(error)
+    @property
+    def _written(self) -> int:
+        """The last id before those that the file lacks."""
+        return self._batch[0].first - 1 if self._batch else self._recent.taken
 
     # --- the task ---------------------------------------------------------------------------
 
-    def _ring(self) -> None:
-        self._gathering = None
-        self._wake.set()
-
     async def _run(self) -> None:
+        pause = FIRST_PAUSE_S
         while True:
-            await self._wake.wait()
-            self._wake.clear()
+            await self._something_to_do()
             try:
                 if self._damage is not None:
                     await self._replace(self._damage)
                 await self._write()
-            except JournalDamaged as error:
-                self._damage = error
-                self._note_trouble(error)
-                self._wake.set()
-                await self._rest()
+                if asyncio.get_running_loop().time() >= self._force_at:
+                    await self._writing.call(self._file.force)
+                    self._force_at = math.inf
+                pause = FIRST_PAUSE_S
             except JournalError as error:
                 self._note_trouble(error)
                 self._wake.set()
-                await self._rest()
+                await asyncio.sleep(pause)
+                pause = min(2 * pause, LONGEST_PAUSE_S)
 
-    async def _rest(self) -> None:
-        await asyncio.sleep(self._pause)
-        self._pause = min(2 * self._pause, LONGEST_PAUSE)
+    async def _something_to_do(self) -> None:
+        """Wait for readings, for a place to be written, or for the time to force the disk."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout_at(None if self._force_at == math.inf else self._force_at):
+                await self._wake.wait()
+                async with asyncio.timeout(GATHERED_S):
+                    await self._hurry.wait()
+        self._wake.clear()
+        self._hurry.clear()
 
     async def _write(self) -> None:
         """
@@ -343,7 +324,7 @@ class Journal:
         Raises:
             JournalError: nothing was written; the polls are written the next time.
         """
-        self._take_batch()
+        self._batch = self._batch or self._recent.take(MOST_AT_ONCE)
         noting, self._noting = self._noting, None
         places = {each.name: each.confirmed for each in self._places}
         confirmed = min(places.values(), default=self.last)
@@ -354,71 +335,36 @@ class Journal:
                 noting.set_result(None)  # outputs do not wait for a disk that takes nothing
         self._note_written(written)
 
-    def _take_batch(self) -> None:
-        """Move polls from the queue to the transaction, unless one is to be tried again."""
-        if self._batch:
-            return
-        count = 0
-        while self._queue and count < MOST_AT_ONCE:
-            poll = self._queue.popleft()
-            count += len(poll.readings)
-            self._batch.append(poll)
-        self._queued -= count
-
     def _note_written(self, written: JournalState) -> None:
-        statistics = self.statistics
-        statistics.bytes = written.size
-        statistics.written += sum(len(each.readings) for each in self._batch)
+        self.statistics.bytes = written.size
+        self.statistics.written += sum(len(each.readings) for each in self._batch)
         self._batch = []
-        self._pause = FIRST_PAUSE
-        if statistics.trouble:
-            statistics.trouble = ""
+        self._force_at = min(self._force_at, asyncio.get_running_loop().time() + FORCED_S)
+        if self.statistics.trouble:
+            self.statistics.trouble = ""
             logger.warning("%s accepts readings again", self.path)
         for place in self._places:
             place.deleted(written.deleted)
             place.wake()
-        if self._queued >= MOST_AT_ONCE or not written.is_over:
+        if self._recent.taken < self.last or not written.is_over:
             self._wake.set()
-        elif self._queue:
-            self._gather()
-        if self._forcing is None and self._task is not None:
-            self._forcing = asyncio.get_running_loop().call_later(FORCED, self._force)
-
-    def _force(self) -> None:
-        self._forced = asyncio.create_task(self._force_onto_disk())
-
-    async def _force_onto_disk(self) -> None:
-        try:
-            await self._forcing_thread.call(force, self.path)
-        except JournalError as error:
-            self._note_trouble(error)
-        finally:
-            self._forcing = None
 
     def _note_trouble(self, error: JournalError) -> None:
+        if isinstance(error, JournalDamaged):
+            self._damage = error
         self.statistics.failures += 1
-        told = str(error)
-        if told != self.statistics.trouble:
-            logger.warning("%s", told)
-        self.statistics.trouble = told
+        message = str(error)
+        if message != self.statistics.trouble:
+            logger.warning("%s", message)
+        self.statistics.trouble = message
 
-    async def _replace(self, error: JournalError) -> None:
+    async def _replace(self, error: JournalDamaged) -> None:
         """Begin a new file in place of a damaged one."""
-        places = {each.name: each.confirmed for each in self._places}
         await self._reading.call(self._reader.close)
-        first = self._batch[0].first if self._batch else self.next_id
-        moved = self._moved
-        if moved is None:
-            moved = self._moved = await self._writing.call(self._file.set_aside)
-        await self._writing.call(self._file.open, places, first)
-        _tell_replaced(error, moved)
-        self._damage, self._moved = None, None
+        names = [each.name for each in self._places]
+        await self._writing.call(self._file.replace, error, names, self._written + 1)
+        self._damage = None
 
-    def _settle(self) -> None:
+    def _end_noting(self) -> None:
         if self._noting is not None and not self._noting.done():
             self._noting.set_result(None)
-
-
-def _tell_replaced(error: JournalError, moved: str) -> None:
-    kept = f"it is kept as {moved}, and a" if moved else "a"
-    logger.error("%s; %s new journal begins", error, kept)

@@ -1,14 +1,5 @@
 """
 The file of a journal: an SQLite database. Its methods block; one thread calls them.
-
-::
-
-    device (id, name, labels)               labels in JSON; a row for each set of labels
-    point  (id, points, device, name, unit) `points` is the id of the first point of its list
-    poll   (id, readings, time, device, points, chosen, data, trouble)       see `polls.Row`
-    place  (output, confirmed)              the last reading that each output has confirmed
-    run    (first, unused)                  see `numbers.Unused`
-    reading                                 a view: one row for each reading
 """
 
 from __future__ import annotations
@@ -28,20 +19,17 @@ from ....system import lock_file
 from .errors import JournalDamaged, JournalError, raised
 from .numbers import first_id
 from .polls import JournalPoll, Points, Row, encoded
+from .schema import APPLICATION, SCHEMA, VERSION
 
-__all__ = ["Begun", "JournalFile", "JournalState", "force"]
+__all__ = ["Begun", "JournalFile", "JournalState"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-# In the header of the file; `file` and other programs name the kind of a database by it.
-APPLICATION = 0x4D424A31
-VERSION = 1
-
-# Bytes of changes that are merged into the database at once.
-MERGED = 1 << 22
+# Bytes of changes that are merged into the database at once: about a second on a slow disk.
+MERGED_BYTES = 1 << 22
 
 # Milliseconds to wait for a person who writes to the database.
-BUSY = 2000
+BUSY_MS = 2000
 
 # Polls that are deleted at once, so that no output waits long for its place to be written.
 MOST_DELETED = 2000
@@ -50,71 +38,36 @@ MOST_DELETED = 2000
 # an hour does not delete all.
 DELETED_FOR_EACH = 10
 
-# Pages that are given back to the system at once.
+# Pages of 4 kB that are given back to the system at once.
 FREED = 500
 
-# Bytes of changes that a person who reads for hours may keep from being merged.
-LARGEST_WAL = 1 << 27
-
-Identity = tuple[int, int]
-"""Device and inode of a file."""
+# Changes that a person who reads for hours may keep from being merged.
+LARGEST_WAL_BYTES = 1 << 27
 
 WITH_IDENTITY = ("", "-wal")
 """Ends of the names of files without which a journal is lost: the database and its changes."""
 
-SCHEMA = """
-CREATE TABLE device (
-    id INTEGER PRIMARY KEY,
-    name TEXT NOT NULL,
-    labels TEXT NOT NULL DEFAULT '{}',
-    UNIQUE (name, labels)
-);
-CREATE TABLE point (
-    id INTEGER PRIMARY KEY,
-    points INTEGER NOT NULL,
-    device INTEGER NOT NULL REFERENCES device,
-    name TEXT NOT NULL,
-    unit TEXT NOT NULL
-);
-CREATE INDEX point_of_device ON point (device, points);
-CREATE TABLE poll (
-    id INTEGER PRIMARY KEY,
-    readings INTEGER NOT NULL,
-    time REAL NOT NULL,
-    device INTEGER NOT NULL REFERENCES device,
-    points INTEGER NOT NULL REFERENCES point,
-    chosen TEXT,
-    data TEXT NOT NULL,
-    trouble TEXT
-);
-CREATE INDEX poll_of_device ON poll (device, time);
-CREATE TABLE place (
-    output TEXT PRIMARY KEY,
-    confirmed INTEGER NOT NULL
-) WITHOUT ROWID;
-CREATE TABLE run (
-    first INTEGER PRIMARY KEY,
-    unused INTEGER NOT NULL
-);
-CREATE VIEW reading AS
-SELECT poll.id + value.key AS id,
-       strftime('%Y-%m-%dT%H:%M:%fZ', poll.time, 'unixepoch') AS time,
-       device.name AS device,
-       point.name AS name,
-       value.value AS value,
-       point.unit AS unit,
-       coalesce(json_extract(poll.trouble, '$."' || value.key || '"[0]'), 'good') AS quality,
-       coalesce(json_extract(poll.trouble, '$."' || value.key || '"[1]'), '') AS reason,
-       device.labels AS labels,
-       poll.time AS seconds
-  FROM device
-  JOIN poll ON poll.device = device.id
-  JOIN json_each(poll.data) AS value
-  JOIN point ON point.id = poll.points
-       + coalesce(json_extract(poll.chosen, '$[' || value.key || ']'), value.key);
-"""
-
 INSERT_POLL = "INSERT OR IGNORE INTO poll VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
+
+NEWEST_POINTS = (
+    "SELECT points, name, unit FROM point WHERE device = ?"
+    " AND points = (SELECT max(points) FROM point WHERE device = ?) ORDER BY id"
+)
+
+# The devices all of whose readings were deleted.
+FORGET_DEVICES = (
+    "DELETE FROM device WHERE NOT EXISTS (SELECT 1 FROM poll WHERE poll.device = device.id)"
+)
+
+# The runs that all readings and all outputs have left behind.
+FORGET_RUNS = """
+DELETE FROM run WHERE first < (
+    SELECT max(first) FROM run WHERE first <= min(
+        ifnull((SELECT min(id) FROM poll), 1 << 62),
+        ifnull((SELECT min(confirmed) + 1 FROM place), 1 << 62)
+    )
+)
+"""
 
 SET_PLACE = (
     "INSERT INTO place VALUES (?, ?) ON CONFLICT DO UPDATE"
@@ -172,16 +125,19 @@ class JournalFile:
         # Device -> its labels and points in the last poll.
         self._points: dict[str, tuple[Mapping[str, str], Points]] = {}
         self._to_delete = 0.0
-        self._identity: list[Identity] = []
+        # Device and inode of each file `WITH_IDENTITY` when it was opened.
+        self._identity: list[tuple[int, int] | None] = []
+        # The name of a damaged file in whose place there is no new one yet.
+        self._moved: str | None = None
 
     # --- life -------------------------------------------------------------------------------
 
-    def open(self, outputs: Mapping[str, int] | Collection[str], first: int = 0) -> Begun:
+    def open(self, outputs: Collection[str], first: int = 0) -> Begun:
         """
         Open the file, or create it, and begin a run.
 
         Args:
-            outputs: the names of the outputs of the run, or their places.
+            outputs: the names of the outputs of the run.
             first: the next id; 0 for one that the file and the clock give.
 
         Raises:
@@ -193,7 +149,7 @@ class JournalFile:
             with raised(self.path):
                 self._database = self._connected()
                 begun = self._begin(outputs, first)
-                self._identity = [_identity_of(f"{self.path}{each}") for each in WITH_IDENTITY]
+                self._identity = self._found()
                 return begun
         except JournalDamaged as error:
             was_journal = self._was_used
@@ -208,14 +164,13 @@ class JournalFile:
     def _take_lock(self) -> None:
         path = f"{self.path}-lock"
         try:
-            if self._lock >= 0 and not _is_at(path, self._lock):
+            if self._lock >= 0 and _identity_of(path) != _identity_of(self._lock):
                 # Another program may have the lock of this name by now.
                 os.close(self._lock)
                 self._lock = -1
             if self._lock < 0:
                 # Some other file must not be taken for a damaged journal.
                 self._was_used = os.path.exists(path)
-            if self._lock < 0:
                 self._lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
             lock_file(self._lock)
         except BlockingIOError:
@@ -237,7 +192,7 @@ class JournalFile:
             row = database.execute(f"PRAGMA {text}").fetchone()
             return row[0] if row else None
 
-        pragma(f"busy_timeout = {BUSY}")
+        pragma(f"busy_timeout = {BUSY_MS}")
         [tables] = database.execute("SELECT count(*) FROM sqlite_master").fetchone()
         kind, version = pragma("application_id"), pragma("user_version")
         if not tables:
@@ -251,7 +206,7 @@ class JournalFile:
             )
         if pragma("journal_mode = WAL") != "wal":
             raise JournalError(f"{self.path}: its file system is not suitable for a journal")
-        # `force` does both, in another thread: outputs wait for no disk.
+        # `force` does both, for many transactions at once.
         pragma("synchronous = NORMAL")
         pragma("wal_autocheckpoint = 0")
         pragma(f"journal_size_limit = {1 << 26}")
@@ -262,7 +217,7 @@ class JournalFile:
                 f" PRAGMA user_version = {VERSION}; {SCHEMA} COMMIT"
             )
 
-    def _begin(self, outputs: Mapping[str, int] | Collection[str], first: int) -> Begun:
+    def _begin(self, outputs: Collection[str], first: int) -> Begun:
         database = self._used
         with self._transaction():
             [[last]] = database.execute("SELECT max(id + readings - 1) FROM poll")
@@ -276,12 +231,11 @@ class JournalFile:
             # A new output begins with the next reading.
             database.executemany(
                 "INSERT INTO place VALUES (?, ?) ON CONFLICT DO NOTHING",
-                outputs.items()
-                if isinstance(outputs, Mapping)
-                else [(name, first - 1) for name in outputs],
+                [(name, first - 1) for name in outputs],
             )
-            _forget_runs(database)
-            _forget_devices(database)
+            database.execute(FORGET_RUNS)
+            database.execute(FORGET_DEVICES)
+            database.execute("DELETE FROM point WHERE device NOT IN (SELECT id FROM device)")
             runs = database.execute("SELECT first, unused FROM run ORDER BY first").fetchall()
             places = dict(database.execute("SELECT output, confirmed FROM place"))
         return Begun(first, runs, {name: places[name] for name in outputs})
@@ -289,7 +243,7 @@ class JournalFile:
     def close(self) -> None:
         """Force all data onto the disk, close the file, and let others open it."""
         database, self._database = self._database, None
-        self._forget()
+        self._points = {}
         if database is not None:
             with contextlib.suppress(sqlite3.Error):
                 database.execute("PRAGMA synchronous = FULL")
@@ -298,21 +252,36 @@ class JournalFile:
             os.close(self._lock)
             self._lock = -1
 
-    def set_aside(self) -> str:
+    def replace(self, error: JournalDamaged, outputs: Collection[str], first: int = 0) -> Begun:
         """
-        Close a damaged file and give it another name, which is returned; empty if it is gone.
+        Rename a damaged file, and begin a new one.
+
+        Args:
+            error: how the file is damaged, for the log.
+            outputs, first: as for `open`.
 
         Raises:
-            JournalTrouble: it cannot be renamed.
+            JournalError: the new file cannot be used; it may be possible later.
         """
+        if self._moved is None:
+            self._moved = self._set_aside()
+        begun = self.open(outputs, first)
+        kept = f"it is kept as {self._moved}, and a" if self._moved else "a"
+        logger.error("%s; %s new journal begins", error, kept)
+        self._moved = None
+        return begun
+
+    def _set_aside(self) -> str:
+        """Close the file and give it another name, which is returned; empty if it is gone."""
         database, self._database = self._database, None
-        self._forget()
+        self._points = {}
         if database is not None:
             with contextlib.suppress(sqlite3.Error):
                 database.close()
         with raised(self.path):
             self._take_lock()
-            if self._identity and not self._is_own(0) and self._is_own(1):
+            found = self._found()
+            if self._identity and found[0] != self._identity[0] and found[1] == self._identity[1]:
                 # Changes of a file that is gone would be merged into the one in its place.
                 os.unlink(f"{self.path}-wal")
             moved = _free_name(f"{self.path}-damaged")
@@ -321,15 +290,15 @@ class JournalFile:
                     os.rename(f"{self.path}{ending}", f"{moved}{ending}")
             return moved if os.path.exists(moved) else ""
 
+    def _found(self) -> list[tuple[int, int] | None]:
+        """Return what identifies the files that are under the names of the journal now."""
+        return [_identity_of(f"{self.path}{ending}") for ending in WITH_IDENTITY]
+
     @property
     def _used(self) -> sqlite3.Connection:
         if self._database is None:
             raise JournalError(f"{self.path}: is not open")
         return self._database
-
-    def _forget(self) -> None:
-        """Forget what a transaction that failed may have changed."""
-        self._points = {}
 
     @contextlib.contextmanager
     def _transaction(self) -> Iterator[None]:
@@ -339,7 +308,7 @@ class JournalFile:
             yield
             database.execute("COMMIT")
         except BaseException:
-            self._forget()
+            self._points = {}  # some of these lists may not be in the file now
             with contextlib.suppress(sqlite3.Error):
                 if database.in_transaction:
                     database.execute("ROLLBACK")
@@ -367,7 +336,8 @@ class JournalFile:
                 deleted or replaced it.
         """
         with raised(self.path):
-            self._check_identity()
+            if self._found() != self._identity:  # what is written would not be found again
+                raise JournalDamaged(f"{self.path}: was deleted or replaced while it was in use")
             with self._transaction():
                 rows = [row for poll in polls if (row := self._row(poll)) is not None]
                 self._used.executemany(INSERT_POLL, rows)
@@ -375,17 +345,22 @@ class JournalFile:
             self._to_delete = min(1e6, self._to_delete + DELETED_FOR_EACH * len(rows))
             return self._delete(confirmed)
 
-    def _check_identity(self) -> None:
-        """Raise JournalDamaged if what is written would not be found under the file's name."""
-        if not (self._is_own(0) and self._is_own(1)):
-            raise JournalDamaged(f"{self.path}: was deleted or replaced while it was in use")
+    def force(self) -> None:
+        """
+        Force what was written onto the disk, and merge it into the database if it is much.
 
-    def _is_own(self, at: int) -> bool:
-        """Return True if a file still is the one that was opened."""
-        try:
-            return _identity_of(f"{self.path}{WITH_IDENTITY[at]}") == self._identity[at]
-        except FileNotFoundError:
-            return False
+        Raises:
+            JournalError: the disk reports an error.
+        """
+        wal = f"{self.path}-wal"
+        with raised(self.path), contextlib.suppress(FileNotFoundError):  # `write` reports this
+            descriptor = os.open(wal, os.O_RDONLY | os.O_CLOEXEC)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+            if _size_of(wal) > MERGED_BYTES:
+                self._used.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchall()
 
     def _row(self, poll: JournalPoll) -> Row | None:
         name, labels = poll.readings[0].device, poll.readings[0].labels
@@ -398,35 +373,27 @@ class JournalFile:
             self._points[name] = labels, points
             return encoded(poll, points)
         except (TypeError, ValueError, RecursionError) as error:
-            logger.error("%s: a poll of %s is not written: %s", self.path, name, error)
+            logger.error("%s: a poll of %r is not written: %s", self.path, name, error)
             return None
 
-    def _device(self, name: str, labels: Mapping[str, str]) -> int:
-        row = _stored(name), SORTED_JSON.encode(dict(labels))
-        self._used.execute("INSERT OR IGNORE INTO device (name, labels) VALUES (?, ?)", row)
-        [[found]] = self._used.execute("SELECT id FROM device WHERE (name, labels) = (?, ?)", row)
-        return int(found)
-
     def _points_of(self, name: str, labels: Mapping[str, str], poll: JournalPoll) -> Points:
-        """Return the list of the points of a poll, which is added if the device has none such."""
-        device = self._device(name, labels)
+        """Return the newest list of the points of a device, or a new one if it lacks a point."""
+        row = name, SORTED_JSON.encode(dict(labels))
+        self._used.execute("INSERT OR IGNORE INTO device (name, labels) VALUES (?, ?)", row)
+        [[device]] = self._used.execute("SELECT id FROM device WHERE (name, labels) = (?, ?)", row)
+        rows = self._used.execute(NEWEST_POINTS, (device, device)).fetchall()
+        known = [(point, unit) for _, point, unit in rows]
         wanted = [(each.name, each.unit) for each in poll.readings]
-        stored = [(_stored(name), _stored(unit)) for name, unit in wanted]
-        known: dict[int, list[tuple[str, str]]] = {}
-        for points, point, unit in self._used.execute(
-            "SELECT points, name, unit FROM point WHERE device = ? ORDER BY points, id", (device,)
-        ):
-            known.setdefault(points, []).append((point, unit))
-        number = next((points for points, each in known.items() if each == stored), None)
-        if number is None:
-            [[last]] = self._used.execute("SELECT max(id) FROM point")
-            number = (last or 0) + 1
-            self._used.executemany(
-                "INSERT INTO point VALUES (?, ?, ?, ?, ?)",
-                [(number + at, number, device, *each) for at, each in enumerate(stored)],
-            )
-        names, units = zip(*wanted, strict=True)
-        return Points(number, device, names, units)
+        if {*wanted} <= {*known}:
+            return Points(rows[0][0], device, known)
+        [[last]] = self._used.execute("SELECT max(id) FROM point")
+        number = (last or 0) + 1
+        named = [*dict.fromkeys([*wanted, *known])]
+        self._used.executemany(
+            "INSERT INTO point VALUES (?, ?, ?, ?, ?)",
+            [(number + at, number, device, *each) for at, each in enumerate(named)],
+        )
+        return Points(number, device, named)
 
     # --- deleting ---------------------------------------------------------------------------
 
@@ -446,7 +413,7 @@ class JournalFile:
             # As a script, because `execute` ends after the first page.
             self._used.executescript(f"PRAGMA incremental_vacuum({FREED})")
         wal = _size_of(f"{self.path}-wal")
-        if wal > max(self._size / 2, LARGEST_WAL):
+        if wal > max(self._size / 2, LARGEST_WAL_BYTES):
             raise OSError(errno.EBUSY, "another program has been reading it for too long")
         return JournalState(pages * page + wal, deleted, not deleted)
 
@@ -472,72 +439,21 @@ class JournalFile:
         return number + count - 1
 
 
-def _forget_runs(database: sqlite3.Connection) -> None:
-    """Forget the runs that all readings and all outputs have left behind."""
-    [[poll, place]] = database.execute(
-        "SELECT (SELECT min(id) FROM poll), (SELECT min(confirmed) + 1 FROM place)"
-    )
-    oldest = min(each for each in (poll, place, 1 << 62) if each is not None)
-    database.execute(
-        "DELETE FROM run WHERE first < (SELECT max(first) FROM run WHERE first <= ?)", (oldest,)
-    )
-
-
-def _forget_devices(database: sqlite3.Connection) -> None:
-    """Forget devices all of whose readings were deleted, and their points."""
-    unused = (
-        "SELECT id FROM device WHERE NOT EXISTS (SELECT 1 FROM poll WHERE poll.device = device.id)"
-    )
-    for (device,) in database.execute(unused).fetchall():
-        database.execute("DELETE FROM point WHERE device = ?", (device,))
-        database.execute("DELETE FROM device WHERE id = ?", (device,))
-
-
-def _stored(text: str) -> str:
-    """Return a text that a database can contain."""
-    return text.encode("utf-8", "backslashreplace").decode()
-
-
 def _size_of(path: str) -> int:
     with contextlib.suppress(FileNotFoundError):
         return os.path.getsize(path)
     return 0
 
 
-def _identity_of(path: str) -> Identity:
-    found = os.stat(path)
-    return found.st_dev, found.st_ino
-
-
-def _is_at(path: str, descriptor: int) -> bool:
-    try:
-        return os.path.samestat(os.stat(path), os.fstat(descriptor))
-    except FileNotFoundError:
-        return False
+def _identity_of(file: str | int) -> tuple[int, int] | None:
+    """Return device and inode of a file; None if it is gone."""
+    with contextlib.suppress(FileNotFoundError):
+        found = os.stat(file)
+        return found.st_dev, found.st_ino
+    return None
 
 
 def _free_name(path: str) -> str:
     """Return a path that no file has."""
     names = (path, *(f"{path}-{number}" for number in range(2, 1000)))
     return next((name for name in names if not os.path.exists(name)), path)
-
-
-def force(path: str) -> None:
-    """
-    Force what was written to a journal onto the disk, while it is being written.
-
-    Raises:
-        JournalError: the disk reports an error.
-    """
-    wal = f"{path}-wal"
-    with raised(path):
-        with contextlib.suppress(FileNotFoundError):
-            descriptor = os.open(wal, os.O_RDONLY | os.O_CLOEXEC)
-            try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
-        if _size_of(wal) > MERGED:
-            with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as database:
-                database.execute(f"PRAGMA busy_timeout = {BUSY}")
-                database.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchall()

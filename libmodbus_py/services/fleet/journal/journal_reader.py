@@ -1,5 +1,6 @@
 """
-Readers of a journal, also while it is being written. These functions block.
+Readers of a journal, also while it is being written: polls for outputs that are behind, and the
+past of a value for charts. These functions block.
 """
 
 from __future__ import annotations
@@ -8,23 +9,27 @@ import contextlib
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
 from heapq import merge
 from itertools import chain, groupby, islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ....protocol.checks import integer
 from ....protocol.logs import HarmlessLogger
 from ..readings import NO_LABELS
-from .errors import raised
+from .errors import JournalError, raised
 from .polls import JournalPoll, Points, Row, decoded
 
-__all__ = ["HistoricalValue", "JournalReader", "history", "thinned"]
+if TYPE_CHECKING:
+    from ....tools.page.table_source import Older
+
+__all__ = ["HistoricalValue", "JournalReader", "history", "past_in", "thinned"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Milliseconds to wait for a lock; readers need one only while a journal is opened or closed.
-BUSY = 2000
+BUSY_MS = 2000
 
 POLLS = f"SELECT {', '.join(Row._fields)} FROM poll WHERE id > ? ORDER BY id"
 
@@ -45,7 +50,7 @@ SELECT time,
        CASE WHEN chosen IS NOT NULL THEN data END,
        CASE WHEN chosen IS NOT NULL THEN trouble END
   FROM poll
- WHERE device = ? AND time BETWEEN ? AND ? AND points = ?
+ WHERE device = ? AND time BETWEEN ? AND ? AND points = ? AND (chosen NOT NULL OR readings > ?)
  ORDER BY time
 """
 
@@ -69,7 +74,7 @@ class HistoricalValue(NamedTuple):
 def _connected(path: str) -> sqlite3.Connection:
     place = f"{Path(path).absolute().as_uri()}?mode=ro"
     database = sqlite3.connect(place, uri=True, isolation_level=None, check_same_thread=False)
-    database.execute(f"PRAGMA busy_timeout = {BUSY}")
+    database.execute(f"PRAGMA busy_timeout = {BUSY_MS}")
     return database
 
 
@@ -124,8 +129,8 @@ class JournalReader:
         device = points[0][0]
         query = "SELECT name, labels FROM device WHERE id = ?"
         [[name, labels]] = self._database.execute(query, (device,))
-        _, names, units = zip(*points, strict=True)
-        return name, json.loads(labels) or NO_LABELS, Points(number, device, names, units)
+        named = [(point, unit) for _, point, unit in points]
+        return name, json.loads(labels) or NO_LABELS, Points(number, device, named)
 
     def close(self) -> None:
         """Close the file, until `read` is called again."""
@@ -139,16 +144,7 @@ def history(
     path: str, device: str, name: str, since: float, until: float, most: int = 1000
 ) -> list[HistoricalValue]:
     """
-    Return the values of a point from a journal, which may be in use; any thread may call this.
-
-    Args:
-        path: the path of the journal.
-        device, name: the names of the device and of the point.
-        since, until: the first and the last time, in seconds since the epoch.
-        most: the most values that are returned, 3..1000000, see `thinned`.
-
-    Returns:
-        The values in the order of their times; none if the journal has no such device or point.
+    Return the values of a point from the journal at a path; see `Journal.history`.
 
     Raises:
         JournalError: the journal cannot be read.
@@ -161,12 +157,30 @@ def history(
         return thinned(merge(*series, key=lambda each: each.time), since, until, most)
 
 
+def past_in(path: str) -> Older:
+    """Return a function that finds the numbers of a value in a journal; None is a gap."""
+    return partial(_past, path)
+
+
+def _past(
+    path: str, device: str, name: str, since: float, until: float, most: int
+) -> list[tuple[float, float | None]]:
+    try:
+        found = history(path, device, name, since, until, most)
+    except JournalError as error:
+        logger.info("%s: %s", path, error)
+        return []
+    return [
+        (each.time, each.value if isinstance(each.value, int | float) else None) for each in found
+    ]
+
+
 def _values(
     database: sqlite3.Connection, position: tuple[int, int, int], since: float, until: float
 ) -> Iterator[HistoricalValue]:
     device, points, at = position
     paths = f"$[{at}]", f'$."{at}"[0]'
-    rows = database.execute(VALUES, (*paths, device, since, until, points))
+    rows = database.execute(VALUES, (*paths, device, since, until, points, at))
     for time, value, quality, chosen, data, trouble in rows:
         if chosen is None:
             yield HistoricalValue(time, value, quality or "good")
@@ -180,15 +194,7 @@ def _values(
 def thinned(
     values: Iterable[HistoricalValue], since: float, until: float, most: int
 ) -> list[HistoricalValue]:
-    """
-    Return at most so many values: all, or of each of equal spans of time the smallest, the
-    greatest, and the first that is not good.
-
-    Args:
-        values: in the order of their times.
-        since, until: the first and the last time, in seconds since the epoch.
-        most: 3 or more.
-    """
+    """Return at most so many values, 3 or more, of those in the order of their times."""
     values = iter(values)
     whole = list(islice(values, most + 1))
     if len(whole) <= most:

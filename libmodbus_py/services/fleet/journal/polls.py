@@ -33,20 +33,25 @@ class JournalPoll(NamedTuple):
     readings: Sequence[Reading]
 
 
-class Points(NamedTuple):
+class Points:
     """
     A list of points of a device, to whose positions rows refer.
 
-    Attributes:
+    Args:
         id: the id of the first point in the table `point`; the others have the next ones.
         device: the id of the device.
-        names, units: of each point.
+        named: name and unit of each point.
+
+    Attributes:
+        id, device, named: as given.
+        positions: name and unit -> position.
     """
 
-    id: int
-    device: int
-    names: tuple[str, ...]
-    units: tuple[str, ...]
+    def __init__(self, id: int, device: int, named: Sequence[tuple[str, str]]) -> None:
+        self.id: int = id
+        self.device: int = device
+        self.named: Sequence[tuple[str, str]] = named
+        self.positions: dict[tuple[str, str], int] = {each: at for at, each in enumerate(named)}
 
 
 class Row(NamedTuple):
@@ -59,7 +64,8 @@ class Row(NamedTuple):
         time: seconds since the epoch.
         device: the id of the device.
         points: the id of the first of its points.
-        chosen: the positions of the points that the row contains, in JSON; None for all.
+        chosen: the positions of the points that the row contains, in JSON; None for the first
+            ones, in order.
         data: the values, in JSON.
         trouble: quality and reason of each reading that is not simply good, by its position in
             the data, in JSON; None if all are good.
@@ -94,12 +100,7 @@ def encoded(poll: JournalPoll, points: Points) -> Row:
         TypeError, ValueError: a value that JSON cannot contain.
     """
     readings = poll.readings
-    named = [(each.name, each.unit) for each in readings]
-    known = [*zip(points.names, points.units, strict=True)]
-    chosen = None
-    if named != known:
-        positions = {each: at for at, each in enumerate(known)}
-        chosen = COMPACT_JSON.encode([positions[each] for each in named])
+    positions = [points.positions[each.name, each.unit] for each in readings]
     values = [each.value for each in readings]
     if not _SIMPLE.issuperset(map(type, values)):
         values = [plain(value) for value in values]
@@ -114,7 +115,7 @@ def encoded(poll: JournalPoll, points: Points) -> Row:
         readings[0].time,
         points.device,
         points.id,
-        chosen,
+        None if positions == [*range(len(positions))] else COMPACT_JSON.encode(positions),
         _json_of(values),
         COMPACT_JSON.encode(trouble) if trouble else None,
     )
@@ -135,14 +136,13 @@ def decoded(row: Row, device: str, labels: Mapping[str, str], points: Points) ->
         AttributeError, LookupError, TypeError, ValueError: the row is damaged.
     """
     values = json.loads(row.data)
-    names, units = points.names, points.units
-    if row.chosen is not None:
-        chosen = json.loads(row.chosen)
-        names, units = tuple(names[at] for at in chosen), tuple(units[at] for at in chosen)
+    positions = range(row.readings) if row.chosen is None else json.loads(row.chosen)
     trouble = json.loads(row.trouble) if row.trouble else {}
     readings = [
         Reading(row.time, device, name, value, unit, "good", "", row.id + at, labels)
-        for at, (name, value, unit) in enumerate(zip(names, values, units, strict=True))
+        for at, ((name, unit), value) in enumerate(
+            zip([points.named[each] for each in positions], values, strict=True)
+        )
     ]
     for at, (quality, reason) in trouble.items():
         readings[int(at)] = readings[int(at)]._replace(quality=quality, reason=reason)

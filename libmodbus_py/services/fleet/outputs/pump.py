@@ -9,7 +9,7 @@ import time
 
 from ....protocol.logs import HarmlessLogger
 from ...tasks import AGAIN
-from ..buffer import MOST_KEPT, Buffer, WaitingReadings
+from ..buffer import MOST_KEPT, Buffer
 from ..readings import Reading
 from ..statistics import OutputStatistics
 from .output import Output, OutputError, ReadingsRefused
@@ -47,14 +47,14 @@ class Pump:
     """
 
     def __init__(
-        self, output: Output, most: int = MOST_KEPT, *, waiting: WaitingReadings | None = None
+        self, output: Output, most: int = MOST_KEPT, *, waiting: Buffer | None = None
     ) -> None:
         self.name: str = output.name
         self._most = MOST_AT_ONCE
         self._may_grow = waiting is not None
         if waiting is None:
             waiting = Buffer(getattr(output, "buffer", most))
-        self.buffer: WaitingReadings = waiting
+        self.buffer: Buffer = waiting
         self.statistics: OutputStatistics = OutputStatistics(self.buffer)
         self._output = output
         self._pause = FIRST_PAUSE

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..buffer import WaitingReadings
+from ..buffer import Buffer
 from ..readings import Reading
 
 __all__ = ["Refusals"]
@@ -30,7 +30,7 @@ class Refusals:
         waiting: the readings that wait.
     """
 
-    def __init__(self, waiting: WaitingReadings) -> None:
+    def __init__(self, waiting: Buffer) -> None:
         self._waiting = waiting
         self._suspect: tuple[str, float] | None = None
         self._count = 0

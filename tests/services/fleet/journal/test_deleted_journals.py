@@ -15,10 +15,9 @@ import pytest
 
 from libmodbus_py import Fleet
 from libmodbus_py.services.fleet.journal import journal as journals
-from libmodbus_py.services.fleet.journal.errors import JournalError
+from libmodbus_py.services.fleet.journal.errors import JournalDamaged, JournalError
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
-from libmodbus_py.services.fleet.journal.journal_reader import JournalReader
-from libmodbus_py.services.fleet.journal_past import past_in
+from libmodbus_py.services.fleet.journal.journal_reader import JournalReader, past_in
 from tests.services.fleet.fleets import until
 from tests.services.fleet.journal.journals import Inline, polls
 from tests.services.fleet.journal.test_journal import Broker, in_journal, run_for
@@ -123,7 +122,7 @@ def test_the_journal_of_another_program_in_its_place_is_left_alone(path: str) ->
             with pytest.raises(JournalError, match="was deleted or replaced"):
                 first.write(polls(2 * 10**9, 3), {}, 0)
         with pytest.raises(JournalError, match="is used by another program"):
-            first.set_aside()
+            first.replace(JournalDamaged("was deleted"), [])
         second.write(polls(3 * 10**9, 3), {}, 0)
         assert len(in_journal(path)) == 12
 

@@ -18,6 +18,7 @@ import pytest
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import Journal, JournalError, Reading
 from libmodbus_py.services.fleet.journal import journal as journals
+from libmodbus_py.services.fleet.journal import recent
 from libmodbus_py.services.fleet.journal.errors import JournalDamaged, JournalTrouble
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.journal_reader import JournalReader
@@ -192,7 +193,7 @@ def test_an_output_that_is_slower_than_the_readings_is_bounded_by_the_journal(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(journals, "SIZE_BOUNDS", ("1 kB", "1 TB"))
-    monkeypatch.setattr(journals, "MOST_IN_MEMORY", 100)
+    monkeypatch.setattr(recent, "MOST_IN_MEMORY", 100)
 
     async def go() -> None:
         journal = Journal(path, size="120 kB")
@@ -282,8 +283,8 @@ def test_a_full_disk_delays_no_output_and_loses_nothing(
 def test_while_a_disk_is_full_for_long_memory_is_bounded(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(journals, "MOST_WAITING", 60)
-    monkeypatch.setattr(journals, "MOST_IN_MEMORY", 60)
+    monkeypatch.setattr(recent, "MOST_WAITING", 60)
+    monkeypatch.setattr(recent, "MOST_IN_MEMORY", 60)
     disk = Failing(monkeypatch, JournalFile, "write", None)
     broker, away = Broker(), Broker("away", is_away=True)
 
@@ -323,7 +324,7 @@ def test_a_journal_that_is_damaged_while_it_is_used_is_replaced(
         # What was only in the damaged file is there still, but not for this output.
         assert fleet.statistics.outputs["away"].dropped in range(before - 9, before + 1)
 
-    monkeypatch.setattr(journals, "MOST_IN_MEMORY", 3)
+    monkeypatch.setattr(recent, "MOST_IN_MEMORY", 3)
     fleet = run_for(path, 300, broker, away, change=damage)
     old, new = in_journal(f"{path}-damaged"), in_journal(path)
     assert old + new == broker.ids
@@ -337,7 +338,7 @@ def test_damage_that_a_reader_meets_is_healed_too(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reader = Failing(monkeypatch, JournalReader, "read", None)
-    monkeypatch.setattr(journals, "MOST_IN_MEMORY", 3)
+    monkeypatch.setattr(recent, "MOST_IN_MEMORY", 3)
     away = Broker("away", is_away=True)
 
     async def damage(fleet: Fleet) -> None:
@@ -370,7 +371,7 @@ def test_a_disk_that_reports_errors_to_a_reader_is_asked_again(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     reader = Failing(monkeypatch, JournalReader, "read", None)
-    monkeypatch.setattr(journals, "MOST_IN_MEMORY", 3)
+    monkeypatch.setattr(recent, "MOST_IN_MEMORY", 3)
     away = Broker("away", is_away=True)
 
     async def read(fleet: Fleet) -> None:
@@ -397,7 +398,7 @@ def test_a_disk_that_hangs_delays_nothing(path: str, monkeypatch: pytest.MonkeyP
         return write(this, *arguments)
 
     monkeypatch.setattr(JournalFile, "write", slow)
-    monkeypatch.setattr("libmodbus_py.services.fleet.journal.place.LONGEST_NOTING", 0.01)
+    monkeypatch.setattr("libmodbus_py.services.fleet.journal.place.NOTING_S", 0.01)
     broker = Broker()
 
     async def go() -> None:
@@ -421,13 +422,13 @@ def test_an_output_gets_what_memory_has_dropped_when_it_is_in_the_file(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Although no readings follow that would wake it."""
-    monkeypatch.setattr(journals, "MOST_IN_MEMORY", 4)
+    monkeypatch.setattr(recent, "MOST_IN_MEMORY", 4)
 
     async def go() -> list[int]:
         journal = Journal(path)
         [place] = await journal.open(["broker"])
         journal.put(each for at in range(10) for each in readings("a", float(at)))
-        found = await place.take(100, timeout=HOUR)
+        found = await place.take_polls(100, timeout=HOUR)
         await journal.close()
         return [each.id for each in found]
 
@@ -455,6 +456,57 @@ def test_an_output_that_confirms_while_the_journal_closes_waits_for_nothing(
         assert [each.done() for each in noted] == [True]
 
     simulated_run(go(), Network())
+
+
+class Forced:
+    """
+    Takes half a second to force the disk, in simulated time.
+
+    Attributes:
+        written: the last id of each transaction, and `forced` that of each forced one, with times.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.written: list[tuple[int, float]] = []
+        self.forced: list[tuple[int, float]] = []
+        write, forced, call = JournalFile.write, self.forced, Inline.call
+
+        def writing(file: Any, polls: Any, *others: Any) -> Any:
+            if polls:
+                self.written.append((polls[-1].last, asyncio.get_running_loop().time()))
+            return write(file, polls, *others)
+
+        async def slowly(thread: Any, function: Any, *arguments: Any) -> Any:
+            if getattr(function, "__name__", "") != "force":
+                return await call(thread, function, *arguments)
+            last, _ = self.written[-1]
+            await asyncio.sleep(0.5)
+            forced.append((last, asyncio.get_running_loop().time()))
+            return None
+
+        monkeypatch.setattr(JournalFile, "write", writing)
+        monkeypatch.setattr(Inline, "call", slowly)
+
+
+def test_each_poll_is_forced_onto_the_disk_although_none_follows(
+    path: str, inline: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    forced = Forced(monkeypatch)
+
+    async def go() -> None:
+        journal = Journal(path)
+        await journal.open([])
+        for at in range(4):
+            journal.put(readings("a", float(at)))
+            await asyncio.sleep(0.45)  # one comes while the disk is being forced
+        await asyncio.sleep(5)
+        await journal.close()
+
+    simulated_run(go())
+    assert len(forced.written) == 4
+    for last, written in forced.written:
+        at = min(time for number, time in forced.forced if number >= last)
+        assert at - written <= 0.5 + 0.5 + 0.01  # until it begins, and what the disk takes
 
 
 # --- the beginning and the end --------------------------------------------------------------

@@ -27,7 +27,7 @@ from libmodbus_py.services.fleet.journal.errors import (
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.journal_reader import JournalReader, history
 from libmodbus_py.services.fleet.journal.numbers import MARGIN
-from libmodbus_py.services.fleet.journal.polls import numbered
+from libmodbus_py.services.fleet.journal.polls import JournalPoll, numbered
 from tests.services.fleet.journal.journals import polls, readings
 
 DAY = 86_400.0
@@ -129,13 +129,65 @@ def test_points_keep_their_rows_in_other_runs(path: str) -> None:
     changed = [each._replace(unit="mV") for each in readings()]
     file.write(list(numbered(changed, 200)), {}, 0)
     file.close()
-    assert asked(path, "SELECT id, points, unit FROM point") == [
-        (1, 1, "V"),
-        (2, 1, "V"),
-        (3, 3, "mV"),
-        (4, 3, "mV"),
+    assert asked(path, "SELECT points, unit FROM point ORDER BY id") == [
+        *[(1, "V"), (1, "V")],
+        *[(3, "mV"), (3, "mV"), (3, "V"), (3, "V")],
     ]
     assert {unit for (unit,) in asked(path, "SELECT unit FROM reading WHERE id < 200")} == {"V"}
+
+
+def some(first: int, *names: str, site: str = "north") -> list[JournalPoll]:
+    """A poll of a device in which only these points have changed."""
+    labels = {"site": site}
+    changed = [Reading(first / 1e3, "a", name, first, "V", "good", labels=labels) for name in names]
+    return list(numbered(changed, first))
+
+
+def test_polls_of_the_points_that_have_changed_add_no_lists_of_points(
+    file: JournalFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After a change of labels, after a failed transaction, or in the next run."""
+    names = [f"p{at}" for at in range(12)]
+    number = 1
+
+    def write_changes(site: str) -> None:
+        nonlocal number
+        for at in range(100):
+            chosen = [name for bit, name in enumerate(names) if (at * 41) >> bit & 1] or names[:1]
+            file.write(some(number, *chosen, site=site), {}, 0)
+            number += len(chosen)
+
+    file.write(some(number, *names), {}, 0)
+    number += len(names)
+    write_changes("north")
+    assert asked(file.path, "SELECT count(*) FROM point") == [(12,)]
+    with monkeypatch.context() as failing:
+        failing.setattr(journal_file, "SET_PLACE", "no SQL")
+        with pytest.raises(JournalTrouble):
+            file.write(some(number, "p3"), {"a": 1}, 0)
+    write_changes("north")
+    file.close()
+    file.open([])
+    write_changes("north")
+    assert asked(file.path, "SELECT count(*) FROM point") == [(12,)]
+    write_changes("south")
+    sizes = asked(file.path, "SELECT count(*) FROM point WHERE device = 2 GROUP BY points")
+    assert sizes == sorted({*sizes})  # each list has all points of those before it
+    assert len(history(file.path, "a", "p11", 0, 1e9)) == sum(
+        1 for (name,) in asked(file.path, "SELECT name FROM reading") if name == "p11"
+    )
+    with contextlib.closing(JournalReader(file.path)) as reader:
+        read = [one for poll in reader.read(0, 10_000) for one in poll.readings]
+    assert len(read) == number - 1
+    assert all(each.value in range(each.id - 11, each.id + 1) for each in read)
+
+
+def test_the_first_points_of_a_list_are_not_all_of_a_history(file: JournalFile) -> None:
+    file.write(some(1, "p0", "p1"), {}, 0)
+    file.write(some(3, "p0"), {}, 0)
+    assert asked(file.path, "SELECT chosen FROM poll") == [(None,), (None,)]
+    assert [each.value for each in history(file.path, "a", "p1", 0, 9)] == [1]
+    assert [each.value for each in history(file.path, "a", "p0", 0, 9)] == [1, 3]
 
 
 def test_a_unit_that_changes_in_a_run_holds_for_later_readings(file: JournalFile) -> None:
@@ -148,15 +200,14 @@ def test_a_unit_that_changes_in_a_run_holds_for_later_readings(file: JournalFile
 def test_a_poll_that_cannot_be_written_delays_no_other(
     file: JournalFile, caplog: pytest.LogCaptureFixture
 ) -> None:
-    strange = [Reading(1.0, "b", "p0", object(), "", "good")]
-    file.write([*polls(1, 1), *numbered(strange, 3), *polls(4, 1)], {}, 0)
-    assert asked(file.path, "SELECT id FROM poll") == [(1,), (4,)]
-    assert "a poll of b is not written: Object of type object" in caplog.text
-
-
-def test_names_that_no_file_can_contain_are_written_with_escapes(file: JournalFile) -> None:
-    file.write(list(numbered([Reading(1.0, "\ud800", "\udfff", 1, "", "good")], 1)), {}, 0)
-    assert asked(file.path, "SELECT device, name FROM reading") == [("\\ud800", "\\udfff")]
+    strange = Reading(1.0, "b", "p0", object(), "", "good")
+    nameless = strange._replace(device="\ud800", value=1)
+    file.write(
+        [*polls(1, 1), *numbered([strange], 3), *numbered([nameless], 4), *polls(5, 1)], {}, 0
+    )
+    assert asked(file.path, "SELECT id FROM poll") == [(1,), (5,)]
+    assert "a poll of 'b' is not written: Object of type object" in caplog.text
+    assert "a poll of '\\ud800' is not written: 'utf-8' codec" in caplog.text
 
 
 # --- places and runs ------------------------------------------------------------------------
@@ -353,7 +404,7 @@ def test_changes_that_cannot_be_merged_are_bounded(
     path: str, monkeypatch: pytest.MonkeyPatch, largest: int
 ) -> None:
     """By half the size of the journal; a small one has some more room."""
-    monkeypatch.setattr(journal_file, "LARGEST_WAL", largest)
+    monkeypatch.setattr(journal_file, "LARGEST_WAL_BYTES", largest)
     sizes: list[int] = []
 
     def fill(file: JournalFile) -> None:
@@ -368,12 +419,11 @@ def test_changes_that_cannot_be_merged_are_bounded(
 
 
 def test_each_damaged_file_keeps_a_name_of_its_own(path: str) -> None:
-    names = []
     for _ in range(3):
         file = opened(path)
-        names.append(file.set_aside())
+        file.replace(JournalDamaged("is damaged"), [])
         file.close()
-    assert names == [f"{path}-damaged", f"{path}-damaged-2", f"{path}-damaged-3"]
+    names = [f"{path}-damaged", f"{path}-damaged-2", f"{path}-damaged-3"]
     assert all(Path(name).exists() for name in names)
 
 
@@ -383,12 +433,10 @@ def test_a_damaged_file_is_set_aside(path: str, file: JournalFile) -> None:
     whole = bytearray(Path(path).read_bytes())
     whole[4096:] = os.urandom(len(whole) - 4096)
     Path(path).write_bytes(whole)
-    with pytest.raises(JournalDamaged, match="is damaged"):
+    with pytest.raises(JournalDamaged, match="is damaged") as error:
         file.open(["a"])
-    moved = file.set_aside()
-    assert moved == f"{path}-damaged"
-    assert Path(moved).read_bytes() == whole
-    file.open({"a": 70}, 71)
+    file.replace(error.value, ["a"], 71)
+    assert Path(f"{path}-damaged").read_bytes() == whole
     assert asked(path, "SELECT output, confirmed FROM place") == [("a", 70)]
 
 

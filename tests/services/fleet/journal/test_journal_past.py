@@ -7,8 +7,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
+from libmodbus_py.services.fleet.journal.journal_reader import past_in
 from libmodbus_py.services.fleet.journal.polls import numbered
-from libmodbus_py.services.fleet.journal_past import past_in
 from tests.services.fleet.journal.journals import readings
 
 

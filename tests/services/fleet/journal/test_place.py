@@ -62,14 +62,14 @@ def test_a_place_never_falls() -> None:
     async def go() -> None:
         shelf = Shelf(*polls(1, 4))
         place = JournalPlace("x", shelf, 0)
-        first, second = await place.take(2), await place.take(2)
+        first, second = await place.take_polls(2), await place.take_polls(2)
         await place.confirm(second)
         for old in (second, first, []):  # an output that confirms twice, or late
             await place.confirm(old)
             place.drop(old)
         assert (place.confirmed, place.dropped, shelf.noted) == (4, 0, 1)
         place.put_back(first)
-        assert [each.id for each in await place.take(2)] == [5, 6]
+        assert [each.id for each in await place.take_polls(2)] == [5, 6]
 
     simulated_run(go())
 
@@ -81,7 +81,7 @@ def test_a_disk_that_notes_nothing_delays_an_output_by_a_second() -> None:
         place = JournalPlace("x", shelf, 0)
         loop = asyncio.get_running_loop()
         begun = loop.time()
-        await place.confirm(await place.take(2))
+        await place.confirm(await place.take_polls(2))
         assert loop.time() - begun == pytest.approx(1.0)
 
     simulated_run(go())
@@ -93,14 +93,14 @@ def test_what_was_deleted_unconfirmed_is_counted_and_told_once(
     async def go() -> None:
         shelf = Shelf(*polls(1, 10))
         place = JournalPlace("mqtt x", shelf, 0)
-        batch = await place.take(2)
+        batch = await place.take_polls(2)
         place.put_back(batch)
         for last in (3, 0, 6):
             place.deleted(last)
         assert (place.dropped, place.confirmed, len(place)) == (6, 6, 14)
-        assert [each.id for each in await place.take(4)] == [7, 8, 9, 10]
+        assert [each.id for each in await place.take_polls(4)] == [7, 8, 9, 10]
         shelf.polls = shelf.polls[8:]  # rows that were damaged
-        assert [each.id for each in await place.take(2)] == [17, 18]
+        assert [each.id for each in await place.take_polls(2)] == [17, 18]
         assert place.dropped == 6 + 6
 
     simulated_run(go())
@@ -116,7 +116,7 @@ def test_other_polls_are_looked_at_without_being_taken() -> None:
         found = await place.polls(3)
         assert [each[0].id for each in found] == [1, 3, 5]
         assert len(await place.polls(1000)) == 8
-        assert [each.id for each in await place.take(3)] == [1, 2, 3, 4]
+        assert [each.id for each in await place.take_polls(3)] == [1, 2, 3, 4]
 
     simulated_run(go())
 
@@ -126,11 +126,11 @@ def test_a_closed_place_is_over_when_all_was_taken() -> None:
         place = JournalPlace("x", Shelf(*polls(1, 2)), 0)
         place.close()
         assert not place.is_over
-        await place.take(100)
+        await place.take_polls(100)
         assert place.is_over
-        assert await place.take(100) == []
+        assert await place.take_polls(100) == []
         other = JournalPlace("x", Shelf(*polls(1, 2)), 0)
-        await other.take(2)
+        await other.take_polls(2)
         other.give_up()
         assert (other.dropped, len(other)) == (0, 4)  # it waits for the next run
 
@@ -140,7 +140,7 @@ def test_a_closed_place_is_over_when_all_was_taken() -> None:
 def test_a_closed_place_ends_the_wait_of_an_output() -> None:
     async def go() -> None:
         place = JournalPlace("x", Shelf(), 0)
-        waiting = asyncio.create_task(place.take(100))
+        waiting = asyncio.create_task(place.take_polls(100))
         await asyncio.sleep(0)
         assert not waiting.done()
         place.close()

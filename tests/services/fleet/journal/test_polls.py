@@ -22,7 +22,7 @@ def test_readings_become_polls_with_ids_in_order() -> None:
     assert [one._replace(id=0) for each in found for one in each.readings] == mixed
 
 
-POINTS = Points(5, 3, ("p0", "p1", "p2"), ("V", "", "W"))
+POINTS = Points(5, 3, [("p0", "V"), ("p1", ""), ("p2", "W")])
 
 
 @each_case(
@@ -35,7 +35,7 @@ POINTS = Points(5, 3, ("p0", "p1", "p2"), ("V", "", "W"))
     ],
 )
 def test_a_row_gives_back_what_was_put_into_it(readings: Sequence[tuple[str, object]]) -> None:
-    units = dict(zip(POINTS.names, POINTS.units, strict=True))
+    units = dict(POINTS.named)
     whole = [
         Reading(1.25, "a", name, value, units[name], "good", "", 20 + at)
         for at, (name, value) in enumerate(readings)
