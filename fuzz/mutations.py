@@ -109,7 +109,7 @@ TUNING: dict[str, frozenset[str]] = {
     "of how much is done before others have their turn": frozenset(
         {
             *("AT_ONCE", "BEHIND_AT_ONCE", "EVENTS_MAX", "FAIR_BYTES", "FOUND_AT_ONCE"),
-            *("FREED", "GREEDY_AT_ONCE", "MERGED", "MOST_AT_ONCE", "MOST_DELETED"),
+            *("FREED", "GREEDY_AT_ONCE", "MERGED_BYTES", "MOST_AT_ONCE", "MOST_DELETED"),
             *("GREEDY_BYTES", "MOST_OF_JOURNAL", "MOST_WRITES", "PIECE", "READ_SIZE"),
             *("RECEIVED_BYTES", "TOGETHER"),
         }
@@ -118,14 +118,15 @@ TUNING: dict[str, frozenset[str]] = {
         {
             *("LARGEST_WAL_BYTES", "MARGIN", "MAX_ABANDONED", "MAX_KEPT", "MAX_RECEIVED"),
             *("MAX_UNASKED_BYTES", "MAX_WAITING", "MOST_ASKING", "MOST_ERRORS", "MOST_IN_MEMORY"),
-            *("MOST_MESSAGES", "MOST_OF_CSV", "MOST_STALE", "OVERHEAD"),
+            *("MOST_MESSAGES", "MOST_OF_CSV", "OVERHEAD"),
             *("REMEMBERED", "ROOM_AT_MOST", "SPARE_DESCRIPTORS"),
         }
     ),
     "of tries, of seconds between them, and of how exactly time is kept": frozenset(
         {
-            *("COARSEST", "EXACTNESS", "FADING", "FIRST_PAUSE", "FORCED", "GATHERED", "LAST_WAIT"),
-            *("LEAVING", "LONGEST_PAUSE", "LOOK", "MOST_DOUBLINGS", "MOST_TRIES", "PAUSE", "QUICK"),
+            *("COARSEST", "EXACTNESS", "FADING", "FIRST_PAUSE", "FIRST_PAUSE_S", "FORCED_S"),
+            *("GATHERED_S", "LAST_WAIT_S", "LEAVING", "LONGEST_PAUSE", "LONGEST_PAUSE_S", "LOOK"),
+            *("MOST_DOUBLINGS", "MOST_TRIES", "PAUSE", "QUICK_S"),
             *("RESOLUTION", "SAMPLED", "SHORTEST_TRIAL_S", "SLEPT_S"),
         }
     ),

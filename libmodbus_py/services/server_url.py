@@ -93,5 +93,7 @@ def url_without_login(
 
 def _without_login(text: str) -> str:
     """Return a text that is no valid URL without what may be a user and a password."""
-    scheme, mark, rest = text.rpartition("://")
+    scheme, mark, rest = text.partition("://")
+    if not mark:
+        scheme, rest = "", text
     return f"{scheme}{mark}***@{rest.rpartition('@')[2]}" if "@" in rest else text

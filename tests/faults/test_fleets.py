@@ -58,7 +58,7 @@ def is_up(fleet: Fleet) -> bool:
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody waits long for the next attempt."""
-    monkeypatch.setattr("libmodbus_py.services.fleet.outputs.pump.FIRST_PAUSE", 0.001)
+    monkeypatch.setattr("libmodbus_py.services.tasks.FIRST_PAUSE_S", 0.001)
 
 
 def test_a_fleet_on_networks_and_lines(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ What is read from files again: at SIGHUP, and for each connection to a broker.
 
 from __future__ import annotations
 
+import asyncio
 import gc
 import logging
 import ssl
@@ -15,8 +16,8 @@ from libmodbus_py.security.renewed import Renewed, reload_all
 from libmodbus_py.services.engine.connection import FileText, _identity, _trust
 from libmodbus_py.services.engine.errors import EngineError
 from libmodbus_py.services.fleet.files import load
+from libmodbus_py.services.fleet.outputs.credentials import SecretFile, text_of
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from libmodbus_py.services.fleet.outputs.secret_file import SecretFile, text_of
 from tests.support import certificates
 from tests.support.certificates import Papers
 
@@ -94,24 +95,24 @@ def test_a_password_file_of_mqtt_is_read_again(tmp_path: Path) -> None:
     )
     file = load(tmp_path / "fleet.toml")
     password = file.outputs[0][1]["password"]
-    assert text_of(password) == "first"
+    assert asyncio.run(text_of(password)) == "first"
     (tmp_path / "secret").write_text("second")
-    assert text_of(password) == "second"
+    assert asyncio.run(text_of(password)) == "second"
     assert load(tmp_path / "fleet.toml").outputs == file.outputs
     (tmp_path / "secret").unlink()
-    assert text_of(password) == "second"
+    assert asyncio.run(text_of(password)) == "second"
     assert len(mistakes(tmp_path / "secret")) == 1
     assert "second" not in repr(file.outputs)
 
 
 def test_the_authorities_of_mqtt_are_read_again(ca: Path) -> None:
     output = Mqtt("mqtts://192.0.2.1", ca=str(ca))
-    before = authorities(output._context())
+    before = authorities(asyncio.run(output._connection._trust.context()))
     ca.write_bytes(certificates.foreign_authority().pem)
-    after = authorities(output._context())
+    after = authorities(asyncio.run(output._connection._trust.context()))
     assert before != after
     ca.write_text("in the midst of being written")
-    assert authorities(output._context()) == after
+    assert authorities(asyncio.run(output._connection._trust.context())) == after
     assert len(mistakes(ca)) == 1
 
 

@@ -17,8 +17,8 @@ import pytest
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.engine.buckets import Watch
 from libmodbus_py.services.fleet.outputs.file_outputs import JsonOutput
-from libmodbus_py.services.fleet.outputs.pump import LAST_WORDS, Pump
-from libmodbus_py.services.tasks import AGAIN, end_tasks, finish
+from libmodbus_py.services.fleet.outputs.pump import Pump
+from libmodbus_py.services.tasks import AGAIN, end_tasks, finish, finishing
 from tests.services.fleet.outputs.test_unwritable_readings import Picky, reading
 from tests.simulation.network import Network
 
@@ -51,7 +51,7 @@ def test_an_output_that_loses_cancellations_ends_with_the_fleet() -> None:
             await pump.ended()
         return asyncio.get_running_loop().time() - before
 
-    assert Network().run(go) == LAST_WORDS + 2 * AGAIN
+    assert Network().run(go) == finishing() + 2 * AGAIN
 
 
 def test_tasks_that_lose_cancellations_are_ended() -> None:

@@ -87,7 +87,10 @@ def test_two_spellings_of_a_host_are_one_server(
 
 @each_case(
     "text",
-    ["http://me:secret@h:0x", "http:/me:secret@h", "x://me:p@secret@h", "http://me:secret@h:x"],
+    [
+        *("http://me:secret@h:0x", "http:/me:secret@h", "x://me:p@secret@h"),
+        *("http://me:secret@h:x", "x://me:secret://p@h", "me:secret@h"),
+    ],
 )
 def test_a_wrong_url_is_not_shown_with_its_login(text: str) -> None:
     with pytest.raises(ValueError, match="must") as caught:

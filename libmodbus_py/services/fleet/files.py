@@ -48,10 +48,10 @@ from .config import DeviceConfig, checked
 from .devices_csv import DeviceRow, device_rows
 from .engine_table import ENGINE
 from .journal.journal import KEEP_BOUNDS, SIZE_BOUNDS, Journal
+from .outputs.credentials import SecretFile
 from .outputs.exclusive import file_at, shared, used
 from .outputs.kinds import KINDS, made, output_keys
 from .outputs.output import Described, Output
-from .outputs.secret_file import SecretFile
 
 __all__ = ["DEVICE", "FILE", "FleetFile", "FleetFileError", "load"]
 
@@ -234,11 +234,13 @@ class _Reader:
                 trial.append(output)
         found = shared(trial)
         if found is not None:
-            first = path_text(places[found.first])
-            raise WrongValue.about(places[found.second], f"uses {found.what}, as {first} does")
+            first, second, what = found
+            raise WrongValue.about(
+                places[second], f"uses {what}, as {path_text(places[first])} does"
+            )
         for place, output in zip(places, trial, strict=True):
-            if (what := used(output, self._sources)) is not None:
-                raise WrongValue.about(place, f"uses {what}, which the fleet is read from")
+            if (source := used(output, self._sources)) is not None:
+                raise WrongValue.about(place, f"uses {source}, which the fleet is read from")
         return outputs
 
     def _output(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from libmodbus_py.services import tasks
 from libmodbus_py.services.fleet.outputs import pump as pumps
 
 if TYPE_CHECKING:
@@ -21,9 +22,9 @@ def broker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Broker]:
     """A mosquitto that runs; outputs try again sooner than they do for users."""
     from tests.services.fleet.outputs.brokers import Broker  # MQTT's client is an extra
 
-    monkeypatch.setattr(pumps, "FIRST_PAUSE", 0.01)
-    monkeypatch.setattr(pumps, "LONGEST_PAUSE", 0.05)
-    monkeypatch.setattr(pumps, "LONGEST_SILENCE", 0.1)
+    monkeypatch.setattr(tasks, "FIRST_PAUSE_S", 0.01)
+    monkeypatch.setattr(tasks, "LONGEST_PAUSE_S", 0.05)
+    monkeypatch.setattr(pumps, "LONGEST_SILENCE_S", 0.1)
     made = Broker(tmp_path)
     made.start()
     yield made

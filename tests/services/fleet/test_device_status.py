@@ -7,9 +7,10 @@ from __future__ import annotations
 import pytest
 
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.outputs.device_states import DeviceStates
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
+from libmodbus_py.services.fleet.outputs.mqtt_messages import DeviceStates
 from libmodbus_py.services.fleet.outputs.pump import Pump
+from libmodbus_py.services.fleet.outputs.topics import Topic
 from tests.services.fleet.fleets import until
 from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, run
 from tests.support.cases import each_case
@@ -42,24 +43,24 @@ def poll(device: str, qualities: str, at: float = 0) -> list[Reading]:
 def test_a_device_answers_while_a_point_of_it_is_read_or_refused(
     polls: list[str], states: list[bool | None]
 ) -> None:
-    known = DeviceStates()
+    known = DeviceStates(Topic("device_status", TOPIC, ("device",)))
     found = []
     for letters in polls:
         readings = poll("a", letters)
         changed = known.changed(readings)
         assert known.changed(readings) == changed  # a write that failed is tried again
         known.note(changed, readings)
-        found.append(changed.get("a"))
+        found.append(changed["a"][1] if changed else None)
     assert found == states
 
 
 def test_removed_devices_take_no_room() -> None:
-    known = DeviceStates()
+    known = DeviceStates(Topic("device_status", TOPIC, ("device",)))
     for number in range(100):
         for letters in ("gg", "oo"):
             readings = poll(f"device {number}", letters)
             known.note(known.changed(readings), readings)
-    assert (known.told, known._answered) == ({}, {})
+    assert (known.published, known._answered) == ({}, {})
 
 
 def test_each_device_has_its_topic_also_after_a_restart_of_the_broker(broker: Broker) -> None:

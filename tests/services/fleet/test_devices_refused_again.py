@@ -134,4 +134,4 @@ def test_other_packages_log_no_errors_of_a_refused_message(
     told = [each for each in caplog.records if each.levelno >= logging.INFO]
     # asyncio tells of callbacks that a busy machine makes slow.
     assert {each.name.partition(".")[0] for each in told} - {"asyncio"} == {"libmodbus_py"}
-    assert any(each.name.endswith(".mqtt.client") for each in caplog.records)
+    assert any(each.name.endswith(".mqtt_connection.client") for each in caplog.records)

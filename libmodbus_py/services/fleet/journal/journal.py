@@ -25,7 +25,7 @@ from os import PathLike, fspath
 from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType
 from ....tools.files.amounts import in_bytes, in_seconds
-from ...tasks import end_tasks, finish
+from ...tasks import Pauses, end_tasks, finish
 from ..outputs.exclusive import file_at
 from ..outputs.writer_thread import WriterThread
 from ..readings import Reading
@@ -54,8 +54,9 @@ GATHERED_S = 0.05
 # Seconds until data that were written are forced onto the disk.
 FORCED_S = 0.5
 
-# Seconds between attempts while the disk does not take readings, and between those to read.
-FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
+# Seconds between attempts to read while the disk reports errors, and the most between those to
+# write: what waits in memory may be full after seconds.
+READING_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
 
 # Seconds that the last transaction may take, on a disk that hangs.
 LAST_WAIT_S = 5.0
@@ -278,7 +279,7 @@ class Journal:
         except JournalError as error:
             self._note_trouble(error)
             self._wake.set()
-            await asyncio.sleep(FIRST_PAUSE_S)
+            await asyncio.sleep(READING_PAUSE_S)
             return [], number
         return polls, number if polls else max(number, before)
 
@@ -290,7 +291,7 @@ class Journal:
     # --- the task ---------------------------------------------------------------------------
 
     async def _run(self) -> None:
-        pause = FIRST_PAUSE_S
+        pauses = Pauses(LONGEST_PAUSE_S)
         while True:
             await self._something_to_do()
             try:
@@ -300,12 +301,11 @@ class Journal:
                 if asyncio.get_running_loop().time() >= self._force_at:
                     await self._writing.call(self._file.force)
                     self._force_at = math.inf
-                pause = FIRST_PAUSE_S
+                pauses.reset()
             except JournalError as error:
                 self._note_trouble(error)
                 self._wake.set()
-                await asyncio.sleep(pause)
-                pause = min(2 * pause, LONGEST_PAUSE_S)
+                await asyncio.sleep(pauses.next())
 
     async def _something_to_do(self) -> None:
         """Wait for readings, for a place to be written, or for the time to force the disk."""

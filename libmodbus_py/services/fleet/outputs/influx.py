@@ -1,35 +1,50 @@
 """
-An output for InfluxDB: line protocol by HTTP, to a file, or to the standard output.
+An output for InfluxDB: line protocol by HTTP, to a file, or to the standard output. HTTP needs
+httpx (the extra ``influx``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Protocol
+import asyncio
+import base64
+import contextlib
+import re
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
 
-from ....protocol.mistakes import WrongValue
+from ....protocol.mistakes import WrongType, WrongValue
+from ....protocol.plain import without_controls
+from ...server_url import url_without_login
+from ...tasks import finish
 from ..buffer import MOST_KEPT
 from ..config import DeviceConfig
 from ..readings import Reading
-from .influx_server import InfluxServer
+from .credentials import SecretFile, Trust, text_of
 from .line_file import LineFile
 from .line_protocol import LineProtocol
-from .secret_file import SecretFile
+from .output import OutputError, ReadingsRefused
+
+if TYPE_CHECKING:
+    import httpx
 
 __all__ = ["Influx"]
 
+# Scheme -> port of a URL without one.
+PORTS = {"http": 80, "https": 443}
 
-class _Sink(Protocol):
-    """A file or a server, which takes lines."""
+# Seconds for a server to take a batch, whatever it does meanwhile.
+TIMEOUT_S = 30.0
 
-    @property
-    def name(self) -> str: ...
+# What is read of an answer, and what is shown of it.
+LONGEST_ANSWER_BYTES, LONGEST_SHOWN_CHARACTERS = 4096, 200
 
-    async def open(self) -> None: ...
+# The longest time that a server may demand before the next attempt, in seconds.
+LONGEST_DEMAND_S = 300.0
 
-    async def write(self, readings: Sequence[Reading]) -> None: ...
-
-    async def close(self) -> None: ...
+# The status after a write; those after which the same lines would be refused again; and those with
+# which a server may demand a pause.
+ACCEPTED_STATUS, REFUSED, BUSY = 204, (400, 413, 422), (429, 503)
 
 
 class Influx:
@@ -75,41 +90,30 @@ class Influx:
     ) -> None:
         self._protocol = LineProtocol(measurement)
         self.buffer: int = buffer
-        of_servers = {
-            "database": database,
-            "bucket": bucket,
-            "organization": organization,
-            "user": user,
-            "password": password,
-            "token": token,
-            "ca": ca,
-        }
-        self._sink: _Sink
-        if url is not None:
-            if path is not None:
-                raise WrongValue("path", "cannot be used with url")
-            self._sink = InfluxServer(self._protocol.lines, url, **of_servers)  # type: ignore[arg-type]
-            place = "/".join(each for each in (organization, bucket, database) if each)
-            used = f"the measurement {measurement!r} in {place!r} of {self.name}"
-            self.exclusive: tuple[str, ...] = (used,)
-            self.identity: str = f"{self.name} {place} {measurement}"
+        texts = {"database": database, "bucket": bucket, "organization": organization, "user": user}
+        if url is None:
+            others = {**texts, "password": password, "token": token, "ca": ca}
+            needless = [name for name, value in others.items() if value is not None]
+            if needless:
+                raise WrongValue(needless[0], "can only be used with url")
+            self.path: str = "-" if path is None else path
+            file = LineFile(self.path, self._protocol.format, buffer)
+            self.name: str = file.name
+            self.is_live: bool = file.is_live
+            self.exclusive: tuple[str, ...] = file.exclusive
+            self.identity: str = file.identity
+            self._sink: LineFile | _Server = file
             return
-        needless = [name for name, value in of_servers.items() if value is not None]
-        if needless:
-            raise WrongValue(needless[0], "can only be used with url")
-        self.path: str = "-" if path is None else path
-        self._sink = file = LineFile(self.path, self._protocol.format, buffer)
-        self.exclusive = file.exclusive
-        self.identity = file.identity
-
-    @property
-    def name(self) -> str:
-        return self._sink.name
-
-    @property
-    def is_live(self) -> bool:
-        """True if readings of earlier runs are not wanted."""
-        return getattr(self._sink, "is_live", False)
+        if path is not None:
+            raise WrongValue("path", "cannot be used with url")
+        secret = token if token is not None else password
+        self._sink = server = _Server(self._protocol, url, texts, secret, ca)
+        _check(texts, password, token)
+        self.name = server.name
+        self.is_live = False
+        place = "/".join(each for each in (organization, bucket, database) if each)
+        self.exclusive = (f"the measurement {measurement!r} in {place!r} of {self.name}",)
+        self.identity = f"{self.name} {place} {measurement}"
 
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Set the devices of the readings."""
@@ -123,3 +127,150 @@ class Influx:
 
     async def close(self) -> None:
         await self._sink.close()
+
+
+class _Server:
+    """
+    A server, which takes lines by HTTP.
+
+    Redirections are not followed, because they would lead the credentials elsewhere.
+    """
+
+    def __init__(
+        self,
+        protocol: LineProtocol,
+        url: str,
+        texts: Mapping[str, str | None],
+        secret: str | SecretFile | None,
+        ca: str | None,
+    ) -> None:
+        server = url_without_login(url, PORTS, "http://192.0.2.1:8086", may_have_path=True)
+        if ca is not None and server.scheme != "https":
+            raise WrongValue("ca", "can only be used with https://")
+        self.name: str = f"influx {server.place}"
+        path = "/write" if texts["database"] else "/api/v2/write"
+        self._url = f"{url.rstrip('/')}{path}"
+        query = {"db": texts["database"], "bucket": texts["bucket"], "org": texts["organization"]}
+        self._query = {key: value for key, value in query.items() if value} | {"precision": "ns"}
+        self._protocol = protocol
+        self._user, self._secret = texts["user"], secret
+        self._trust = Trust(ca) if server.scheme == "https" else None
+        self._client: httpx.AsyncClient | None = None
+        self._not_before = 0.0
+
+    async def open(self) -> None:
+        try:
+            import httpx
+        except ImportError:
+            raise OutputError("InfluxDB needs httpx: pip install 'libmodbus-py[influx]'") from None
+        # The server has demanded this pause.
+        await asyncio.sleep(max(0.0, self._not_before - time.monotonic()))
+        context = await self._trust.context() if self._trust else False
+        self._client = httpx.AsyncClient(verify=context, timeout=TIMEOUT_S)
+
+    async def write(self, readings: Sequence[Reading]) -> None:
+        lines = self._protocol.lines(readings)
+        if not lines:
+            return
+        secret = await text_of(self._secret)
+        try:
+            async with asyncio.timeout(TIMEOUT_S):
+                with _as_os_error():
+                    status, demand, answer = await self._post(lines, secret)
+        except TimeoutError:
+            raise TimeoutError(f"the server did not answer in {TIMEOUT_S:g} s") from None
+        if status == ACCEPTED_STATUS:
+            return
+        if status < 300:
+            message = f"the server answered {status} to a write, InfluxDB 204: is this its URL?"
+            raise OSError(message)
+        message = f"{status} {_shown(answer, self._user, secret)}".rstrip()
+        if status in REFUSED:
+            raise ReadingsRefused(message)
+        if status in BUSY:
+            self._not_before = time.monotonic() + demand
+        raise OSError(message)
+
+    async def _post(self, lines: bytes, secret: str | None) -> tuple[int, float, bytes]:
+        """Return the status of the answer, the pause that it demands, and what it says."""
+        client, headers = self._client, {"Content-Type": "text/plain; charset=utf-8"}
+        assert client is not None
+        if secret is not None and self._user is None:
+            headers["Authorization"] = f"Token {secret}"
+        login = None if self._user is None else (self._user, secret or "")
+        sending = client.stream(
+            "POST", self._url, params=self._query, content=lines, headers=headers, auth=login
+        )
+        async with sending as answer:
+            begin = b""
+            async for chunk in answer.aiter_raw():
+                begin += chunk[:LONGEST_ANSWER_BYTES]
+                if len(begin) >= LONGEST_ANSWER_BYTES:
+                    break
+            return answer.status_code, _seconds(answer.headers.get("retry-after")), begin
+
+    async def close(self) -> None:
+        client, self._client = self._client, None
+        if client is not None:
+            await finish(client.aclose())
+
+
+def _check(
+    texts: Mapping[str, str | None],
+    password: str | SecretFile | None,
+    token: str | SecretFile | None,
+) -> None:
+    """Check which arguments occur together."""
+    for key, value in texts.items():
+        if value is not None and (not isinstance(value, str) or not value):
+            raise WrongType(key, f"must be text, not {value!r}")
+    if (texts["database"] is None) == (texts["bucket"] is None):
+        raise WrongValue.about("url", "needs either database (InfluxDB 1) or bucket (InfluxDB 2)")
+    if texts["organization"] is not None and texts["bucket"] is None:
+        raise WrongValue("organization", "can only be used with bucket")
+    if (texts["user"] is None) != (password is None):
+        raise WrongValue("user", "and password must be given together")
+    if texts["user"] is not None and token is not None:
+        raise WrongValue("token", "cannot be used with user")
+
+
+@contextlib.contextmanager
+def _as_os_error() -> Iterator[None]:
+    """
+    Raise the errors of httpx as those of an output.
+
+    Raises:
+        ConnectionError: the connection was lost while lines were sent, perhaps due to them.
+        OSError: another error.
+    """
+    import httpx
+
+    try:
+        yield
+    except (httpx.ReadError, httpx.WriteError, httpx.RemoteProtocolError) as error:
+        raise ConnectionResetError(_reason(error)) from None
+    except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError) as error:
+        raise OSError(_reason(error)) from None
+
+
+def _reason(error: Exception) -> str:
+    return without_controls(str(error))[:LONGEST_SHOWN_CHARACTERS] or type(error).__name__
+
+
+def _shown(answer: bytes, user: str | None, secret: str | None) -> str:
+    """Return the text of an answer without credentials that the server repeats."""
+    text = answer.decode(errors="replace")
+    if secret:
+        basic = base64.b64encode(f"{user}:{secret}".encode()).decode()
+        # A server may repeat them with other spaces: only what lies between these is compared.
+        for hidden in (basic, secret):
+            words = [re.escape(word) for word in hidden.split()]
+            text = re.sub(r"\s+".join(words), "***", text) if words else text
+    return " ".join(without_controls(text).split())[:LONGEST_SHOWN_CHARACTERS]
+
+
+def _seconds(demand: str | None) -> float:
+    """Return the seconds of a header Retry-After; 0 if it is none, or a date."""
+    if demand is None or not demand.isascii() or not demand.isdigit():
+        return 0.0
+    return min(float(demand[:9]), LONGEST_DEMAND_S)

@@ -24,9 +24,6 @@ from .writer_thread import WriterThread
 
 __all__ = ["Format", "LineFile"]
 
-# Seconds that the last write may take: a reader may have stopped reading.
-LAST_WAIT = 1.0
-
 # Bytes that are read at once from a file whose last line was not ended.
 PIECE = 1 << 20
 
@@ -117,7 +114,7 @@ class LineFile:
         if not self._thread.is_running:
             return
         try:
-            await finish(self._thread.call(self._close), LAST_WAIT)
+            await finish(self._thread.call(self._close))  # a reader may have stopped reading
         finally:
             self._thread.stop()
 

@@ -1,12 +1,12 @@
 """
-Topics and payloads of readings at an MQTT broker, and the last values that it retains there.
+Topics and payloads of readings at an MQTT broker, and what the broker retains of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
-from typing import Protocol
 
 from ....protocol.json_text import JSON
 from ..readings import Reading
@@ -14,190 +14,188 @@ from .forms import payload
 from .poll_messages import newest, poll_messages
 from .topics import Topic
 
-__all__ = ["Message", "Messages", "PointMessages", "PollMessages"]
+__all__ = ["OFFLINE", "ONLINE", "DeviceStates", "Key", "Message", "Messages"]
 
 Message = tuple[str, bytes]
 """A topic and a payload."""
 
+Key = tuple[str, ...]
+"""The names of what has one topic: a device and a point, or a device."""
 
-class Messages(Protocol):
+ONLINE, OFFLINE = b"online", b"offline"
+
+# How often the connection may be lost at last values that are published again.
+MOST_LOSSES = 3
+
+
+class Messages:
     """
-    Makes messages of readings, and knows those that the broker retains.
-
-    Its keys name what has one topic: points, or devices.
-    """
-
-    def of(self, readings: Sequence[Reading]) -> Iterator[Message]:
-        """Yield the messages with readings."""
-        ...
-
-    def left(self, readings: Sequence[Reading]) -> Iterator[Message]:
-        """Yield messages that take back retained values at topics with a former label."""
-        ...
-
-    def note(self, readings: Sequence[Reading]) -> None:
-        """Note that the broker retains these readings."""
-        ...
-
-    def kept(self) -> dict[Hashable, list[Reading]]:
-        """Return the last readings of each key."""
-        ...
-
-    def again(self, readings: Sequence[Reading]) -> Iterator[Message]:
-        """Yield the messages with last readings."""
-        ...
-
-    def put_last(self, key: Hashable) -> bool:
-        """Move last values behind all others; return False if there are none."""
-        ...
-
-    def forget(self, key: Hashable) -> str:
-        """Forget last values; return what they were of, for the log."""
-        ...
-
-
-class PointMessages:
-    """
-    A message for each reading, at the topic of its point.
+    Makes messages of readings, and keeps the last values, which the broker may lose.
 
     Args:
-        topic: of a point.
-    """
-
-    def __init__(self, topic: Topic) -> None:
-        self._topic = topic
-        self._kept: dict[Hashable, Reading] = {}
-        self._topics: dict[Hashable, str] = {}
-
-    def of(self, readings: Sequence[Reading]) -> Iterator[Message]:
-        return (_message(self._topic_of(each), each) for each in readings)
-
-    def left(self, readings: Sequence[Reading]) -> Iterator[Message]:
-        if not self._topic.labels:  # which may have changed
-            return
-        for each in readings:
-            key, topic = _point(each), self._topic_of(each)
-            former = self._topics.get(key, topic)
-            if former != topic:
-                yield _message(former, _gone(each))
-            self._topics[key] = topic
-
-    def note(self, readings: Sequence[Reading]) -> None:
-        for each in readings:
-            if each.quality == "offline":
-                self.forget(_point(each))
-            else:
-                self._kept[_point(each)] = each
-
-    def kept(self) -> dict[Hashable, list[Reading]]:
-        return {key: [each] for key, each in self._kept.items()}
-
-    def again(self, readings: Sequence[Reading]) -> Iterator[Message]:
-        return self.of(readings)
-
-    def put_last(self, key: Hashable) -> bool:
-        reading = self._kept.pop(key, None)
-        if reading is not None:
-            self._kept[key] = reading
-        return reading is not None
-
-    def forget(self, key: Hashable) -> str:
-        reading = self._kept.pop(key, None)
-        self._topics.pop(key, None)
-        return f"{reading.name} of {reading.device}" if reading is not None else ""
-
-    def _topic_of(self, reading: Reading) -> str:
-        return self._topic.of(reading.labels, device=reading.device, name=reading.name)
-
-
-class PollMessages:
-    """
-    A message for each poll of a device, at the topic of the device.
-
-    Args:
-        topic: of a device.
-        is_retained: True to send the last values of the other points of the device, too: the
-            broker retains one message of a topic.
+        topic: of a point, or of a device.
+        is_of_points: True for a message for each reading, False for one for each poll of a device.
+        is_retained: True if the broker retains the last message of each topic. That of a device
+            has the last values of its other points, too.
         largest: the bytes that a message may have.
     """
 
-    def __init__(self, topic: Topic, *, is_retained: bool, largest: int) -> None:
+    def __init__(
+        self, topic: Topic, *, is_of_points: bool, is_retained: bool, largest: int
+    ) -> None:
         self._topic = topic
+        self._is_of_points = is_of_points
         self._is_retained = is_retained
         self._largest = largest
-        # The last reading of each point of a device.
-        self._kept: dict[Hashable, dict[str, Reading]] = {}
-        self._topics: dict[Hashable, str] = {}
+        # The last reading of each point, and the topic at which it is.
+        self._kept: dict[Key, dict[str, Reading]] = {}
+        self._topics: dict[Key, str] = {}
+        self._losses: Counter[Key] = Counter()
 
     def of(self, readings: Sequence[Reading]) -> Iterator[Message]:
-        ahead: dict[str, dict[str, Reading]] = {}
-        for (device, _), group in groupby(readings, lambda each: each.poll):
-            told = {each.name: each for each in group}
+        """Yield the messages with readings."""
+        ahead: dict[Key, dict[str, Reading]] = {}
+        for key, found in self._groups(readings):
             if self._is_retained:
-                told = {**ahead.get(device, self._kept.get(device, {})), **told}
-                ahead[device] = _staying(told)
-            last = list(told.values())
+                found = {**ahead.get(key, self._kept.get(key, {})), **found}
+                ahead[key] = _staying(found)
+            last = list(found.values())
             yield from self._messages(self._topic_of(last), last)
 
-    def left(self, readings: Sequence[Reading]) -> Iterator[Message]:
-        if not self._topic.labels:  # which may have changed
+    def former(self, readings: Sequence[Reading]) -> Iterator[Message]:
+        """Yield messages that take back what is retained at topics with a former label."""
+        if not self._is_retained or not self._topic.labels:
             return
-        for (device, _), group in groupby(readings, lambda each: each.poll):
-            told = {**self._kept.get(device, {}), **{each.name: each for each in group}}
-            topic = self._topic_of(list(told.values()))
-            former = self._topics.get(device, topic)
+        for key, found in self._groups(readings):
+            last = list({**self._kept.get(key, {}), **found}.values())
+            topic = self._topic_of(last)
+            former = self._topics.get(key, topic)
             if former != topic:
-                yield from self._messages(former, [_gone(each) for each in told.values()])
-            self._topics[device] = topic
+                gone = [each._replace(value=None, quality="offline", reason="") for each in last]
+                yield from self._messages(former, gone)
+            self._topics[key] = topic
 
-    def note(self, readings: Sequence[Reading]) -> None:
-        for (device, _), group in groupby(readings, lambda each: each.poll):
-            told = {each.name: each for each in group}
-            staying = _staying({**self._kept.get(device, {}), **told})
+    def keep(self, readings: Sequence[Reading]) -> None:
+        """Keep readings that were published, if the broker retains them."""
+        if not self._is_retained:
+            return
+        for key, found in self._groups(readings):
+            staying = _staying({**self._kept.get(key, {}), **found})
             if staying:
-                self._kept[device] = staying
+                self._kept[key] = staying
             else:
-                self.forget(device)
+                self._forget(key)
 
-    def kept(self) -> dict[Hashable, list[Reading]]:
-        return {key: list(each.values()) for key, each in self._kept.items()}
+    @property
+    def keys(self) -> list[Key]:
+        """The points, or devices, that have last values."""
+        return list(self._kept)
 
-    def again(self, readings: Sequence[Reading]) -> Iterator[Message]:
-        for _, group in groupby(readings, lambda each: each.device):
-            last = list(group)
+    def again(self, keys: Iterable[Key]) -> Iterator[Message]:
+        """Yield the messages with the last values."""
+        for key in keys:
+            last = list(self._kept[key].values())
             yield from self._messages(self._topic_of(last), last)
 
-    def put_last(self, key: Hashable) -> bool:
-        kept = self._kept.pop(key, None)
-        if kept is not None:
-            self._kept[key] = kept
-        return kept is not None
+    def note_accepted(self) -> None:
+        """Forget the losses: the broker has accepted all last values."""
+        self._losses.clear()
 
-    def forget(self, key: Hashable) -> str:
+    def note_loss(self, key: Key) -> bool:
+        """
+        Count a connection that was lost when these last values were published again.
+
+        Returns True if they are forgotten. Else they come behind all others, which show whether
+        they are the reason.
+        """
+        if key not in self._kept:
+            return False
+        self._kept[key] = self._kept.pop(key)
+        self._losses[key] += 1
+        if self._losses[key] < MOST_LOSSES:
+            return False
+        self._forget(key)
+        return True
+
+    def _forget(self, key: Key) -> None:
         self._kept.pop(key, None)
         self._topics.pop(key, None)
-        return f"the device {key!r}"
+
+    def _groups(self, readings: Sequence[Reading]) -> Iterator[tuple[Key, dict[str, Reading]]]:
+        """Yield the readings of each message by the names of their points."""
+        if self._is_of_points:
+            for each in readings:
+                yield (each.device, each.name), {each.name: each}
+            return
+        for (device, _), group in groupby(readings, lambda each: each.poll):
+            yield (device,), {each.name: each for each in group}
 
     def _topic_of(self, readings: Sequence[Reading]) -> str:
         last = newest(readings)
-        return self._topic.of(last.labels, device=last.device)
+        return self._topic.of(last.labels, device=last.device, name=last.name)
 
     def _messages(self, topic: str, readings: Sequence[Reading]) -> Iterator[Message]:
+        if self._is_of_points:
+            for each in readings:
+                yield topic, JSON.encode(payload(each)).encode()
+            return
         for _, data in poll_messages(readings, self._largest):
             yield topic, data
 
 
-def _message(topic: str, reading: Reading) -> Message:
-    return topic, JSON.encode(payload(reading)).encode()
+def _staying(found: dict[str, Reading]) -> dict[str, Reading]:
+    return {name: each for name, each in found.items() if each.quality != "offline"}
 
 
-def _point(reading: Reading) -> tuple[str, str]:
-    return reading.device, reading.name
+State = tuple[str, bool]
+"""The topic of a device, and True if the device answers."""
 
 
-def _gone(reading: Reading) -> Reading:
-    return reading._replace(value=None, quality="offline", reason="")
+class DeviceStates:
+    """
+    The devices that answer: at least one of their points was read, or refused, the last time.
 
+    Args:
+        topic: of the state of a device.
 
-def _staying(told: Mapping[str, Reading]) -> dict[str, Reading]:
-    return {name: each for name, each in told.items() if each.quality != "offline"}
+    Attributes:
+        published: device -> its state at the broker; without removed devices.
+    """
+
+    def __init__(self, topic: Topic) -> None:
+        self._topic = topic
+        self._answered: dict[str, set[str]] = {}
+        self.published: dict[str, State] = {}
+
+    def changed(self, readings: Sequence[Reading]) -> dict[str, State]:
+        """Return the states of the devices of readings that are to be published."""
+        for each in readings:
+            points = self._answered.setdefault(each.device, set())
+            if each.quality in ("good", "bad"):
+                points.add(each.name)
+            else:
+                points.discard(each.name)
+        states = {
+            each.device: (
+                self._topic.of(each.labels, device=each.device),
+                bool(self._answered[each.device]),
+            )
+            for each in readings
+        }
+        return {name: state for name, state in states.items() if self.published.get(name) != state}
+
+    def messages(self, states: dict[str, State]) -> Iterator[Message]:
+        """Yield the messages with states; a device whose labels have changed has two topics."""
+        for name, (topic, answers) in states.items():
+            former, _ = self.published.get(name, (topic, False))
+            if former != topic:
+                yield former, OFFLINE
+            yield topic, ONLINE if answers else OFFLINE
+
+    def note(self, published: dict[str, State], readings: Sequence[Reading]) -> None:
+        """Keep states that were published, and forget devices that are not polled any more."""
+        self.published |= published
+        for each in readings:
+            if each.quality == "offline" and not self._answered.get(each.device):
+                self._answered.pop(each.device, None)
+                self.published.pop(each.device, None)

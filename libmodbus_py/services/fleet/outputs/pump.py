@@ -5,10 +5,11 @@ The task that moves readings to an output, and opens the output again if it fail
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 
 from ....protocol.logs import HarmlessLogger
-from ...tasks import AGAIN
+from ...tasks import AGAIN, Pauses, finishing
 from ..buffer import MOST_KEPT, Buffer
 from ..readings import Reading
 from ..statistics import OutputStatistics
@@ -19,21 +20,17 @@ __all__ = ["Pump"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
+# Readings of a batch: what is sent twice if its confirmation is lost.
 MOST_AT_ONCE = 500
 
 MOST_OF_JOURNAL = 5000
 """The most readings at once for an output that is fast, and behind in a journal."""
 
 # Seconds within which such an output takes a batch; else the next ones are as small as before.
-QUICK = 1.0
-
-FIRST_PAUSE, LONGEST_PAUSE = 0.5, 30.0
+QUICK_S = 1.0
 
 # Seconds after which an output without readings is checked by an empty write.
-LONGEST_SILENCE = 1.0
-
-# Seconds that a slow output may take for its last readings when the fleet stops.
-LAST_WORDS = 2.0
+LONGEST_SILENCE_S = 1.0
 
 
 class Pump:
@@ -57,7 +54,7 @@ class Pump:
         self.buffer: Buffer = waiting
         self.statistics: OutputStatistics = OutputStatistics(self.buffer)
         self._output = output
-        self._pause = FIRST_PAUSE
+        self._pauses = Pauses()
         # Polls to write one by one, because one of them may be impossible to write.
         self._doubted = 0
         # Writes in a row during which the connection was lost.
@@ -91,7 +88,7 @@ class Pump:
         self._closing.set()
         if is_patient:
             return
-        self._end_after(LAST_WORDS)
+        self._end_after(finishing())
 
     def _end_after(self, seconds: float) -> None:
         ending = asyncio.get_running_loop().call_later(seconds, self._end)
@@ -118,7 +115,7 @@ class Pump:
             while not self.buffer.is_over:
                 await self._write_other()
                 most = 1 if self._doubted else self._most
-                batch = await self.buffer.take_polls(most, LONGEST_SILENCE)
+                batch = await self.buffer.take_polls(most, LONGEST_SILENCE_S)
                 if self._refusals.is_doubtful(batch):
                     self._doubt(batch)
                 else:
@@ -148,7 +145,7 @@ class Pump:
         try:
             await self._output.write(others)
             is_accepted = True
-            self._pause = FIRST_PAUSE
+            self._pauses.reset()
         finally:
             self._refusals.note_other(is_accepted=is_accepted)
 
@@ -166,7 +163,7 @@ class Pump:
             else:
                 self.buffer.put_back(batch)
             raise
-        is_quick = asyncio.get_running_loop().time() - begun < QUICK
+        is_quick = asyncio.get_running_loop().time() - begun < QUICK_S
         if self._may_grow and is_quick and len(batch) > most // 2:
             self._most = min(2 * most, MOST_OF_JOURNAL)
         await self.buffer.confirm(batch)
@@ -177,7 +174,7 @@ class Pump:
         self.statistics.written += len(batch)
         if self.statistics.trouble:
             self.statistics.trouble = ""
-            self._pause = FIRST_PAUSE
+            self._pauses.reset()
             logger.warning("%s accepts readings again", self.name)
 
     def _note_loss(self, batch: list[Reading], error: ConnectionError) -> None:
@@ -226,11 +223,9 @@ class Pump:
         self.statistics.trouble = told
 
     async def _rest(self) -> None:
-        try:
-            async with asyncio.timeout(self._pause):
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(self._pauses.next()):
                 await self._closing.wait()
-        except TimeoutError:
-            self._pause = min(2 * self._pause, LONGEST_PAUSE)
 
 
 def _told(error: Exception) -> str:

@@ -112,8 +112,8 @@ def test_a_confirmation_waits_for_no_ack_of_tcp(broker: Broker) -> None:
     async def go() -> None:
         output = Mqtt(broker.url)
         await output.open()
-        assert output._client is not None
-        connection = output._client._client.socket()
+        assert output._connection._client is not None
+        connection = output._connection._client._client.socket()
         assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
         await output.close()
 

@@ -16,7 +16,7 @@ import aiomqtt
 import pytest
 
 from libmodbus_py import Fleet
-from libmodbus_py.services.fleet.outputs import mqtt
+from libmodbus_py.services.fleet.outputs import mqtt_connection
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.tools.certificates import Identity
@@ -213,7 +213,7 @@ def test_nobody_there_is_one_line(caplog: pytest.LogCaptureFixture) -> None:
 
 
 def test_a_connection_that_says_nothing_stops_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mqtt, "TIMEOUT", 0.2)
+    monkeypatch.setattr(mqtt_connection, "TIMEOUT_S", 0.2)
 
     async def go() -> None:
         silent = socket.create_server(("127.0.0.1", 0))

@@ -19,9 +19,8 @@ import pytest
 
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import Reading
+from libmodbus_py.services import tasks
 from libmodbus_py.services.fleet.files import load
-from libmodbus_py.services.fleet.outputs import line_file
-from libmodbus_py.services.fleet.outputs import pump as pumps
 from libmodbus_py.services.fleet.outputs.file_outputs import CsvOutput, JsonOutput
 from libmodbus_py.services.fleet.outputs.output import Output, OutputError
 from tests.services.fleet.fleets import LONGEST, Peer, RealPeer, meter, simulated_run, until
@@ -30,9 +29,8 @@ from tests.services.fleet.fleets import LONGEST, Peer, RealPeer, meter, simulate
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Outputs are tried again sooner."""
-    monkeypatch.setattr(pumps, "FIRST_PAUSE", 0.02)
-    monkeypatch.setattr(pumps, "LAST_WORDS", 0.2)
-    monkeypatch.setattr(line_file, "LAST_WAIT", 0.2)
+    monkeypatch.setattr(tasks, "FIRST_PAUSE_S", 0.02)
+    monkeypatch.setattr(tasks, "FINISHING_S", 0.2)
 
 
 def run(test: Any) -> Any:

@@ -16,12 +16,12 @@ import pytest
 
 from libmodbus_py import Fleet, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig, FleetFileError, Reading
+from libmodbus_py.services import tasks
 from libmodbus_py.services.fleet.files import load
-from libmodbus_py.services.fleet.outputs import influx_server, pump
-from libmodbus_py.services.fleet.outputs.influx import Influx
-from libmodbus_py.services.fleet.outputs.influx_server import _shown
+from libmodbus_py.services.fleet.outputs import influx, pump
+from libmodbus_py.services.fleet.outputs.credentials import SecretFile
+from libmodbus_py.services.fleet.outputs.influx import Influx, _shown
 from libmodbus_py.services.fleet.outputs.output import OutputError
-from libmodbus_py.services.fleet.outputs.secret_file import SecretFile
 from tests.services.fleet.outputs.http_server import (
     NO_CONTENT,
     Answer,
@@ -162,7 +162,7 @@ def test_an_answer_without_end_is_not_read_to_the_end(answer: Answer) -> None:
 )
 def test_an_answer_that_never_comes_takes_the_timeout(answer: Answer) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(influx_server, "TIMEOUT", 0.2)
+        patch.setattr(influx, "TIMEOUT_S", 0.2)
         with pytest.raises(TimeoutError, match="did not answer"):
             write(answer)
 
@@ -183,9 +183,9 @@ def test_a_demanded_pause_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
                 await output.write([READING])
             await output.close()
             before = time.monotonic()
-            monkeypatch.setattr(influx_server.asyncio, "sleep", sleep)
+            monkeypatch.setattr(influx.asyncio, "sleep", sleep)
             await output.open()
-            monkeypatch.setattr(influx_server.asyncio, "sleep", rest)
+            monkeypatch.setattr(influx.asyncio, "sleep", rest)
             pauses.append(time.monotonic() - before)
             await output.write([READING])
             await output.close()
@@ -237,7 +237,7 @@ def test_a_poll_that_is_refused_is_dropped_and_others_are_written(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The server refuses one device; nothing of the other ones is lost."""
-    monkeypatch.setattr(pump, "FIRST_PAUSE", 0.001)
+    monkeypatch.setattr(tasks, "FIRST_PAUSE_S", 0.001)
 
     async def go() -> None:
         points = RegisterMap([Point("level", "holding_registers", 0)])
@@ -304,7 +304,10 @@ def test_without_httpx_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.mark.parametrize(
     ("user", "secret", "repeated"),
-    [(None, "a  b", "a  b"), ("me", "pw", base64.b64encode(b"me:pw").decode()), ("me", "pw", "pw")],
+    [
+        *((None, "a  b", "a  b"), (None, "a  b", "a b"), (None, "a b", "a\n b")),
+        *(("me", "pw", base64.b64encode(b"me:pw").decode()), ("me", "pw", "pw")),
+    ],
 )
 def test_credentials_that_a_server_repeats_are_not_shown(
     user: str | None, secret: str, repeated: str

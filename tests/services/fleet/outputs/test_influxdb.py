@@ -13,6 +13,7 @@ import pytest
 
 from libmodbus_py import Fleet, Point, RegisterMap, Server
 from libmodbus_py.fleet import DeviceConfig, Reading
+from libmodbus_py.services import tasks
 from libmodbus_py.services.fleet.outputs import pump
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.output import ReadingsRefused
@@ -25,8 +26,8 @@ pytestmark = pytest.mark.skipif(bool(missing("influxd")), reason="Debian 13 has 
 
 @pytest.fixture
 def database(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Database]:
-    monkeypatch.setattr(pump, "FIRST_PAUSE", 0.01)
-    monkeypatch.setattr(pump, "LONGEST_PAUSE", 0.1)
+    monkeypatch.setattr(tasks, "FIRST_PAUSE_S", 0.01)
+    monkeypatch.setattr(tasks, "LONGEST_PAUSE_S", 0.1)
     made = Database(tmp_path)
     made.start()
     yield made

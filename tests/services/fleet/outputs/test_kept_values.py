@@ -7,9 +7,10 @@ from __future__ import annotations
 import asyncio
 
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.outputs.device_states import DeviceStates
 from libmodbus_py.services.fleet.outputs.file_outputs import JsonOutput
 from libmodbus_py.services.fleet.outputs.last_values import LastValues
+from libmodbus_py.services.fleet.outputs.mqtt_messages import DeviceStates
+from libmodbus_py.services.fleet.outputs.topics import Topic
 from tests.services.fleet.fleets import meter
 
 
@@ -40,38 +41,29 @@ class TestLastValues:
         assert values.statistics.by_name == {}
 
 
+TOPIC = Topic("device_status", "states/{label.site}/{device}", ("device",))
+
+
 class TestDeviceStates:
-    def test_a_device_answers_while_one_of_its_points_does(self) -> None:
-        states = DeviceStates()
-
-        def told(*readings: Reading) -> dict[str, bool]:
-            changed = states.changed(readings)
-            states.note(changed, readings)
-            return changed
-
-        assert told(reading("a"), reading("b", quality="down")) == {"a": True, "b": False}
-        assert told(reading("a"), reading("b", quality="down")) == {}
-        assert told(reading("a", "w", "bad"), reading("a", quality="down")) == {}
-        assert told(reading("a", "w", "down")) == {"a": False}
-        assert told(reading("a", "w", "bad")) == {"a": True}
-        assert states.told == {"a": True, "b": False}
-
     def test_what_was_not_published_is_told_again(self) -> None:
-        states = DeviceStates()
-        assert states.changed([reading("a")]) == {"a": True}
-        assert states.changed([reading("a")]) == {"a": True}
-        states.note({"a": True}, [reading("a")])
+        states = DeviceStates(TOPIC)
+        changed = states.changed([reading("a")])
+        assert changed == {"a": ("states/unknown/a", True)}
+        assert states.changed([reading("a")]) == changed
+        states.note(changed, [reading("a")])
         assert states.changed([reading("a")]) == {}
 
-    def test_a_device_that_is_polled_no_more_is_forgotten(self) -> None:
-        states = DeviceStates()
-        last = [reading("a", "v", "offline"), reading("a", "w", "offline")]
-        both = [reading("a"), reading("a", "w")]
-        for told, is_known in ((both, True), (last[:1], True), (last[1:], False)):
-            states.note(states.changed(told), told)
-            assert ("a" in states.told) is is_known
-        assert states.told == {}
-        assert states.changed([reading("a")]) == {"a": True}
+    def test_a_device_with_another_label_has_another_topic(self) -> None:
+        states = DeviceStates(TOPIC)
+        for site, sent in (
+            ("x", [("states/x/a", b"online")]),
+            ("x", []),
+            ("y", [("states/x/a", b"offline"), ("states/y/a", b"online")]),
+        ):
+            labelled = [reading("a")._replace(labels={"site": site})]
+            changed = states.changed(labelled)
+            assert list(states.messages(changed)) == sent
+            states.note(changed, labelled)
 
 
 def test_only_the_standard_output_wants_no_earlier_readings() -> None:

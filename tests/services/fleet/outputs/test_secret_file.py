@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from libmodbus_py.services.fleet.outputs.secret_file import SecretFile
+from libmodbus_py.services.fleet.outputs.credentials import SecretFile
 
 
 def test_passwords_of_one_file_are_equal(tmp_path: Path) -> None:

@@ -27,6 +27,8 @@ SERVER = '[[output.influx]]\nurl = "http://h:8086"\n'
 
 BROKER = '[[output.mqtt]]\nurl = "mqtt://h"\n'
 
+COMMANDED = f'{BROKER}commands = true\nstatus = ""\n'
+
 
 def fleet_file(folder: Path, outputs: str) -> Path:
     (folder / "meter.csv").write_text(MAP)
@@ -42,11 +44,14 @@ def test_a_file_may_have_several_outputs_of_each_kind(tmp_path: Path) -> None:
             '[[output.json]]\npath = "a.jsonl"\n[[output.json]]\npath = "-"\n'
             f'{BROKER}topic = "x/{{device}}/{{name}}"\n{BROKER}topic = "y/{{device}}/{{name}}"\n'
             '[[output.mqtt]]\nurl = "mqtt://other"\n'
+            f'{BROKER}topic = "x/{{name}}/{{device}}"\n'
+            f'{COMMANDED}topic = "z/{{device}}/{{name}}"\n'
+            f'{COMMANDED}topic = "y/{{name}}/{{device}}/z"\n'
             f'{SERVER}database = "a"\n{SERVER}database = "b"\n'
             f'{SERVER}database = "a"\nmeasurement = "raw"\n[[output.influx]]\npath = "a.lines"\n',
         )
     )
-    assert len(Fleet(file.devices, outputs=file.made_outputs())._receivers.outputs) == 11
+    assert len(Fleet(file.devices, outputs=file.made_outputs())._receivers.outputs) == 14
 
 
 @each_case(
@@ -76,6 +81,18 @@ def test_a_file_may_have_several_outputs_of_each_kind(tmp_path: Path) -> None:
             f'{BROKER}client_id = "x"\n{BROKER}client_id = "x"\ntopic = "x/{{name}}/{{device}}"\n',
             8,
             "output.mqtt[1]: uses the client_id 'x' at mqtt h:1883, as output.mqtt[0] does",
+        ),
+        (
+            f'{COMMANDED}topic = "x/{{device}}/{{name}}"\n'
+            f'{COMMANDED}topic = "x/{{name}}/{{device}}"\n',
+            10,
+            "output.mqtt[1]: uses topics of commands that can be the same: 'x/{device}/{name}' and"
+            " 'x/{name}/{device}' of mqtt h:1883, as output.mqtt[0] does",
+        ),
+        (
+            f'{COMMANDED}topic = "x/{{device}}"\n{COMMANDED}topic = "{{device}}/y/{{name}}"\n',
+            10,
+            "topics of commands that can be the same: 'x/{device}' and '{device}/y/{name}'",
         ),
         (
             f'{SERVER}database = "a"\n{SERVER}database = "a"\n',

@@ -1,0 +1,99 @@
+"""
+Credentials in files, which are read again when they may have changed: passwords, and the
+certificate authorities that are trusted.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import ssl
+from functools import partial
+from os import PathLike
+from pathlib import Path
+
+from ....security.describing import in_words
+from ....security.renewed import Renewed
+from ....tools.files.file_error import FileError
+from ....tools.files.texts import read_text
+
+__all__ = ["SecretFile", "Trust", "text_of"]
+
+
+class SecretFile:
+    """
+    A password, read from a file.
+
+    Args:
+        path: of the file; ends of lines at its end are not part of the password.
+        kind: the class of errors.
+
+    Raises:
+        FileError: of `kind`: the file cannot be read.
+    """
+
+    def __init__(self, path: str | PathLike[str], kind: type[FileError] = FileError) -> None:
+        self.path: str = os.fspath(path)
+        self._content = Renewed(partial(read_text, self.path, kind))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, SecretFile) and self.path == other.path
+
+    def __hash__(self) -> int:
+        return hash(self.path)
+
+    def __repr__(self) -> str:
+        return f"SecretFile({self.path!r})"
+
+    @property
+    def text(self) -> str:
+        """The password that the file contains now, or the former if it cannot be read."""
+        return self._content.fresh().rstrip("\r\n")
+
+
+async def text_of(password: str | SecretFile | None) -> str | None:
+    """Return a password; a file is read in a thread."""
+    if isinstance(password, SecretFile):
+        return await asyncio.to_thread(lambda: password.text)
+    return password
+
+
+class Trust:
+    """
+    The certificate authorities that an output trusts.
+
+    Args:
+        ca: a file with them; None for those of the system.
+        sockets: the class of the sockets of the context.
+    """
+
+    def __init__(self, ca: str | None, sockets: type[ssl.SSLSocket] = ssl.SSLSocket) -> None:
+        self._ca = ca
+        self._sockets = sockets
+        self._made: Renewed[ssl.SSLContext] | None = None
+
+    async def context(self) -> ssl.SSLContext:
+        """
+        Return the context of TLS; a file is read again each time, in a thread.
+
+        Raises:
+            OSError: the file is missing, or contains no certificate; it may be replaced later.
+        """
+        return await asyncio.to_thread(self._fresh)
+
+    def _fresh(self) -> ssl.SSLContext:
+        if self._made is None:
+            self._made = Renewed(self._read)
+            return self._made.value
+        return self._made.fresh()
+
+    def _read(self) -> ssl.SSLContext:
+        if self._ca is not None and not Path(self._ca).is_file():
+            raise OSError(f"ca: there is no file {self._ca!r}")
+        try:
+            context = ssl.create_default_context(cafile=self._ca)
+        except ssl.SSLError as error:
+            told = f"ca: {self._ca!r} contains no certificate: {in_words(error)}"
+            raise OSError(told) from None
+        context.sslsocket_class = self._sockets
+        return context

@@ -1,0 +1,241 @@
+"""
+A connection to an MQTT broker. It needs aiomqtt (the extra ``mqtt``).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import re
+import socket
+import ssl
+from collections.abc import Callable, Coroutine, Iterable, Iterator
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+from ....protocol.logs import HarmlessLogger
+from ...server_url import ServerUrl
+from ...tasks import end_tasks, finish
+from .credentials import SecretFile, Trust, text_of
+from .mqtt_messages import Message
+from .output import OutputError
+
+if TYPE_CHECKING:
+    import aiomqtt
+
+__all__ = ["MqttConnection"]
+
+# Seconds for a response of the broker.
+TIMEOUT_S = 5.0
+
+# Seconds for the broker to confirm a batch: a slow line takes that long to carry it.
+LONGEST_CONFIRMING_S = 60.0
+
+# Seconds without a message after which a ping is sent.
+KEEPALIVE_S = 30
+
+# Else each message whose confirmation is waited for would wait for an ACK of TCP, 40 ms.
+NO_DELAY = (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+# Publishes that are sent together, and with QoS 1 wait for their acknowledgement. A broker whose
+# sockets delay small packets acknowledges the second and later ones of them 40 ms late.
+TOGETHER = 100
+
+# The most received messages that wait; paho drops further ones.
+MOST_MESSAGES = 100
+
+
+class MqttConnection:
+    """
+    A connection to a broker, which is opened again after each failure.
+
+    All methods raise ConnectionError if the connection is lost, or the broker refuses something.
+
+    Args:
+        server: the broker.
+        user, password, ca, client_id: as for `Mqtt`.
+        will: a message that the broker publishes, retained, when the connection is lost; None for
+            none.
+    """
+
+    def __init__(
+        self,
+        server: ServerUrl,
+        *,
+        user: str | None,
+        password: str | SecretFile | None,
+        ca: str | None,
+        client_id: str | None,
+        will: Message | None,
+    ) -> None:
+        self._server = server
+        self._options = {"username": user, "identifier": client_id}
+        self._password = password
+        self._trust = Trust(ca, _Handshaking) if server.scheme == "mqtts" else None
+        self._will = will
+        self._client: aiomqtt.Client | None = None
+        self._listening: asyncio.Task[None] | None = None
+        self._sending: set[asyncio.Task[None]] = set()
+
+    async def open(self, hear: Callable[[aiomqtt.Message], Coroutine[Any, Any, None]]) -> None:
+        """
+        Connect, and call `hear` in a task of its own for each message that is received.
+
+        Raises:
+            OutputError: aiomqtt is missing.
+            OSError: the broker cannot be reached now, or a file cannot be read.
+        """
+        try:
+            import aiomqtt
+        except ImportError:
+            raise OutputError("MQTT needs aiomqtt: pip install 'libmodbus-py[mqtt]'") from None
+        client = aiomqtt.Client(
+            self._server.host,
+            self._server.port,
+            **self._options,  # type: ignore[arg-type]
+            password=await text_of(self._password),
+            will=aiomqtt.Will(*self._will, 1, True) if self._will else None,
+            timeout=TIMEOUT_S,
+            keepalive=KEEPALIVE_S,
+            max_inflight_messages=TOGETHER,
+            tls_context=await self._trust.context() if self._trust else None,
+            max_queued_incoming_messages=MOST_MESSAGES,
+            logger=_Debugging(f"{__name__}.client"),  # type: ignore[arg-type]
+            socket_options=[NO_DELAY],
+        )
+        client.pending_calls_threshold = TOGETHER  # it warns of more
+        with _as_connection_error():
+            try:
+                await client.__aenter__()
+            except BaseException:
+                _let_go(client)
+                raise
+        self._client = client
+        self._listening = asyncio.create_task(self._listen(client, hear))
+
+    async def publish(self, message: Message, qos: int, *, retain: bool) -> None:
+        """Publish a message; return when the broker has acknowledged it, with QoS 1."""
+        with _as_connection_error():
+            await self._used.publish(*message, qos, retain)
+
+    async def publish_all(
+        self, messages: Iterator[Message], qos: int, *, retain: bool, unused: str
+    ) -> None:
+        """
+        Publish messages; return when the broker has received all of them, also with QoS 0.
+
+        Args:
+            unused: a topic filter without a subscription.
+        """
+        await self._while_connected(self._publish_all(messages, qos, retain, unused))
+
+    async def _publish_all(
+        self, messages: Iterator[Message], qos: int, retain: bool, unused: str
+    ) -> None:
+        client, count = self._used, 0
+        with _as_connection_error():
+            while together := list(islice(messages, TOGETHER)):
+                count += len(together)
+                await _all(client.publish(*message, qos, retain) for message in together)
+            if count and not qos:
+                # The broker acknowledges no publish, but this, which comes behind them, and
+                # changes nothing: a connection that it ended because of one of them is noticed.
+                await client.unsubscribe(unused, timeout=LONGEST_CONFIRMING_S)
+
+    async def subscribe(self, topics: str) -> None:
+        """Receive the messages of a topic filter, with QoS 1."""
+        with _as_connection_error():
+            await self._used.subscribe(topics, 1)
+
+    async def close(self, last: Message | None) -> None:
+        """Publish a last message, retained, if there is one, and disconnect."""
+        client, self._client = self._client, None
+        await end_tasks([*self._sending, *([self._listening] if self._listening else [])])
+        self._listening = None
+        if client is None:
+            return
+        if last is not None:
+            await finish(client.publish(*last, 1, True))
+        with contextlib.suppress(OSError), _as_connection_error():
+            await client.__aexit__(None, None, None)
+
+    @property
+    def _used(self) -> aiomqtt.Client:
+        if self._client is None:
+            raise ConnectionResetError("the connection was lost")
+        return self._client
+
+    async def _while_connected(self, sending: Coroutine[Any, Any, None]) -> None:
+        assert self._listening is not None
+        task = self._begin(sending)
+        try:
+            await asyncio.wait([self._listening, task], return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            task.cancel()
+        if not task.done() or self._listening.done():
+            raise ConnectionResetError("the connection was lost")
+        task.result()
+
+    async def _listen(
+        self, client: aiomqtt.Client, hear: Callable[[aiomqtt.Message], Coroutine[Any, Any, None]]
+    ) -> None:
+        """Pass messages on until the connection is lost."""
+        with contextlib.suppress(OSError), _as_connection_error():
+            async for message in client.messages:
+                self._begin(_heard(hear(message)))
+
+    def _begin(self, sending: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        # In a task, because a cancellation may get lost in a call of aiomqtt.
+        task = asyncio.create_task(sending)
+        self._sending.add(task)
+        task.add_done_callback(self._sending.discard)
+        return task
+
+
+async def _heard(hearing: Coroutine[Any, Any, None]) -> None:
+    with contextlib.suppress(ConnectionError):
+        await hearing
+
+
+async def _all(publishing: Iterable[Coroutine[Any, Any, None]]) -> None:
+    for outcome in await asyncio.gather(*publishing, return_exceptions=True):
+        if isinstance(outcome, BaseException):
+            raise outcome
+
+
+def _let_go(client: aiomqtt.Client) -> None:
+    """Close the socket of a client that could not connect; aiomqtt 2.5 leaves it open."""
+    paho = client._client
+    if paho.socket() is not None:
+        paho._sock_close()
+
+
+class _Debugging(HarmlessLogger):
+    """The log of the client: what ends a connection is reported by who opens the next one."""
+
+    def log(self, level: int, msg: object, *args: object, **options: Any) -> None:
+        options["stacklevel"] = options.get("stacklevel", 1) + 1
+        super().log(logging.DEBUG, msg, *args, **options)
+
+
+class _Handshaking(ssl.SSLSocket):
+    """A socket that is closed when its handshake fails; paho leaves it open."""
+
+    def do_handshake(self, block: bool = False) -> None:
+        try:
+            super().do_handshake(block)
+        except BaseException:
+            self.close()
+            raise
+
+
+@contextlib.contextmanager
+def _as_connection_error() -> Iterator[None]:
+    """Raise errors of aiomqtt as ConnectionError."""
+    import aiomqtt
+
+    try:
+        yield
+    except aiomqtt.MqttError as error:
+        raise ConnectionError(re.sub(r"^\[code:\d+\] ", "", str(error))) from None
