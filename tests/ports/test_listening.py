@@ -56,8 +56,8 @@ def tapping(port: int) -> Iterator[None]:
 
 @contextmanager
 def exposing(port: int) -> Iterator[None]:
-    exposition = pytest.importorskip("libmodbus_py.services.integrations.exposition")
-    with exposition.exposing("plc.example", port):
+    prometheus = pytest.importorskip("libmodbus_py.services.integrations.prometheus")
+    with prometheus.exposing("plc.example", port):
         yield
 
 

@@ -45,12 +45,12 @@ def exposed(
     if address is None:
         yield
         return
-    from ...services.integrations import exposition, prometheus
+    from ...services.integrations import prometheus
 
     prometheus.collect(server, *others)
     with contextlib.ExitStack() as stack:
         try:
-            url = stack.enter_context(exposition.exposing(*address))
+            url = stack.enter_context(prometheus.exposing(*address))
         except OSError as error:
             place = ":".join(map(str, address))
             raise ModbusConnectionError(

@@ -29,6 +29,7 @@ Statistics are read when the metrics are scraped; requests do not become slower.
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import re
 import threading
@@ -42,6 +43,7 @@ from typing import Any, NamedTuple, Protocol
 
 from ...client.statistics import TIME_BOUNDS, Statistics
 from ...server.limits import ServerStatistics
+from ...tools.timed_server import TimedServer
 from ..fleet.config import label_name
 from ..fleet.outputs.last_values import KeptReadings
 from ..fleet.readings import Reading
@@ -54,9 +56,7 @@ from ..fleet.statistics import (
 from ..gateway.statistics import GatewayStatistics, LineStatistics, UnitStatistics
 
 try:
-    from prometheus_client import REGISTRY as REGISTRY
-    from prometheus_client import CollectorRegistry as CollectorRegistry
-    from prometheus_client import MetricsHandler as MetricsHandler
+    from prometheus_client import REGISTRY, CollectorRegistry, MetricsHandler
     from prometheus_client.core import Metric
     from prometheus_client.registry import Collector as _Collector
 except ImportError as error:
@@ -64,7 +64,10 @@ except ImportError as error:
         "metrics need prometheus_client: pip install 'libmodbus-py[metrics]'"
     ) from error
 
-__all__ = ["Collector", "collect"]
+__all__ = ["Collector", "collect", "exposing"]
+
+# Seconds that an HTTP request for metrics and its response may take.
+LIMIT_S = 3.0
 
 Labels = tuple[tuple[str, str], ...]
 
@@ -104,12 +107,12 @@ class MetricKind(NamedTuple):
     Attributes:
         families: the metrics.
         read: returns the values of statistics.
-        labels: returns the labels of all values of an object, from the object and its name.
+        label: the label with the name that an object was given; empty if there is none.
     """
 
     families: list[Family]
     read: Callable[[Any], Values]
-    labels: Callable[[Any, str], Labels]
+    label: str = ""
 
 
 # --- the metrics ---------------------------------------------------------------------------
@@ -122,14 +125,27 @@ def _texts(kind: type) -> dict[str, str]:
     return {name: text[0].upper() + re.sub(r"\s+", " ", text[1:]) for name, text in found}
 
 
-def _counters(prefix: str, kind: type, others: Iterable[str]) -> dict[str, Family]:
-    """Return the metrics of the attributes of a class, without `others`, by attribute."""
+def _counters(
+    prefix: str, kind: type, without: Iterable[str] = (), gauges: Iterable[str] = ()
+) -> dict[str, Family]:
+    """Return the metrics of the attributes of a class, by attribute."""
     texts = _texts(kind)
-    names = [each.name for each in fields(kind) if each.name not in others]
-    return {name: Family(f"{prefix}_{name}", "counter", texts.get(name, name)) for name in names}
+    return {
+        each.name: Family(
+            f"{prefix}_{each.name}",
+            "gauge" if each.name in gauges else "counter",
+            texts.get(each.name, each.name),
+        )
+        for each in fields(kind)
+        if each.name not in without
+    }
 
 
-# fmt: off
+CLIENT = _counters(
+    "modbus_client", Statistics, ("results", "answer_times", "answer_seconds", "last_success")
+)
+# "modbus_client_requests" is the metric of outcomes.
+CLIENT["requests"] = CLIENT["requests"]._replace(name="modbus_client_requests_sent")
 REQUESTS = Family(
     "modbus_client_requests", "counter", "Outcomes of requests; each repetition counts."
 )
@@ -137,32 +153,31 @@ DURATION = Family(
     "modbus_client_request_duration_seconds", "histogram", "Response times, in seconds."
 )
 LAST_SUCCESS = Family(
-    "modbus_client_last_success_timestamp_seconds", "gauge", "Time of the last response.",
-    max,
+    "modbus_client_last_success_timestamp_seconds", "gauge", "Time of the last response.", max
 )
-CLIENT = _counters("modbus_client", Statistics, (
-    "results", "answer_times", "answer_seconds", "last_success",
-))
-# fmt: on
-# "modbus_client_requests" is the metric of outcomes.
-CLIENT["requests"] = CLIENT["requests"]._replace(name="modbus_client_requests_sent")
-SERVER = _counters("modbus_server", ServerStatistics, ("certificate_ends",))
-SERVER["connections"] = SERVER["connections"]._replace(type="gauge")
+SERVER = _counters("modbus_server", ServerStatistics, ("certificate_ends",), ("connections",))
 CERTIFICATE = Family(
-    "modbus_server_certificate_end_timestamp_seconds", "gauge",
-    "Time at which the certificate of an endpoint expires.", min,
-)  # fmt: skip
+    "modbus_server_certificate_end_timestamp_seconds",
+    "gauge",
+    "Time at which the certificate of an endpoint expires.",
+    min,
+)
 GATEWAY = _counters("modbus_gateway", GatewayStatistics, ("lines",))
+LINE = _counters(
+    "modbus_gateway_line",
+    LineStatistics,
+    ("url", "connection", "units", "trouble", "since"),
+    ("waiting", "in_flight"),
+)
+UNIT = _counters("modbus_gateway_unit", UnitStatistics, gauges=("is_silent",))
 FLEET = _counters(
     "modbus_fleet",
     FleetStatistics,
-    (
-        "lateness",
-        "late_seconds",
-        "outputs",
-        "journal",
-        "worst",
-    ),
+    ("lateness", "late_seconds", "outputs", "journal", "worst"),
+    ("devices", "up", "down"),
+)
+LATENESS = Family(
+    "modbus_fleet_lateness_seconds", "histogram", "Seconds by which polls began late."
 )
 OUTPUT = _counters("modbus_fleet_output", OutputStatistics, ("buffer", "trouble", "trouble_since"))
 OUTPUT["dropped"] = Family(
@@ -173,23 +188,8 @@ OUTPUT["dropped"] = Family(
 OUTPUT["waiting"] = Family(
     "modbus_fleet_output_waiting", "gauge", "Readings that wait for the output."
 )
-JOURNAL = _counters("modbus_fleet_journal", JournalStatistics, ("trouble",))
-LATENESS = Family(
-    "modbus_fleet_lateness_seconds", "histogram", "Seconds by which polls began late."
-)
+JOURNAL = _counters("modbus_fleet_journal", JournalStatistics, ("trouble",), ("bytes",))
 VALUE = Family("modbus_fleet_value", "gauge", "The last value of a point.", max)
-LINE = _counters(
-    "modbus_gateway_line", LineStatistics, ("url", "connection", "units", "trouble", "since")
-)
-UNIT = _counters("modbus_gateway_unit", UnitStatistics, ())
-for _families, _gauges in (
-    (LINE, ("waiting", "in_flight")),
-    (UNIT, ("is_silent",)),
-    (FLEET, ("devices", "up", "down")),
-    (JOURNAL, ("bytes",)),
-):
-    for _name in _gauges:
-        _families[_name] = _families[_name]._replace(type="gauge")
 
 
 def _attributes(families: dict[str, Family], statistics: Any) -> Values:
@@ -267,35 +267,25 @@ def _of_gateway(statistics: GatewayStatistics) -> Values:
 
 def _label(values: Values, more: Values, *labels: tuple[str, str]) -> None:
     """Add values, with labels before their own."""
-    _add(
-        values,
-        {sample._replace(labels=labels + sample.labels): more[sample] for sample in more},
-    )
+    _add(values, _labelled(more, labels))
+
+
+def _labelled(values: Values, labels: Labels) -> Values:
+    return {
+        sample._replace(labels=labels + sample.labels): value for sample, value in values.items()
+    }
 
 
 KINDS: dict[type, MetricKind] = {
-    Statistics: MetricKind(
-        [REQUESTS, DURATION, LAST_SUCCESS, *CLIENT.values()],
-        _of_client,
-        # The endpoint without the settings of its serial port.
-        lambda client, name: (("endpoint", client.url.partition("?")[0]),),
-    ),
-    ServerStatistics: MetricKind(
-        [*SERVER.values(), CERTIFICATE],
-        _of_server,
-        lambda server, name: (("server", name),) if name else (),
-    ),
+    Statistics: MetricKind([REQUESTS, DURATION, LAST_SUCCESS, *CLIENT.values()], _of_client),
+    ServerStatistics: MetricKind([*SERVER.values(), CERTIFICATE], _of_server, "server"),
     GatewayStatistics: MetricKind(
-        [*GATEWAY.values(), *LINE.values(), *UNIT.values()],
-        _of_gateway,
-        lambda gateway, name: (("server", name),) if name else (),
+        [*GATEWAY.values(), *LINE.values(), *UNIT.values()], _of_gateway, "server"
     ),
     FleetStatistics: MetricKind(
-        [*FLEET.values(), *OUTPUT.values(), *JOURNAL.values(), LATENESS],
-        _of_fleet,
-        lambda fleet, name: (("fleet", name),) if name else (),
+        [*FLEET.values(), *OUTPUT.values(), *JOURNAL.values(), LATENESS], _of_fleet, "fleet"
     ),
-    KeptReadings: MetricKind([VALUE], _of_readings, lambda values, name: ()),
+    KeptReadings: MetricKind([VALUE], _of_readings),
 }
 """The metrics of each class of statistics."""
 
@@ -306,27 +296,25 @@ KINDS: dict[type, MetricKind] = {
 class _Watched:
     """A weak reference to statistics, and their values when last read."""
 
-    def __init__(self, statistics: Any, kind: MetricKind, labels: Labels) -> None:
-        self._statistics = weakref.ref(statistics)
-        self._kind = kind
+    def __init__(self, statistics: Any, labels: Labels) -> None:
+        self.statistics = weakref.ref(statistics)
         self.labels = labels
         self.values: Values = {}
 
-    def of(self, statistics: object) -> bool:
-        return self._statistics() is statistics
-
-    @property
-    def is_gone(self) -> bool:
-        return self._statistics() is None
-
     def look(self) -> None:
         """Read the values. Those of statistics that were deleted do not change any more."""
-        statistics = self._statistics()
+        statistics = self.statistics()
         if statistics is not None:
-            self.values = {
-                sample._replace(labels=self.labels + sample.labels): value
-                for sample, value in self._kind.read(statistics).items()
-            }
+            self.values = _labelled(KINDS[type(statistics)].read(statistics), self.labels)
+
+
+def _labels_for(counted: Any, statistics: Any, name: str) -> Labels:
+    """Return the labels of all values of an object."""
+    if isinstance(statistics, Statistics):
+        # The endpoint without the settings of its serial port.
+        return (("endpoint", counted.url.partition("?")[0]),)
+    label = KINDS[type(statistics)].label
+    return ((label, name),) if label and name else ()
 
 
 class Collector(_Collector):
@@ -357,24 +345,23 @@ class Collector(_Collector):
         Raises:
             TypeError: an object has another class.
         """
-        watched = [
+        found = [
             (each, statistics)
             for each in objects
             for statistics in (getattr(each, "statistics", None), getattr(each, "traffic", None))
             if statistics is not None or not hasattr(each, "statistics")
         ]
-        for each, statistics in watched:
+        for each, statistics in found:
             if type(statistics) not in KINDS:
                 given = type(each).__name__
                 raise TypeError(
                     f"objects must be clients, servers, gateways, fleets or LastValues, not {given}"
                 )
         with self._lock:
-            for each, statistics in watched:
-                if not any(other.of(statistics) for other in self._watched):
-                    kind = KINDS[type(statistics)]
-                    labels = kind.labels(each, name)
-                    self._watched.append(_Watched(statistics, kind, labels))
+            for each, statistics in found:
+                if all(other.statistics() is not statistics for other in self._watched):
+                    labels = _labels_for(each, statistics, name)
+                    self._watched.append(_Watched(statistics, labels))
             self._forget_gone()  # here, too, because the metrics may never be scraped
 
     def describe(self) -> Iterator[Metric]:
@@ -404,17 +391,14 @@ class Collector(_Collector):
         return values
 
     def _forget_gone(self) -> None:
-        gone = [each for each in self._watched if each.is_gone]
+        """Keep the counts of deleted objects as long as others have their labels."""
+        gone = [each for each in self._watched if each.statistics() is None]
         self._watched = [each for each in self._watched if each not in gone]
-        for each in gone:
-            past = self._past.setdefault(each.labels, {})
-            _add(past, {key: each.values[key] for key in each.values if _stays(key)})
         present = {each.labels for each in self._watched}
+        for each in gone:
+            staying = {key: at for key, at in each.values.items() if key.family.type != "gauge"}
+            _add(self._past.setdefault(each.labels, {}), staying)
         self._past = {labels: past for labels, past in self._past.items() if labels in present}
-
-
-def _stays(sample: Sample) -> bool:
-    return sample.family.type != "gauge"
 
 
 def _add(values: Values, more: Values) -> None:
@@ -452,3 +436,24 @@ def collect(*objects: Counted, name: str = "", registry: CollectorRegistry = REG
             _collectors[registry] = collector
     collector.add(*objects, name=name)
     return collector
+
+
+@contextlib.contextmanager
+def exposing(host: str, port: int, registry: CollectorRegistry = REGISTRY) -> Iterator[str]:
+    """
+    Serve the metrics of a registry over HTTP while the ``with`` block runs.
+
+    Args:
+        host: the address to listen on.
+        port: the port to listen on; 0 for any free port.
+        registry: the registry whose metrics are served.
+
+    Returns:
+        A context manager, whose value is the URL of the metrics with the port.
+
+    Raises:
+        OSError: the address or the port cannot be used.
+    """
+    server = TimedServer(host, port, MetricsHandler.factory(registry), LIMIT_S)
+    with server.serving("metrics"):
+        yield f"{server.place}/metrics"

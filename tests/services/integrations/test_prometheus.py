@@ -41,9 +41,8 @@ from libmodbus_py import (
 from libmodbus_py.cli.main import main
 from libmodbus_py.client.statistics import TIME_BOUNDS, Statistics
 from libmodbus_py.server.limits import ServerStatistics
-from libmodbus_py.services.integrations import exposition
-from libmodbus_py.services.integrations.exposition import exposing
-from libmodbus_py.services.integrations.prometheus import Collector, collect
+from libmodbus_py.services.integrations import prometheus
+from libmodbus_py.services.integrations.prometheus import Collector, collect, exposing
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
 from tests.simulation.sockets import DELAY
@@ -473,7 +472,7 @@ def test_metrics_are_exposed_while_the_block_runs(registry: CollectorRegistry, h
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Who asks for metrics has less time for it."""
-    monkeypatch.setattr(exposition, "LIMIT", 0.5)
+    monkeypatch.setattr(prometheus, "LIMIT_S", 0.5)
 
 
 @pytest.mark.usefixtures("impatient")
@@ -514,6 +513,22 @@ def test_whoever_asks_slowly_does_not_keep_others_for_long(registry: CollectorRe
             assert of(fetched(url), "modbus_server_connections") == 0
             stack.enter_context(socket.create_connection(("127.0.0.1", port))).sendall(b"GET")
         assert not done.is_set()
+
+
+def test_those_who_stall_keep_nobody_waiting(
+    registry: CollectorRegistry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two servers of one program, and each has clients that never finish their request."""
+    monkeypatch.setattr(prometheus, "LIMIT_S", 3600.0)
+    with contextlib.ExitStack() as stack:
+        urls = [stack.enter_context(exposing("127.0.0.1", 0, registry)) for _ in range(2)]
+        for url in urls:
+            port = int(url.split(":")[2].partition("/")[0])
+            for _ in range(30):
+                stalled = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
+                stalled.sendall(b"GET /metrics HTTP/1.1\r\n")
+        for url in urls * 3:
+            fetched(url)
 
 
 ARGUMENTS = ["serve", "tcp://127.0.0.1:0"]
