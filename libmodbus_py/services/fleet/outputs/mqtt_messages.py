@@ -8,9 +8,8 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
 
-from ....protocol.json_text import JSON
 from ..readings import Reading
-from .forms import payload
+from .forms import object_text
 from .poll_messages import newest, poll_messages
 from .topics import Topic
 
@@ -137,7 +136,7 @@ class Messages:
     def _messages(self, topic: str, readings: Sequence[Reading]) -> Iterator[Message]:
         if self._is_of_points:
             for each in readings:
-                yield topic, JSON.encode(payload(each)).encode()
+                yield topic, object_text(each).encode()
             return
         for _, data in poll_messages(readings, self._largest):
             yield topic, data

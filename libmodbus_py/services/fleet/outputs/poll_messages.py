@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from ....protocol.json_text import JSON
 from ..readings import Reading
-from .forms import payload_text
+from .forms import object_text
 from .output import ReadingsRefused
 
 __all__ = ["newest", "poll_messages"]
@@ -33,7 +33,10 @@ def poll_messages(readings: Sequence[Reading], largest: int) -> Iterator[tuple[l
         ReadingsRefused: a single reading has more bytes.
     """
     device, labels = readings[0].device, newest(readings).labels
-    values = {each.name: f"{_json(each.name)}: {payload_text(each)}" for each in readings}
+    values = {
+        each.name: f"{_json(each.name)}: {object_text(each, with_labels=False)}"
+        for each in readings
+    }
     begin = f'{{"device": {_json(device)}, '
     if labels:
         begin += f'"labels": {_json(dict(labels))}, '

@@ -13,7 +13,7 @@ import pytest
 
 from libmodbus_py import Server
 from libmodbus_py.fleet import DeviceConfig, Journal, Reading
-from libmodbus_py.services.fleet.outputs.forms import payload, payload_text
+from libmodbus_py.services.fleet.outputs.forms import object_text
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.poll_messages import poll_messages
 from libmodbus_py.services.fleet.outputs.pump import Pump
@@ -44,8 +44,11 @@ async def written(pump: Pump, readings: list[Reading]) -> None:
 @pytest.mark.parametrize("value", [1, -2.5, True, None, 'ü\x07"', [1, None], {"a": 1.5}, 1e300])
 @pytest.mark.parametrize("number", [0, 7])
 def test_the_text_of_a_reading_is_its_object(value: Any, number: int) -> None:
-    reading = Reading(1e9, "a", "b", value, "°C", "bad", 'No "value"', number)
-    assert json.loads(payload_text(reading)) == payload(reading)
+    reading = Reading(1e9, "a", "b", value, "°C", "bad", 'No "value"', number, {"site": "ü"})
+    found = json.loads(object_text(reading))
+    time = "2001-09-09T01:46:40.000Z"
+    wanted = {"time": time, "value": value, "unit": "°C", "quality": "bad", "reason": 'No "value"'}
+    assert found == {**wanted, **({"id": number} if number else {}), "labels": {"site": "ü"}}
 
 
 @pytest.mark.parametrize("qos", [0, 1])
@@ -66,7 +69,7 @@ def test_each_poll_is_one_message_with_values_quality_reason_and_ids(
             "device": "a/b",
             "values": {"volts": {"value": 230.5, **good}, "amps": {"value": 3, **good}},
         }
-        assert second["values"]["power"] == payload(down)
+        assert second["values"]["power"] == json.loads(object_text(down))
         pump.close()
         await pump.ended()
 
