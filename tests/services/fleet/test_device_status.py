@@ -9,11 +9,11 @@ import pytest
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.mqtt_messages import DeviceStates
-from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.services.fleet.outputs.topics import Topic
 from tests.services.fleet.fleets import until
 from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, run
 from tests.support.cases import each_case
+from tests.support.outputs import pumping
 
 TOPIC = "modbus-devices/{device}"
 
@@ -65,24 +65,21 @@ def test_removed_devices_take_no_room() -> None:
 
 def test_each_device_has_its_topic_also_after_a_restart_of_the_broker(broker: Broker) -> None:
     async def go() -> None:
-        pump = Pump(Mqtt(broker.url, device_status=TOPIC))
-        pump.start()
-        async with hearing(broker, "modbus-devices/+") as heard:
-            pump.buffer.put([*poll("north/1", "gg"), *poll("south", "gg")])
-            await until(lambda: len(heard) == 2)
-            pump.buffer.put([*poll("north/1", "gg", 1), *poll("south", "dd", 1)])
-            await until(lambda: len(heard) == 3)
-        assert heard_of(heard, "modbus-devices/north%2F1") == ["online"]
-        assert heard_of(heard, "modbus-devices/south") == ["online", "offline"]
-        broker.kill()
-        await until(lambda: pump.statistics.trouble)
-        broker.start()
-        async with hearing(broker, "modbus-devices/+") as heard:
-            await until(lambda: len(heard) == 2)
-        assert heard_of(heard, "modbus-devices/south") == ["offline"]
-        assert heard_of(heard, "modbus-devices/north%2F1") == ["online"]
-        pump.close()
-        await pump.ended()
+        async with pumping(Mqtt(broker.url, device_status=TOPIC)) as pump:
+            async with hearing(broker, "modbus-devices/+") as heard:
+                pump.buffer.put([*poll("north/1", "gg"), *poll("south", "gg")])
+                await until(lambda: len(heard) == 2)
+                pump.buffer.put([*poll("north/1", "gg", 1), *poll("south", "dd", 1)])
+                await until(lambda: len(heard) == 3)
+            assert heard_of(heard, "modbus-devices/north%2F1") == ["online"]
+            assert heard_of(heard, "modbus-devices/south") == ["online", "offline"]
+            broker.kill()
+            await until(lambda: pump.statistics.trouble)
+            broker.start()
+            async with hearing(broker, "modbus-devices/+") as heard:
+                await until(lambda: len(heard) == 2)
+            assert heard_of(heard, "modbus-devices/south") == ["offline"]
+            assert heard_of(heard, "modbus-devices/north%2F1") == ["online"]
 
     run(go())
 

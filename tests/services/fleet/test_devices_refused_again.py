@@ -18,18 +18,16 @@ from tests.services.fleet.fleets import until as until_really
 from tests.services.fleet.outputs.brokers import Broker, run
 from tests.services.fleet.outputs.test_brokers_that_refuse import poll
 from tests.services.fleet.outputs.test_refused_readings import Distant, until
+from tests.support.outputs import pumping
 
 
 def pumped(output: Distant, play: Callable[[Pump], Any]) -> Pump:
     """Let a pump write what `play` has it write, in simulated time."""
 
     async def go() -> Pump:
-        pump = Pump(output)
-        pump.start()
-        await play(pump)
-        await until(lambda: not len(pump.buffer))
-        pump.close()
-        await pump.ended()
+        async with pumping(output) as pump:
+            await play(pump)
+            await until(lambda: not len(pump.buffer))
         return pump
 
     return simulated_run(go())
@@ -122,12 +120,11 @@ def test_other_packages_log_no_errors_of_a_refused_message(
     broker.start()
 
     async def go() -> None:
-        pump = Pump(Mqtt(broker.url))
-        pump.start()
-        pump.buffer.put([poll(*each) for each in (("a", 1, 0), ("b", "x" * 500, 0), ("c", 1, 0))])
-        await until_really(lambda: pump.statistics.dropped and pump.statistics.written == 2)
-        pump.close()
-        await pump.ended()
+        async with pumping(Mqtt(broker.url)) as pump:
+            pump.buffer.put(
+                [poll(*each) for each in (("a", 1, 0), ("b", "x" * 500, 0), ("c", 1, 0))]
+            )
+            await until_really(lambda: pump.statistics.dropped and pump.statistics.written == 2)
 
     with caplog.at_level(logging.DEBUG):
         run(go())

@@ -14,25 +14,13 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Fleet
-from libmodbus_py.services.fleet.journal import journal as journals
 from libmodbus_py.services.fleet.journal.errors import JournalDamaged, JournalError
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.journal_reader import JournalReader, past_in
 from tests.services.fleet.fleets import until
-from tests.services.fleet.journal.journals import Inline, polls
+from tests.services.fleet.journal.journals import polls
 from tests.services.fleet.journal.test_journal import Broker, in_journal, run_for
 from tests.tools.page.tables import Plant, visited
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> str:
-    return str(tmp_path / "fleet.db")
-
-
-@pytest.fixture
-def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Disks take no time."""
-    monkeypatch.setattr(journals, "WriterThread", Inline)
 
 
 def delete(path: str, *endings: str) -> None:

@@ -17,7 +17,7 @@ import pytest
 
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import Journal, JournalError, Reading
-from libmodbus_py.services.fleet.journal import journal as journals
+from libmodbus_py.services.fleet.journal import journal as journal_module
 from libmodbus_py.services.fleet.journal import recent
 from libmodbus_py.services.fleet.journal.errors import JournalDamaged, JournalTrouble
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
@@ -29,17 +29,6 @@ from tests.services.fleet.journal.journals import Inline, readings
 from tests.simulation.network import Network
 
 HOUR = 3600.0
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> str:
-    return str(tmp_path / "fleet.db")
-
-
-@pytest.fixture
-def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Disks take no time."""
-    monkeypatch.setattr(journals, "WriterThread", Inline)
 
 
 class Broker:
@@ -192,7 +181,7 @@ def test_readings_have_ids_for_programs_too(path: str, inline: None) -> None:
 def test_an_output_that_is_slower_than_the_readings_is_bounded_by_the_journal(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(journals, "SIZE_BOUNDS", ("1 kB", "1 TB"))
+    monkeypatch.setattr(journal_module, "SIZE_BOUNDS", ("1 kB", "1 TB"))
     monkeypatch.setattr(recent, "MOST_IN_MEMORY", 100)
 
     async def go() -> None:

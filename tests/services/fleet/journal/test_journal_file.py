@@ -33,11 +33,6 @@ from tests.services.fleet.journal.journals import polls, readings
 DAY = 86_400.0
 
 
-@pytest.fixture
-def path(tmp_path: Path) -> str:
-    return str(tmp_path / "fleet.db")
-
-
 def opened(path: str, *outputs: str, keep: float = 90 * DAY, size: int = 10**9) -> JournalFile:
     file = JournalFile(path, keep, size)
     file.open(outputs)

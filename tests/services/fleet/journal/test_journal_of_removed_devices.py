@@ -7,9 +7,6 @@ from __future__ import annotations
 import contextlib
 import sqlite3
 import time
-from pathlib import Path
-
-import pytest
 
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.journal_reader import JournalReader, history
@@ -17,11 +14,6 @@ from libmodbus_py.services.fleet.journal.polls import JournalPoll, numbered
 from tests.services.fleet.journal.journals import readings
 
 KEEP = 1000.0
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> str:
-    return str(tmp_path / "fleet.db")
 
 
 def opened(path: str, first: int = 0) -> tuple[JournalFile, int]:

@@ -11,9 +11,9 @@ import pytest
 
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from libmodbus_py.services.fleet.outputs.pump import Pump
 from tests.services.fleet.fleets import until
 from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, run
+from tests.support.outputs import pumping
 
 
 @pytest.fixture
@@ -32,16 +32,15 @@ def poll(device: str, value: object, at: float) -> Reading:
 @pytest.mark.parametrize("qos", [0, 1])
 def test_a_message_on_which_the_broker_disconnects_is_dropped(narrow: Broker, qos: int) -> None:
     async def go() -> None:
-        async with hearing(narrow, "modbus/+/text") as heard:
-            pump = Pump(Mqtt(narrow.url, qos=qos))
+        async with (
+            hearing(narrow, "modbus/+/text") as heard,
+            pumping(Mqtt(narrow.url, qos=qos)) as pump,
+        ):
             pump.buffer.put([poll(*each) for each in (("a", 1, 0), ("b", "x" * 500, 1))])
             pump.buffer.put([poll(*each) for each in (("c", 1, 2), ("b", "y", 3))])
-            pump.start()
             await until(lambda: pump.statistics.written == 3)
             assert (pump.statistics.dropped, len(pump.buffer)) == (1, 0)
             await until(lambda: len({topic for topic, *_ in heard}) == 3)
-            pump.close()
-            await pump.ended()
         assert heard_of(heard, "modbus/b/text")[-1]["value"] == "y"
 
     run(go())

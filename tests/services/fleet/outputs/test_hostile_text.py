@@ -27,6 +27,7 @@ from libmodbus_py.tools.files.csv_text import csv_rows
 from libmodbus_py.tools.testing.recording import ServerMaker
 from tests.support.cases import each_case
 from tests.support.commands import on_terminal, run
+from tests.support.outputs import write
 
 CHARACTERS = [chr(code) for code in range(0xA0)] + ["\u2028", "\u2029", "\u202e", "é"]
 
@@ -47,12 +48,7 @@ def reading(value: str) -> Reading:
 
 
 def written(output: LineFile, *readings: Reading) -> None:
-    async def go() -> None:
-        await output.open()
-        await output.write(readings)
-        await output.close()
-
-    asyncio.run(go())
+    asyncio.run(write(output, readings))
 
 
 # --- files --------------------------------------------------------------------------------------

@@ -21,6 +21,7 @@ from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.workers.stream import _messages
 from tests.services.fleet.fleets import meter, simulated
 from tests.support.cases import each_case
+from tests.support.outputs import write
 
 ODD = {"site": 'Halle "2", Tor\\', "line": "ü"}
 
@@ -42,12 +43,8 @@ def described(**labels: Mapping[str, str]) -> dict[str, DeviceConfig]:
 
 
 def written(output: Any, path: Path, *devices: str | Reading) -> str:
-    async def go() -> None:
-        await output.open()
-        await output.write([reading(each) if isinstance(each, str) else each for each in devices])
-        await output.close()
-
-    asyncio.run(go())
+    readings = [reading(each) if isinstance(each, str) else each for each in devices]
+    asyncio.run(write(output, readings))
     return path.read_text()
 
 

@@ -19,6 +19,7 @@ from libmodbus_py.services.fleet.outputs.poll_messages import poll_messages
 from libmodbus_py.services.fleet.outputs.pump import Pump
 from tests.services.fleet.fleets import meter, polling, simulated, until
 from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish, run
+from tests.support.outputs import pumping
 
 TOPIC = "plant/{device}"
 
@@ -56,22 +57,21 @@ def test_each_poll_is_one_message_with_values_quality_reason_and_ids(
     broker: Broker, qos: int
 ) -> None:
     async def go() -> None:
-        pump = Pump(Mqtt(broker.url, topic=TOPIC, qos=qos, retain=False))
-        pump.start()
-        down = Reading(101.0, "a/b", "power", None, "W", "down", "ModbusTimeoutError", 9)
-        async with hearing(broker, "plant/+") as heard:
-            await written(pump, [*poll("a/b", 0, volts=230.5, amps=3), down, *poll("c", 1, x=1)])
-            await until(lambda: len(heard) == 3)
-        first, second = heard_of(heard, "plant/a%2Fb")
-        time = "1970-01-01T00:01:40.000Z"
-        good = {"time": time, "unit": "V", "quality": "good", "id": 1}
-        assert first == {
-            "device": "a/b",
-            "values": {"volts": {"value": 230.5, **good}, "amps": {"value": 3, **good}},
-        }
-        assert second["values"]["power"] == json.loads(object_text(down))
-        pump.close()
-        await pump.ended()
+        async with pumping(Mqtt(broker.url, topic=TOPIC, qos=qos, retain=False)) as pump:
+            down = Reading(101.0, "a/b", "power", None, "W", "down", "ModbusTimeoutError", 9)
+            async with hearing(broker, "plant/+") as heard:
+                await written(
+                    pump, [*poll("a/b", 0, volts=230.5, amps=3), down, *poll("c", 1, x=1)]
+                )
+                await until(lambda: len(heard) == 3)
+            first, second = heard_of(heard, "plant/a%2Fb")
+            time = "1970-01-01T00:01:40.000Z"
+            good = {"time": time, "unit": "V", "quality": "good", "id": 1}
+            assert first == {
+                "device": "a/b",
+                "values": {"volts": {"value": 230.5, **good}, "amps": {"value": 3, **good}},
+            }
+            assert second["values"]["power"] == json.loads(object_text(down))
 
     run(go())
 
@@ -80,28 +80,25 @@ def test_a_retained_message_has_the_last_values_of_all_points(broker: Broker) ->
     """The broker retains one message of a topic; with changes only, a poll has few values."""
 
     async def go() -> None:
-        pump = Pump(Mqtt(broker.url, topic=TOPIC))
-        pump.start()
-        await written(pump, poll("a", 0, x=1, y=2))
-        await written(pump, [*poll("a", 1, y=3), *poll("a", 2, z=4)])
-        gone = Reading(103.0, "a", "x", None, "V", "offline")
-        async with hearing(broker, "plant/+") as heard:
-            await until(lambda: heard)
-            assert last(heard, "plant/a") == {"x": 1, "y": 3, "z": 4}
-            await written(pump, [gone])
-            await until(lambda: len(heard) == 2)
-            assert last(heard, "plant/a") == {"x": None, "y": 3, "z": 4}
-            await written(pump, poll("a", 4, y=5))
-            await until(lambda: len(heard) == 3)
-            assert last(heard, "plant/a") == {"y": 5, "z": 4}
-        broker.kill()
-        await until(lambda: pump.statistics.trouble)
-        broker.start()
-        async with hearing(broker, "plant/+") as heard:
-            await until(lambda: heard)
-            assert last(heard, "plant/a") == {"y": 5, "z": 4}
-        pump.close()
-        await pump.ended()
+        async with pumping(Mqtt(broker.url, topic=TOPIC)) as pump:
+            await written(pump, poll("a", 0, x=1, y=2))
+            await written(pump, [*poll("a", 1, y=3), *poll("a", 2, z=4)])
+            gone = Reading(103.0, "a", "x", None, "V", "offline")
+            async with hearing(broker, "plant/+") as heard:
+                await until(lambda: heard)
+                assert last(heard, "plant/a") == {"x": 1, "y": 3, "z": 4}
+                await written(pump, [gone])
+                await until(lambda: len(heard) == 2)
+                assert last(heard, "plant/a") == {"x": None, "y": 3, "z": 4}
+                await written(pump, poll("a", 4, y=5))
+                await until(lambda: len(heard) == 3)
+                assert last(heard, "plant/a") == {"y": 5, "z": 4}
+            broker.kill()
+            await until(lambda: pump.statistics.trouble)
+            broker.start()
+            async with hearing(broker, "plant/+") as heard:
+                await until(lambda: heard)
+                assert last(heard, "plant/a") == {"y": 5, "z": 4}
 
     run(go())
 
@@ -110,19 +107,16 @@ def test_a_device_that_is_refused_after_a_restart_is_forgotten_alone(
     broker: Broker, caplog: pytest.LogCaptureFixture
 ) -> None:
     async def go() -> None:
-        pump = Pump(Mqtt(broker.url, topic=TOPIC))
-        pump.start()
-        await written(pump, [*poll("a", 0, x="x" * 500), *poll("b", 0, x=1)])
-        broker.kill()
-        await until(lambda: pump.statistics.trouble)
-        broker.settings.append("max_packet_size 400")
-        broker.start()
-        async with hearing(broker, "plant/+") as heard:
-            await written(pump, poll("c", 1, x=2))
-            await until(lambda: len({topic for topic, *_ in heard}) == 2)
-        assert (last(heard, "plant/b"), last(heard, "plant/c")) == ({"x": 1}, {"x": 2})
-        pump.close()
-        await pump.ended()
+        async with pumping(Mqtt(broker.url, topic=TOPIC)) as pump:
+            await written(pump, [*poll("a", 0, x="x" * 500), *poll("b", 0, x=1)])
+            broker.kill()
+            await until(lambda: pump.statistics.trouble)
+            broker.settings.append("max_packet_size 400")
+            broker.start()
+            async with hearing(broker, "plant/+") as heard:
+                await written(pump, poll("c", 1, x=2))
+                await until(lambda: len({topic for topic, *_ in heard}) == 2)
+            assert (last(heard, "plant/b"), last(heard, "plant/c")) == ({"x": 1}, {"x": 2})
 
     run(go())
     assert any("'a' is not published again" in each.getMessage() for each in caplog.records)
@@ -143,16 +137,13 @@ def test_polls_above_the_largest_message_are_several(broker: Broker) -> None:
 
     async def go() -> None:
         output = Mqtt(broker.url, topic=TOPIC, retain=False, max_message=2000)
-        pump = Pump(output)
-        pump.start()
-        async with hearing(broker, "plant/+") as heard:
-            await written(pump, poll("a", 0, **{f"point_{at}": at for at in range(100)}))
-            await until(lambda: heard and len(heard) == heard[0][1]["parts"])
-        messages = heard_of(heard, "plant/a")
-        assert [each["part"] for each in messages] == list(range(1, len(messages) + 1))
-        assert sum(len(each["values"]) for each in messages) == 100
-        pump.close()
-        await pump.ended()
+        async with pumping(output) as pump:
+            async with hearing(broker, "plant/+") as heard:
+                await written(pump, poll("a", 0, **{f"point_{at}": at for at in range(100)}))
+                await until(lambda: heard and len(heard) == heard[0][1]["parts"])
+            messages = heard_of(heard, "plant/a")
+            assert [each["part"] for each in messages] == list(range(1, len(messages) + 1))
+            assert sum(len(each["values"]) for each in messages) == 100
 
     run(go())
 

@@ -13,13 +13,13 @@ from typing import Any, cast
 import pytest
 
 from libmodbus_py.fleet import OutputStatistics, Reading
-from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.services.workers.stream import Stream
 from tests.services.fleet.fleets import simulated_run
 from tests.services.fleet.outputs.test_unwritable_readings import reading
 from tests.simulation.engine import Engine
 from tests.simulation.network import Network
 from tests.support.cases import each_case
+from tests.support.outputs import pumping
 
 
 class Distant:
@@ -75,14 +75,11 @@ def written(output: Distant, devices: str, later: str = "") -> OutputStatistics:
     """Write polls until none waits or one is refused, then `later`; return the counts."""
 
     async def go() -> OutputStatistics:
-        pump = Pump(output)
-        pump.buffer.put(polls(devices))
-        pump.start()
-        await until(lambda: not pump.buffer or output.failed > 5)
-        pump.buffer.put(polls(later))
-        await until(lambda: not pump.buffer)
-        pump.close()
-        await pump.ended()
+        async with pumping(output) as pump:
+            pump.buffer.put(polls(devices))
+            await until(lambda: not pump.buffer or output.failed > 5)
+            pump.buffer.put(polls(later))
+            await until(lambda: not pump.buffer)
         return pump.statistics
 
     return simulated_run(go())
@@ -143,15 +140,12 @@ def test_what_is_away_loses_nothing_however_long_and_ends_with_the_newest() -> N
 def test_a_poll_that_waits_alone_is_kept() -> None:
     async def go() -> Distant:
         output = Distant("a")
-        pump = Pump(output)
-        pump.buffer.put(polls("a"))
-        pump.start()
-        await until(lambda: output.failed > 10)
-        assert pump.statistics.dropped == 0
-        output.refused = ""
-        await until(lambda: not pump.buffer)
-        pump.close()
-        await pump.ended()
+        async with pumping(output) as pump:
+            pump.buffer.put(polls("a"))
+            await until(lambda: output.failed > 10)
+            assert pump.statistics.dropped == 0
+            output.refused = ""
+            await until(lambda: not pump.buffer)
         return output
 
     assert simulated_run(go()).accepted == polls("a")
@@ -160,14 +154,11 @@ def test_a_poll_that_waits_alone_is_kept() -> None:
 def test_the_suspected_poll_may_fall_out_of_a_full_buffer() -> None:
     async def go() -> OutputStatistics:
         output = Distant("x")
-        pump = Pump(output, most=4)
-        pump.buffer.put(polls("x"))
-        pump.start()
-        await until(lambda: output.failed > 3)
-        pump.buffer.put(polls("bcd"))
-        await until(lambda: not pump.buffer)
-        pump.close()
-        await pump.ended()
+        async with pumping(output, most=4) as pump:
+            pump.buffer.put(polls("x"))
+            await until(lambda: output.failed > 3)
+            pump.buffer.put(polls("bcd"))
+            await until(lambda: not pump.buffer)
         assert {each.device for each in output.accepted} <= set("bcd")
         return pump.statistics
 
@@ -179,12 +170,9 @@ def test_the_suspected_poll_may_fall_out_of_a_full_buffer() -> None:
 def test_the_end_while_a_poll_is_suspected_takes_its_time_only() -> None:
     async def go() -> OutputStatistics:
         output = Distant("x")
-        pump = Pump(output)
-        pump.buffer.put(polls("xa"))
-        pump.start()
-        await until(lambda: output.failed > 2)
-        pump.close()
-        await pump.ended()
+        async with pumping(output) as pump:
+            pump.buffer.put(polls("xa"))
+            await until(lambda: output.failed > 2)
         return pump.statistics
 
     statistics = simulated_run(go())
@@ -211,12 +199,9 @@ def test_a_subject_that_nats_denies_holds_up_no_others() -> None:
 
     async def main() -> OutputStatistics:
         client = engine.client()
-        pump = Pump(Denied(cast(Any, client), {}))
-        pump.buffer.put(polls("axb"))
-        pump.start()
-        await until(lambda: pump.statistics.written + pump.statistics.dropped == 6)
-        pump.close()
-        await pump.ended()
+        async with pumping(Denied(cast(Any, client), {})) as pump:
+            pump.buffer.put(polls("axb"))
+            await until(lambda: pump.statistics.written + pump.statistics.dropped == 6)
         await client.close()
         return pump.statistics
 

@@ -25,6 +25,7 @@ from libmodbus_py.services.workers.stream import Stream
 from tests.services.fleet.fleets import Peer, meter, simulated_run, until
 from tests.simulation.engine import Engine
 from tests.simulation.network import Network
+from tests.support.outputs import pumping
 
 
 def reading(device: str, name: str, value: Any = 1, time: float = 100.0) -> Reading:
@@ -56,12 +57,9 @@ class Picky:
 
 
 async def pumped(output: Output, readings: Sequence[Reading], most: int = 10_000) -> Pump:
-    pump = Pump(output, most)
-    pump.buffer.put(readings)
-    pump.start()
-    await until(lambda: not pump.buffer)
-    pump.close()
-    await pump.ended()
+    async with pumping(output, most) as pump:
+        pump.buffer.put(readings)
+        await until(lambda: not pump.buffer)
     return pump
 
 
@@ -69,14 +67,11 @@ def after_refusals(output: Picky, readings: list[Reading], count: int) -> Output
     """Write readings to an output that refuses so many times, then takes all; return the counts."""
 
     async def go() -> OutputStatistics:
-        pump = Pump(output)
-        pump.buffer.put(readings)
-        pump.start()
-        await until(lambda: pump.statistics.failures >= count)
-        output.refused = ()
-        await until(lambda: not pump.buffer)
-        pump.close()
-        await pump.ended()
+        async with pumping(output) as pump:
+            pump.buffer.put(readings)
+            await until(lambda: pump.statistics.failures >= count)
+            output.refused = ()
+            await until(lambda: not pump.buffer)
         return pump.statistics
 
     return simulated_run(go())
@@ -188,13 +183,10 @@ def test_a_reading_above_the_largest_message_stops_no_other_device() -> None:
     async def main() -> Pump:
         client = engine.client()
         client.max_payload = 2000
-        pump = Pump(Stream(cast(Any, client), {}))
-        pump.buffer.put(readings)
-        pump.start()
-        while pump.buffer:
-            await asyncio.sleep(0.1)
-        pump.close()
-        await pump.ended()
+        async with pumping(Stream(cast(Any, client), {})) as pump:
+            pump.buffer.put(readings)
+            while pump.buffer:
+                await asyncio.sleep(0.1)
         await client.close()
         return pump
 
