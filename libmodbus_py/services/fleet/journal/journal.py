@@ -297,10 +297,10 @@ class Journal:
             try:
                 if self._damage is not None:
                     await self._replace(self._damage)
-                await self._write()
                 if asyncio.get_running_loop().time() >= self._force_at:
-                    await self._writing.call(self._file.force)
                     self._force_at = math.inf
+                    await self._writing.call(self._file.force)  # before a write that may fail
+                await self._write()
                 pauses.reset()
             except JournalError as error:
                 self._note_trouble(error)

@@ -284,6 +284,7 @@ def test_while_a_disk_is_full_for_long_memory_is_bounded(
         await asyncio.sleep(1000)
         disk.error = None
         away.is_away = False
+        await asyncio.sleep(30)  # the longest pause between its tries
         await until(lambda: fleet.statistics.outputs["away"].waiting == 0)
         dropped = journal.dropped
         assert 200 < dropped < 300
@@ -309,6 +310,7 @@ def test_a_journal_that_is_damaged_while_it_is_used_is_replaced(
         disk.error = None
         await asyncio.sleep(100)
         away.is_away = False
+        await asyncio.sleep(30)  # the longest pause between its tries
         await until(lambda: fleet.statistics.outputs["away"].waiting == 0)
         # What was only in the damaged file is there still, but not for this output.
         assert fleet.statistics.outputs["away"].dropped in range(before - 9, before + 1)
@@ -333,6 +335,7 @@ def test_damage_that_a_reader_meets_is_healed_too(
     async def damage(fleet: Fleet) -> None:
         reader.error = JournalDamaged("fleet.db: is damaged")
         away.is_away = False
+        await asyncio.sleep(30)  # the longest pause between its tries
         await until(lambda: Path(f"{path}-damaged").exists())
         reader.error = None
         await asyncio.sleep(100)
@@ -496,6 +499,27 @@ def test_each_poll_is_forced_onto_the_disk_although_none_follows(
     for last, written in forced.written:
         at = min(time for number, time in forced.forced if number >= last)
         assert at - written <= 0.5 + 0.5 + 0.01  # until it begins, and what the disk takes
+
+
+def test_what_was_written_is_forced_although_later_writes_fail(
+    path: str, inline: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = Failing(monkeypatch, JournalFile, "write", None)
+    force = Failing(monkeypatch, JournalFile, "force", None)
+
+    async def go() -> None:
+        journal = Journal(path)
+        await journal.open([])
+        journal.put(readings("a", 1.0))
+        await asyncio.sleep(0.1)
+        disk.error = JournalTrouble("the disk is full")
+        journal.put(readings("a", 2.0))
+        await asyncio.sleep(1)
+        assert (force.calls, journal.statistics.trouble) == (1, "the disk is full")
+        disk.error = None
+        await journal.close()
+
+    simulated_run(go())
 
 
 # --- the beginning and the end --------------------------------------------------------------
