@@ -25,8 +25,6 @@ _KEY = re.compile(r"([,= ])")
 RESERVED = ("time", "_time", "_measurement", "_field", "_value", "_start", "_stop")
 """Keys that InfluxDB 1 and 2 use themselves: points and labels of these names get a "_" behind."""
 
-LARGEST = 2**63
-
 
 class LineProtocol:
     """
