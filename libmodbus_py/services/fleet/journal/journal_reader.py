@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import json
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from functools import partial
 from heapq import merge
 from itertools import chain, groupby, islice
@@ -41,16 +41,17 @@ SELECT point.device, point.points, point.id - point.points
  WHERE device.name = ? AND point.name = ?
 """
 
-# The value is extracted by SQLite, which is faster, unless the position differs in each row.
+# Values are extracted by SQLite, which takes a quarter of the time. `place` is the position of the
+# point in the data of a poll.
 VALUES = """
-SELECT time,
-       CASE WHEN chosen IS NULL THEN json_extract(data, ?) END,
-       CASE WHEN chosen IS NULL THEN json_extract(trouble, ?) END,
-       chosen,
-       CASE WHEN chosen IS NOT NULL THEN data END,
-       CASE WHEN chosen IS NOT NULL THEN trouble END
-  FROM poll
- WHERE device = ? AND time BETWEEN ? AND ? AND points = ? AND (chosen NOT NULL OR readings > ?)
+SELECT time, json_extract(data, '$[' || place || ']'),
+       coalesce(json_extract(trouble, '$."' || place || '"[0]'), 'good')
+  FROM (SELECT time, data, trouble, readings,
+               iif(chosen IS NULL, :at, (SELECT key FROM json_each(chosen) WHERE value = :at))
+               AS place
+          FROM poll
+         WHERE device = :device AND time BETWEEN :since AND :until AND points = :points)
+ WHERE place < readings
  ORDER BY time
 """
 
@@ -153,7 +154,14 @@ def history(
     integer("most", most, 3, 1_000_000)
     with raised(path), contextlib.closing(_connected(path)) as database:
         positions = database.execute(POSITIONS, (device, name)).fetchall()
-        series = [_values(database, each, since, until) for each in positions]
+        span = {"since": since, "until": until}
+        series = [
+            map(
+                HistoricalValue._make,
+                database.execute(VALUES, {"device": id, "points": points, "at": at, **span}),
+            )
+            for id, points, at in positions
+        ]
         return thinned(merge(*series, key=lambda each: each.time), since, until, most)
 
 
@@ -173,22 +181,6 @@ def _past(
     return [
         (each.time, each.value if isinstance(each.value, int | float) else None) for each in found
     ]
-
-
-def _values(
-    database: sqlite3.Connection, position: tuple[int, int, int], since: float, until: float
-) -> Iterator[HistoricalValue]:
-    device, points, at = position
-    paths = f"$[{at}]", f'$."{at}"[0]'
-    rows = database.execute(VALUES, (*paths, device, since, until, points, at))
-    for time, value, quality, chosen, data, trouble in rows:
-        if chosen is None:
-            yield HistoricalValue(time, value, quality or "good")
-        elif at in (positions := json.loads(chosen)):
-            place = positions.index(at)
-            known = json.loads(trouble) if trouble else {}
-            told = known.get(str(place), ["good"])[0]
-            yield HistoricalValue(time, json.loads(data)[place], told)
 
 
 def thinned(

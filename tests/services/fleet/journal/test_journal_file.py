@@ -185,6 +185,18 @@ def test_the_first_points_of_a_list_are_not_all_of_a_history(file: JournalFile) 
     assert [each.value for each in history(file.path, "a", "p0", 0, 9)] == [1, 3]
 
 
+@pytest.mark.parametrize("names", [("p0", "p1"), ("p1",)])
+def test_a_history_has_numbers_and_text(file: JournalFile, names: tuple[str, ...]) -> None:
+    """Also of polls of some points."""
+    file.write(some(1, "p0", "p1"), {}, 0)
+    for first, value in ((3, True), (5, [1, None]), (7, {"a": False})):
+        [poll] = some(first, *names)
+        changed = [each._replace(value=value) for each in poll.readings]
+        file.write([poll._replace(readings=changed)], {}, 0)
+    found = [each.value for each in history(file.path, "a", "p1", 0, 9)]
+    assert list(map(repr, found)) == ["1", "1", "'[1,null]'", "'{\"a\":false}'"]
+
+
 def test_a_unit_that_changes_in_a_run_holds_for_later_readings(file: JournalFile) -> None:
     file.write(polls(1, 1), {}, 0)
     file.write(list(numbered([each._replace(unit="mV") for each in readings()], 200)), {}, 0)
