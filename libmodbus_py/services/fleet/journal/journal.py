@@ -19,8 +19,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
+import os
 from collections.abc import Iterable, Sequence
-from os import PathLike, fspath
 
 from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType
@@ -91,13 +91,13 @@ class Journal:
     """
 
     def __init__(
-        self, path: str | PathLike[str], *, keep: str = "90 days", size: str = "2 GB"
+        self, path: str | os.PathLike[str], *, keep: str = "90 days", size: str = "2 GB"
     ) -> None:
-        if not isinstance(path, str | PathLike) or not fspath(path):
+        if not isinstance(path, str | os.PathLike) or not os.fspath(path):
             raise WrongType("journal", f"must be the path of a file, not {path!r}")
-        self.path: str = fspath(path)
+        self.path: str = os.fspath(path)
         self.exclusive: tuple[str, ...] = tuple(
-            file_at(f"{self.path}{end}") for end in ("", "-wal", "-shm", "-lock")
+            file_at(f"{os.path.realpath(self.path)}{end}") for end in ("", "-wal", "-shm", "-lock")
         )
         self.statistics: JournalStatistics = JournalStatistics()
         self._file = JournalFile(

@@ -116,7 +116,9 @@ class JournalFile:
     """
 
     def __init__(self, path: str, keep: float, size: int) -> None:
-        self.path: str = path
+        # SQLite, too, puts its files beside the one that a link leads to; and so is the lock, which
+        # is the same by whatever name the file is opened.
+        self.path: str = os.path.realpath(path) if os.path.islink(path) else path
         self._keep = keep
         self._size = size
         self._lock = -1

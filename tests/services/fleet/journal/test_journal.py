@@ -540,6 +540,24 @@ def test_a_journal_that_cannot_be_used_ends_the_fleet_before_it_polls(
     simulated_run(go())
 
 
+def test_a_journal_may_be_behind_a_link_and_is_the_same_one(path: str, tmp_path: Path) -> None:
+    link = tmp_path / "link.db"
+    link.symlink_to(path)
+
+    async def go() -> None:
+        journal = Journal(link)
+        await journal.open([])
+        with pytest.raises(JournalError, match="is used by another program"):
+            await Journal(path).open([])
+        journal.put(readings("a", time.time()))
+        await journal.close()
+
+    asyncio.run(go())
+    assert len(in_journal(path)) == 2
+    assert [each.value for each in Journal(link).history("a", "p1", 0, time.time())] == [0.1]
+    assert {each.name for each in tmp_path.iterdir() if each.name.startswith("link")} == {link.name}
+
+
 def test_a_journal_belongs_to_one_fleet(path: str) -> None:
     async def go() -> None:
         journal = Journal(path)
