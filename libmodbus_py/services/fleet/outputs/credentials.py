@@ -93,7 +93,7 @@ class Trust:
         try:
             context = ssl.create_default_context(cafile=self._ca)
         except ssl.SSLError as error:
-            told = f"ca: {self._ca!r} contains no certificate: {in_words(error)}"
-            raise OSError(told) from None
+            reason = f"ca: {self._ca!r} contains no certificate: {in_words(error)}"
+            raise OSError(reason) from None
         context.sslsocket_class = self._sockets
         return context

@@ -173,8 +173,8 @@ class LineFile:
         """Empty a file that ends in the midst of its beginning; refuse all others."""
         if not self._form.begin.startswith(begin):
             wanted = self._form.begin.decode().strip()
-            told = f"does not begin with {wanted!r}, so nothing is written; rename the file"
-            raise OSError(errno.EEXIST, told)
+            reason = f"does not begin with {wanted!r}, so nothing is written; rename the file"
+            raise OSError(errno.EEXIST, reason)
         os.ftruncate(self._descriptor, 0)
         return self._form.header
 

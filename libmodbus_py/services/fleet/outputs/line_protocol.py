@@ -77,8 +77,8 @@ class LineProtocol:
     def _head(self, device: str, labels: Mapping[str, str]) -> str:
         tags = {"device": device, **labels}
         # InfluxDB recommends tags in order; a tag without a value is not a tag.
-        told = [f"{_key(name)}={_spelled(tags[name])}" for name in sorted(tags) if tags[name]]
-        return ",".join((self._measurement, *told))
+        parts = [f"{_key(name)}={_spelled(tags[name])}" for name in sorted(tags) if tags[name]]
+        return ",".join((self._measurement, *parts))
 
     def _fields(self, reading: Reading) -> Iterator[str]:
         name = reading.name
@@ -112,8 +112,8 @@ def _field(value: Any) -> str:
 
 def _text(text: str) -> str:
     """Return text as a field, in one line."""
-    told = without_controls(text).replace("\n", "\\x0a").replace("\\", "\\\\")
-    return '"' + told.replace('"', '\\"') + '"'
+    escaped = without_controls(text).replace("\n", "\\x0a").replace("\\", "\\\\")
+    return '"' + escaped.replace('"', '\\"') + '"'
 
 
 def _key(name: str) -> str:
@@ -122,8 +122,8 @@ def _key(name: str) -> str:
 
 def _spelled(name: str) -> str:
     # A backslash cannot be escaped, and would escape the character behind it.
-    told = without_controls(name).replace("\n", "%0A").replace("\\", "%5C")
-    return _KEY.sub(r"\\\1", told)
+    escaped = without_controls(name).replace("\n", "%0A").replace("\\", "%5C")
+    return _KEY.sub(r"\\\1", escaped)
 
 
 def _nanoseconds(time: float) -> int:

@@ -127,8 +127,8 @@ class Mqtt:
         if max_message is not None:
             integer("max_message", max_message, 1024, LARGEST_BYTES)
             if is_of_points or retain:
-                told = "needs a topic without {name}, and retain = false"
-                raise WrongValue("max_message", told)
+                reason = "needs a topic without {name}, and retain = false"
+                raise WrongValue("max_message", reason)
         self._messages = Messages(
             self._topic,
             is_of_points=is_of_points,

@@ -44,8 +44,8 @@ def poll_messages(readings: Sequence[Reading], largest: int) -> Iterator[tuple[l
     parts = list(_parts(values, largest - FRAME - 2 * len(begin.encode()) - longest))
     for at, names in enumerate(parts):
         part = f'"part": {at + 1}, "parts": {len(parts)}, ' if len(parts) > 1 else ""
-        told = ", ".join([values[name] for name in names])
-        yield names, f'{begin}{part}"values": {{{told}}}}}'.encode()
+        texts = ", ".join([values[name] for name in names])
+        yield names, f'{begin}{part}"values": {{{texts}}}}}'.encode()
 
 
 def newest(readings: Sequence[Reading]) -> Reading:

@@ -214,13 +214,13 @@ class Pump:
 
     def _note_trouble(self, error: Exception) -> None:
         self.statistics.failures += 1
-        told = _told(error)
-        if told != self.statistics.trouble:
+        message = _message(error)
+        if message != self.statistics.trouble:
             is_usual = isinstance(error, OSError | ReadingsRefused)
-            logger.warning("%s: %s", self.name, told, exc_info=None if is_usual else error)
+            logger.warning("%s: %s", self.name, message, exc_info=None if is_usual else error)
         if not self.statistics.trouble:
             self.statistics.trouble_since = time.time()
-        self.statistics.trouble = told
+        self.statistics.trouble = message
 
     async def _rest(self) -> None:
         with contextlib.suppress(TimeoutError):
@@ -228,7 +228,7 @@ class Pump:
                 await self._closing.wait()
 
 
-def _told(error: Exception) -> str:
+def _message(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error) or type(error).__name__

@@ -59,8 +59,8 @@ class Topic:
         levels = self.template.split("/")
         if any(len(_PART.findall(level)) > 1 for level in levels):
             # "{device}-{name}" would be a-b-c for c of a-b and for b-c of a.
-            told = f"{', '.join(f'{{{each}}}' for each in held)} must stand apart, with / between"
-            raise WrongValue.about(key, f"{told} them: {template!r}")
+            reason = f"{', '.join(f'{{{each}}}' for each in held)} must stand apart, with / between"
+            raise WrongValue.about(key, f"{reason} them: {template!r}")
         self.filter: str = "/".join("+" if "{" in level else level for level in levels)
         self._pattern = re.compile(
             "".join(
