@@ -274,6 +274,21 @@ def test_writes_are_answered_with_their_outcome(broker: Broker) -> None:
     run(go())
 
 
+def test_names_are_taken_in_one_spelling_only(broker: Broker) -> None:
+    """A broker that denies modbus/a/+/set does not know that %61 is the same."""
+
+    async def go() -> None:
+        async with commanded(broker, commands=True) as (_, heard, device):
+            for names in ("%61/setpoint", "a/set%70oint", "a/%2f", "a/%FF"):
+                await publish(broker, f"modbus/{names}/set", b"21")
+            await publish(broker, "modbus/a/setpoint/set", b"22")
+            await until(lambda: heard)
+            assert [topic for topic, _, _ in heard] == ["modbus/a/setpoint/set/result"]
+            assert device.mapping.holding_registers[2] == 22
+
+    run(go())
+
+
 def test_off_unless_enabled(broker: Broker) -> None:
     async def go() -> None:
         async with commanded(broker) as (fleet, heard, device):
