@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from ....tools.files.schema import Keys, keys_of
 from .output import Output
 
-__all__ = ["KINDS", "OutputKind", "made", "output_keys"]
+__all__ = ["KINDS", "made", "output_keys"]
 
 
 class OutputKind(NamedTuple):

@@ -19,7 +19,7 @@ from ..readings import Reading
 from .credentials import SecretFile
 from .mqtt_commands import MqttCommands
 from .mqtt_connection import MqttConnection
-from .mqtt_messages import OFFLINE, ONLINE, DeviceStates, Key, Message, Messages
+from .mqtt_messages import MOST_LOSSES, OFFLINE, ONLINE, DeviceStates, Key, Message, Messages
 from .topics import Topic, plain_topic
 
 if TYPE_CHECKING:
@@ -31,9 +31,6 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Scheme -> port of a URL without one.
 PORTS = {"mqtt": 1883, "mqtts": 8883}
-
-# After so many lost connections in a row, last values are published again one by one.
-MOST_LOSSES = 3
 
 LARGEST_BYTES = 268_435_000
 """The size of a message that MQTT can carry, with a long topic."""

@@ -13,7 +13,7 @@ from .forms import object_text
 from .poll_messages import newest, poll_messages
 from .topics import Topic
 
-__all__ = ["OFFLINE", "ONLINE", "DeviceStates", "Key", "Message", "Messages"]
+__all__ = ["MOST_LOSSES", "OFFLINE", "ONLINE", "DeviceStates", "Key", "Message", "Messages"]
 
 Message = tuple[str, bytes]
 """A topic and a payload."""
@@ -23,8 +23,11 @@ Key = tuple[str, ...]
 
 ONLINE, OFFLINE = b"online", b"offline"
 
-# How often the connection may be lost at last values that are published again.
 MOST_LOSSES = 3
+"""
+Connections that may be lost while last values are published again: all together, then each alone.
+A broker that is away may cost one or two.
+"""
 
 
 class Messages:

@@ -16,7 +16,7 @@ from ....protocol.errors import (
     ModbusTimeoutError,
 )
 
-__all__ = ["Cause", "not_connected", "told"]
+__all__ = ["not_connected", "told"]
 
 # asyncio and clients raise RuntimeError if another event loop uses them.
 Cause: TypeAlias = ModbusError | theirs.ModbusError | RuntimeError
