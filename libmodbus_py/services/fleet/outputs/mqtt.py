@@ -5,7 +5,6 @@ An output to an MQTT broker, which also receives writes. It needs aiomqtt (the e
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import chain
 from typing import TYPE_CHECKING
 
 from ....protocol.checks import integer
@@ -189,7 +188,7 @@ class Mqtt:
         await self._publish_again()
 
     async def write(self, readings: Sequence[Reading]) -> None:
-        await self._publish(chain(self._messages.former(readings), self._messages.of(readings)))
+        await self._publish(self._messages.of(readings))
         self._messages.keep(readings)
         if self._states is not None:
             changed = self._states.changed(readings)

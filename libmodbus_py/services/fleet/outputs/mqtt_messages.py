@@ -49,33 +49,30 @@ class Messages:
         self._is_of_points = is_of_points
         self._is_retained = is_retained
         self._largest = largest
-        # The last reading of each point, and the topic at which it is.
+        # The last reading of each point; its labels are those of the topic at which it is.
         self._kept: dict[Key, dict[str, Reading]] = {}
-        self._topics: dict[Key, str] = {}
         self._losses: Counter[Key] = Counter()
 
     def of(self, readings: Sequence[Reading]) -> Iterator[Message]:
-        """Yield the messages with readings."""
+        """Yield the messages with readings, after those that take back values at former topics."""
         ahead: dict[Key, dict[str, Reading]] = {}
         for key, found in self._groups(readings):
             if self._is_retained:
-                found = {**ahead.get(key, self._kept.get(key, {})), **found}
+                before = ahead.get(key, self._kept.get(key, {}))
+                found = {**before, **found}
+                yield from self._taken_back(list(before.values()), list(found.values()))
                 ahead[key] = _staying(found)
             last = list(found.values())
             yield from self._messages(self._topic_of(last), last)
 
-    def former(self, readings: Sequence[Reading]) -> Iterator[Message]:
-        """Yield messages that take back what is retained at topics with a former label."""
-        if not self._is_retained or not self._topic.labels:
+    def _taken_back(self, before: list[Reading], last: list[Reading]) -> Iterator[Message]:
+        """Yield a message for a topic with a former label, where the broker retains values."""
+        if not before or not self._topic.labels:
             return
-        for key, found in self._groups(readings):
-            last = list({**self._kept.get(key, {}), **found}.values())
-            topic = self._topic_of(last)
-            former = self._topics.get(key, topic)
-            if former != topic:
-                gone = [each._replace(value=None, quality="offline", reason="") for each in last]
-                yield from self._messages(former, gone)
-            self._topics[key] = topic
+        former = self._topic_of(before)
+        if former != self._topic_of(last):
+            gone = [each._replace(value=None, quality="offline", reason="") for each in last]
+            yield from self._messages(former, gone)
 
     def keep(self, readings: Sequence[Reading]) -> None:
         """Keep readings that were published, if the broker retains them."""
@@ -86,7 +83,7 @@ class Messages:
             if staying:
                 self._kept[key] = staying
             else:
-                self._forget(key)
+                self._kept.pop(key, None)
 
     @property
     def keys(self) -> list[Key]:
@@ -116,12 +113,8 @@ class Messages:
         self._losses[key] += 1
         if self._losses[key] < MOST_LOSSES:
             return False
-        self._forget(key)
+        del self._kept[key]
         return True
-
-    def _forget(self, key: Key) -> None:
-        self._kept.pop(key, None)
-        self._topics.pop(key, None)
 
     def _groups(self, readings: Sequence[Reading]) -> Iterator[tuple[Key, dict[str, Reading]]]:
         """Yield the readings of each message by the names of their points."""

@@ -123,6 +123,19 @@ def test_topics_have_the_labels_of_the_time_of_a_reading(topic: str) -> None:
     assert topics[0].startswith("Halle/north")
 
 
+@pytest.mark.parametrize("topic", ["{label.site}/{device}/{name}", "{label.site}/{device}"])
+def test_a_former_topic_is_taken_back_until_that_was_accepted(topic: str) -> None:
+    messages = Mqtt("mqtt://127.0.0.1", topic=topic, status="")._messages
+    sites = [reading("north", {"site": site}) for site in ("x", "y", "z")]
+    moved = [sites[1], sites[2]._replace(time=101.0)]
+    messages.keep(sites[:1])
+    for _ in range(2):  # the connection is lost during the first write
+        sent = [(at.partition("/")[0], b'"offline"' in data) for at, data in messages.of(moved)]
+        assert sent == [("x", True), ("y", False), ("y", True), ("z", False)]
+    messages.keep(moved)
+    assert [at.partition("/")[0] for at, _ in messages.of(moved[1:])] == ["z"]
+
+
 def test_points_with_states_stay_text_when_their_device_is_removed(tmp_path: Path) -> None:
     path = tmp_path / "lines"
     output = Influx(str(path))
