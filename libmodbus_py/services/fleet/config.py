@@ -293,12 +293,12 @@ def devices_to_json(devices: Iterable[DeviceConfig]) -> str:
     """Return devices, with their maps, as JSON; equal devices give equal text."""
     maps: dict[str, int] = {}
     seen: dict[int, int] = {}  # most devices share a map: each is written once
-    told = []
+    found = []
     for device in devices:
         if id(device.map) not in seen:
             seen[id(device.map)] = maps.setdefault(_map_to_json(device.map), len(maps))
-        told.append({**_changed(device, DEVICE), "map": seen[id(device.map)]})
-    return f'{{"maps": [{", ".join(maps)}], "devices": {json_text(told)}}}'
+        found.append({**_changed(device, DEVICE), "map": seen[id(device.map)]})
+    return f'{{"maps": [{", ".join(maps)}], "devices": {json_text(found)}}}'
 
 
 def devices_from_json(text: str) -> list[DeviceConfig]:
@@ -337,10 +337,10 @@ def _map_from_json(text: str) -> RegisterMap:
 
 def _changed(value: object, of: Iterable[Any]) -> dict[str, Any]:
     """Return the fields of a value that differ from their defaults."""
-    told: dict[str, Any] = {}
+    found: dict[str, Any] = {}
     for each in of:
         given = getattr(value, each.name)
         usual = each.default_factory() if each.default_factory is not MISSING else each.default
         if given != usual:
-            told[each.name] = dict(given) if isinstance(given, Mapping) else given
-    return told
+            found[each.name] = dict(given) if isinstance(given, Mapping) else given
+    return found

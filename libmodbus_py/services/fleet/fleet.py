@@ -242,7 +242,7 @@ class Fleet:
         now = time.time()
         for poller in self._pollers.values():
             self._receivers.put(poller.withdrawn(now))
-            self._count(poller.told_state, -1)
+            self._count(poller.counted_state, -1)
             poller.forget()
 
     def report_offline(self, devices: Iterable[DeviceConfig]) -> None:
@@ -376,10 +376,10 @@ class Fleet:
         for each in poller.news:
             logger.warning("%s: cannot be read: %s", poller.name, each)
         poller.news.clear()
-        if poller.told_state is not poller.state:
-            self._count(poller.told_state, -1)
+        if poller.counted_state is not poller.state:
+            self._count(poller.counted_state, -1)
             self._count(poller.state, 1)
-            poller.told_state, poller.since = poller.state, now
+            poller.counted_state, poller.since = poller.state, now
             if poller.state is DeviceState.DOWN:
                 logger.info("%s is down: %s", poller.name, poller.error)
             else:

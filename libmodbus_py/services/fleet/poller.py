@@ -15,7 +15,7 @@ from ...maps.watched import PointIntervals, Totals
 from ...protocol.errors import ModbusError
 from ..line import LineRequest, rest_after
 from .config import DeviceConfig
-from .readings import NO_LABELS, Changes, Reading, is_down, judged
+from .readings import NO_LABELS, Changes, Reading, classified, is_down
 
 __all__ = ["DeviceState", "OnePoll", "Poller", "Reads", "offline"]
 
@@ -92,7 +92,7 @@ class OnePoll:
     """
 
     __slots__ = (
-        *("_answers", "_first", "_plan", "_requests", "_steps", "_taken", "_time"),
+        *("_answers", "_first", "_plan", "_requests", "_steps", "_outcomes", "_time"),
         *("error", "holes", "is_answered", "news", "request"),
     )
 
@@ -113,7 +113,7 @@ class OnePoll:
         self._first = first
         self._time = now, connects
         self._answers: list[Any] = []
-        self._taken: list[Any] = []
+        self._outcomes: list[Any] = []
         self._steps: Generator[Any, Any, list[Any]] | None = None
         self._requests: Sequence[Any] = plan.requests
         if holes:
@@ -125,12 +125,12 @@ class OnePoll:
         is_error = isinstance(outcome, ModbusError)
         if is_error and self.error is None:
             self.error = outcome
-        self._taken.append(outcome)
+        self._outcomes.append(outcome)
         if not (is_error and is_down(outcome)):
             self.is_answered = True
         elif not self.is_answered:
-            self._taken += [outcome] * (len(self._requests) - len(self._taken))
-        if len(self._taken) == len(self._requests):
+            self._outcomes += [outcome] * (len(self._requests) - len(self._outcomes))
+        if len(self._outcomes) == len(self._requests):
             self._go_on()
         self._advance()
 
@@ -140,9 +140,9 @@ class OnePoll:
         return found
 
     def _advance(self) -> None:
-        taken, requests = len(self._taken), self._requests
-        is_over = taken == len(requests)
-        self.request: Any = None if is_over else requests[(self._first + taken) % len(requests)]
+        done, requests = len(self._outcomes), self._requests
+        is_over = done == len(requests)
+        self.request: Any = None if is_over else requests[(self._first + done) % len(requests)]
 
     def _new_steps(self, holes: Holes) -> Sequence[Any]:
         """Begin to leave out what is refused; return the first requests."""
@@ -152,17 +152,17 @@ class OnePoll:
     def _go_on(self) -> None:
         """Search for what was refused, or end the poll."""
         # The first request was not the first one of the plan.
-        first = len(self._taken) - self._first % len(self._taken)
-        taken = self._taken[first:] + self._taken[:first]
+        first = len(self._outcomes) - self._first % len(self._outcomes)
+        outcomes = self._outcomes[first:] + self._outcomes[:first]
         if self._steps is None:
-            self._answers = taken
-            if not any(map(is_refusal, taken)):
+            self._answers = outcomes
+            if not any(map(is_refusal, outcomes)):
                 return
             self.holes = self.holes or Holes()
             self._new_steps(self.holes)
         assert self._steps is not None
         try:
-            self._requests, self._taken = self._steps.send(taken), []
+            self._requests, self._outcomes = self._steps.send(outcomes), []
         except StopIteration as done:
             self._answers = done.value
             if self.error is None:
@@ -181,7 +181,7 @@ class Poller(LineRequest):
         name: of the device.
         request: of the current poll; None when no poll is under way.
         state: NEW until its first poll is over.
-        told_state: the state that the statistics count.
+        counted_state: the state that the statistics count.
         error: the first error of the last poll, or that of a point that was left out; None if all
             points were read.
         at: when the device is polled next, or was polled last.
@@ -197,7 +197,7 @@ class Poller(LineRequest):
     __slots__ = (
         *("_changes", "_due", "_first", "_holes", "_pace", "_poll", "_totals"),
         *("answered_at", "at", "config", "error", "name", "news", "reads", "rest_until"),
-        *("since", "state", "told_state"),
+        *("since", "state", "counted_state"),
     )
 
     def __init__(self, config: DeviceConfig, reads: Reads) -> None:
@@ -219,7 +219,7 @@ class Poller(LineRequest):
     def forget(self) -> None:
         """Forget the state of the device, and what was reported of it."""
         self.state: DeviceState = DeviceState.NEW
-        self.told_state: DeviceState = DeviceState.NEW
+        self.counted_state: DeviceState = DeviceState.NEW
         self.since: float = 0.0
         self.error: Exception | None = None
         names, config = self.reads.names, self.config
@@ -301,12 +301,12 @@ class Poller(LineRequest):
             self._pace.done(lost | doubtful)
         for at in doubtful:
             values[at] = self._totals.before(at)
-        told = self._changes.pick(values, self._due)
+        reported = self._changes.pick(values, self._due)
         if doubtful:
-            told = [at for at in told if at not in doubtful]
+            reported = [at for at in reported if at not in doubtful]
         device, labels, readings = self.name, self.config.labels or NO_LABELS, []
-        for number, at in enumerate(told, first):
-            value, quality, reason = judged(values[at])
+        for number, at in enumerate(reported, first):
+            value, quality, reason = classified(values[at])
             if at in fell:
                 reason = "Fell"
             name, unit, key = names[at], units[at], number if first else 0

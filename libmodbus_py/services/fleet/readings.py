@@ -18,7 +18,7 @@ from ...protocol.errors import (
     ModbusError,
 )
 
-__all__ = ["NO_LABELS", "Changes", "Quality", "Reading", "is_down", "judged"]
+__all__ = ["NO_LABELS", "Changes", "Quality", "Reading", "classified", "is_down"]
 
 NO_LABELS: Mapping[str, str] = MappingProxyType({})
 
@@ -86,7 +86,7 @@ def reason_of(error: Exception) -> str:
     return "ValueError" if isinstance(error, ValueError) else type(error).__name__
 
 
-def judged(value: Any) -> tuple[Any, Quality, str]:
+def classified(value: Any) -> tuple[Any, Quality, str]:
     """
     Return value, quality and reason of a reading, for a value of a plan or the error in its place.
 
@@ -147,11 +147,11 @@ class Changes:
         has_errors = any(isinstance(value, Exception) for value in values)
         if not (has_errors or self._has_errors or self._is_filtering):
             return indexes
-        told = [at for at in indexes if self._is_told(at, values[at])]
+        reported = [at for at in indexes if self._is_reported(at, values[at])]
         self._has_errors = has_errors or any(self._reasons)
-        return told
+        return reported
 
-    def _is_told(self, at: int, value: Any) -> bool:
+    def _is_reported(self, at: int, value: Any) -> bool:
         reason = reason_of(value) if isinstance(value, Exception) else ""
         before, self._reasons[at] = self._reasons[at], reason
         if reason:

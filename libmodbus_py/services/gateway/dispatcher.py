@@ -64,7 +64,7 @@ class Dispatcher:
         most_of_session: the most unanswered requests of one connection.
         authorize: raises for a request that is not allowed; None to allow all.
         statistics: counts requests.
-        auditor: told of each change, and of each request that is not allowed.
+        auditor: records each change, and each request that is not allowed.
 
     Attributes:
         routes: by unit; they may be changed while sessions last.
@@ -277,7 +277,7 @@ class Broadcast:
             part = Forwarded(self, 0, 0, 0, self._request, self._whole.waits_since)
             self._parts[part] = line
             if line.put(part):
-                self.told(part, b"\x80")
+                self.answered(part, b"\x80")
 
     def leave(self, forwarded: Forwarded) -> None:
         """Take no response; and send no more, if the client waited for it to be sent."""
@@ -287,15 +287,15 @@ class Broadcast:
                 line.leave(part)
             self.done_at = self._now()
 
-    def told(self, forwarded: Forwarded, response: bytes | None) -> None:
+    def answered(self, forwarded: Forwarded, response: bytes | None) -> None:
         self._left -= 1
         self._has_failed = self._has_failed or (response is not None and response[0] >= 0x80)
         if self._left:
             return
         self.done_at = self._now()
         refusal = bytes([self._request.function | 0x80, GatewayTargetFailedToRespond.code])
-        is_told = self._has_failed and self.session.has_ids
-        self._whole.tell(refusal if is_told else None)
+        is_refused = self._has_failed and self.session.has_ids
+        self._whole.answer(refusal if is_refused else None)
 
 
 # --- sessions ---------------------------------------------------------------------------------
@@ -352,7 +352,7 @@ class ForwardingSession(Framed):
             changes = changes_of(request.known, caller)
             auditor.note(Executed(caller, request.pdu, response, changes, is_change))
 
-    def told(self, forwarded: Forwarded, response: bytes | None) -> None:
+    def answered(self, forwarded: Forwarded, response: bytes | None) -> None:
         self.asked.pop(forwarded, None)
         if forwarded.request.changes:
             self.record(forwarded.from_unit, forwarded.request, response or b"")

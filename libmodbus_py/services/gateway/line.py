@@ -55,7 +55,7 @@ class Requester(Hashable, Protocol):
     @property
     def host(self) -> Hashable: ...
 
-    def told(self, forwarded: Forwarded, response: bytes | None) -> None:
+    def answered(self, forwarded: Forwarded, response: bytes | None) -> None:
         """Take the response PDU; None for a broadcast, which gets none."""
         ...
 
@@ -112,17 +112,17 @@ class Forwarded(LineRequest):
         submitted = (self.first or self).submitted
         return submitted is not None and submitted.is_sent
 
-    def tell(self, response: bytes | None) -> int:
+    def answer(self, response: bytes | None) -> int:
         """Pass the response to all that wait for it; return how many do not wait any more."""
-        told = 0
+        gone = 0
         for each in (self, *self.others) if self.others else (self,):
             asker, each.asker = each.asker, None
             each.first = None  # breaks a reference cycle
             if asker is None:
-                told += 1
+                gone += 1
             else:
-                asker.told(each, response)
-        return told
+                asker.answered(each, response)
+        return gone
 
 
 class GatewayLine(SharedLine[Forwarded]):
@@ -185,12 +185,12 @@ class GatewayLine(SharedLine[Forwarded]):
         elif merge:
             self._joinable[unit, request.pdu] = each
         each.is_urgent = self._writes_first and not (request.is_read or each.is_trial)
-        is_taken = self.ask(each, now)
-        if not is_taken:
+        is_queued = self.ask(each, now)
+        if not is_queued:
             self._forget_joinable(each)
             self.statistics.full += 1
         self._count()
-        return 0 if is_taken else BUSY
+        return 0 if is_queued else BUSY
 
     def leave(self, each: Forwarded) -> None:
         """Do not send the request of a client that is gone, unless others wait for it."""
@@ -253,12 +253,12 @@ class GatewayLine(SharedLine[Forwarded]):
         if outcome is None:  # a broadcast
             if each.is_trial:
                 self._silent.cancel_trial(each.unit, each.request.function, now)
-            self._tell(each, None)
+            self._answer(each, None)
         elif isinstance(outcome, bytes):
             self._note_answer(each, now)
             if each.age:
                 self._cache.keep(each.unit, each.request.pdu, outcome, each.asked_at)
-            self._tell(each, outcome)
+            self._answer(each, outcome)
         elif isinstance(outcome, ExceptionResponse):
             self._note_answer(each, now)
             each.counters.exceptions += 1
@@ -322,23 +322,23 @@ class GatewayLine(SharedLine[Forwarded]):
 
     def _refuse(self, each: Forwarded, code: int) -> None:
         self._forget_joinable(each)
-        self._tell(each, bytes([each.request.function | 0x80, code]))
+        self._answer(each, bytes([each.request.function | 0x80, code]))
 
-    def _tell(self, each: Forwarded, response: bytes | None) -> None:
-        self.statistics.unwanted += each.tell(response)
+    def _answer(self, each: Forwarded, response: bytes | None) -> None:
+        self.statistics.unwanted += each.answer(response)
 
     # --- the connection -----------------------------------------------------------------------
 
     def _note_state(self, state: State, error: ModbusError | None) -> None:
         if error is not None:
-            self._tell_state(str(error))
+            self._set_trouble(str(error))
             self._outage.begin(error)
         elif state is State.CONNECTED:
-            self._tell_state("")
+            self._set_trouble("")
             self._open_since = self._loop.time()
             self._outage.end()
 
-    def _tell_state(self, trouble: str) -> None:
+    def _set_trouble(self, trouble: str) -> None:
         if bool(trouble) != bool(self.statistics.trouble) or not self.statistics.since:
             self.statistics.since = time.time()
         self.statistics.trouble = trouble

@@ -23,7 +23,7 @@ from libmodbus_py import (
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.buffer import Buffer
 from libmodbus_py.services.fleet.outputs.forms import as_csv, as_json
-from libmodbus_py.services.fleet.readings import Changes, is_down, judged
+from libmodbus_py.services.fleet.readings import Changes, classified, is_down
 
 NAN = math.nan
 
@@ -89,7 +89,7 @@ def test_readings_as_text() -> None:
         Reading(0.0, "a,b", "voltage", 230.5, "V", "good"),
         Reading(0.0, "ä", "flags", [True, False], "", "good"),
         Reading(0.0, "c", "rest", None, "", "down", "ModbusTimeoutError"),
-        Reading(0.0, "c", "nan", *judged(NAN)[:1], "", *judged(NAN)[1:]),
+        Reading(0.0, "c", "nan", *classified(NAN)[:1], "", *classified(NAN)[1:]),
         Reading(0.0, "c", "bits", {"door": True, "mode": 5}, "", "good"),
         Reading(0.0, "c", "at", datetime(2026, 7, 1, 12, tzinfo=UTC), "", "good"),
     ]
@@ -162,7 +162,7 @@ def test_who_waits_is_woken() -> None:
 
 
 def test_a_value_that_json_cannot_tell_is_none_with_a_reason() -> None:
-    assert judged(math.inf) == judged(-math.inf) == (None, "bad", "Infinite")
-    assert judged(NAN) == (None, "bad", "Missing")
-    assert judged(NoValue("v", "Implausible", "is 5")) == (None, "bad", "Implausible")
-    assert judged(230.5) == (230.5, "good", "")
+    assert classified(math.inf) == classified(-math.inf) == (None, "bad", "Infinite")
+    assert classified(NAN) == (None, "bad", "Missing")
+    assert classified(NoValue("v", "Implausible", "is 5")) == (None, "bad", "Implausible")
+    assert classified(230.5) == (230.5, "good", "")

@@ -16,7 +16,7 @@ from libmodbus_py.fleet import DeviceConfig, Fleet, Reading
 from libmodbus_py.services.fleet.config import devices_from_json, devices_to_json
 from libmodbus_py.services.fleet.outputs.forms import as_json
 from libmodbus_py.services.fleet.poller import Poller, Reads
-from libmodbus_py.services.fleet.readings import judged
+from libmodbus_py.services.fleet.readings import classified
 from tests.support.cases import each_case
 
 H = "holding_registers"
@@ -133,4 +133,4 @@ def test_a_fleet_writes_by_what_points_mean() -> None:
     ],
 )
 def test_each_null_of_a_list_has_a_reason(items: list[Any], reading: tuple[Any, str, str]) -> None:
-    assert judged(items) == reading
+    assert classified(items) == reading

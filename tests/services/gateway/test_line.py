@@ -33,7 +33,7 @@ class Asker:
         self.host = host
         self.answers: list[str | None] = []
 
-    def told(self, forwarded: Forwarded, response: bytes | None) -> None:
+    def answered(self, forwarded: Forwarded, response: bytes | None) -> None:
         self.answers.append(None if response is None else response.hex())
 
 
@@ -256,7 +256,7 @@ class TestSilentUnits:
                 plant.ask(1, Busy())
 
             class Busy(Asker):
-                def told(self, forwarded: Forwarded, response: bytes | None) -> None:
+                def answered(self, forwarded: Forwarded, response: bytes | None) -> None:
                     if len(plant.asked) < 40:
                         again()
 
@@ -444,8 +444,8 @@ class TestTurns:
         plant = Plant(longest_wait=0.01)
 
         class Leaving(Asker):
-            def told(self, forwarded: Forwarded, response: bytes | None) -> None:
-                super().told(forwarded, response)
+            def answered(self, forwarded: Forwarded, response: bytes | None) -> None:
+                super().answered(forwarded, response)
                 plant.line.leave(joined.pop())
 
         asker = Leaving()

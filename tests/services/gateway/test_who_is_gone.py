@@ -168,8 +168,8 @@ def test_a_silent_function_costs_the_reads_of_others_one_timeout_at_most(url: st
             self.since = plant.network.events.now
             plant.ask(9, self)
 
-        def told(self, forwarded: Forwarded, response: bytes | None) -> None:
-            super().told(forwarded, response)
+        def answered(self, forwarded: Forwarded, response: bytes | None) -> None:
+            super().answered(forwarded, response)
             took.append(plant.network.events.now - self.since)
             if len(took) < 1000:
                 self.read()
