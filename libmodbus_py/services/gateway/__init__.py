@@ -11,7 +11,6 @@ In the order in which a request passes::
     own_device    the gateway as a device: its statistics as registers
     line          GatewayLine: a shared line, with joined reads and cached responses
     silent_units  units that do not answer, and when they are tried again
-    cache         responses to earlier reads
     statistics    counters by line and by unit
     shown_gateway lines, units and clients as the live page shows them
 """

@@ -5,7 +5,7 @@ Answers that a gateway gives again while they are fresh.
 from __future__ import annotations
 
 from libmodbus_py import Device, Mapping
-from libmodbus_py.services.gateway.cache import MOST, Cache
+from libmodbus_py.services.gateway.line import MOST_CACHED, Cache
 from tests.simulation.stage import Stage
 from tests.support.gateways import passage
 
@@ -51,7 +51,7 @@ def test_an_answer_that_is_too_old_is_not_given_again(stage: Stage) -> None:
 
 def test_the_answer_that_was_kept_first_is_dropped_for_one_too_many() -> None:
     cache = Cache()
-    for number in range(MOST):
+    for number in range(MOST_CACHED):
         cache.keep(1, bytes([3, *divmod(number, 256)]), b"old", 1.0)
     first, second = b"\3\0\0", b"\3\0\1"
     assert cache.get(1, first, 9.0, 1.0) == b"old"
