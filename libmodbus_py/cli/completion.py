@@ -102,7 +102,8 @@ def _argcomplete() -> Any:
     try:
         import argcomplete
     except ImportError:
-        raise ImportError(
-            "completion needs argcomplete: pip install 'libmodbus-py[completion]'"
-        ) from None
+        from ..protocol.extras import how_to_add
+
+        reason = f"completion needs argcomplete: {how_to_add('completion')}"
+        raise ImportError(reason) from None
     return argcomplete

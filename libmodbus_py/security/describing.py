@@ -12,6 +12,8 @@ import reprlib
 import ssl
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from ..protocol.extras import how_to_add
+
 if TYPE_CHECKING:
     from datetime import datetime
 
@@ -69,10 +71,8 @@ def require_cryptography() -> None:
     try:
         import cryptography.x509  # noqa: F401
     except ImportError as error:
-        raise ImportError(
-            "roles and certificates need the package cryptography: "
-            "pip install 'libmodbus-py[security]' (Debian: python3-cryptography)"
-        ) from error
+        reason = f"roles and certificates need cryptography: {how_to_add('security')}"
+        raise ImportError(reason) from error
 
 
 def _read(certificate: bytes) -> x509.Certificate:
@@ -98,7 +98,7 @@ def describe(certificate: bytes) -> str:
         valid = f"{begin:%Y-%m-%d %H:%M:%S} to {end:%Y-%m-%d %H:%M:%S} UTC"
         return f"{_name(found.subject)}, {issuer}, valid {valid}, {fingerprint}"
     except ImportError:
-        return f"{fingerprint} (more with: pip install 'libmodbus-py[security]')"
+        return f"{fingerprint} (more with: {how_to_add('security')})"
     except Exception:
         return f"{len(certificate)} bytes that are not a certificate, {fingerprint}"
 

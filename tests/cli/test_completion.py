@@ -15,6 +15,7 @@ import pytest
 
 from libmodbus_py.cli.ask.items import TABLE_WORDS
 from libmodbus_py.cli.ask.read import names as names_of_map
+from libmodbus_py.protocol.extras import how_to_add
 from tests.support.commands import PROGRAM, run
 
 argcomplete = pytest.importorskip("argcomplete")
@@ -83,7 +84,7 @@ def test_without_argcomplete_it_says_what_to_install() -> None:
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 1
     assert done.stderr == (
-        "libmodbus-py: completion needs argcomplete: pip install 'libmodbus-py[completion]'\n"
+        f"libmodbus-py: completion needs argcomplete: {how_to_add('completion')}\n"
     )
 
 

@@ -17,6 +17,7 @@ from cryptography.x509.oid import NameOID
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from libmodbus_py.protocol.extras import how_to_add
 from libmodbus_py.security.describing import describe
 from libmodbus_py.tools.certificates import make
 from tests.support import certificates
@@ -100,4 +101,4 @@ def test_without_cryptography_it_is_the_fingerprint() -> None:
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     digest = hashlib.sha256(b"abc").hexdigest()
-    assert done.stdout == f"SHA-256 {digest} (more with: pip install 'libmodbus-py[security]')\n"
+    assert done.stdout == f"SHA-256 {digest} (more with: {how_to_add('security')})\n"

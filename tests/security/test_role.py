@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzz.checks import check_certificate, check_role_value
+from libmodbus_py.protocol.extras import how_to_add
 from libmodbus_py.security.role import ROLE_OID, RoleError, encode_role, role_of
 from tests.support import certificates
 from tests.support.cases import each_case
@@ -175,7 +176,7 @@ def test_without_cryptography_it_says_what_to_install(call: str) -> None:
     assert done.returncode == 1
     last = done.stderr.splitlines()[-1]
     assert last.startswith("ImportError: ")
-    assert "libmodbus-py[security]" in last
+    assert how_to_add("security") in last
 
 
 def test_cryptography_is_imported_late() -> None:

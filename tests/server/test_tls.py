@@ -23,6 +23,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Access, Context, Device, Fault, Limits, Mapping, Server
+from libmodbus_py.protocol.extras import how_to_add
 from libmodbus_py.security.role import encode_role
 from libmodbus_py.tools.certificates import Identity, make
 from tests.simulation.stage import Stage
@@ -371,7 +372,7 @@ def test_without_cryptography_only_roles_are_refused(papers: Papers) -> None:
             assert client.ask(ONE, 1) == b""
         logged, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
-    assert "pip install 'libmodbus-py[security]'" in logged
+    assert how_to_add("security") in logged
 
 
 # --- pins ---------------------------------------------------------------------------------------

@@ -71,7 +71,7 @@ examples:
 {arguments.URLS}"""
 
 OF_SUNSPEC = f"""\
-It needs: pip install 'libmodbus-py[sunspec]'.
+It needs the package pysunspec2.
 
 examples:
   libmodbus-py map from-sunspec 192.0.2.10 > inverter.toml

@@ -29,7 +29,7 @@ def add_command(commands: Any) -> None:
         "sunspec",
         description="Print the SunSpec models of a device, and their values with units.\n"
         "Values that the device has not implemented are left out of the table.",
-        epilog=f"It needs: pip install 'libmodbus-py[sunspec]'.\n\n{EXAMPLES}\n\n{arguments.URLS}",
+        epilog=f"It needs the package pysunspec2.\n\n{EXAMPLES}\n\n{arguments.URLS}",
     )
     arguments.add_client(command, several=True)
     command.add_argument(

@@ -9,6 +9,8 @@ import sys
 
 import pytest
 
+from libmodbus_py.protocol.extras import how_to_add
+
 NAME = "libmodbus_py.services.integrations.modbus_connection"
 
 
@@ -20,5 +22,5 @@ def test_import_says_in_one_line_what_is_needed(monkeypatch: pytest.MonkeyPatch)
         importlib.import_module(NAME)
     assert str(caught.value) == (
         "the backend of modbus-connection needs modbus-connection and Python 3.13 or newer: "
-        "pip install 'libmodbus-py[homeassistant]'"
+        + how_to_add("homeassistant")
     )

@@ -40,6 +40,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.cli.main import main
 from libmodbus_py.client.statistics import TIME_BOUNDS, Statistics
+from libmodbus_py.protocol.extras import how_to_add
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.services.integrations import prometheus
 from libmodbus_py.services.integrations.prometheus import Collector, collect, exposing
@@ -442,9 +443,7 @@ def test_without_prometheus_client_the_extra_is_named() -> None:
     )
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     last = run.stderr.splitlines()[-1]
-    assert last == (
-        "ImportError: metrics need prometheus_client: pip install 'libmodbus-py[metrics]'"
-    )
+    assert last == (f"ImportError: metrics need prometheus_client: {how_to_add('metrics')}")
 
 
 # --- over HTTP ------------------------------------------------------------------------------
@@ -592,7 +591,7 @@ def test_serve_says_which_extra_is_missing() -> None:
     )
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (run.returncode, run.stdout) == (1, "")
-    wanted = "metrics need prometheus_client: pip install 'libmodbus-py[metrics]'"
+    wanted = f"metrics need prometheus_client: {how_to_add('metrics')}"
     assert run.stderr == f"libmodbus-py: {wanted}\n"
 
 

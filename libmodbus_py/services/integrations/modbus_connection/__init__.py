@@ -25,6 +25,8 @@ from __future__ import annotations
 import ssl
 from typing import Literal, TypedDict, Unpack
 
+from ....protocol.extras import how_to_add
+
 try:
     from modbus_connection import (
         ModbusSerialParams,
@@ -35,7 +37,7 @@ try:
 except ImportError as error:
     raise ImportError(
         "the backend of modbus-connection needs modbus-connection and Python 3.13 or newer: "
-        "pip install 'libmodbus-py[homeassistant]'"
+        + how_to_add("homeassistant")
     ) from error
 
 from ....protocol.checks import integer
