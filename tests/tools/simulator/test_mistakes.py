@@ -101,6 +101,7 @@ TABLES_AND_KEYS = [
     HOLDING + "sine = { low = 1 }",
     HOLDING + "sine = { low = 1, high = 1, period = 1 }",
     HOLDING + "sine = { low = nan, high = 1, period = 1 }",
+    HOLDING + "type = 'float64'\nsine = { low = 0, high = 1e101, period = 1 }",
     HOLDING + "sine = { low = 0, high = 65536, period = 1 }",
     HOLDING + "type = 'float32'\nsine = { low = 0, high = 1e39, period = 1 }",
     HOLDING + "random_walk = { low = 0, high = 9, step = 10 }",
