@@ -44,7 +44,7 @@ def test_answers_mean_what_the_file_says(path: Path) -> None:
         table, address, cells = cells_of(answer)
         tables.setdefault(table, {})[address] = cells
         expected |= answer["values"]
-    points = load_map(example_files.map_of(path.stem))
+    points = load_map(example_files.map_file(path.stem))
     with ServerMaker() as maker:
         server = maker(devices=Device(Mapping(**tables)))  # type: ignore[arg-type]
         with TcpContext.from_url(server.url) as plc:
@@ -55,9 +55,9 @@ def test_answers_mean_what_the_file_says(path: Path) -> None:
 
 @each_case("path", DEVICES)
 def test_a_map_names_its_sources_and_whether_it_was_tried(path: Path) -> None:
-    contents = contents_of(example_files.map_of(path.stem), 1)
+    contents = contents_of(example_files.map_file(path.stem), 1)
     assert not contents.mistakes
-    lines = Path(example_files.map_of(path.stem)).read_text().splitlines()
+    lines = Path(example_files.map_file(path.stem)).read_text().splitlines()
     comment = " ".join(line.strip("# ") for line in lines if line.startswith("#"))
     found = re.search(r"Sources: (.*?)\. .*?Tried on: (.+)\.$", comment)
     assert found is not None, "a comment has 'Sources: ...; ....' and at last 'Tried on: ....'"

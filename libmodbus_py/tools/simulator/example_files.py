@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 
-__all__ = ["DEVICES", "described", "map_file", "map_of", "maps", "path_of"]
+__all__ = ["DEVICES", "described", "map_file", "maps", "path_of"]
 
 # CSV files in the folder that are not register maps.
 LISTS = ("fleet",)
@@ -41,24 +41,15 @@ def map_file(word: str) -> str:
     Raises:
         ValueError: there is no example of that name.
     """
-    is_name = os.path.basename(word) == word and not os.path.splitext(word)[1]
-    return map_of(word) if is_name else word
-
-
-def map_of(name: str) -> str:
-    """
-    Return the path of the register map of an example.
-
-    Raises:
-        ValueError: there is no example of that name.
-    """
+    if os.path.basename(word) != word or os.path.splitext(word)[1]:
+        return word
     known = maps()
-    if name not in known:
+    if word not in known:
         raise ValueError(
-            f"{name!r} is neither the path of a register map, which ends with .csv or .toml, "
+            f"{word!r} is neither the path of a register map, which ends with .csv or .toml, "
             f"nor an example; the examples are {', '.join(known)}"
         )
-    return os.path.join(_folder(), f"{name}.csv")
+    return os.path.join(_folder(), f"{word}.csv")
 
 
 def maps() -> dict[str, str]:

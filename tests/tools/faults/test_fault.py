@@ -1,5 +1,6 @@
 """
-Faults that cannot be are refused with the name of the argument.
+Which requests a fault happens to: every n-th, of a unit, a function, a range; and faults that
+cannot be, which are refused with the name of the argument.
 """
 
 from __future__ import annotations
@@ -7,11 +8,94 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from libmodbus_py import Server
+from libmodbus_py import Server, pdu
+from libmodbus_py.protocol.framing import Frame
 from libmodbus_py.tools.faults.answers import Faults
 from libmodbus_py.tools.faults.fault import Fault
-from tests.tools.faults.serving import made_device
+from tests.tools.faults.serving import READ, REQUEST, made_device
+
+
+def hits(faults: Faults, count: int, request: Frame = REQUEST) -> list[int]:
+    """Which of the next requests meet a fault, counted from 1."""
+    due = (faults.due(request, has_transaction=True) for _ in range(count))
+    return [number for number, fault in enumerate(due, start=1) if fault is not None]
+
+
+@given(every=st.integers(1, 50), count=st.integers(0, 200))
+def test_every_nth_request_is_hit(every: int, count: int) -> None:
+    faults = Faults({1: [Fault("no_answer", every=every)]})
+    assert hits(faults, count) == list(range(every, count + 1, every))
+
+
+def test_each_request_is_hit_unless_told_otherwise() -> None:
+    assert hits(Faults({None: [Fault("no_answer")]}), 3) == [1, 2, 3]
+
+
+def test_a_seed_hits_the_same_requests_each_time() -> None:
+    fault = Fault("no_answer", probability=0.25, seed=7)
+    first = hits(Faults({1: [fault]}), 1000)
+    assert first == hits(Faults({1: [fault]}), 1000)
+    assert 200 < len(first) < 300
+    other = Fault("no_answer", probability=0.25, seed=8)
+    assert first != hits(Faults({1: [other]}), 1000)
+    assert hits(Faults({1: [Fault("no_answer", probability=0.0)]}), 100) == []
+    assert hits(Faults({1: [Fault("no_answer", probability=1)]}), 3) == [1, 2, 3]
+
+
+def test_only_the_unit_and_the_function_are_hit_and_counted() -> None:
+    faults = Faults({1: [Fault("no_answer", function=3, every=2)]})
+    assert hits(faults, 1) == []
+    assert hits(faults, 5, Frame(2, READ)) == []
+    assert hits(faults, 5, Frame(1, b"\x01\0\0\0\1")) == []
+    assert hits(faults, 1) == [1]
+
+
+# What a fault is for, a request, and whether it is hit.
+RANGES: list[tuple[dict[str, Any], pdu.Request[Any], bool]] = [
+    ({"address": 10}, pdu.ReadHoldingRegisters(10, 1), True),
+    ({"address": 10}, pdu.ReadHoldingRegisters(9, 1), False),
+    ({"address": 10}, pdu.ReadHoldingRegisters(11, 1), False),
+    ({"address": 10}, pdu.ReadHoldingRegisters(0, 11), True),
+    ({"address": 10}, pdu.ReadCoils(10, 1), True),
+    ({"address": 10}, pdu.WriteCoil(10, True), True),
+    ({"address": 10, "count": 3}, pdu.ReadInputRegisters(12, 5), True),
+    ({"address": 10, "count": 3}, pdu.ReadInputRegisters(13, 5), False),
+    ({"address": 0, "count": 65536}, pdu.ReadDiscreteInputs(65535, 1), True),
+    ({"address": 10, "table": "coils"}, pdu.ReadHoldingRegisters(10, 1), False),
+    ({"address": 10, "table": "coils"}, pdu.WriteCoils(3, [True] * 8), True),
+    ({"table": "holding_registers"}, pdu.WriteRegisters(500, [1]), True),
+    ({"table": "holding_registers"}, pdu.MaskWriteRegister(500, 1, 1), True),
+    ({"table": "holding_registers"}, pdu.ReadInputRegisters(500, 1), False),
+    ({"address": 10}, pdu.ReadWriteRegisters(10, 1, 20, [1]), True),
+    ({"address": 20}, pdu.ReadWriteRegisters(10, 1, 20, [1]), True),
+    ({"address": 15}, pdu.ReadWriteRegisters(10, 1, 20, [1]), False),
+    ({"address": 10, "function": 6}, pdu.WriteRegister(10, 1), True),
+    ({"address": 10, "function": 6}, pdu.ReadHoldingRegisters(10, 1), False),
+    ({"address": 0}, pdu.ReportServerId(), False),
+    ({"address": 10}, pdu.ReadFifoQueue(10), False),
+    ({"address": 10}, pdu.ReadFileRecords([(1, 10, 1)]), False),
+]
+
+
+@pytest.mark.parametrize(("where", "request_", "is_hit"), RANGES, ids=str)
+def test_only_requests_that_touch_the_range_are_hit_and_counted(
+    where: dict[str, Any], request_: pdu.Request[Any], is_hit: bool
+) -> None:
+    faults = Faults({1: [Fault("no_answer", every=2, **where)]})
+    asked = Frame(1, request_.encode())
+    assert hits(faults, 4, asked) == ([2, 4] if is_hit else [])
+
+
+def test_what_cannot_be_decoded_touches_nothing() -> None:
+    faults = Faults({1: [Fault("no_answer", address=0, count=65536)]})
+    for data in (b"\x03", b"\x03\0\0\xff\xff", b"\x63"):
+        assert hits(faults, 2, Frame(1, data)) == []
+
+
+# --- what cannot be --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

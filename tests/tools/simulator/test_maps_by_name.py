@@ -13,7 +13,7 @@ import pytest
 
 from libmodbus_py import device_file, load_map
 from libmodbus_py.fleet import load
-from libmodbus_py.tools.simulator.example_files import map_of
+from libmodbus_py.tools.simulator.example_files import map_file
 
 FLEET = '[[device]]\nname = "a"\nurl = "tcp://127.0.0.1"\nmap = "{name}"\n'
 
@@ -36,7 +36,7 @@ def written(form: str, name: str, folder: Path) -> Path:
 @pytest.mark.parametrize("form", FORMS)
 def test_a_name_is_that_of_a_map_of_the_package(form: str, tmp_path: Path) -> None:
     found = FORMS[form][1](written(form, "sdm120", tmp_path))
-    assert set(found) == set(load_map(map_of("sdm120")))
+    assert set(found) == set(load_map(map_file("sdm120")))
 
 
 @pytest.mark.parametrize("form", FORMS)

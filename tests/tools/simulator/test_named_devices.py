@@ -282,7 +282,7 @@ def test_a_client_reads_the_example_by_its_map() -> None:
         assert 225 <= found["voltage"] <= 235.5
         client.write_map(the(simulation).points, {"alarm_limit": 250.5})
         assert client.read_holding_registers(0, 1) == [2505]
-        assert client.read_map(load_map(example_files.map_of("meter")))["alarm_limit"] == 250.5
+        assert client.read_map(load_map(example_files.map_file("meter")))["alarm_limit"] == 250.5
 
 
 def test_examples_are_described_and_can_be_loaded() -> None:
