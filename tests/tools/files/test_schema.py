@@ -1,18 +1,21 @@
 """
-The keys of files: every mistake in a table is told with the path of its key, and every file that
-describes points takes every spelling of a point.
+The keys of files: every mistake in a table is told with the path of its key, its line, and the key
+that was meant; and amounts with units.
 """
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from libmodbus_py import Point
+from libmodbus_py import Point, load
 from libmodbus_py.protocol.mistakes import Mistake, path_text
+from libmodbus_py.protocol.mistakes import Path as KeyPath
 from libmodbus_py.services.fleet import files as fleet_files
 from libmodbus_py.services.gateway import config as gateway_file
+from libmodbus_py.tools.files.amounts import in_bytes, in_seconds
 from libmodbus_py.tools.files.csv_text import CELLS
 from libmodbus_py.tools.files.maps.contents import POINT
 from libmodbus_py.tools.files.maps.csv_form import READERS
@@ -28,6 +31,7 @@ from libmodbus_py.tools.files.schema import (
     text,
     whole,
 )
+from libmodbus_py.tools.files.texts import line_of
 from libmodbus_py.tools.simulator import keys
 from tests.support.cases import each_case
 
@@ -120,3 +124,128 @@ def test_every_key_can_stand_in_a_cell_that_csv_has_a_column_for() -> None:
     not_in_cells = {"map", "dead_bands", "labels"}
     columns = {key.name for key in fleet_files.DEVICE.values() if key.kind in CELLS}
     assert columns == set(fleet_files.DEVICE) - not_in_cells
+
+
+# --- keys that do not exist ------------------------------------------------------------------
+
+DEVICE_TEXT = """
+[[device]]
+name = "a"
+map = "sdm120"
+url = "rtu:///dev/ttyUSB0"
+"""
+ROUTE_TEXT = """
+[[route]]
+to = "rtu:///dev/ttyUSB0"
+"""
+POINT_TEXT = """
+[[point]]
+name = "a"
+table = "coils"
+address = 3
+"""
+SERIAL = "stop_bits is part of the URL of a serial port: rtu:///dev/ttyUSB0?stop_bits=..."
+
+
+@each_case(
+    ("text", "meant"),
+    [
+        (DEVICE_TEXT + "stopbits = 2", SERIAL),
+        (DEVICE_TEXT + "slave = 2", "did you mean unit?"),
+        (DEVICE_TEXT + "intervall = 2", "did you mean interval?"),
+        (ROUTE_TEXT + "stopbits = 2", SERIAL),
+        (ROUTE_TEXT + "unit = 2", "did you mean units?"),
+        (POINT_TEXT + "data_type = 'uint16'", "did you mean type?"),
+        ("[[unit]]\nid = 1\nidentity = {}", "did you mean identification?"),
+    ],
+)
+def test_a_wrong_key(tmp_path: Path, text: str, meant: str) -> None:
+    file = tmp_path / "wrong.toml"
+    file.write_text(text)
+    with pytest.raises(ValueError, match="no such key; allowed are ") as raised:
+        load(file)
+    assert str(raised.value).endswith(f"; {meant}")
+
+
+def test_a_long_key_is_compared_with_none(tmp_path: Path) -> None:
+    file = tmp_path / "wrong.toml"
+    file.write_text(DEVICE_TEXT + "interval" * 9 + " = 2")
+    with pytest.raises(ValueError, match="no such key; allowed are ") as raised:
+        load(file)
+    assert "did you mean" not in str(raised.value)
+
+
+# --- lines of keys in TOML -------------------------------------------------------------------
+
+TEXT = """\
+# a comment with key = 1
+title = 3
+[[unit]]
+id = 1
+[unit.server_id]
+running = true
+[[unit.coils]]
+address = 0
+[[unit.coils]]
+address = 10
+counter = { step = 1 }
+[[unit]]
+[[unit.coils]]
+value = true
+"""
+
+
+@each_case(
+    ("path", "line"),
+    [
+        ((), None),
+        (("title",), 2),
+        (("unit", 0), 3),
+        (("unit", 0, "id"), 4),
+        (("unit", 0, "server_id", "running"), 6),
+        (("unit", 0, "server_id", "additional"), 5),
+        (("unit", 0, "coils", 0, "address"), 8),
+        (("unit", 0, "coils", 1), 9),
+        (("unit", 0, "coils", 1, "counter", "step"), 11),
+        (("unit", 0, "coils", 1, "address", 3), 10),
+        (("unit", 1, "coils", 0, "value"), 14),
+        (("unit", 1, "id"), 12),
+        (("unit", 2, "id"), None),
+        (("fault",), None),
+    ],
+)
+def test_a_key_is_found_in_its_own_table(path: KeyPath, line: int | None) -> None:
+    assert line_of(TEXT, path) == line
+
+
+# --- times and sizes with units --------------------------------------------------------------
+
+
+def test_amounts_have_units() -> None:
+    for given, value in (("90 days", 7_776_000), ("1.5h", 5400), ("2 weeks", 1_209_600)):
+        assert in_seconds("keep", given, "1 s", "100 years") == value
+    for given, value in (("2 GB", 2 * 10**9), ("1 GiB", 1 << 30), ("0.5 MB", 500_000)):
+        assert in_bytes("size", given, "1 B", "1 TB") == value
+
+
+@each_case(
+    ("given", "error"),
+    [
+        (90, TypeError),
+        ("90", ValueError),
+        ("ninety days", ValueError),
+        ("-1 days", ValueError),
+        ("1e9 days", ValueError),
+        ("90 Days", ValueError),
+        ("1 GB", ValueError),
+        ("1 s", ValueError),
+        ("101 years", ValueError),
+        ("9" * 400 + " days", ValueError),
+        ("", ValueError),
+    ],
+)
+def test_a_wrong_amount_is_named_with_what_is_allowed(
+    given: object, error: type[Exception]
+) -> None:
+    with pytest.raises(error, match=r'^keep must be a time in "1 minute".."100 years", not '):
+        in_seconds("keep", given, "1 minute", "100 years")
