@@ -118,7 +118,7 @@ TUNING: dict[str, frozenset[str]] = {
         {
             *("LARGEST_WAL_BYTES", "MARGIN", "MAX_ABANDONED", "MAX_KEPT", "MAX_RECEIVED"),
             *("MAX_UNASKED_BYTES", "MAX_WAITING", "MOST_ASKING", "MOST_ERRORS", "MOST_IN_MEMORY"),
-            *("MOST_MESSAGES", "MOST_OF_CSV", "OVERHEAD"),
+            *("MOST_MESSAGES", "OVERHEAD"),
             *("REMEMBERED", "ROOM_AT_MOST", "SPARE_DESCRIPTORS"),
         }
     ),
