@@ -19,7 +19,7 @@ from ..system import call_in_children
 
 # fmt: off
 __all__ = [
-    "EVERYWHERE", "Make", "Question", "Resolve", "ask", "bind_all", "host_and_port",
+    "EVERYWHERE", "Make", "Resolve", "ask", "bind_all", "host_and_port",
     "host_of_peer", "is_loopback", "is_this_machine", "listen_on", "numeric", "reason",
     "split_host_and_port", "start_thread", "tcp_listener",
 ]
