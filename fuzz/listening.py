@@ -94,7 +94,9 @@ class Line:
         choose = self._random
         if choose.random() > 0.3:  # otherwise a former request is repeated, as polls do
             self._request = choose.choice(REQUESTS)(choose)
-        unit = 0 if self._request.is_write and choose.random() < 0.02 else choose.choice(UNITS)
+        unit = (
+            0 if self._request.may_be_broadcast and choose.random() < 0.02 else choose.choice(UNITS)
+        )
         for _ in range(1 + RETRIES):
             told: list[Told] = []
             self.told.append(told)

@@ -321,7 +321,7 @@ def encoded(request: object, name: str, index: int, is_broadcast: bool) -> bytes
     if not isinstance(request, Request):
         given = type(request).__name__
         raise TypeError(f"{name.format(index)} must be a request object of pdu, not {given}")
-    if is_broadcast and not request.is_write:
+    if is_broadcast and not request.may_be_broadcast:
         raise ValueError(
             f"{name.format(index)}: unit 0 is a broadcast, which no unit answers, "
             f"and {request} is not a write"

@@ -471,7 +471,7 @@ class Device(NamedValues, PythonFunctions):
 
 
 def _may_be_broadcast(function: int) -> bool:
-    return getattr(REQUESTS.get(function), "is_write", False)
+    return getattr(REQUESTS.get(function), "may_be_broadcast", False)
 
 
 def _together(

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Access, Device, Mapping, pdu
+from libmodbus_py.device.access import ACCESSES
 from libmodbus_py.device.event_log import EventLog
 from libmodbus_py.protocol import errors
 from libmodbus_py.protocol.pdu import SubFunction
@@ -336,3 +337,7 @@ class TestHooks:
         thread.join()
         assert answer == b"\6" + words(100, 7)
         assert order == ["hook", "other"]
+
+
+def test_what_writes_and_nothing_else_changes_a_table() -> None:
+    assert all(request.changes == bool(kind.writes) for request, kind in ACCESSES.items())

@@ -20,8 +20,8 @@ class Request(Generic[Result]):
     Class attributes:
         function: the function code, 1..127.
         request_length, response_length: length rules of the two PDUs.
-        is_write: True if it may be a broadcast, because it changes the device and its
-            response contains nothing new.
+        may_be_broadcast: True if unit 0 may stand for all units, because the request changes the
+            device and its response contains nothing new.
         repeatable: True if it may be sent again when its response was lost, because executing it
             twice has the same effect as executing it once.
         changes: False if it changes nothing in the device, so that it may be sent beside others.
@@ -38,7 +38,7 @@ class Request(Generic[Result]):
     function: ClassVar[int]
     request_length: ClassVar[LengthRule]
     response_length: ClassVar[LengthRule]
-    is_write: ClassVar[bool] = False
+    may_be_broadcast: ClassVar[bool] = False
     repeatable: ClassVar[bool] = False
     changes: bool = True
     expects_response: bool = True
@@ -126,7 +126,7 @@ class Echoed(Request[None]):
     """A write whose response repeats the first bytes of the request."""
 
     __slots__ = ()
-    is_write = True
+    may_be_broadcast = True
     repeatable = True
     echoed: ClassVar[int]
 

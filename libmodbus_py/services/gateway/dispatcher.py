@@ -214,7 +214,7 @@ class Dispatcher:
         """
         ways = self.routes.values()
         lines = [line for line in {way.line: None for way in ways} if not session.is_at(line)]
-        if not request.is_write or not lines:
+        if not request.may_be_broadcast or not lines:
             return self._refuse_route(session, frame.pdu)
         # A unit of each route would carry it out. `Allow` has no hash.
         for allow in {id(way.route.allow): way.route.allow for way in ways}.values():
@@ -356,7 +356,7 @@ class ForwardingSession(Framed):
         self.asked.pop(forwarded, None)
         if forwarded.request.changes:
             self.record(forwarded.from_unit, forwarded.request, response or b"")
-        if response is None and self.has_ids and forwarded.request.is_write:
+        if response is None and self.has_ids and forwarded.request.may_be_broadcast:
             response = forwarded.request.response_to_broadcast()
         if response is not None:
             answer = Frame(forwarded.from_unit, response, forwarded.number)

@@ -208,7 +208,7 @@ class GatewayLine(SharedLine[Forwarded]):
     def put(self, each: Forwarded, *, merge: bool = False) -> int:
         """Enqueue a request; return 0, or the code of the exception that answers it at once."""
         unit, request, now = each.unit, each.request, each.waits_since
-        if self.is_closed or (self._is_broadcast(each) and not request.is_write):
+        if self.is_closed or (self._is_broadcast(each) and not request.may_be_broadcast):
             return NO_ANSWER
         state = self._silent.state(unit, request.function, now)
         if state is UnitState.RESTING:

@@ -43,8 +43,8 @@ class RequestBytes(pdu.Request[bytes]):
 
     # fmt: off
     __slots__ = (
-        "_usual", "changes", "expects_response", "function", "is_read", "is_write", "known",
-        "pdu", "repeatable",
+        "_usual", "changes", "expects_response", "function", "is_read", "known",
+        "may_be_broadcast", "pdu", "repeatable",
     )
     # fmt: on
 
@@ -53,7 +53,8 @@ class RequestBytes(pdu.Request[bytes]):
         self.known: pdu.Request[Any] | None = known
         self.function: int = data[0]  # type: ignore[misc]  # here it is data, not the class's own
         self.is_read: bool = isinstance(known, READS)
-        self.is_write: bool = known is not None and known.is_write  # type: ignore[misc]
+        is_write = known is not None and known.may_be_broadcast
+        self.may_be_broadcast: bool = is_write  # type: ignore[misc]
         self.repeatable: bool = known is not None and known.repeatable  # type: ignore[misc]
         self.changes: bool = known is None or known.changes
         self.expects_response: bool = known is None or known.expects_response

@@ -197,7 +197,7 @@ class TestBadResponses:
 
     @each_case(
         "request_",
-        [request for request in one_of_each() if request.is_write],
+        [request for request in one_of_each() if request.may_be_broadcast],
         ids=the_name,
     )
     def test_every_byte_of_an_echo_counts(self, request_: Request[Any]) -> None:

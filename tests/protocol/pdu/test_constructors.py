@@ -365,6 +365,7 @@ class TestConstructors:
         assert len(str(WriteFileRecords([(1, 0, [1])] * 27))) < 300
 
     def test_only_requests_that_change_the_device_alone_can_be_broadcast(self) -> None:
-        writes = {code for code, request in pdu.REQUESTS.items() if request.is_write}
+        writes = {code for code, request in pdu.REQUESTS.items() if request.may_be_broadcast}
         assert writes == {5, 6, 15, 16, 21, 22}
-        assert not any(kind.is_write for kind in (ReadDeviceIdentification, RawRequest))
+        assert all(pdu.REQUESTS[code].changes for code in writes)
+        assert not any(kind.may_be_broadcast for kind in (ReadDeviceIdentification, RawRequest))

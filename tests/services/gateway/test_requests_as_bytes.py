@@ -43,7 +43,7 @@ def test_what_is_a_read_and_what_a_write() -> None:
         request = request_of(vector.pdu)
         assert request.known == known
         assert request.is_read == isinstance(known, READS)
-        assert request.is_write == known.is_write
+        assert request.may_be_broadcast == known.may_be_broadcast
         assert request.repeatable == known.repeatable
         assert request.expects_response == known.expects_response
         assert str(request) == str(known)
@@ -52,7 +52,7 @@ def test_what_is_a_read_and_what_a_write() -> None:
 def test_a_request_of_an_unknown_function_may_do_anything_once() -> None:
     request = request_of(b"\x41\1\2")
     assert request.known is None
-    assert (request.is_read, request.is_write, request.repeatable) == (False, False, False)
+    assert (request.is_read, request.may_be_broadcast, request.repeatable) == (False, False, False)
     assert request.expects_response
     assert request.changes
     assert str(request) == "a request of 3 bytes"
