@@ -14,7 +14,7 @@ from .mapping import Mapping
 
 # fmt: off
 __all__ = [
-    "ACCESSES", "READABLE", "WRITABLE", "Access", "Touched", "Who", "touched",
+    "ACCESSES", "READABLE", "WRITABLE", "Access", "TableOrFile", "Touched", "Who", "touched",
     "touched_by",
 ]
 # fmt: on
@@ -55,6 +55,10 @@ class Access:
     role: str | None = None
     names: tuple[str, ...] = field(default=(), compare=False)
     old_values: tuple[Any, ...] = field(default=(), compare=False)
+
+
+TableOrFile = tuple[str, int]
+"""A table, or "file", and the number of the file; 0 for a table."""
 
 
 class Touched(NamedTuple):

@@ -121,7 +121,8 @@ class Device(NamedValues, PythonFunctions):
             is called before the write, because nothing may be refused after a change.
         authorize: called with an `Asked`; returns True if the request is allowed. `Rules` are
             such a function. None allows all requests.
-        points: names, access and bounds of values in the tables; all their cells must exist.
+        points: names, access and bounds of values in the tables, whose cells must all exist; None
+            for no points.
 
     Attributes:
         mapping, server_id, exception_status: as given; they may be assigned.

@@ -15,16 +15,13 @@ from ..maps.writing import check_cells
 from ..protocol.errors import IllegalDataAddress, IllegalDataValue
 from ..protocol.ranges import joined, touches, without
 from ..protocol.tables import TABLES
-from .access import Access, Touched
+from .access import Access, TableOrFile, Touched
 from .mapping import Mapping
 from .named_values import cells_after, source_after
 
 __all__ = ["PointIndex", "PointRules", "RuledCells"]
 
 Ranges = tuple[range, ...]
-
-# A table, or "file", and the number of the file.
-Place = tuple[str, int]
 
 
 class RuledCells(NamedTuple):
@@ -38,7 +35,7 @@ class RuledCells(NamedTuple):
         point: the point whose values they hold.
     """
 
-    place: Place
+    place: TableOrFile
     cells: range
     access: str | None
     point: Point
@@ -53,9 +50,9 @@ class PointIndex:
     """Points by the addresses of their cells, which may overlap."""
 
     def __init__(self, ruled: Iterable[RuledCells]) -> None:
-        self._rows: dict[Place, list[tuple[range, Point]]] = {}
+        self._rows: dict[TableOrFile, list[tuple[range, Point]]] = {}
         # The highest end of the cells up to each of them: none before it goes on further.
-        self._ends: dict[Place, list[int]] = {}
+        self._ends: dict[TableOrFile, list[int]] = {}
         for each in sorted(ruled, key=lambda each: each.cells.start):
             ends = self._ends.setdefault(each.place, [])
             ends.append(max(each.cells.stop, ends[-1] if ends else 0))
@@ -143,17 +140,17 @@ class PointRules:
             raise IllegalDataValue(str(error)) from None
 
 
-def _check(refused: dict[Place, Ranges], access: Access, verb: str) -> None:
+def _check(refused: dict[TableOrFile, Ranges], access: Access, verb: str) -> None:
     ranges = refused.get((access.table, access.file), ())
     if touches(ranges, access.address, access.count):
         span = f"{access.table} {access.address}..{access.address + access.count - 1}"
         raise IllegalDataAddress(f"{span} cannot all be {verb}")
 
 
-def _refused(ruled: Iterable[RuledCells], refusing: str) -> dict[Place, Ranges]:
+def _refused(ruled: Iterable[RuledCells], refusing: str) -> dict[TableOrFile, Ranges]:
     """Return the cells whose points all have one access, by place."""
-    refused: defaultdict[Place, list[range]] = defaultdict(list)
-    others: defaultdict[Place, list[range]] = defaultdict(list)
+    refused: defaultdict[TableOrFile, list[range]] = defaultdict(list)
+    others: defaultdict[TableOrFile, list[range]] = defaultdict(list)
     for each in ruled:
         if each.access is not None:
             (refused if each.access == refusing else others)[each.place].append(each.cells)
@@ -164,7 +161,7 @@ def _refused(ruled: Iterable[RuledCells], refusing: str) -> dict[Place, Ranges]:
     }
 
 
-def _by_table(found: Iterable[tuple[Place, Ranges]]) -> dict[str, Ranges]:
+def _by_table(found: Iterable[tuple[TableOrFile, Ranges]]) -> dict[str, Ranges]:
     """Return the cells by table; of "file" the numbers of the files."""
     tables: defaultdict[str, list[range]] = defaultdict(list)
     for (table, file), ranges in found:

@@ -35,7 +35,7 @@ from ..protocol.json_text import JSON, each_once
 from ..protocol.mistakes import Path, WrongType, WrongValue, inside
 from ..protocol.ranges import joined, touches
 from ..protocol.tables import TABLE_SIZE, TABLES
-from .access import Access
+from .access import Access, TableOrFile
 from .caller import values_at
 from .functions import RecordFile
 from .mapping import Mapping
@@ -60,9 +60,6 @@ BLOCK_CELLS = 256
 
 # The end of the name of a temporary file.
 TEMPORARY = ".new"
-
-# A table, or "file", and the number of the file.
-Place = tuple[str, int]
 
 
 class Stateful(Protocol):
@@ -107,7 +104,7 @@ class _Cells(NamedTuple):
     first: array[int]
 
 
-def _cells(device: Stateful) -> dict[Place, _Cells]:
+def _cells(device: Stateful) -> dict[TableOrFile, _Cells]:
     """Return copies of all values. Hold the mapping's lock."""
     tables = {(name, 0): getattr(device.mapping, name) for name in TABLES}
     copies = {place: (each.addresses.start, each.view) for place, each in tables.items()}
@@ -130,7 +127,7 @@ def _put(cells: array[int], start: int, values: Access) -> None:
 
 
 def _differences(
-    place: Place, start: int, cells: array[int], others: array[int]
+    place: TableOrFile, start: int, cells: array[int], others: array[int]
 ) -> Iterator[Access]:
     """Yield the runs of cells that differ from others."""
     run: list[int] = []
@@ -148,7 +145,7 @@ def _differences(
         yield _access(place, start + len(cells) - len(run), run)
 
 
-def _access(place: Place, address: int, values: Iterable[int]) -> Access:
+def _access(place: TableOrFile, address: int, values: Iterable[int]) -> Access:
     found = tuple(values)
     return Access(place[0], address, len(found), found, place[1])
 
@@ -295,7 +292,7 @@ def _checked_unit(unit: object, device: Stateful) -> Iterator[Access]:
         yield from _checked_runs((table,), runs, (table, 0), device)
 
 
-def _checked_runs(path: Path, found: object, place: Place, device: Stateful) -> list[Access]:
+def _checked_runs(path: Path, found: object, place: TableOrFile, device: Stateful) -> list[Access]:
     most = 1 if place[0] in TABLES and TABLES[place[0]].is_bits else 0xFFFF
     runs = []
     for key, values in _object(path, found).items():
