@@ -131,7 +131,7 @@ WRONG = [
     (HEAD + "a,holding,0,,,,,maybe,", "line 2, column never falls: never_falls must be"),
     (HEAD + "a,holding,0,,,,,,top", "line 2, column byte: byte must be one of high, low"),
     (HEAD + 'a,holding,0,,"{",,,,', "line 2, column states: states must be a JSON object"),
-    (HEAD + 'a,holding,0,,"{}",,,,', "line 2, column states: states must hold 1..1000"),
+    (HEAD + 'a,holding,0,,"{}",,,,', "line 2, column states: states must not be empty"),
 ]  # fmt: skip
 
 
