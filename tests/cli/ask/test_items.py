@@ -176,7 +176,7 @@ def test_addresses_that_look_like_no_reference_are_not(url: str) -> None:
             "holding 0 --map none",
             "'none' is neither the path of a register map, which ends with .csv",
         ),
-        ("holding 0 --map plant", "the examples are em24, iem3155, meter, "),
+        ("holding 0 --map plant", "the examples are abb_b23, "),
     ],
 )
 def test_wrong_usage_is_one_line(url: str, words: str, named: str) -> None:

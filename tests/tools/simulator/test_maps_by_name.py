@@ -47,6 +47,6 @@ def test_a_file_is_meant_by_its_ending(form: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("form", FORMS)
 def test_another_name_is_refused_with_those_that_there_are(form: str, tmp_path: Path) -> None:
-    said = r"'sdm12' is neither the path of a register map.* the examples are em24, .*sdm120"
+    said = r"'sdm12' is neither the path of a register map.* the examples are abb_b23, .*sdm120"
     with pytest.raises(ValueError, match=rf"{re.escape(str(tmp_path))}.*map: {said}"):
         FORMS[form][1](written(form, "sdm12", tmp_path))
