@@ -102,8 +102,7 @@ def _argcomplete() -> Any:
     try:
         import argcomplete
     except ImportError:
-        from ..protocol.extras import how_to_add
+        from ..protocol.extras import what_is_missing
 
-        reason = f"completion needs argcomplete: {how_to_add('completion')}"
-        raise ImportError(reason) from None
+        raise ImportError(what_is_missing("completion", "completion")) from None
     return argcomplete

@@ -24,7 +24,7 @@ from ..protocol.callbacks import finished, log_failure
 from ..protocol.errors import ModbusConnectionError
 from .call import Batch, Call
 from .connection import Transactions, forbidden
-from .polling import Pauses
+from .polling import PollWaits
 from .reconnecting import FORKED, State
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class AsyncioDriver:
         self._is_inside = False
         self._is_telling = False
         self._ended: deque[Call | Batch] = deque()
-        self._pauses = Pauses()
+        self._pauses = PollWaits()
 
     def now(self) -> float:
         """Return the time by which timeouts are measured."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ..maps.plan import Plan
     from ..maps.watched import WatchedPoints
 
-__all__ = ["AwaitedPolls", "Pauses", "Polls", "interval_of", "watched"]
+__all__ = ["AwaitedPolls", "PollWaits", "Polls", "interval_of", "watched"]
 
 Values = TypeVar("Values")
 
@@ -50,7 +50,7 @@ class Schedule:
         self._polls = round((due - self._begun) / self._interval) + 1
 
 
-class Pauses:
+class PollWaits:
     """The waits of an event loop between polls, which all end when the client is closed."""
 
     def __init__(self) -> None:

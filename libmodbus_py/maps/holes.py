@@ -44,7 +44,6 @@ __all__ = [
     "BlockPiece",
     "Holes",
     "PartialAnswer",
-    "PlanSteps",
     "Span",
     "Unreadable",
     "carried_out",
@@ -60,7 +59,7 @@ REFUSED_HALVES = 16
 """Refused halves that end a search without an answer: 14 lead to one of 125 registers."""
 
 Result = TypeVar("Result")
-PlanSteps = Generator[list[pdu.Request[Any]], list[Any], Result]
+_PlanSteps = Generator[list[pdu.Request[Any]], list[Any], Result]
 
 
 def is_refusal(outcome: object) -> bool:
@@ -195,7 +194,7 @@ class _PlanRun:
     def _pieces(self) -> Iterator[BlockPiece]:
         return (piece for block in self._blocks for piece in block)
 
-    def tolerant(self) -> PlanSteps[list[Any]]:
+    def tolerant(self) -> _PlanSteps[list[Any]]:
         """Read all pieces but the holes, and search for others."""
         left_out = self._leave_out()
         asked = self._portions()
@@ -215,7 +214,7 @@ class _PlanRun:
         yield from self._search(refused)
         return [self._answer(block) for block in self._blocks]
 
-    def strict(self) -> PlanSteps[list[Any]]:
+    def strict(self) -> _PlanSteps[list[Any]]:
         """Read everything; the last answer is the first error, with the names of its piece."""
         answers: list[Any] = []
         outcomes = yield [_request(block) for block in self._blocks]
@@ -263,7 +262,7 @@ class _PlanRun:
                     is_open = True
         return found
 
-    def _send(self, asked: Sequence[Block]) -> PlanSteps[list[Block]]:
+    def _send(self, asked: Sequence[Block]) -> _PlanSteps[list[Block]]:
         """Read some pieces; return those blocks that are refused."""
         outcomes = (yield [_request(block) for block in asked]) if asked else []
         for block, outcome in zip(asked, outcomes, strict=True):
@@ -279,7 +278,7 @@ class _PlanRun:
         outcome = self._read[block[0].span]
         return isinstance(outcome, ModbusError) and not is_refusal(outcome)
 
-    def _search(self, refused: list[Block]) -> PlanSteps[None]:
+    def _search(self, refused: list[Block]) -> _PlanSteps[None]:
         """Find the holes in what was refused."""
         refused_halves = 0
         while refused:
@@ -302,7 +301,7 @@ class _PlanRun:
             refused_halves += len(again)
             refused = [*again, *refused]
 
-    def _first_refused(self, block: Block, error: ModbusError) -> PlanSteps[ModbusError]:
+    def _first_refused(self, block: Block, error: ModbusError) -> _PlanSteps[ModbusError]:
         """Return the refusal of the first piece that is refused alone; `error` if there is none."""
         known = [piece for piece in block if piece.span in self._holes.refused][:1]
         if known and len(block) > 1:
@@ -358,7 +357,7 @@ def reading(
     *,
     is_strict: bool = False,
     tell: Callable[[str], object] | None = None,
-) -> PlanSteps[list[Any]]:
+) -> _PlanSteps[list[Any]]:
     """
     Read the blocks of a plan: yield requests, take their outcomes, and return the answers.
 
@@ -384,7 +383,7 @@ def reading(
 
 
 def carried_out(
-    steps: PlanSteps[Result], ask: Callable[[list[pdu.Request[Any]]], Iterable[Any]]
+    steps: _PlanSteps[Result], ask: Callable[[list[pdu.Request[Any]]], Iterable[Any]]
 ) -> Result:
     """Return the result of steps whose outcomes another function gets."""
     try:

@@ -4,18 +4,19 @@ The optional dependencies, and how each is added to this installation.
 
 from __future__ import annotations
 
+import re
 import sys
 from typing import NamedTuple
 
-__all__ = ["EXTRAS", "Extra", "how_to_add"]
+__all__ = ["EXTRAS", "how_to_add", "what_is_missing"]
 
 
 class Extra(NamedTuple):
     """
-    What a feature needs.
+    The packages that a feature needs.
 
     Attributes:
-        requirement: as pip takes it.
+        requirement: the requirement as pip takes it.
         package: the package of Debian; empty if Debian has none.
     """
 
@@ -34,7 +35,18 @@ EXTRAS: dict[str, Extra] = {
     "nats": Extra("nats-py>=2.16", ""),
     "sunspec": Extra("pysunspec2>=1.3", ""),
 }
-"""Extra of pyproject.toml -> what it needs."""
+"""Extra of pyproject.toml -> the package that it needs."""
+
+
+def what_is_missing(feature: str, extra: str) -> str:
+    """
+    Return the message for a feature whose extra is not installed.
+
+    Args:
+        feature: the subject of the message, such as "MQTT".
+    """
+    name = re.split("[<>=]", EXTRAS[extra].requirement, maxsplit=1)[0]
+    return f"{feature} needs {name}: {how_to_add(extra)}"
 
 
 def how_to_add(extra: str) -> str:

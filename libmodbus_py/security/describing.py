@@ -12,7 +12,7 @@ import reprlib
 import ssl
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ..protocol.extras import how_to_add
+from ..protocol.extras import how_to_add, what_is_missing
 
 if TYPE_CHECKING:
     from datetime import datetime
@@ -71,7 +71,7 @@ def require_cryptography() -> None:
     try:
         import cryptography.x509  # noqa: F401
     except ImportError as error:
-        reason = f"roles and certificates need cryptography: {how_to_add('security')}"
+        reason = what_is_missing("reading certificates", "security")
         raise ImportError(reason) from error
 
 

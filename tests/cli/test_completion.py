@@ -58,7 +58,7 @@ def test_bash(place: Path, line: str, found: set[str]) -> None:
     )
     done = shell(place, ["bash", "-c", script])
     assert done.stderr == ""
-    assert {each.strip() for each in done.stdout.split()} - {"--help"} == found
+    assert {each.strip() for each in done.stdout.split()} - {"--help", "--help-all"} == found
 
 
 @pytest.mark.skipif(shutil.which("fish") is None, reason="fish is not installed")

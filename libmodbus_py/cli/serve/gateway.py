@@ -19,7 +19,7 @@ from ...protocol.logs import HarmlessLogger
 from ...services.gateway import config
 from ...services.gateway.gateway import Gateway
 from ...services.gateway.routes import Route, parse_route
-from ...tools.files.rereading import compared, reread
+from ...tools.files.texts import compared, reread
 from .. import arguments, logs
 from ..connecting import with_options
 from ..foreign import place

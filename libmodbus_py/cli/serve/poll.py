@@ -28,7 +28,7 @@ from ...services.fleet.outputs.output import Output, OutputError
 from ...services.fleet.outputs.writer_thread import WriterThread
 from ...services.fleet.trial import Tried, overloads, trying
 from ...system import allow_all_descriptors
-from ...tools.files.rereading import compared, reread
+from ...tools.files.texts import compared, reread
 from .. import arguments, logs, tracing
 from ..failing import CommandError
 from ..help import VerbatimHelp

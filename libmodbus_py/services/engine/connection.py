@@ -17,7 +17,7 @@ from functools import partial
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-from ...protocol.extras import how_to_add
+from ...protocol.extras import what_is_missing
 from ...security.renewed import Renewed
 from ..server_url import server_url
 from ..tasks import finish
@@ -160,7 +160,7 @@ async def connected(
     try:
         from .client import SteadyClient
     except ImportError:
-        raise EngineError(f"NATS needs nats-py: {how_to_add('nats')}") from None
+        raise EngineError(what_is_missing("NATS", "nats")) from None
 
     options = _identity(environment) | _trust(servers, environment)
     client = SteadyClient()

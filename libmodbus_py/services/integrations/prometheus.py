@@ -42,7 +42,7 @@ from operator import add
 from typing import Any, NamedTuple, Protocol
 
 from ...client.statistics import TIME_BOUNDS, Statistics
-from ...protocol.extras import how_to_add
+from ...protocol.extras import what_is_missing
 from ...server.limits import ServerStatistics
 from ...tools.timed_server import TimedServer
 from ..fleet.config import label_name
@@ -61,7 +61,7 @@ try:
     from prometheus_client.core import Metric
     from prometheus_client.registry import Collector as _Collector
 except ImportError as error:
-    raise ImportError(f"metrics need prometheus_client: {how_to_add('metrics')}") from error
+    raise ImportError(what_is_missing("the exporter", "metrics")) from error
 
 __all__ = ["Collector", "collect", "exposing"]
 

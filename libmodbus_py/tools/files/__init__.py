@@ -4,7 +4,6 @@ Files that describe devices, gateways and fleets, and register maps: readers and
 ::
 
     texts        reading a file, and a TOML document with the line of each key
-    rereading    a file that is read again while a program uses its former content
     schema       the keys of tables: a row for each, and the checks of their values
     file_error   what is wrong in a file: its place, the path of the key, the reason
     amounts      times and sizes with their units: "90 days", "2 GB"

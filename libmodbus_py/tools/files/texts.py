@@ -1,5 +1,5 @@
 """
-Reading files: their text, and TOML with the line of each key.
+Reading files, and reading them again: their text, and TOML with the line of each key.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import re
 import reprlib
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from os import PathLike, fspath
 from pathlib import Path as FilePath
 from typing import Any, TypeVar
@@ -17,7 +17,12 @@ from typing import Any, TypeVar
 from ...protocol.mistakes import Path, placed
 from .file_error import FileError, FilePlace
 
-__all__ = ["line_of", "load_file", "read_table", "read_text", "read_toml", "shown_key"]
+# fmt: off
+__all__ = [
+    "compared", "line_of", "load_file", "read_table", "read_text", "read_toml", "reread",
+    "shown_key",
+]
+# fmt: on
 
 Content = TypeVar("Content")
 
@@ -86,6 +91,51 @@ def load_file(
     except (TypeError, ValueError) as error:
         mistake = placed(error, ())
         raise kind.of(mistake, FilePlace(fspath(path), line_of(text, mistake.path))) from None
+
+
+# --- reading again, while a program uses the former content --------------------------------
+
+
+def reread(
+    load: Callable[[], Content],
+    use: Callable[[Content], Iterable[str]],
+    tell: Callable[[str], object],
+) -> None:
+    """
+    Load a file again and use its content; a mistake in the file changes nothing.
+
+    Args:
+        load: returns the content, or raises TypeError or ValueError with the mistake.
+        use: applies the content and returns what changed, in lines; raises TypeError or
+            ValueError, before it changes anything, if the content cannot be used.
+        tell: called with each line, or with the mistake.
+    """
+    try:
+        lines = use(load())
+    except (TypeError, ValueError) as error:
+        lines = [f"nothing is changed: {error}"]
+    for line in lines:
+        tell(line)
+
+
+def compared(path: str, noun: str, before: Mapping[Any, Any], after: Mapping[Any, Any]) -> str:
+    """
+    Return a line about what changed in a file that was read again.
+
+    Args:
+        path: of the file.
+        noun: what the file describes, such as "device".
+        before, after: these things, by their names or numbers.
+    """
+    both = before.keys() & after.keys()
+    counts = {
+        "new": len(after.keys() - both),
+        "changed": sum(before[key] != after[key] for key in both),
+        "removed": len(before.keys() - both),
+    }
+    changes = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
+    plural = "s" * (len(after) != 1)
+    return f"{path}: read again, {len(after)} {noun}{plural}: {changes or 'no change'}"
 
 
 # --- TOML ------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 
 from ...protocol.mistakes import inside
 from ..faults.server import Server
-from ..files.rereading import compared, reread
+from ..files.texts import compared, reread
 from .device_file import load
 from .simulated import SimulatedDevice, Simulation
 

@@ -15,7 +15,7 @@ from ...client.requests import Awaiting, Blocking, Steps
 from ...maps.point import Point
 from ...maps.register_map import RegisterMap
 from ...protocol.errors import ExceptionResponse
-from ...protocol.extras import how_to_add
+from ...protocol.extras import what_is_missing
 from ...protocol.mistakes import WrongType
 from .chain import BASES, HEADER, Chain, Header, checked_bases, read_span, walk
 from .device import SunSpecDevice, SunSpecModel, names_of
@@ -55,8 +55,7 @@ def folder() -> Path:
         path = Path(place, "models", "json")
         if path.is_dir():
             return path
-    reason = f"SunSpec models need pysunspec2: {how_to_add('sunspec')}"
-    raise ImportError(reason, name="sunspec2")
+    raise ImportError(what_is_missing("SunSpec", "sunspec"), name="sunspec2")
 
 
 @overload

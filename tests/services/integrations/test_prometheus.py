@@ -443,7 +443,7 @@ def test_without_prometheus_client_the_extra_is_named() -> None:
     )
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     last = run.stderr.splitlines()[-1]
-    assert last == (f"ImportError: metrics need prometheus_client: {how_to_add('metrics')}")
+    assert last == (f"ImportError: the exporter needs prometheus_client: {how_to_add('metrics')}")
 
 
 # --- over HTTP ------------------------------------------------------------------------------
@@ -591,7 +591,7 @@ def test_serve_says_which_extra_is_missing() -> None:
     )
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (run.returncode, run.stdout) == (1, "")
-    wanted = f"metrics need prometheus_client: {how_to_add('metrics')}"
+    wanted = f"the exporter needs prometheus_client: {how_to_add('metrics')}"
     assert run.stderr == f"libmodbus-py: {wanted}\n"
 
 

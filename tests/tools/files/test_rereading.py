@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import pytest
 
-from libmodbus_py.tools.files.rereading import compared, reread
+from libmodbus_py.tools.files.texts import compared, reread
 from tests.support.cases import each_case
 
 

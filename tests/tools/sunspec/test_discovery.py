@@ -145,7 +145,7 @@ def test_what_is_no_client_is_refused() -> None:
 def test_without_pysunspec2_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("libmodbus_py.tools.sunspec.discovery.find_spec", lambda name: None)
     assert importlib.util.find_spec("sunspec2")
-    with pytest.raises(ImportError, match=r"pip install 'libmodbus-py\[sunspec\]'"):
+    with pytest.raises(ImportError, match=r"SunSpec needs pysunspec2: .* 'pysunspec2>="):
         sunspec.discover(Client("tcp://127.0.0.1:9"))
 
 

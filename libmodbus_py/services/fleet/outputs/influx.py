@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from ....protocol.extras import how_to_add
+from ....protocol.extras import what_is_missing
 from ....protocol.mistakes import WrongType, WrongValue
 from ....protocol.plain import without_controls
 from ...server_url import url_without_login
@@ -163,7 +163,7 @@ class _Server:
         try:
             import httpx
         except ImportError:
-            raise OutputError(f"InfluxDB needs httpx: {how_to_add('influx')}") from None
+            raise OutputError(what_is_missing("InfluxDB", "influx")) from None
         # The server has demanded this pause.
         await asyncio.sleep(max(0.0, self._not_before - time.monotonic()))
         context = await self._trust.context() if self._trust else False

@@ -14,7 +14,7 @@ from collections.abc import Callable, Coroutine, Iterable, Iterator
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from ....protocol.extras import how_to_add
+from ....protocol.extras import what_is_missing
 from ....protocol.logs import HarmlessLogger
 from ...server_url import ServerUrl
 from ...tasks import end_tasks, finish
@@ -90,7 +90,7 @@ class MqttConnection:
         try:
             import aiomqtt
         except ImportError:
-            raise OutputError(f"MQTT needs aiomqtt: {how_to_add('mqtt')}") from None
+            raise OutputError(what_is_missing("MQTT", "mqtt")) from None
         client = aiomqtt.Client(
             self._server.host,
             self._server.port,
