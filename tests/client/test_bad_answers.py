@@ -81,6 +81,9 @@ BAD_TCP: dict[str, tuple[Answer, type[ModbusError]]] = {
     "nothing": (lambda request: [], ModbusTimeoutError),
     "random bytes": (lambda request: [b"\xde\xad\xbe\xef" * 5], FrameError),
 }
+# Those whose bytes answer another request than the one that was asked.
+ANOTHERS = {"other unit", "other transaction", "other function", "exception of another function"}
+
 # A frame of another protocol is skipped, and its request waits on.
 WAITED_OUT = {"other protocol"} | {
     name for name, (_, error) in BAD_TCP.items() if error is ModbusTimeoutError
@@ -103,6 +106,7 @@ def test_tcp_error_and_next_request_succeeds(world: World, name: str) -> None:
         assert caught.value.function == 3
         assert caught.value.sent == peer.requests[0]
         assert caught.value.received == b"".join(bad(peer.requests[0]))
+        assert caught.value.answers_another is (name in ANOTHERS)
         assert read(context) == VALUES
 
 
@@ -278,6 +282,7 @@ def test_serial_error_and_next_request_succeeds(
             read(context)
         assert caught.value.sent == unit.requests[1]
         assert caught.value.received == bad(b"")[0]
+        assert caught.value.answers_another is (name in ANOTHERS)
         if name == "unknown exception":
             assert caught.value.code == 0x77  # type: ignore[attr-defined]
         with world.lasting(quiet, more=ON_LINE):

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from libmodbus_py import AsyncClient, Context, ModbusConnectionError, ModbusError
-from tests.support.clients import World, asking, read
-from tests.support.peers import FakeUnit, answer, answering, mbap
+from tests.support.clients import ALL, World, asking, read
+from tests.support.peers import FakeServer, FakeUnit, answer, answering, mbap
 
 NOISE = bytes(range(0x70, 0xF0))
 
@@ -130,3 +130,27 @@ def test_a_port_without_permission_names_the_group(monkeypatch: pytest.MonkeyPat
 def test_a_client_and_its_errors_say_where_they_lead() -> None:
     client = AsyncClient("tcp://192.0.2.1:502?unit=7")
     assert repr(client) == "<AsyncClient tcp://192.0.2.1:502, unit 7, disconnected>"
+
+
+# --- TLS at one end only ---------------------------------------------------------------------
+
+ALERT = bytes.fromhex("15 0303 0002 0246")  # RFC 8446, 5.1 and 6: protocol_version, fatal
+
+
+@ALL
+def test_an_alert_is_named(kind: str) -> None:
+    with FakeServer(lambda _: [ALERT]) as server:
+        url = f"tcp://127.0.0.1:{server.port}"
+        with asking(kind, url, timeout=5) as plc, pytest.raises(ModbusError, match="like tls://"):
+            plc.read_coils(0, 1)
+
+
+@ALL
+def test_a_server_that_closes_at_the_first_request(kind: str) -> None:
+    with FakeServer(None) as server:
+        url = f"tcp://127.0.0.1:{server.port}"
+        with (
+            asking(kind, url, timeout=5) as plc,
+            pytest.raises(ModbusConnectionError, match=r"nothing was answered yet; .* tls://"),
+        ):
+            plc.read_coils(0, 1)

@@ -84,19 +84,6 @@ def test_late_answers_are_dropped_and_counted() -> None:
     assert talk.statistics.late_answers == 1
 
 
-def test_the_id_of_a_request_that_may_still_be_answered_is_not_used_again() -> None:
-    talk = Talk(timeout=1, timeouts_before_reconnect=10)
-    talk.ask(7)
-    talk.wait(1)
-    for _ in range(0xFFFF):
-        talk.ask(1)
-        talk.come(tcp(talk.sent[-1]))
-    assert len({each[:2] for each in talk.sent}) == 0x10000
-    talk.ask(1)
-    assert talk.sent[-1][:2] == talk.sent[1][:2]
-    assert talk.statistics.responses == 0xFFFF
-
-
 def test_an_id_that_nobody_had_answers_nobody_and_is_shown_at_the_end() -> None:
     talk = Talk(timeout=1)
     batch = talk.ask(1)
@@ -255,3 +242,42 @@ def test_what_comes_before_the_first_request_is_traced_too() -> None:
     frame = bytes.fromhex("0009 0000 0005 01 03 02 0007")
     talk.come(frame)
     assert [(each.direction, each.adu) for each in seen] == [("received", frame)]
+
+
+def ids(talk: Talk) -> list[int]:
+    return [int.from_bytes(adu[:2], "big") for adu in talk.sent]
+
+
+def test_ids_count_up_and_begin_anew() -> None:
+    talk = Talk()
+    talk.matching._last = 0xFFFD
+    for address in range(4):
+        talk.ask(address)
+        talk.come(tcp(talk.sent[-1]))
+    assert ids(talk) == [0xFFFE, 0xFFFF, 0, 1]
+
+
+def test_an_id_in_flight_or_owed_is_skipped() -> None:
+    talk = Talk(timeout=1.0, retries=0)
+    talk.ask(1, go_on=True)
+    talk.wait(1.0)
+    talk.ask(2)
+    talk.matching._last = 0
+    talk.ask(3)
+    assert ids(talk) == [1, 2, 3]
+
+
+@pytest.mark.parametrize("limit", [1, 2, 7, 16, 99])
+def test_a_batch_has_as_many_in_flight_as_it_may(limit: int) -> None:
+    talk = Talk()
+    talk.connection.submit(talk.batch(*range(40), limit=limit), talk.now)
+    assert len(talk.connection.start(talk.now)) == min(limit, 16)
+    assert talk.connection.start(talk.now) == []
+
+
+def test_many_callers_have_as_many_in_flight_as_there_may_be() -> None:
+    talk = Talk()
+    for address in range(40):
+        talk.connection.submit(talk.batch(address), talk.now)
+    assert len(talk.connection.start(talk.now)) == 16
+    assert talk.connection.start(talk.now) == []

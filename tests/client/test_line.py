@@ -14,25 +14,16 @@ from libmodbus_py import (
     ModbusTimeoutError,
     pdu,
 )
-from libmodbus_py.ports.trace import Traced
+from tests.support.cases import each_case
 from tests.support.talk import (
-    ASCII,
     LINE,
     Talk,
-    ascii_frame,
-    is_quiet,
     kinds,
-    little_kept,
     rtu,
     value,
 )
 
 WRITE = pdu.WriteRegister(1, 2)
-
-
-def units(talk: Talk) -> list[int]:
-    """Who was asked."""
-    return [adu[0] for adu in talk.sent]
 
 
 # --- one after the other ---------------------------------------------------------------
@@ -134,16 +125,30 @@ def test_noise_alone_is_a_frame_error_at_the_end_that_says_so() -> None:
     assert "baud rate, parity, A and B swapped?" in str(batch.outcomes[0])
 
 
-def test_another_unit_does_not_end_the_wait() -> None:
+@each_case(
+    ("frame", "reason"),
+    [
+        (value(9, unit=9), "unit 9 answered"),
+        (rtu("01 04 02 0005"), "function 4 was answered, not 3"),
+        (rtu("01 84 02"), "function 4 was answered, not 3"),
+    ],
+)
+def test_what_answers_another_request_does_not_end_the_wait_and_is_named_at_its_end(
+    frame: bytes, reason: str
+) -> None:
     talk = Talk(LINE, timeout=1)
     batch = talk.ask(5)
-    talk.come(value(9, unit=9), value(5))
+    talk.come(frame)
+    assert not batch.is_done
+    talk.come(value(5))
     assert batch.outcomes == [[5]]
     batch = talk.ask(5)
-    talk.come(value(9, unit=9))
+    talk.come(frame)
     talk.wait(1)
     assert kinds(batch) == [InvalidResponse]
-    assert "unit 9 answered" in str(batch.outcomes[0])
+    assert reason in str(batch.outcomes[0])
+    assert batch.outcomes[0].answers_another
+    assert talk.statistics.late_answers == 2
 
 
 def test_the_request_that_comes_back_does_not_end_the_wait() -> None:
@@ -188,26 +193,6 @@ def test_a_refusal_ends_the_wait_and_raises_no_doubt() -> None:
     assert kinds(batch) == [IllegalDataAddress]
     talk.ask(6)
     assert len(talk.sent) == 2
-
-
-def test_the_answer_to_another_function_does_not_end_the_wait() -> None:
-    talk = Talk(LINE)
-    batch = talk.ask(5)
-    talk.come(rtu("01 04 02 0005"))
-    assert not batch.is_done
-    talk.come(value(5))
-    assert batch.outcomes == [[5]]
-
-
-@pytest.mark.parametrize("body", ["01 04 02 0005", "01 84 02"])
-def test_the_answer_to_another_function_alone_is_told(body: str) -> None:
-    talk = Talk(LINE)
-    batch = talk.ask(5)
-    talk.come(rtu(body))
-    talk.wait(1)
-    assert kinds(batch) == [InvalidResponse]
-    assert batch.outcomes[0].answers_another
-    assert "function 4 was answered, not 3" in str(batch.outcomes[0])
 
 
 # --- the table -------------------------------------------------------------------------
@@ -511,321 +496,10 @@ def test_an_answer_is_held_once_in_ten_timeouts() -> None:
     assert held == 2
 
 
-def test_a_broadcast_waits_for_no_doubt() -> None:
-    talk = used()
-    batch = talk.ask(5)
-    talk.wait(1)
-    assert batch.is_done
-    everyone = talk.ask(WRITE, unit=0, is_broadcast=True)
-    assert units(talk) == [1, 0]
-    talk.wait(0.1)
-    assert everyone.outcomes == [None]
-
-
-# --- silence after a failure -----------------------------------------------------------
-
-
-def learnt(*unit: int) -> Talk:
-    """Return a line whose units have answered at once: HOLD is as short as can be."""
+@each_case(("come", "late"), [(b"", 0), (value(1), 1), (value(1) + value(1), 2)])
+def test_answers_beside_the_first_are_counted(come: bytes, late: int) -> None:
     talk = Talk(LINE, timeout=1)
-    for each in unit:
-        batch = talk.ask(1, unit=each)
-        talk.come(value(1, unit=each))
-        assert batch.outcomes == [[1]]
-    talk.sent.clear()
-    talk.times.clear()
-    return talk
-
-
-def failed(talk: Talk, unit: int = 1) -> None:
-    """A request that got no answer within its second."""
-    assert kinds(failing := talk.ask(0, unit=unit)) != [[0]]
-    talk.wait(1)
-    assert kinds(failing) == [ModbusTimeoutError]
-
-
-def test_other_units_are_asked_at_once() -> None:
-    talk = learnt(1, 2)
-    failed(talk, unit=1)
-    again, other = talk.ask(5, unit=1), talk.ask(6, unit=2)
-    assert units(talk) == [1, 2]
-    talk.come(value(6, unit=2))
-    assert other.outcomes == [[6]]
-    talk.wait(1)
-    talk.come(value(5))
-    talk.wait(0)
-    assert again.outcomes == [[5]]
-
-
-def test_a_dead_unit_costs_its_timeout_once() -> None:
-    """Two living units, each asked ten times, and a dead one asked once between them."""
-    talk = Talk(LINE, timeout=1)
-    failed(talk, unit=9)
-    for number in range(10):
-        for unit in (1, 2):
-            talk.ask(number, unit=unit)
-            talk.come(value(number, unit=unit))
-    assert talk.now == 1
-    assert talk.statistics.responses == 20
-
-
-def test_a_late_answer_is_dropped_and_starts_the_silence_anew() -> None:
-    talk = learnt(1)
-    failed(talk)
-    batch = talk.ask(6)
-    talk.wait_until(1.7)
-    talk.come(value(0))
-    talk.wait_until(2.6)
-    assert len(talk.sent) == 1
-    talk.wait_until(2.7)
-    talk.come(value(6))
-    talk.wait(0)
-    assert batch.outcomes == [[6]]
-    assert talk.statistics.late_answers == 1
-
-
-def test_a_late_answer_in_another_units_turn_is_dropped_and_starts_the_silence_anew() -> None:
-    talk = learnt(1, 2)
-    failed(talk, unit=1)
-    other = talk.ask(6, unit=2)
-    talk.wait_until(1.5)
-    talk.come(value(0, unit=1))
-    talk.come(value(6, unit=2))
-    assert other.outcomes == [[6]]
-    again = talk.ask(7, unit=1)
-    talk.wait_until(2.4)
-    assert units(talk) == [1, 2]
-    talk.wait_until(2.5)
-    talk.come(value(7, unit=1))
-    talk.wait(0)
-    assert again.outcomes == [[7]]
-    assert talk.statistics.late_answers == 1
-
-
-def test_after_a_cancelled_request_the_line_must_fall_silent_too() -> None:
-    talk = learnt(1)
-    talk.cancel(talk.ask(5))
-    batch = talk.ask(6)
-    talk.wait(0.1)
-    talk.come(value(5))
-    talk.wait(0.99)
-    assert len(talk.sent) == 1
-    talk.wait(0.01)
-    talk.come(value(6))
-    talk.wait(0)
-    assert batch.outcomes == [[6]]
-
-
-def test_the_silence_is_as_long_as_the_timeout_of_the_request_that_failed() -> None:
-    talk = Talk(LINE, timeout=5)
-    talk.ask(5, timeout=0.3)
-    talk.wait(0.3)
-    talk.ask(6)
-    talk.wait(0.3)
-    assert talk.times == pytest.approx([0, 0.6])
-
-
-def trickled(talk: Talk, data: bytes, seconds: float) -> None:
-    """Bytes every 100 ms."""
-    for _ in range(round(seconds * 10)):
-        talk.come(data)
-        talk.wait(0.1)
-
-
-@pytest.mark.parametrize("data", [b"\x55", b"\x55" * 100])
-def test_a_line_that_does_not_fall_silent_is_waited_for_two_timeouts(data: bytes) -> None:
-    talk = Talk(LINE, timeout=1)
-    failed(talk)
-    batch = talk.ask(6)
-    trickled(talk, data, 1.9)
-    assert not batch.is_done
-    trickled(talk, data, 0.2)
-    assert kinds(batch) == [FrameError]
-    assert "does not fall silent" in str(batch.outcomes[0])
-    assert set(batch.outcomes[0].received) == {0x55}
-    assert len(batch.outcomes[0].received) <= 600
-    assert len(talk.sent) == 1
-
-
-def test_a_repetition_does_not_wait_for_ever_for_silence() -> None:
-    talk = Talk(LINE, timeout=1, retries=1)
-    batch = talk.ask(6)
-    talk.wait(1)
-    trickled(talk, b"\x55", 2.1)
-    assert kinds(batch) == [FrameError]
-    assert "does not fall silent" in str(batch.outcomes[0])
-    assert talk.is_at_rest
-
-
-def test_a_caller_that_left_does_not_shorten_the_patience_of_the_next() -> None:
-    talk = learnt(1)
-    failed(talk)
-    leaving = talk.ask(6)
-    trickled(talk, b"\x55", 1.5)
-    talk.cancel(leaving)
-    batch = talk.ask(7)
-    trickled(talk, b"\x55", 0.9)
-    assert not batch.is_done
-    talk.wait(1)
-    talk.come(value(7))
-    talk.wait(0)
-    assert batch.outcomes == [[7]]
-
-
-# --- the clock -------------------------------------------------------------------------
-
-
-def test_the_clock_rests_after_half_an_answer() -> None:
-    """An alarm that lay in the past would have an event loop spin."""
-    for end in ("timeout", "cancelled", "lost"):
-        talk = Talk("rtu+tcp://192.0.2.1", timeout=1)
-        batch = talk.ask(1)
-        talk.wait(0.99)
-        talk.come(value(1)[:4])
-        if end == "timeout":
-            talk.wait(0.01)
-        elif end == "cancelled":
-            talk.cancel(batch)
-        else:
-            talk.lose()
-        talk.wait(5)
-        assert batch.is_done
-        assert is_quiet(talk), end
-
-
-# --- floods ----------------------------------------------------------------------------
-
-
-def test_a_flood_extends_no_timeout_and_is_not_kept() -> None:
-    for url in (LINE, ASCII):
-        talk = Talk(url, timeout=1)
-        batch = talk.ask(1)
-        with little_kept():
-            for _ in range(10):
-                talk.come(b":0" * 5000)
-                talk.wait(0.1)
-        assert batch.is_done, url
-        assert len(batch.outcomes[0].received) <= 600
-        assert len(str(batch.outcomes[0])) < 300
-
-
-def test_the_first_600_bytes_of_a_flood_are_kept() -> None:
-    """Of what comes in place of an answer, and of what comes while nobody may ask."""
-    pieces = [bytes([0x80 + number]) * 250 for number in range(8)]
-    kept = b"".join(pieces)[:600]
-    talk = Talk(LINE, timeout=1)
-    first = talk.ask(1)
-    talk.come(*pieces)
-    talk.wait(1)
-    assert first.outcomes[0].received == kept
-    second = talk.ask(2)
-    while not second.is_done:
-        talk.come(*pieces)
-        talk.wait(0.5)
-    assert talk.now == 3
-    assert len(talk.sent) == 1
-    assert second.outcomes[0].received == kept
-
-
-def test_a_late_answer_in_pieces_is_one_and_each_piece_puts_off_the_next_request() -> None:
-    talk = learnt(1)
-    failed(talk)
-    batch = talk.ask(6)
-    for piece in (value(5)[:3], value(5)[3:]):
-        talk.wait(0.5)
-        talk.come(piece)
-    assert talk.statistics.late_answers == 1
-    late_at = talk.now
-    talk.wait_for(2)
-    assert talk.times[1] == pytest.approx(late_at + 1)
-    talk.come(value(6))
-    talk.wait(0)
-    assert batch.outcomes == [[6]]
-
-
-def test_a_flood_on_an_idle_line_is_noted_and_forgotten_when_somebody_asks() -> None:
-    talk = Talk(LINE)
-    with little_kept():
-        talk.come(bytes(0x10000))
-    assert not talk.connection.is_flooded
-    talk.come(b"\0")
-    assert talk.connection.is_flooded
-    with little_kept():
-        for _ in range(100):
-            talk.come(bytes(0x1000))
-    assert talk.connection.broken is None  # a port is not opened anew for that
     batch = talk.ask(1)
-    talk.wait(0.03)  # the line must have been quiet for a moment
-    assert not talk.connection.is_flooded
-    talk.come(value(1))
+    talk.come(value(1) + come)
     assert batch.outcomes == [[1]]
-
-
-# --- delimiters ------------------------------------------------------------------------
-
-
-def test_an_accepted_delimiter_is_used_from_then_on_and_given_back_at_a_restart() -> None:
-    talk = Talk(ASCII)
-    talk.ask(pdu.Diagnostics(3, b"#\0"))
-    assert talk.sent[-1] == b":010800032300D1\r\n"
-    talk.come(b":010800032300D1\r\n")
-    batch = talk.ask(1)
-    assert talk.sent[-1].endswith(b"\r#")
-    talk.come(ascii_frame("01 03 02 0001", b"\r#"))
-    assert batch.outcomes == [[1]]
-    talk.ask(pdu.Diagnostics(1, b"\0\0"))
-    talk.come(ascii_frame("01 08 0001 0000", b"\r#"))
-    talk.ask(1)
-    assert talk.sent[-1].endswith(b"\r\n")
-
-
-def test_a_refused_delimiter_is_not_used() -> None:
-    talk = Talk(ASCII, delimiter=0x24)
-    talk.ask(pdu.Diagnostics(3, b":\0"))
-    talk.come(ascii_frame("01 88 03", b"\r$"))
-    talk.ask(1)
-    assert talk.sent[-1].endswith(b"\r$")
-
-
-@pytest.mark.parametrize("data", [b":\0", b"\r\0", b"A\0", b"\xff\0", b"#\n"])
-def test_a_delimiter_that_no_frame_can_have_is_not_used_if_a_device_echoes_it(data: bytes) -> None:
-    talk = Talk(ASCII)
-    batch = talk.ask(pdu.Diagnostics(3, data))
-    talk.come(ascii_frame("01 08 0003" + data.hex()))
-    assert batch.outcomes == [data]
-    talk.lose()
-    talk.open()  # with another framer
-    batch = talk.ask(1, unit=2)
-    assert talk.sent[-1].endswith(b"\r\n")
-    talk.come(ascii_frame("02 03 02 0001"))
-    assert batch.outcomes == [[1]]
-
-
-def test_an_rtu_line_has_no_delimiter() -> None:
-    talk = Talk(LINE)
-    talk.ask(pdu.Diagnostics(3, b"#\0"))
-    talk.come(rtu("01 08 0003 2300"))
-    batch = talk.ask(1)
-    talk.come(value(1))
-    assert batch.outcomes == [[1]]
-
-
-# --- the trace -------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "late",
-    [value(1), b"\xfe\x01", value(1)[:4], value(1) + b"\x01\x03", b"\x01" + value(1)],
-    ids=["an answer", "noise", "half an answer", "an answer and more", "noise and an answer"],
-)
-def test_what_comes_unasked_is_traced_too(late: bytes) -> None:
-    told: list[Traced] = []
-    talk = Talk(LINE, timeout=1, trace=told.append)
-    failed(talk)
-    talk.come(late)
-    talk.wait(1)
-    talk.ask(1)  # what is no frame is traced before the next request
-    received = [each for each in told if each.direction == "received"]
-    assert b"".join(each.adu for each in received) == late
-    frames = [(each.unit, each.function) for each in received if each.unit is not None]
-    assert frames == ([(1, 3)] if value(1) in late else [])
+    assert talk.statistics.late_answers == late

@@ -10,6 +10,7 @@ import signal
 import struct
 import time
 from contextlib import suppress
+from dataclasses import fields
 from unittest.mock import patch
 
 import pytest
@@ -208,3 +209,33 @@ def test_answer_times_on_the_real_system(kind: str) -> None:
 def test_all_results_are_explained() -> None:
     for result in RESULTS:
         assert f'"{result}"' in (Statistics.__doc__ or "")
+
+
+# --- the counters themselves -----------------------------------------------------------------
+
+
+def test_nothing_is_counted_at_first() -> None:
+    statistics = Statistics()
+    assert statistics.last_success is None
+    assert statistics.answer_times == [0] * (len(TIME_BOUNDS) + 1)
+    rest = {each.name for each in fields(Statistics)} - {"last_success", "answer_times"}
+    assert not any(getattr(statistics, name) for name in rest)
+
+
+def test_bounds_of_times_are_those_of_the_documentation() -> None:
+    """Dashboards have them: 100 us to 10 s, each about twice the one before."""
+    milliseconds = [0.1, 0.25, 0.5, 1, 2.5, 5, 10, 25, 50, 100, 250, 500, 1000, 2500, 5000, 10_000]
+    assert [bound * 1000 for bound in TIME_BOUNDS] == pytest.approx(milliseconds)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "place"), [(0.0001, 0), (0.00011, 1), (0.1, 9), (10.0, 15), (10.1, 16)]
+)
+def test_an_answer_is_counted_up_to_its_bound(seconds: float, place: int) -> None:
+    statistics = Statistics()
+    statistics.note_answer(3, "ok", seconds, 0.0)
+    statistics.note_answer(3, "exception", seconds, 0.0)
+    assert [at for at, count in enumerate(statistics.answer_times) if count] == [place]
+    assert statistics.answer_times[place] == statistics.responses == 2
+    assert statistics.answer_seconds == 2 * seconds
+    assert statistics.results == {(3, "ok"): 1, (3, "exception"): 1}

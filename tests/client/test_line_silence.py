@@ -1,0 +1,333 @@
+"""
+How long a line is left alone after a failure, and what is kept of what comes meanwhile.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from libmodbus_py import FrameError, ModbusTimeoutError, pdu
+from libmodbus_py.ports.trace import Traced
+from tests.support.talk import ASCII, LINE, Talk, is_quiet, kinds, little_kept, value
+
+
+def units(talk: Talk) -> list[int]:
+    """Return who was asked."""
+    return [adu[0] for adu in talk.sent]
+
+
+def learnt(*unit: int) -> Talk:
+    """Return a line whose units have answered at once: HOLD is as short as can be."""
+    talk = Talk(LINE, timeout=1)
+    for each in unit:
+        batch = talk.ask(1, unit=each)
+        talk.come(value(1, unit=each))
+        assert batch.outcomes == [[1]]
+    talk.sent.clear()
+    talk.times.clear()
+    return talk
+
+
+def failed(talk: Talk, unit: int = 1) -> None:
+    """A request that got no answer within its second."""
+    assert kinds(failing := talk.ask(0, unit=unit)) != [[0]]
+    talk.wait(1)
+    assert kinds(failing) == [ModbusTimeoutError]
+
+
+def test_other_units_are_asked_at_once() -> None:
+    talk = learnt(1, 2)
+    failed(talk, unit=1)
+    again, other = talk.ask(5, unit=1), talk.ask(6, unit=2)
+    assert units(talk) == [1, 2]
+    talk.come(value(6, unit=2))
+    assert other.outcomes == [[6]]
+    talk.wait(1)
+    talk.come(value(5))
+    talk.wait(0)
+    assert again.outcomes == [[5]]
+
+
+def test_a_dead_unit_costs_its_timeout_once() -> None:
+    """Two living units, each asked ten times, and a dead one asked once between them."""
+    talk = Talk(LINE, timeout=1)
+    failed(talk, unit=9)
+    for number in range(10):
+        for unit in (1, 2):
+            talk.ask(number, unit=unit)
+            talk.come(value(number, unit=unit))
+    assert talk.now == 1
+    assert talk.statistics.responses == 20
+
+
+def test_a_late_answer_is_dropped_and_starts_the_silence_anew() -> None:
+    talk = learnt(1)
+    failed(talk)
+    batch = talk.ask(6)
+    talk.wait_until(1.7)
+    talk.come(value(0))
+    talk.wait_until(2.6)
+    assert len(talk.sent) == 1
+    talk.wait_until(2.7)
+    talk.come(value(6))
+    talk.wait(0)
+    assert batch.outcomes == [[6]]
+    assert talk.statistics.late_answers == 1
+
+
+def test_a_late_answer_in_another_units_turn_is_dropped_and_starts_the_silence_anew() -> None:
+    talk = learnt(1, 2)
+    failed(talk, unit=1)
+    other = talk.ask(6, unit=2)
+    talk.wait_until(1.5)
+    talk.come(value(0, unit=1))
+    talk.come(value(6, unit=2))
+    assert other.outcomes == [[6]]
+    again = talk.ask(7, unit=1)
+    talk.wait_until(2.4)
+    assert units(talk) == [1, 2]
+    talk.wait_until(2.5)
+    talk.come(value(7, unit=1))
+    talk.wait(0)
+    assert again.outcomes == [[7]]
+    assert talk.statistics.late_answers == 1
+
+
+def test_after_a_cancelled_request_the_line_must_fall_silent_too() -> None:
+    talk = learnt(1)
+    talk.cancel(talk.ask(5))
+    batch = talk.ask(6)
+    talk.wait(0.1)
+    talk.come(value(5))
+    talk.wait(0.99)
+    assert len(talk.sent) == 1
+    talk.wait(0.01)
+    talk.come(value(6))
+    talk.wait(0)
+    assert batch.outcomes == [[6]]
+
+
+def test_the_silence_is_as_long_as_the_timeout_of_the_request_that_failed() -> None:
+    talk = Talk(LINE, timeout=5)
+    talk.ask(5, timeout=0.3)
+    talk.wait(0.3)
+    talk.ask(6)
+    talk.wait(0.3)
+    assert talk.times == pytest.approx([0, 0.6])
+
+
+def trickled(talk: Talk, data: bytes, seconds: float) -> None:
+    """Bytes every 100 ms."""
+    for _ in range(round(seconds * 10)):
+        talk.come(data)
+        talk.wait(0.1)
+
+
+@pytest.mark.parametrize("data", [b"\x55", b"\x55" * 100])
+def test_a_line_that_does_not_fall_silent_is_waited_for_two_timeouts(data: bytes) -> None:
+    talk = Talk(LINE, timeout=1)
+    failed(talk)
+    batch = talk.ask(6)
+    trickled(talk, data, 1.9)
+    assert not batch.is_done
+    trickled(talk, data, 0.2)
+    assert kinds(batch) == [FrameError]
+    assert "does not fall silent" in str(batch.outcomes[0])
+    assert set(batch.outcomes[0].received) == {0x55}
+    assert len(batch.outcomes[0].received) <= 600
+    assert len(talk.sent) == 1
+
+
+def test_a_repetition_does_not_wait_for_ever_for_silence() -> None:
+    talk = Talk(LINE, timeout=1, retries=1)
+    batch = talk.ask(6)
+    talk.wait(1)
+    trickled(talk, b"\x55", 2.1)
+    assert kinds(batch) == [FrameError]
+    assert "does not fall silent" in str(batch.outcomes[0])
+    assert talk.is_at_rest
+
+
+def test_a_caller_that_left_does_not_shorten_the_patience_of_the_next() -> None:
+    talk = learnt(1)
+    failed(talk)
+    leaving = talk.ask(6)
+    trickled(talk, b"\x55", 1.5)
+    talk.cancel(leaving)
+    batch = talk.ask(7)
+    trickled(talk, b"\x55", 0.9)
+    assert not batch.is_done
+    talk.wait(1)
+    talk.come(value(7))
+    talk.wait(0)
+    assert batch.outcomes == [[7]]
+
+
+def test_the_clock_rests_after_half_an_answer() -> None:
+    """An alarm that lay in the past would have an event loop spin."""
+    for end in ("timeout", "cancelled", "lost"):
+        talk = Talk("rtu+tcp://192.0.2.1", timeout=1)
+        batch = talk.ask(1)
+        talk.wait(0.99)
+        talk.come(value(1)[:4])
+        if end == "timeout":
+            talk.wait(0.01)
+        elif end == "cancelled":
+            talk.cancel(batch)
+        else:
+            talk.lose()
+        talk.wait(5)
+        assert batch.is_done
+        assert is_quiet(talk), end
+
+
+def test_only_the_unit_that_owes_an_answer_is_left_alone() -> None:
+    talk = Talk(LINE, timeout=0.1)
+    talk.ask(1, unit=7)
+    talk.wait(0.1)
+    assert talk.matching.ready_at(7) == talk.matching.ready_at(7, 3) == 0.2
+    assert talk.matching.ready_at(7, 4) == talk.matching.ready_at(8) == 0.0
+    assert talk.matching.ready_at(0) == 0.0  # a broadcast has no answer
+    batch = talk.ask(2, unit=8)
+    assert len(talk.sent) == 2
+    talk.come(value(2, unit=8))
+    assert batch.outcomes == [[2]]
+
+
+def test_an_answer_is_a_sign_of_life_on_lines_over_networks() -> None:
+    talk = Talk("rtu+tcp://192.0.2.1", timeout=1)
+    for number in range(8):
+        batch = talk.ask(number)
+        talk.wait_for(number + 1)
+        if number % 3 == 0:
+            talk.come(value(number))
+            talk.wait(0)
+            assert batch.outcomes == [[number]]
+        else:
+            talk.wait(1)
+            assert kinds(batch) == [ModbusTimeoutError]
+        assert talk.connection.broken is None
+    assert talk.statistics.connects == 1
+
+
+def test_a_broadcast_waits_for_the_calls_before_it_and_for_no_doubt() -> None:
+    """Unit 1 owes an answer: a broadcast goes at once, but not before a request to unit 1."""
+    talk = Talk(LINE, timeout=1, turnaround=0.1)
+    talk.ask(1, unit=1)
+    talk.wait(1.0)
+    talk.ask(pdu.WriteRegister(1, 1), unit=0, is_broadcast=True)
+    assert units(talk) == [1, 0]
+    talk.ask(2, unit=1)
+    talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
+    talk.ask(1, unit=5)
+    talk.wait(0.9)
+    assert len(talk.sent) == 2
+    talk.wait(0.1)
+    talk.wait(1.0)
+    assert units(talk) == [1, 0, 1, 0]
+    talk.wait(0.1)
+    assert units(talk) == [1, 0, 1, 0, 5]
+
+
+@pytest.mark.parametrize("left", ["01 03 FA 00", "01", "01 83", "01 03 02 00 07 00"])
+def test_half_a_frame_that_was_left_is_not_put_before_the_next_answer(left: str) -> None:
+    talk = Talk(LINE, timeout=1)
+    talk.ask(1)
+    talk.come(bytes.fromhex(left))
+    talk.wait(1.0)
+    batch = talk.ask(2)
+    talk.wait(1.5)
+    assert len(talk.sent) == 2
+    talk.come(value(2))
+    talk.wait(1)  # what unit 1 owes is another request, so this answer is not believed
+    assert kinds(batch) == [ModbusTimeoutError]
+    batch = talk.ask(2)
+    talk.wait(1)
+    talk.come(value(2))
+    assert batch.outcomes == [[2]]
+
+
+# --- floods ----------------------------------------------------------------------------------
+
+
+def test_a_flood_extends_no_timeout_and_is_not_kept() -> None:
+    for url in (LINE, ASCII):
+        talk = Talk(url, timeout=1)
+        batch = talk.ask(1)
+        with little_kept():
+            for _ in range(10):
+                talk.come(b":0" * 5000)
+                talk.wait(0.1)
+        assert batch.is_done, url
+        assert len(batch.outcomes[0].received) <= 600
+        assert len(str(batch.outcomes[0])) < 300
+
+
+def test_the_first_600_bytes_of_a_flood_are_kept() -> None:
+    """Of what comes in place of an answer, and of what comes while nobody may ask."""
+    pieces = [bytes([0x80 + number]) * 250 for number in range(8)]
+    kept = b"".join(pieces)[:600]
+    talk = Talk(LINE, timeout=1)
+    first = talk.ask(1)
+    talk.come(*pieces)
+    talk.wait(1)
+    assert first.outcomes[0].received == kept
+    second = talk.ask(2)
+    while not second.is_done:
+        talk.come(*pieces)
+        talk.wait(0.5)
+    assert talk.now == 3
+    assert len(talk.sent) == 1
+    assert second.outcomes[0].received == kept
+
+
+def test_a_late_answer_in_pieces_is_one_and_each_piece_puts_off_the_next_request() -> None:
+    talk = learnt(1)
+    failed(talk)
+    batch = talk.ask(6)
+    for piece in (value(5)[:3], value(5)[3:]):
+        talk.wait(0.5)
+        talk.come(piece)
+    assert talk.statistics.late_answers == 1
+    late_at = talk.now
+    talk.wait_for(2)
+    assert talk.times[1] == pytest.approx(late_at + 1)
+    talk.come(value(6))
+    talk.wait(0)
+    assert batch.outcomes == [[6]]
+
+
+def test_a_flood_on_an_idle_line_is_noted_and_forgotten_when_somebody_asks() -> None:
+    talk = Talk(LINE)
+    with little_kept():
+        talk.come(bytes(0x10000))
+    assert not talk.connection.is_flooded
+    talk.come(b"\0")
+    assert talk.connection.is_flooded
+    with little_kept():
+        for _ in range(100):
+            talk.come(bytes(0x1000))
+    assert talk.connection.broken is None  # a port is not opened anew for that
+    batch = talk.ask(1)
+    talk.wait(0.03)  # the line must have been quiet for a moment
+    assert not talk.connection.is_flooded
+    talk.come(value(1))
+    assert batch.outcomes == [[1]]
+
+
+@pytest.mark.parametrize(
+    "late",
+    [value(1), b"\xfe\x01", value(1)[:4], value(1) + b"\x01\x03", b"\x01" + value(1)],
+    ids=["an answer", "noise", "half an answer", "an answer and more", "noise and an answer"],
+)
+def test_what_comes_unasked_is_traced_too(late: bytes) -> None:
+    told: list[Traced] = []
+    talk = Talk(LINE, timeout=1, trace=told.append)
+    failed(talk)
+    talk.come(late)
+    talk.wait(1)
+    talk.ask(1)  # what is no frame is traced before the next request
+    received = [each for each in told if each.direction == "received"]
+    assert b"".join(each.adu for each in received) == late
+    frames = [(each.unit, each.function) for each in received if each.unit is not None]
+    assert frames == ([(1, 3)] if value(1) in late else [])
