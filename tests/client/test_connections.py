@@ -4,10 +4,8 @@ Connections that cannot be made, that die, that end, and those that are made in 
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import errno
-import logging
 import os
 import socket
 from collections.abc import Iterator
@@ -19,7 +17,6 @@ from typing import Any
 import pytest
 
 from libmodbus_py import (
-    AsyncClient,
     Device,
     Mapping,
     ModbusConnectionError,
@@ -30,7 +27,6 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.tools.testing.wires import SerialWire
-from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.support.clients import (
     ALL,
@@ -45,10 +41,8 @@ from tests.support.clients import (
 from tests.support.peers import (
     Write,
     answer,
-    answering,
     dead,
     echo,
-    ignore,
     refusing,
     until,
     url_of,
@@ -80,16 +74,6 @@ def test_connection_error_says_why(connect: Connect, host: str, number: int | No
     assert caught.value.__cause__ is not None
     assert number is None or caught.value.errno in (number, errno.ENETUNREACH)
     assert host[:20] in str(caught.value)
-
-
-def test_connecting_counts_within_the_timeout(world: Simulated) -> None:
-    world.network.unreachable.add("10.0.0.9")
-    plc = world.connect(NOBODY, timeout=0.3)
-    for attempt in (plc.connect, lambda: plc.execute(REQUEST)):
-        with world.lasting(0.3), pytest.raises(ModbusConnectionError) as caught:
-            attempt()
-        assert caught.value.errno == errno.ETIMEDOUT
-    plc.close()
 
 
 @pytest.mark.parametrize("kind", ["native", "asyncio"])
@@ -160,76 +144,6 @@ def test_request_waits_for_the_next_attempt_if_it_has_time(
     assert 0.08 <= waited <= 0.122 if max_pause else waited <= 0.002
     assert (plc.statistics.failed_connects, plc.statistics.connects) == (1, 1)
     plc.close()
-
-
-def test_nobody_is_connected_for_who_has_left() -> None:
-    network = Network()
-
-    async def main() -> None:
-        plc = AsyncClient(NOBODY, timeout=1)
-        with pytest.raises(ModbusConnectionError):
-            await plc.connect()
-        with pytest.raises(TimeoutError):
-            async with asyncio.timeout(0.02):
-                await plc.execute(REQUEST)
-        await asyncio.sleep(60)  # longer than any pause
-        assert plc.statistics.failed_connects == 1
-        await plc.close()
-
-    network.run(main)
-
-
-# --- that die -------------------------------------------------------------------------------------
-
-
-@EVERYWHERE
-def test_three_timeouts_in_a_row_make_a_new_connection(world: World) -> None:
-    peer = world.peer("tcp", ignore)
-    with world.connect(peer.url, timeout=0.02) as plc:
-        for _ in range(13):
-            with pytest.raises(ModbusTimeoutError):
-                plc.execute(REQUEST)
-        assert peer.connections == 5
-
-
-def test_an_answer_between_timeouts_keeps_the_connection(world: World) -> None:
-    def third(request: bytes, write: Write) -> None:
-        if len(peer.requests) % 3 == 0:
-            write(echo(request))
-
-    peer = world.peer("tcp", third)
-    with world.connect(peer.url, timeout=0.05) as plc:
-        for number in range(1, 10):
-            context = pytest.raises(ModbusTimeoutError) if number % 3 else contextlib.nullcontext()
-            with context:
-                assert plc.execute(REQUEST) == [5]
-        assert peer.connections == 1
-        assert plc.statistics.timeouts == 6
-
-
-def test_a_dead_connection_is_left_though_the_caller_has_less_patience() -> None:
-    network = Network()
-
-    def dumb_at_first(request: bytes, write: Write) -> None:
-        if peer.connections > 1 or len(peer.requests) == 1:
-            write(echo(request))
-
-    peer = Scripted(network, "tcp://10.0.0.1", dumb_at_first)
-
-    async def main() -> None:
-        async with AsyncClient(peer.url, timeout=1) as client:
-            assert await client.read_holding_registers(1, 1) == [1]
-            failed = 0
-            for address in range(20):
-                try:
-                    async with asyncio.timeout(0.2):
-                        assert await client.read_holding_registers(address, 1) == [address]
-                except TimeoutError:
-                    failed += 1
-            assert failed == 3
-            assert client.statistics.connects == 2
-
-    network.run(main)
 
 
 # --- that end -------------------------------------------------------------------------------------
@@ -350,44 +264,6 @@ def test_a_port_that_is_unplugged_on_the_real_system(kind: str, tmp_path: Path) 
 
 
 # --- what is told of them -------------------------------------------------------------------------
-
-
-def test_states_are_told_and_a_callback_that_fails_harms_nobody(
-    world: World, caplog: pytest.LogCaptureFixture
-) -> None:
-    seen: list[tuple[State, Any]] = []
-
-    def note(state: State, error: ModbusError | None) -> None:
-        seen.append((state, error and type(error)))
-        raise ZeroDivisionError
-
-    peer = world.peer("tcp", answering(None))
-    with caplog.at_level(logging.ERROR):
-        plc = world.connect(peer.url, on_state=note)
-        assert plc.state is State.DISCONNECTED
-        with plc:
-            assert plc.state is State.CONNECTED
-            with pytest.raises(ModbusConnectionError):
-                plc.execute(REQUEST)
-        assert plc.state is State.CLOSED
-    assert seen == [
-        (State.CONNECTING, None),
-        (State.CONNECTED, None),
-        (State.DISCONNECTED, ModbusConnectionError),
-        (State.CLOSED, None),
-    ]
-    assert len(caplog.records) == caplog.text.count("failed") == 4
-
-
-def test_statistics_count_what_happened(world: World) -> None:
-    peer = world.peer("tcp", good)
-    with world.connect(peer.url) as plc:
-        assert plc.statistics.last_success is None
-        plc.execute_many([REQUEST] * 20)
-        assert plc.execute(REQUEST) == [5]
-        assert (plc.statistics.requests, plc.statistics.responses) == (21, 21)
-        assert plc.statistics.last_success == world.now
-        assert (plc.statistics.connects, plc.statistics.lost) == (1, 0)
 
 
 @EVERYWHERE

@@ -4,18 +4,12 @@ Contexts over their life: arguments, connecting, threads, forks, many descriptor
 
 from __future__ import annotations
 
-import contextlib
-import gc
 import os
 import resource
-import signal
-import socket
 import subprocess
 import sys
 import termios
-import threading
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -24,13 +18,11 @@ from libmodbus_py import (
     Context,
     Device,
     Mapping,
-    ModbusError,
     RtuContext,
     Server,
     TcpContext,
 )
-from tests.support.collecting import new_garbage_only
-from tests.support.peers import FakeServer, FakeUnit, mbap, until
+from tests.support.peers import FakeUnit, mbap
 
 NATIVE = pytest.mark.parametrize("native", [True, False])
 
@@ -74,29 +66,7 @@ def test_bad_argument_is_named(make, named) -> None:  # type: ignore[no-untyped-
         make()
 
 
-# --- connecting --------------------------------------------------------------------------
-
-
-def refused_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return int(listener.getsockname()[1])
-
-
 # --- threads, forks, descriptors -----------------------------------------------------------
-
-
-@NATIVE
-def test_threads_share_a_context(native: bool) -> None:
-    with (
-        FakeServer(echo_address) as server,
-        TcpContext("127.0.0.1", server.port, native=native) as context,
-        ThreadPoolExecutor(4) as pool,
-    ):
-
-        def ask(address: int) -> bool:
-            return context.read_holding_registers(address, 1) == [address]
-
-        assert all(pool.map(ask, range(500)))
 
 
 @NATIVE
@@ -170,59 +140,3 @@ def test_descriptors_beyond_1024_do_not_abort_the_process() -> None:
         [sys.executable, "-c", MANY_DESCRIPTORS], capture_output=True, text=True, timeout=30
     )
     assert done.stdout == "ok\n", done.stderr
-
-
-def test_no_descriptor_is_left_behind(port: int) -> None:
-    def use() -> None:
-        for native in (True, False):
-            with TcpContext("127.0.0.1", port, native=native) as context:
-                context.read_coils(10, 1)
-        with contextlib.suppress(ModbusError):
-            TcpContext("127.0.0.1", refused_port()).connect()
-        with contextlib.suppress(ModbusError):
-            RtuContext("/dev/null").connect()
-        with FakeUnit() as unit:
-            RtuContext(unit.path).connect()  # forgotten, not closed
-        gc.collect()
-
-    with new_garbage_only():
-        use()
-        before = len(os.listdir("/proc/self/fd"))
-        for _ in range(10):
-            use()
-        # The server, which runs in this process, closes its ends a moment later.
-        until(lambda: len(os.listdir("/proc/self/fd")) <= before)
-
-
-# --- closing -------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def ctrl_c() -> Iterator[None]:
-    """SIGINT interrupts, though a shell that runs the tests in the background ignores it."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-@pytest.mark.usefixtures("ctrl_c")
-def test_ctrl_c_in_a_request_leaves_a_usable_context() -> None:
-    with (
-        FakeServer(lambda request: [], echo_address) as server,
-        TcpContext("127.0.0.1", server.port, timeout=600, native=False) as context,
-    ):
-        threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
-        with pytest.raises(KeyboardInterrupt):
-            context.read_holding_registers(3, 1)
-        assert context.read_holding_registers(4, 1) == [4]
-
-
-@pytest.mark.parametrize("rs485", ["rts-up", "rts-down"])
-def test_rts_direction_control_still_carries_requests(rs485: str) -> None:
-    answer = bytes.fromhex("0103020007") + bytes.fromhex("f986")
-    with (
-        FakeUnit(lambda request: [answer]) as unit,
-        RtuContext(unit.path, rs485=rs485, rts_delay=0.001) as context,  # type: ignore[arg-type]
-    ):
-        for _ in range(3):
-            assert context.read_holding_registers(0, 1) == [7]

@@ -5,7 +5,6 @@ Many requests in flight on one connection: order, limits, and all that may go wr
 from __future__ import annotations
 
 import errno
-import gc
 import os
 import signal
 from collections import Counter
@@ -18,7 +17,6 @@ import pytest
 
 from libmodbus_py import (
     Context,
-    FrameError,
     IllegalDataAddress,
     InvalidResponse,
     Mapping,
@@ -26,12 +24,10 @@ from libmodbus_py import (
     ModbusError,
     ModbusTimeoutError,
     ServerDeviceBusy,
-    TcpContext,
     pdu,
 )
 from tests.support.c_programs import SOURCES, compile_c
 from tests.support.clients import BLOCKING, EVERYWHERE, Connect, Simulated, World, asking
-from tests.support.collecting import new_garbage_only
 from tests.support.interop import program
 from tests.support.peers import (
     OnRequest,
@@ -40,7 +36,6 @@ from tests.support.peers import (
     echo,
     ignore,
     mbap,
-    until,
 )
 
 UNIT = 17
@@ -146,78 +141,10 @@ def test_libmodbus_server_in_c(connect: Connect, tmp_path: Path) -> None:
     assert found == [list(range(1100 + at % 100, 1225 + at % 100)) for at in range(800)]
 
 
-@pytest.mark.parametrize("size", [1, 2, 5, 300])
-def test_answers_may_come_in_any_pieces(world: Simulated, size: int) -> None:
-    def play(requests: list[bytes], write: Write) -> None:
-        answers = b"".join(map(echo, requests))
-        for at in range(0, len(answers), size):
-            write(answers[at : at + size], after=1e-5 * at)
-
-    peer = world.peer("tcp", Gathered(world, play))
-    with world.connect(peer.url, max_in_flight=16) as context:
-        assert context.execute_many(reads(40)) == echoes(40)
-
-
-def test_answers_may_come_in_any_order(world: Simulated) -> None:
-    def play(requests: list[bytes], write: Write) -> None:
-        for request in reversed(requests):
-            write(echo(request))
-
-    peer = world.peer("tcp", Gathered(world, play))
-    with world.connect(peer.url, max_in_flight=16) as context:
-        assert context.execute_many(reads(50)) == echoes(50)
-        assert (context.late_answers, peer.connections) == (0, 1)
-
-
 def test_nothing_to_ask_needs_no_connection(connect: Connect) -> None:
     context = connect("tcp://127.0.0.1:1")
     assert context.execute_many([]) == []
     assert context.read_many({}) == {}
-
-
-# --- how many are in flight ----------------------------------------------------------------
-
-
-@pytest.mark.parametrize("limit", [1, 2, 3, 16, 100, 256])
-def test_as_many_are_in_flight_as_allowed_and_no_more(world: Simulated, limit: int) -> None:
-    waiting: list[int] = []
-    held: list[bytes] = []
-
-    def play(requests: list[bytes], write: Write) -> None:
-        held.extend(requests)
-        waiting.append(len(held))
-        # Three at a time, as long as more may come.
-        for _ in range(min(3, len(held))):
-            write(echo(held.pop(0)))
-        if len(peer.requests) == count:
-            while held:
-                write(echo(held.pop(0)))
-
-    count = 2 * limit + 10
-    peer = world.peer("tcp", Gathered(world, play))
-    with world.connect(peer.url, timeout=60, max_in_flight=256) as context:
-        assert context.execute_many(reads(count), max_in_flight=limit) == echoes(count)
-    assert len(waiting) > 3
-    assert set(waiting[:-1]) == {limit}
-    assert waiting[-1] <= limit
-
-
-def test_a_request_that_nobody_answers_makes_them_go_one_by_one(world: Simulated) -> None:
-    most = 0
-
-    def play(requests: list[bytes], write: Write) -> None:
-        nonlocal most
-        most = max(most, len(requests))
-        for request in requests:
-            if request[7] == 3:
-                write(echo(request))
-
-    listen_only = pdu.Diagnostics(pdu.SubFunction.FORCE_LISTEN_ONLY, b"\0\0")
-    peer = world.peer("tcp", Gathered(world, play))
-    with world.connect(peer.url, turnaround=0, max_in_flight=16) as context:
-        found = context.execute_many([*reads(2), listen_only, *reads(2)], return_exceptions=True)
-    assert found == [[0], [1], None, [0], [1]]
-    assert most <= 2
 
 
 # --- arguments -----------------------------------------------------------------------------
@@ -281,19 +208,6 @@ def test_request_without_an_answer_times_out_alone(world: World) -> None:
         assert peer.connections == 1
 
 
-def test_the_first_that_times_out_is_raised(world: World) -> None:
-    def play(request: bytes, write: Write) -> None:
-        if address_of(request) not in (3, 20):
-            write(echo(request))
-
-    peer = world.peer("tcp", play)
-    with (
-        world.connect(peer.url, timeout=0.3, max_in_flight=16) as context,
-        pytest.raises(ModbusTimeoutError, match="address=3"),
-    ):
-        context.execute_many(reads(40))
-
-
 def test_timeout_counts_from_when_a_request_is_sent(world: World) -> None:
     """All of them take many times as long as one may."""
     free_at = 0.0
@@ -309,21 +223,6 @@ def test_timeout_counts_from_when_a_request_is_sent(world: World) -> None:
         world.lasting(50 * 0.07, more=0.02),
     ):
         assert context.execute_many(reads(50), max_in_flight=4) == echoes(50)
-
-
-def test_trickle_does_not_extend_the_timeout(world: World) -> None:
-    def play(request: bytes, write: Write) -> None:
-        for at, byte in enumerate(echo(request)):
-            write(bytes([byte]), after=0.15 * at)
-        peer.on_request = ignore
-
-    peer = world.peer("tcp", play)
-    with (
-        world.connect(peer.url, timeout=0.2, max_in_flight=16) as context,
-        world.lasting(0.2),
-        pytest.raises(ModbusTimeoutError),
-    ):
-        context.execute_many(reads(3))
 
 
 @EVERYWHERE
@@ -425,83 +324,6 @@ def test_half_a_frame_poisons_nothing(world: World, silent: tuple[int, ...]) -> 
             assert context.read_holding_registers(address, 1) == [address]
 
 
-def test_flood_of_answers_does_not_hold_up_the_next_batch(world: World) -> None:
-    def play(request: bytes, write: Write) -> None:
-        for at in range(1000):
-            write(echo(request) * 10, after=0.001 * at)
-        peer.on_request = good if peer.connections > 1 else ignore
-
-    peer = world.peer("tcp", play)
-    with world.connect(peer.url, timeout=0.3, max_in_flight=16) as context:
-        assert context.execute_many(reads(1)) == [[0]]
-        with world.lasting(0.3), pytest.raises(ModbusTimeoutError):
-            context.execute_many(reads(20))
-
-
-@pytest.mark.parametrize("world", ["python"], indirect=True)
-@pytest.mark.parametrize("timeout", [20, 3])
-def test_id_is_not_given_again_while_its_answer_may_come(world: World, timeout: float) -> None:
-    """There are 16384 ids, and the first answer comes after 17000 others."""
-    same: list[int] = []
-    busy_until = 0.0
-
-    def play(request: bytes, write: Write) -> None:
-        nonlocal busy_until
-        held = peer.requests[0]
-        if request is held:
-            return
-        if request[:2] == held[:2]:
-            same.append(address_of(request))
-        if timeout == 3 and address_of(request) % 4000 == 0:  # each within it, all not
-            busy_until = world.now + 0.9
-        pause = max(0.0, busy_until - world.now)
-        if address_of(request) == 17_000:
-            write(echo(held), after=pause)
-        write(echo(request), after=pause)
-        peer.requests[1:] = peer.times[1:] = []
-
-    peer = world.peer("tcp", play)
-    with world.connect(peer.url, timeout=timeout, max_in_flight=16) as context:
-        first, *found = context.execute_many(reads(17_001), return_exceptions=True)
-        assert found == echoes(17_000, 1)
-        assert not same
-        if timeout == 20:
-            assert first == [0]
-        else:
-            assert isinstance(first, ModbusTimeoutError)
-            assert context.late_answers == 1
-
-
-def test_unanswered_requests_among_answered_ones_leave_the_connection(world: World) -> None:
-    def play(request: bytes, write: Write) -> None:
-        if address_of(request) % 4 == 0:
-            write(echo(request))
-
-    peer = world.peer("tcp", play)
-    with world.connect(peer.url, timeout=0.2, max_in_flight=256) as context:
-        for _ in range(7):
-            with world.lasting(0.2):
-                found = context.execute_many(reads(256), max_in_flight=256, return_exceptions=True)
-            assert len(failed(found, ModbusTimeoutError)) == 192
-        assert peer.connections == 1
-
-
-def test_three_timeouts_in_a_row_make_a_new_connection(world: World) -> None:
-    def play(request: bytes, write: Write) -> None:
-        if peer.connections > 2:
-            write(echo(request))
-
-    peer = world.peer("tcp", play)
-    with world.connect(peer.url, timeout=0.5, max_in_flight=16) as context:
-        found = context.execute_many(reads(20), max_in_flight=4, return_exceptions=True)
-        # Four were in flight on each of two connections. Connecting counts within the time-out of
-        # the first of them, which ends sooner by that: one more may go where nobody answers.
-        silent = failed(found, ModbusTimeoutError)
-        assert silent in ([*range(8)], [*range(9)])
-        assert found[len(silent) :] == echoes(20 - len(silent), len(silent))
-        assert peer.connections == 3
-
-
 # --- bad answers ---------------------------------------------------------------------------
 
 
@@ -577,45 +399,6 @@ def test_wrong_answers_spoil_their_own_requests_only(world: World) -> None:
         assert (context.late_answers, peer.connections) == (12, 1)
 
 
-def test_stream_that_cannot_be_understood_fails_all_in_flight(world: Simulated) -> None:
-    def begin(request: bytes, write: Write) -> None:
-        write(echo(request))
-        if len(peer.requests) == 4:
-            peer.on_request = Gathered(world, spoil)
-
-    def spoil(requests: list[bytes], write: Write) -> None:
-        write(echo(requests[0]) + echo(requests[1], length=999))
-        peer.on_request = good
-
-    peer = world.peer("tcp", begin)
-    with world.connect(peer.url, max_in_flight=16) as context:
-        found = context.execute_many(reads(40), max_in_flight=4, return_exceptions=True)
-        assert failed(found, FrameError) == [5, 6, 7]
-        assert all(
-            found[at].asked.startswith(f"ReadHoldingRegisters(address={at},") for at in (5, 6, 7)
-        )
-        assert [*found[:5], *found[8:]] == [*echoes(5), *echoes(32, 8)]
-        assert peer.connections == 2
-
-
-def test_frame_of_another_protocol_is_skipped_and_costs_its_own_request_alone(
-    world: World,
-) -> None:
-    def play(request: bytes, write: Write) -> None:
-        if address_of(request) in (5, 6):
-            write(echo(request, protocol=1))
-        if address_of(request) != 5:
-            write(echo(request))
-
-    peer = world.peer("tcp", play)
-    with world.connect(peer.url, timeout=0.3, max_in_flight=16) as context:
-        found = context.execute_many(reads(40), max_in_flight=4, return_exceptions=True)
-        assert isinstance(found[5], FrameError)
-        assert "protocol 1" in str(found[5])
-        assert [*found[:5], *found[6:]] == [*echoes(5), *echoes(34, 6)]
-        assert peer.connections == 1
-
-
 # --- connections that end --------------------------------------------------------------------
 
 
@@ -659,49 +442,6 @@ def test_lost_connection_fails_what_was_in_flight_and_the_rest_goes_on(world: Wo
         assert peer.connections == 3
 
 
-@pytest.mark.parametrize("max_in_flight", [1, 2, 16])
-def test_host_that_drops_connections_is_not_asked_for_ever(
-    world: World, max_in_flight: int
-) -> None:
-    peer = world.peer("tcp", lambda request, write: write(None))
-    with world.connect(peer.url, max_in_flight=16) as context:
-        found = context.execute_many(
-            reads(800), max_in_flight=max_in_flight, return_exceptions=True
-        )
-        assert all(isinstance(each, ModbusConnectionError) for each in found)
-        assert [each.asked for each in found] == [str(each) for each in reads(800)]
-        assert found[-1].sent == b""
-        assert peer.connections == 3
-
-
-@pytest.mark.parametrize("max_in_flight", [1, 16])
-def test_dead_host_costs_one_attempt(world: Simulated, max_in_flight: int) -> None:
-    world.network.unreachable.add("10.0.0.9")
-    context = world.connect("tcp://10.0.0.9", timeout=0.1)
-    with world.lasting(0.1):
-        found = context.execute_many(
-            reads(800), max_in_flight=max_in_flight, return_exceptions=True
-        )
-    assert {each.errno for each in found} == {errno.ETIMEDOUT}
-    with world.lasting(0.0, more=0.2), pytest.raises(ModbusConnectionError, match="address=0,"):
-        context.execute_many(reads(800), max_in_flight=max_in_flight)
-    context.close()
-
-
-def test_connection_closed_between_two_batches_is_made_anew(world: World) -> None:
-    def play(request: bytes, write: Write) -> None:
-        write(echo(request))
-        if len(peer.requests) % 20 == 0:
-            write(None)
-
-    peer = world.peer("tcp", play)
-    with world.connect(peer.url, max_in_flight=16) as context:
-        for _ in range(3):
-            assert context.execute_many(reads(20)) == echoes(20)
-            world.sleep(0.02)
-        assert peer.connections == 3
-
-
 # --- busy ----------------------------------------------------------------------------------
 
 
@@ -735,24 +475,6 @@ def test_busy_requests_are_asked_again(world: World, max_in_flight: int) -> None
             context.execute_many(reads(50), max_in_flight=max_in_flight)
 
 
-def test_busy_is_a_failure_without_retries(world: World) -> None:
-    peer = world.peer("tcp", busy_at_first({3: 1}))
-    with (
-        world.connect(peer.url, max_in_flight=16) as context,
-        pytest.raises(ServerDeviceBusy, match="address=3,"),
-    ):
-        context.execute_many(reads(50))
-
-
-def test_handles_of_several_units(world: World) -> None:
-    peer = world.peer(
-        "tcp", lambda request, write: write(mbap(request, b"\x03\x02\0" + request[6:7]))
-    )
-    with world.connect(peer.url, max_in_flight=16) as context:
-        assert context.for_unit(5).execute_many(reads(20)) == [[5]] * 20
-        assert context.execute_many(reads(20)) == [[1]] * 20
-
-
 # --- threads, signals, closing ---------------------------------------------------------------
 
 
@@ -772,21 +494,6 @@ def test_threads_share_a_context_and_batches(connect: Connect) -> None:
         batches = [pool.submit(many, first) for first in range(0, 500, 50)]
         singles = [pool.submit(one, address) for address in range(50)]
         assert all(each.result() for each in batches + singles)
-
-
-def test_close_ends_a_batch_that_another_thread_waits_for(connect: Connect) -> None:
-    with (
-        TcpPeer(ignore) as server,
-        connect(server.url, timeout=600) as context,
-        ThreadPoolExecutor(1) as pool,
-    ):
-        waiting = pool.submit(context.execute_many, reads(50), return_exceptions=True)
-        until(lambda: server.requests)
-        context.close()
-        assert len(failed(waiting.result(), ModbusConnectionError)) == 50
-        assert server.connections == 1
-        with pytest.raises(ModbusConnectionError, match="closed"):
-            context.execute_many(reads(1))
 
 
 @pytest.fixture
@@ -820,19 +527,3 @@ def test_fork_leaves_the_parent_alone_and_the_child_connects_anew(url: str) -> N
             os._exit("://127" in url and context.execute_many(asked) != echoes(10, 1000))
         assert os.waitpid(child, 0)[1] == 0
         assert context.execute_many(asked) == echoes(10, 1000)
-
-
-def test_no_descriptor_is_left_behind() -> None:
-    def use(port: int) -> None:
-        with TcpContext("127.0.0.1", port) as context:
-            context.execute_many(reads(40), return_exceptions=True)
-        TcpContext("127.0.0.1", port).execute_many(reads(3))
-        gc.collect()
-        until(lambda: not server._peers)
-
-    with TcpPeer(closing_after(10, lambda: server.connections)) as server, new_garbage_only():
-        use(server.port)
-        before = len(os.listdir("/proc/self/fd"))
-        for _ in range(10):
-            use(server.port)
-        assert len(os.listdir("/proc/self/fd")) <= before

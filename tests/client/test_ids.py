@@ -281,3 +281,14 @@ def test_many_callers_have_as_many_in_flight_as_there_may_be() -> None:
         talk.connection.submit(talk.batch(address), talk.now)
     assert len(talk.connection.start(talk.now)) == 16
     assert talk.connection.start(talk.now) == []
+
+
+def test_requests_are_spaced() -> None:
+    talk = Talk(request_spacing=0.25)
+    talk.ask(*range(3), limit=16)
+    talk.ask(9)
+    talk.wait(1)
+    assert talk.times == pytest.approx([0, 0.25, 0.5, 0.75])
+    talk.wait(1)
+    talk.ask(5)
+    assert talk.times[-1] == 2

@@ -4,10 +4,24 @@ Requests that are sent again, in bytes and times: when, and what becomes of thos
 
 from __future__ import annotations
 
-from libmodbus_py import FrameError, ModbusConnectionError, ModbusError, ModbusTimeoutError, pdu
-from tests.client.test_window import grown
+from typing import Any
+
+import pytest
+
+from libmodbus_py import (
+    FrameError,
+    IllegalDataAddress,
+    InvalidResponse,
+    ModbusConnectionError,
+    ModbusError,
+    ModbusTimeoutError,
+    ServerDeviceBusy,
+    pdu,
+)
 from tests.support.cases import each_case
-from tests.support.talk import LINE, TCP, Talk, kinds, rtu, tcp, value
+from tests.support.peers import UNKNOWN_FUNCTION
+from tests.support.replies import BOTH, addresses, answer, refusal, reply
+from tests.support.talk import LINE, TCP, Talk, kinds, tcp, value
 
 
 def test_all_that_are_due_leave_together() -> None:
@@ -45,45 +59,6 @@ def test_one_that_cannot_be_sent_again_leaves_the_line_to_the_next_of_its_batch(
     assert talk.is_at_rest
 
 
-def test_what_was_lost_beside_others_is_counted_as_sent_again() -> None:
-    talk = grown()
-    sent = len(talk.sent)
-    batches = [talk.ask(1), talk.ask(2), talk.ask(3)]
-    assert len(talk.sent) == sent + 3
-    talk.wait(0.25)  # the first of them is asked alone
-    assert (len(talk.sent), talk.statistics.retries) == (sent + 4, 1)
-    while not talk.is_at_rest:
-        talk.come(tcp(talk.sent[-1]))
-    assert [each.outcomes for each in batches] == [[[1]], [[2]], [[3]]]
-    assert (len(talk.sent), talk.statistics.retries) == (sent + 6, 3)
-    assert talk.statistics.timeouts == 0
-
-
-def test_what_nobody_answers_alone_either_is_not_sent_again() -> None:
-    talk = grown(timeouts_before_reconnect=99)
-    sent, limit = len(talk.sent), talk.connection.room
-    batch = talk.ask(*range(limit + 3), limit=16, go_on=True)
-    assert len(talk.sent) == sent + limit
-    talk.wait(9)
-    assert kinds(batch) == [ModbusTimeoutError] * (limit + 3)
-    # Each of them once, and one of them alone.
-    assert len(talk.sent) == sent + limit + 3 + 1
-    assert talk.statistics.retries == 1
-
-
-def answered(talk: Talk, at: int = -1) -> None:
-    """Confirm a write, or answer a read of one register with its address."""
-    adu = talk.sent[at]
-    if talk.has_ids:
-        talk.come(tcp(adu, adu[7:].hex()) if adu[7] == 6 else tcp(adu))
-    else:
-        talk.come(adu if adu[1] == 6 else value(int.from_bytes(adu[2:4], "big")))
-
-
-def refused(talk: Talk, body: str) -> None:
-    talk.come(tcp(talk.sent[-1], body) if talk.has_ids else rtu("01 " + body))
-
-
 def values(talk: Talk) -> list[int]:
     """Return what the writes that were sent write."""
     at = 7 if talk.has_ids else 1
@@ -102,7 +77,7 @@ def test_an_older_write_is_never_sent_after_a_newer_one(url: str, trouble: str) 
     newer = talk.ask(pdu.WriteRegister(1, 2))
     assert values(talk) == [1]
     if trouble == "busy":
-        refused(talk, "86 06")
+        talk.come(reply(talk, "86 06"))
     elif trouble == "silence":
         talk.wait(1)
     else:
@@ -110,9 +85,9 @@ def test_an_older_write_is_never_sent_after_a_newer_one(url: str, trouble: str) 
         talk.open()
     talk.wait_for(2)
     assert values(talk) == [1, 1]
-    answered(talk)
+    talk.come(talk.sent[-1])
     talk.wait_for(3)  # on a line the answer may be held
-    answered(talk)
+    talk.come(talk.sent[-1])
     talk.wait(0.5)
     assert (older.outcomes, newer.outcomes) == ([None], [None])
     assert values(talk) == [1, 1, 2]
@@ -124,7 +99,7 @@ def test_with_a_given_number_an_older_write_fails_once_a_newer_one_was_sent(trou
     older = talk.ask(pdu.WriteRegister(1, 1))
     newer = talk.ask(pdu.WriteRegister(1, 2))
     assert values(talk) == [1, 2]
-    answered(talk)
+    talk.come(talk.sent[-1])
     assert newer.outcomes == [None]
     if trouble == "busy":
         talk.come(tcp(talk.sent[0], "86 06"))
@@ -149,13 +124,171 @@ def test_what_waits_behind_a_repetition_fails_with_it_when_no_connection_is_made
         assert batch.is_done
 
 
-def test_a_repetition_is_not_sent_once_its_caller_has_left() -> None:
-    for url, busy in ((LINE, rtu("01 83 06")), (TCP, None)):
-        talk = Talk(url, timeout=1, busy_retries=3)
-        batch = talk.ask(1)
-        talk.come(busy or tcp(talk.sent[0], "83 06"))
+# --- again, and to the end -------------------------------------------------------------------
+
+
+@BOTH
+def test_a_request_without_an_answer_is_asked_again(url: str) -> None:
+    talk = Talk(url, timeout=1, retries=2)
+    batch = talk.ask(5)
+    talk.wait_for(3)  # on a line only after it has fallen silent
+    assert talk.times == pytest.approx([0, 1, 2] if url == TCP else [0, 2, 4])
+    talk.come(answer(talk))
+    if url != TCP:  # held until its time is over, because another answer may follow
         assert not batch.is_done
-        talk.cancel(batch)
-        talk.wait(10)
-        assert len(talk.sent) == 1
-        assert talk.is_at_rest
+        talk.wait(1)
+    assert batch.outcomes == [[5]]
+    assert talk.statistics.retries == 2
+    assert talk.is_at_rest
+
+
+@BOTH
+@pytest.mark.parametrize("trouble", ["silence", "loss", "invalid"])
+def test_repetitions_come_to_an_end(url: str, trouble: str) -> None:
+    talk = Talk(url, timeout=1, retries=1, timeouts_before_reconnect=9)
+    batch = talk.ask(5)
+    for count in (1, 2):
+        talk.wait_for(count)
+        if trouble == "loss":
+            talk.lose()
+            talk.open()
+        elif trouble == "invalid":
+            talk.come(reply(talk, "04 02 0005"))
+            if url != TCP:  # there the answer may still come
+                talk.wait(1)
+        else:
+            talk.wait(1)
+    expected = {"silence": ModbusTimeoutError, "loss": ModbusConnectionError}
+    assert kinds(batch) == [expected.get(trouble, InvalidResponse)]
+    assert len(talk.sent) == 2
+    assert talk.is_at_rest
+
+
+def test_a_damaged_answer_is_asked_for_again() -> None:
+    talk = Talk(LINE, timeout=1, retries=1)
+    batch = talk.ask(5)
+    talk.come(value(5)[:-1] + b"\0")
+    talk.wait_for(2)
+    assert talk.now == pytest.approx(1, abs=0.05)  # one timeout after the end of the frame
+    talk.come(value(5))
+    talk.wait(1)  # held, because another answer may follow
+    assert batch.outcomes == [[5]]
+    assert talk.statistics.retries == 1
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        pdu.Diagnostics(10, b"\0\0"),
+        pdu.EncapsulatedTransport(13, b""),
+        pdu.RawRequest(UNKNOWN_FUNCTION),
+    ],
+)
+def test_what_must_not_be_carried_out_twice_is_sent_once(request_: pdu.Request[Any]) -> None:
+    talk = Talk(timeout=1, retries=5)
+    batch = talk.ask(request_)
+    talk.wait(3)
+    assert kinds(batch) == [ModbusTimeoutError]
+    assert len(talk.sent) == 1
+
+
+def test_a_refusal_is_not_repeated() -> None:
+    talk = Talk(retries=5, busy_retries=5)
+    batch = talk.ask(5)
+    talk.come(refusal(talk, 2))
+    assert kinds(batch) == [IllegalDataAddress]
+
+
+@BOTH
+def test_a_busy_device_is_asked_again_after_growing_pauses(url: str) -> None:
+    """0.1, 0.2, 0.4, 0.8, 1, 1 s; what may not be sent twice was not carried out."""
+    talk = Talk(url, busy_retries=6)
+    batch = talk.ask(pdu.Diagnostics(0, b"\0\1"))
+    for code in (6, 5, 6, 5, 6, 5, 6):
+        talk.come(reply(talk, f"88 {code:02X}"))
+        talk.wait(1)
+    assert kinds(batch) == [ServerDeviceBusy]
+    assert talk.times[1] == pytest.approx(0.1)
+    assert talk.times[2] == pytest.approx(1.2)
+    assert talk.times[5] == pytest.approx(5)
+    assert len(talk.sent) == 7
+    assert talk.statistics.exceptions == 7
+    assert talk.statistics.retries == 6
+
+
+@BOTH
+def test_nothing_overtakes_a_repetition_with_one_in_flight(url: str) -> None:
+    talk = Talk(url, timeout=1, retries=1, busy_retries=1)
+    batch = talk.ask(10, 11, 12)
+    talk.come(refusal(talk, 6))
+    assert addresses(talk) == [10]
+    talk.wait(0.1)
+    talk.come(answer(talk))
+    talk.wait_for(4)
+    assert addresses(talk) == [10, 10, 11, 11]
+    talk.come(answer(talk))
+    talk.wait_for(5)  # on a line the answer is held: another one may follow
+    talk.come(answer(talk))
+    assert batch.outcomes == [[10], [11], [12]]
+    assert addresses(talk) == [10, 10, 11, 11, 12]
+    assert talk.is_at_rest
+
+
+def test_a_repetition_keeps_its_place_among_those_in_flight() -> None:
+    talk = Talk(busy_retries=1)
+    batch = talk.ask(*range(4), limit=2)
+    talk.come(refusal(talk, 6, 0))
+    assert addresses(talk) == [0, 1]
+    talk.come(answer(talk, 1))
+    assert addresses(talk) == [0, 1, 2]
+    talk.wait(0.1)
+    assert addresses(talk) == [0, 1, 2, 0]
+    talk.come(answer(talk, 2), answer(talk, 3))
+    talk.come(answer(talk))
+    assert batch.outcomes == [[0], [1], [2], [3]]
+
+
+def test_what_comes_behind_a_failure_is_not_repeated() -> None:
+    talk = Talk(busy_retries=5)
+    batch = talk.ask(0, 1, 2, limit=16)
+    talk.come(refusal(talk, 6, 2), refusal(talk, 2, 1))
+    talk.wait(0.5)
+    assert addresses(talk) == [0, 1, 2]
+    talk.come(answer(talk, 0))
+    assert kinds(batch)[:2] == [[0], IllegalDataAddress]
+    assert talk.is_at_rest
+
+
+@BOTH
+def test_others_are_asked_during_a_pause(url: str) -> None:
+    talk = Talk(url, busy_retries=1)
+    busy = talk.ask(1)
+    talk.come(refusal(talk, 6))
+    other = talk.ask(2, unit=2)
+    talk.come(answer(talk))
+    assert other.outcomes == [[2]]
+    talk.wait(0.1)
+    talk.come(answer(talk))
+    assert busy.outcomes == [[1]]
+
+
+def test_a_repetition_over_a_new_connection_waits_for_it_no_longer_than_a_timeout() -> None:
+    talk = Talk(timeout=1, retries=1)
+    batch = talk.ask(1)
+    talk.lose()
+    assert talk.connection.is_wanted
+    talk.wait(1)
+    assert kinds(batch) == [ModbusConnectionError]
+    assert "no connection" in str(batch.outcomes[0])
+    assert not talk.connection.is_wanted
+
+
+@BOTH
+def test_a_cancelled_repetition_is_forgotten(url: str) -> None:
+    talk = Talk(url, busy_retries=1)
+    batch = talk.ask(1)
+    talk.come(refusal(talk, 6))
+    talk.cancel(batch)
+    talk.wait(5)
+    assert len(talk.sent) == 1
+    assert talk.is_at_rest

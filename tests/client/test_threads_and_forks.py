@@ -7,7 +7,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import copy
-import errno
 import gc
 import os
 import pickle
@@ -28,7 +27,6 @@ from libmodbus_py import (
     Device,
     Mapping,
     ModbusConnectionError,
-    ModbusError,
     ModbusTimeoutError,
     RtuContext,
     Server,
@@ -330,39 +328,6 @@ def closing(request: bytes) -> Iterator[bytes]:
     raise OSError
 
 
-@ALL
-def test_a_udp_port_that_goes_away_in_the_middle_and_comes_back(kind: str) -> None:
-    def bound(port: int = 0) -> socket.socket:
-        made = socket.socket(type=socket.SOCK_DGRAM)
-        made.bind(("127.0.0.1", port))
-        made.settimeout(2)
-        return made
-
-    def serve(server: socket.socket, count: int) -> None:
-        for _ in range(count):
-            request, peer = server.recvfrom(300)
-            server.sendto(answer(request, "udp"), peer)
-
-    server = bound()
-    port = server.getsockname()[1]
-    with asking(kind, f"udp://127.0.0.1:{port}", timeout=0.3) as client:
-        for times in range(3):
-            with server:
-                thread = threading.Thread(target=serve, args=(server, 3))
-                thread.start()
-                answered = 0
-                while answered < 3:
-                    with contextlib.suppress(ModbusError):
-                        assert read(client, times) == times
-                        answered += 1
-                thread.join()
-            for _ in range(2):
-                with pytest.raises(ModbusError):
-                    read(client, 9)
-            server = bound(port)
-        server.close()
-
-
 # --- the process ----------------------------------------------------------------------------------
 
 
@@ -478,34 +443,6 @@ def test_no_descriptor_or_thread_is_left_by_clients_of_any_fate(native: bool) ->
             for _ in range(3):
                 live()
             assert left() <= before
-
-
-@ALL
-def test_too_many_open_files_is_a_connection_error_and_passes(kind: str) -> None:
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    with (
-        FakeServer(closing) as server,
-        asking(kind, f"tcp://127.0.0.1:{server.port}", retries=0) as client,
-    ):
-        assert read(client, 1) == 1
-        time.sleep(0.02)
-        # The end of the connection is seen then, and the next one cannot be made.
-        resource.setrlimit(resource.RLIMIT_NOFILE, (3, hard))
-        try:
-            failed = [caught(read, client, 2) for _ in range(2)]
-        finally:
-            resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-        assert [type(each) for each in failed] == [ModbusConnectionError] * 2
-        assert failed[0].errno == errno.EMFILE
-        assert read(client, 3) == 3
-
-
-def caught(act: Callable[..., object], *args: Any) -> Any:
-    try:
-        act(*args)
-    except ModbusError as error:
-        return error
-    return None
 
 
 @ALL

@@ -5,8 +5,6 @@ The blocking client over UDP: datagrams that are lost, late, doubled, damaged or
 from __future__ import annotations
 
 import errno
-import gc
-import os
 import socket
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -27,7 +25,6 @@ from libmodbus_py import (
 )
 from libmodbus_py.client.blocking import UdpContext
 from tests.support.clients import EVERYWHERE, Connect, World
-from tests.support.collecting import new_garbage_only
 from tests.support.peers import Answer, UdpPeer, Write, answering, echo, mbap
 
 
@@ -289,20 +286,3 @@ def test_name_that_does_not_resolve(connect: Connect, host: str) -> None:
     with pytest.raises(ModbusConnectionError, match="cannot resolve host") as caught:
         connect(f"udp://{host}").read_coils(0, 1)
     assert caught.value.__cause__ is not None
-
-
-def test_no_descriptor_is_left_behind(connect: Connect, refused_port: int) -> None:
-    def use(port: int) -> None:
-        with connect(f"udp://127.0.0.1:{port}") as context:
-            context.read_holding_registers(1, 1)
-        UdpContext("127.0.0.1", port).read_holding_registers(1, 1)  # forgotten, not closed
-        with pytest.raises(ModbusConnectionError):
-            connect(f"udp://127.0.0.1:{refused_port}").read_coils(0, 1)
-        gc.collect()
-
-    with UdpPeer(answering(good)) as server, new_garbage_only():
-        use(server.port)
-        before = len(os.listdir("/proc/self/fd"))
-        for _ in range(20):
-            use(server.port)
-        assert len(os.listdir("/proc/self/fd")) <= before

@@ -1,0 +1,371 @@
+"""
+Callers in bytes and times: who is told what, who leaves, who is interrupted.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import logging
+import math
+from typing import Any
+
+import pytest
+
+from libmodbus_py import FrameError, IllegalDataAddress, ModbusConnectionError, pdu
+from libmodbus_py.client.call import NOT_ASKED, Batch
+from libmodbus_py.client.reconnecting import State
+from libmodbus_py.ports.trace import Traced
+from tests.support.cases import each_case
+from tests.support.replies import BOTH, answer, refusal
+from tests.support.talk import ASCII, LINE, TCP, Talk, ascii_frame, kinds, tcp
+
+
+@BOTH
+def test_all_is_counted(url: str) -> None:
+    talk = Talk(url, timeout=1, retries=1)
+    talk.ask(1)
+    talk.come(answer(talk))
+    talk.wait_until(1)
+    talk.ask(2)
+    talk.come(refusal(talk, 2))
+    talk.ask(3, retries=0)
+    talk.wait(1)
+    talk.come(answer(talk))
+    talk.lose()
+    statistics = talk.statistics
+    assert (statistics.requests, statistics.responses, statistics.exceptions) == (3, 2, 1)
+    assert (statistics.timeouts, statistics.late_answers, statistics.retries) == (1, 1, 0)
+    assert (statistics.connects, statistics.lost, statistics.failed_connects) == (1, 1, 0)
+    assert statistics.last_success == 1
+    talk.fail()
+    assert statistics.failed_connects == 1
+
+
+def test_a_trace_is_told_of_everything() -> None:
+    for url, garbage in ((TCP, "0001 0007 0003 01 83 02"), (LINE, "55 AA 55 AA"), (ASCII, "3A")):
+        told: list[Traced] = []
+        talk = Talk(url, trace=told.append, timeout=1)
+        talk.ask(5)
+        noise = bytes.fromhex(garbage)
+        right = ascii_frame("01 03 02 0005") if url == ASCII else answer(talk)
+        talk.come(noise)
+        talk.come(right)
+        talk.wait(0.03)
+        assert [(each.direction, each.adu) for each in (told[0], told[-1])] == [
+            ("sent", talk.sent[0]),
+            ("received", right),
+        ]
+        assert {(each.unit, each.function) for each in (told[0], told[-1])} == {(1, 3)}
+        if url != ASCII:
+            assert told[1].adu == noise
+            assert (told[1].unit, told[1].function) == (None, None)
+        assert all(each.endpoint.startswith(url) for each in told)
+        assert "unit 1, function 3: " in str(told[0])
+
+
+@BOTH
+def test_a_trace_that_fails_harms_nobody(url: str, caplog: pytest.LogCaptureFixture) -> None:
+    def broken(traced: Traced) -> None:
+        raise ZeroDivisionError
+
+    talk = Talk(url, trace=broken)
+    batch = talk.ask(5)
+    talk.come(answer(talk))
+    assert batch.outcomes == [[5]]
+    assert [record.exc_info is not None for record in caplog.records] == [True, True]
+
+
+def test_the_logger_of_the_wire_has_the_same(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.DEBUG, "libmodbus_py.wire"):
+        talk = Talk()
+        talk.ask(0x6B, unit=17)
+        talk.come(answer(talk))
+    assert "> unit 17, function 3: 00 01 00 00 00 06 11 03 00 6b 00 01" in caplog.text
+    assert "< unit 17, function 3: 00 01 00 00 00 05 11 03 02 00 6b" in caplog.text
+
+
+class Failing(pdu.ReadHoldingRegisters):
+    """A request class with a mistake in it, or one that a signal meets."""
+
+    __slots__ = ()
+    error: BaseException
+
+    def _decode_response(self, pdu: bytes) -> list[int]:
+        raise type(self).error
+
+
+@BOTH
+@pytest.mark.parametrize(
+    "error", [ZeroDivisionError(), ValueError(), KeyboardInterrupt(), asyncio.CancelledError()]
+)
+def test_what_a_request_class_raises_reaches_its_own_caller_only(
+    url: str, error: BaseException
+) -> None:
+    kind = type("Kind", (Failing,), {"__slots__": (), "error": error})
+    talk = Talk(url)
+    for go_on in (True, False):
+        before, batch, after = (
+            talk.ask(1),
+            talk.ask(2, kind(3, 1), 4, limit=16, go_on=go_on),
+            talk.ask(5),
+        )
+        while not (after.is_done and batch.is_done):
+            talk.come(answer(talk))
+            for at in range(len(talk.sent)):
+                if talk.has_ids:
+                    talk.come(answer(talk, at))
+        assert (before.outcomes, after.outcomes) == ([[1]], [[5]])
+        assert batch.outcomes[:2] == [[2], error]
+        assert batch.is_done  # nothing is tolerated but a ModbusError
+    assert talk.is_at_rest
+
+
+def test_an_outcome_that_cannot_be_compared_harms_nobody() -> None:
+    class Stubborn:
+        def __eq__(self, other: object) -> bool:
+            raise ValueError("the truth of an array is ambiguous")
+
+        __hash__ = None  # type: ignore[assignment]
+
+    class Array(pdu.ReadHoldingRegisters):
+        __slots__ = ()
+
+        def _decode_response(self, pdu: bytes) -> Any:
+            return Stubborn()
+
+    talk = Talk()
+    batch = talk.ask(1, Array(2, 1), Array(3, 1), limit=16)
+    talk.come(answer(talk, 1), answer(talk, 2), refusal(talk, 2, 0))
+    assert kinds(batch)[0] is IllegalDataAddress
+    assert batch.is_done
+
+
+# --- who leaves ------------------------------------------------------------------------------
+
+
+@BOTH
+def test_they_are_told_nothing_any_more(url: str) -> None:
+    talk = Talk(url, timeout=1)
+    batch = talk.batch(1)
+    told: list[Batch] = []
+    batch.on_done = told.append
+    talk.connection.submit(batch, talk.now)
+    talk.start()
+    talk.cancel(batch)
+    talk.wait(3)
+    assert batch.is_done
+    assert told == []
+
+
+def test_requests_that_were_not_sent_are_no_sign_of_a_dead_device() -> None:
+    talk = Talk(timeout=1, max_in_flight=1)
+    talk.ask(1)
+    for each in [talk.ask(2), talk.ask(3), talk.ask(4)]:
+        talk.cancel(each)
+    talk.wait(1)
+    batch = talk.ask(5)
+    assert talk.connection.broken is None
+    talk.come(tcp(talk.sent[-1]))
+    assert batch.outcomes == [[5]]
+
+
+@BOTH
+def test_nobody_has_a_connection_made_for_their_repetitions(url: str) -> None:
+    talk = Talk(url, busy_retries=1)
+    batch = talk.ask(1)
+    talk.come(refusal(talk, 6))
+    assert talk.connection.is_wanted
+    talk.cancel(batch)
+    assert talk.is_at_rest
+
+
+def test_who_only_waits_for_a_connection_is_told_why_there_is_none() -> None:
+    talk = Talk(is_open=False)
+    joining, left = talk.join(), talk.join()
+    talk.connection.withdraw(left, talk.now)
+    talk.fail()
+    assert isinstance(joining.outcome, ModbusConnectionError)
+    assert joining.outcome.errno == 111
+    assert left.outcome is NOT_ASKED
+    assert talk.is_at_rest
+
+
+def test_who_is_refused_does_not_wait() -> None:
+    talk = Talk()
+    talk.connection.closed(ModbusConnectionError("closed", errno=errno.EBADF), talk.now)
+    assert talk.ask(1).is_done
+    assert talk.is_at_rest
+    assert talk.connection.alarm == float("inf")
+
+
+def test_requests_go_out_before_answers_are_decoded() -> None:
+    talk = Talk(max_in_flight=2)
+    batches = [talk.ask(1), talk.ask(2), talk.ask(3)]
+    talk.connection.take([tcp(talk.sent[0])], talk.now)
+    talk.start()
+    assert not batches[0].is_done
+    assert len(talk.sent) == 3
+    talk.connection.take([tcp(talk.sent[1]), tcp(talk.sent[2])], talk.now)
+    talk.connection.settle(talk.now)
+    assert [each.outcomes for each in batches] == [[[1]], [[2]], [[3]]]
+
+
+def test_an_answer_of_may_send_that_is_false_is_no_mistake(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    for allowed in (False, True):
+        talk = Talk(may_send=lambda allowed=allowed: allowed)
+        batch = talk.ask(1)
+        assert batch.is_done is not allowed
+        assert caplog.records == []
+    for mistake in (1, 0, None, "yes"):
+        talk = Talk(may_send=lambda mistake=mistake: mistake)
+        (outcome,) = talk.ask(1).outcomes
+        assert isinstance(outcome, ModbusConnectionError)
+        assert outcome.errno == errno.EPERM
+        assert caplog.records
+        caplog.clear()
+
+
+def test_a_batch_that_failed_while_it_waited_can_be_left() -> None:
+    talk = Talk(max_in_flight=4)
+    batch = talk.ask(*range(9), limit=16)
+    assert len(talk.sent) == 4
+    talk.come(tcp(talk.sent[3], "83 02"))
+    talk.come(tcp(talk.sent[0]))
+    talk.cancel(batch)
+    assert talk.is_at_rest
+
+
+def test_nothing_is_sent_over_a_connection_that_is_out_of_step() -> None:
+    talk = Talk(max_in_flight=1)
+    first, second = talk.ask(1), talk.ask(2)
+    talk.come(bytes.fromhex("0001 0000 0000"))
+    assert kinds(first) == [FrameError]
+    assert len(talk.sent) == 1
+    talk.leave_broken()
+    talk.open()
+    talk.come(tcp(talk.sent[-1]))
+    assert second.outcomes == [[2]]
+
+
+def test_only_one_request_of_a_batch_fails_at_once_where_a_line_does_not_fall_silent() -> None:
+    """The next one has its own time to wait for silence."""
+    talk = Talk(LINE, timeout=1)
+    talk.ask(1)
+    talk.wait(1)
+    batch = talk.ask(2, 3, go_on=True)
+    for _ in range(9):
+        talk.come(b"\xff")
+        talk.wait(0.25)
+        if kinds(batch)[0] is FrameError:
+            break
+    assert kinds(batch) == [FrameError, NOT_ASKED]
+    assert len(talk.sent) == 1
+
+
+# --- who is interrupted ----------------------------------------------------------------------
+
+LATE = ModbusConnectionError("no connection in time", errno=errno.ETIMEDOUT)
+
+
+INTERRUPTED = ModbusConnectionError("interrupted", errno=errno.EINTR)
+
+
+def test_an_attempt_may_take_as_long_as_the_caller_with_most_time_waits() -> None:
+    talk = Talk(is_open=False)
+    assert talk.connection.connect_until() == 0.0
+    for timeout in (1, 3, 2):
+        talk.ask(1, timeout=timeout)
+    assert talk.connection.connect_until() == 3
+
+
+@each_case(("until", "is_done"), [(1.0, False), (2.9, False), (3.0, True), (math.inf, True)])
+def test_who_has_more_time_than_the_attempt_waits_for_the_next(until: float, is_done: bool) -> None:
+    talk = Talk(is_open=False, max_pause=0)
+    short, long = talk.ask(1, timeout=1), talk.ask(2, timeout=3)
+    talk.life.connecting()
+    talk.now = 1.0
+    talk.connection.failed(LATE, talk.now, until)
+    assert kinds(short) == [ModbusConnectionError]
+    assert long.is_done is is_done
+    assert talk.connection.is_wanted is not is_done
+    if not is_done:
+        assert talk.connection.alarm <= 3.0
+        talk.wait_until(2.9)
+        assert not long.is_done
+        talk.wait_until(3.0)
+        assert "no connection" in str(long.outcomes[0])
+    assert talk.is_at_rest
+
+
+def test_a_refused_attempt_fails_all_who_wait() -> None:
+    talk = Talk(is_open=False, max_pause=0)
+    batch = talk.ask(1, timeout=9)
+    talk.life.connecting()
+    refused = ModbusConnectionError("refused", errno=errno.ECONNREFUSED)
+    talk.connection.failed(refused, 0.5, 1.0)
+    assert kinds(batch) == [ModbusConnectionError]
+    assert batch.outcomes[0].errno == errno.ECONNREFUSED
+
+
+@BOTH
+def test_nothing_is_left_of_what_was_interrupted(url: str) -> None:
+    talk = Talk(url, timeout=1, busy_retries=1, turnaround=0.5)
+    busy = talk.ask(1)
+    talk.come(refusal(talk, 6))
+    everyone = talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
+    asked, waiting = talk.ask(2), talk.ask(3)
+    sent = len(talk.sent)
+    talk.connection.interrupted(INTERRUPTED, talk.now)
+    assert talk.is_at_rest
+    assert talk.life.state is State.DISCONNECTED
+    # On a line, the broadcast waited for the repetition before it.
+    assert talk.statistics.results[6, "cancelled"] == (url == TCP)
+    talk.open()
+    talk.wait(5)
+    assert len(talk.sent) == sent
+    assert not any(each.is_done for each in (busy, everyone, asked, waiting))
+    batch = talk.ask(7)
+    talk.come(answer(talk))
+    assert batch.outcomes == [[7]]
+
+
+@BOTH
+def test_a_broadcast_that_was_interrupted_holds_nobody_up(url: str) -> None:
+    talk = Talk(url, timeout=1, turnaround=5)
+    everyone = talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
+    talk.connection.interrupted(INTERRUPTED, talk.now)
+    assert talk.statistics.results[6, "cancelled"] == 1
+    assert not everyone.is_done
+    talk.open()
+    batch = talk.ask(7)
+    talk.wait_for(2)
+    assert talk.now < 1
+    talk.come(answer(talk))
+    assert batch.outcomes == [[7]]
+
+
+def test_an_attempt_that_was_interrupted_is_given_up() -> None:
+    talk = Talk(is_open=False)
+    talk.ask(1)
+    talk.life.connecting()
+    talk.connection.interrupted(INTERRUPTED, talk.now)
+    assert talk.life.state is State.DISCONNECTED
+    assert talk.is_at_rest
+    talk.open()
+    assert talk.sent == []
+
+
+def test_a_connection_that_was_lost_begins_with_nothing_in_flight() -> None:
+    talk = Talk(LINE, turnaround=5)
+    everyone = talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
+    talk.lose()
+    assert kinds(everyone) == [ModbusConnectionError]
+    assert talk.connection.in_flight == 0
+    talk.open()
+    talk.ask(1)
+    talk.wait_for(2)
+    assert talk.now < 5
+    assert talk.connection.in_flight == 1

@@ -1,0 +1,373 @@
+"""
+Reads that are lost beside others are asked again alone, in bytes and times; writes are not.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from libmodbus_py import ModbusConnectionError, ModbusTimeoutError, ServerDeviceBusy, pdu
+from tests.support.cases import each_case
+from tests.support.talk import Talk, kinds, tcp
+
+
+def grown(timeout: float = 1, **options: Any) -> Talk:
+    """Return a talk that may have several requests in flight; all answers took no time."""
+    talk = Talk(max_in_flight=None, timeout=timeout, **options)
+    talk.ask(*range(7), limit=16)
+    while len(talk.sent) < 7 or not talk.is_at_rest:
+        pending = talk.connection.in_flight
+        talk.come(*[tcp(each) for each in talk.sent[len(talk.sent) - pending :]])
+    assert talk.connection.room >= 4
+    return talk
+
+
+def test_the_number_doubles_when_all_of_as_many_were_answered() -> None:
+    talk = Talk(max_in_flight=None)
+    talk.ask(*range(100), limit=99)
+    rounds = []
+    while not talk.is_at_rest:
+        pending = talk.connection.in_flight
+        rounds.append(pending)
+        last = talk.sent[len(talk.sent) - pending :]
+        talk.connection.take([tcp(each) for each in last], talk.now)
+        talk.connection.settle(talk.now)
+        talk.start()
+    assert rounds[:6] == [1, 2, 4, 8, 16, 16]
+
+
+def test_the_number_does_not_grow_where_nobody_asks_more() -> None:
+    talk = Talk(max_in_flight=None)
+    for address in range(50):
+        talk.ask(address)
+        talk.come(tcp(talk.sent[-1]))
+    assert talk.connection.room == 2
+
+
+def test_a_read_is_lost_after_a_quarter_of_its_timeout() -> None:
+    talk = grown(timeout=4)
+    sent = len(talk.sent)
+    one, other = talk.ask(1), talk.ask(2)
+    talk.come(tcp(talk.sent[-1]))
+    talk.wait(0.99)
+    assert len(talk.sent) == sent + 2
+    talk.wait(0.01)
+    assert len(talk.sent) == sent + 3
+    assert talk.sent[-1][2:] == talk.sent[sent][2:]
+    talk.come(tcp(talk.sent[-1]))
+    assert (one.outcomes, other.outcomes) == ([[1]], [[2]])
+    assert talk.connection.room == talk.statistics.falls == 1
+
+
+def test_a_read_is_not_lost_before_twice_the_time_of_the_slowest_answer() -> None:
+    talk = grown(timeout=4)
+    slow = talk.ask(1)
+    talk.wait(1.5)
+    talk.come(tcp(talk.sent[-1]))
+    assert slow.outcomes == [[1]]
+    sent = len(talk.sent)
+    talk.ask(1), talk.ask(2)
+    talk.come(tcp(talk.sent[-1]))
+    talk.wait(2.99)
+    assert len(talk.sent) == sent + 2
+    talk.wait(0.01)
+    assert len(talk.sent) == sent + 3
+
+
+def test_nothing_is_sent_beside_the_repetition_nor_before_it() -> None:
+    talk = grown(timeout=4)
+    one, other = talk.ask(1), talk.ask(2)
+    talk.wait(0.5)
+    third = talk.ask(3)
+    sent = len(talk.sent)
+    talk.wait(0.5)  # the first two are lost; the third is in flight
+    fourth = talk.ask(4)
+    assert len(talk.sent) == sent
+    assert talk.connection.room == 0
+    talk.come(tcp(talk.sent[-1]))
+    assert third.outcomes == [[3]]
+    assert [adu[9] for adu in talk.sent[sent:]] == [1]
+    talk.come(tcp(talk.sent[-1]))
+    assert [adu[9] for adu in talk.sent[sent:]] == [1, 2]
+    talk.come(tcp(talk.sent[-1]))
+    assert [adu[9] for adu in talk.sent[sent:]] == [1, 2, 4]
+    talk.come(tcp(talk.sent[-1]))
+    assert [each.outcomes for each in (one, other, fourth)] == [[[1]], [[2]], [[4]]]
+    assert talk.is_at_rest
+
+
+@each_case("second", [False, True])
+def test_the_answer_to_either_is_taken_and_the_other_is_dropped(second: bool) -> None:
+    """Only if the first one stays without an answer, the device takes one at a time."""
+    talk = grown(timeout=4)
+    first = len(talk.sent)
+    one, other = talk.ask(1), talk.ask(2)
+    talk.come(tcp(talk.sent[-1]))
+    talk.wait(1)
+    both = talk.sent[first], talk.sent[-1]
+    talk.come(tcp(both[second]))
+    assert (one.outcomes, other.outcomes) == ([[1]], [[2]])
+    assert talk.statistics.falls == second
+    talk.come(tcp(both[not second]))
+    assert talk.statistics.late_answers == 1
+    batch = talk.ask(9)
+    talk.come(tcp(talk.sent[-1]))
+    assert batch.outcomes == [[9]]
+    assert talk.is_at_rest
+
+
+def test_a_repetition_has_its_own_time() -> None:
+    talk = grown(timeout=4)
+    one, other = talk.ask(1), talk.ask(2)
+    talk.come(tcp(talk.sent[-1]))
+    talk.wait(4.9)
+    assert (one.is_done, other.is_done) == (False, True)
+    talk.wait(0.1)
+    assert kinds(one) == [ModbusTimeoutError]
+    assert talk.statistics.falls == 0
+    assert talk.connection.room >= 4
+
+
+def test_one_that_was_alone_is_not_sent_again() -> None:
+    talk = grown()
+    batch, sent = talk.ask(1), len(talk.sent)
+    talk.wait(2)
+    assert kinds(batch) == [ModbusTimeoutError]
+    assert len(talk.sent) == sent
+
+
+def test_a_write_is_alone_and_not_sent_again() -> None:
+    talk = grown()
+    sent = len(talk.sent)
+    reading = talk.ask(1)
+    writes = [talk.ask(pdu.WriteRegister(1, 1)), talk.ask(pdu.Diagnostics(10, b"\0\0"))]
+    last = talk.ask(2)
+    assert len(talk.sent) == sent + 1
+    talk.come(tcp(talk.sent[-1]))
+    assert len(talk.sent) == sent + 2
+    talk.wait(1)
+    assert len(talk.sent) == sent + 3
+    talk.wait(1)
+    assert len(talk.sent) == sent + 4
+    talk.come(tcp(talk.sent[-1]))
+    assert (reading.outcomes, last.outcomes) == ([[1]], [[2]])
+    assert [kinds(each) for each in writes] == [[ModbusTimeoutError]] * 2
+    assert talk.statistics.retries == 0
+
+
+def test_busy_alone_is_the_answer() -> None:
+    talk = grown()
+    one, other = talk.ask(1), talk.ask(2)
+    talk.come(tcp(talk.sent[-2], "83 06"), tcp(talk.sent[-1]))
+    talk.come(tcp(talk.sent[-1], "83 06"))
+    assert (kinds(one), other.outcomes) == ([ServerDeviceBusy], [[2]])
+
+
+@pytest.mark.parametrize("when", ["before the repetition", "in the repetition"])
+def test_a_caller_who_leaves_holds_nobody_up(when: str) -> None:
+    talk = grown()
+    one, other = talk.ask(1), talk.ask(2)
+    if when == "before the repetition":
+        talk.wait(0.1)
+        third = talk.ask(3)  # in flight while the two are lost
+        talk.wait(0.2)
+        talk.cancel(one)
+        talk.come(tcp(talk.sent[-1]))
+        assert third.outcomes == [[3]]
+    else:
+        talk.wait(0.25)
+        talk.cancel(one)
+    talk.come(tcp(talk.sent[-1]))
+    assert other.outcomes == [[2]]
+    assert talk.is_at_rest
+
+
+@pytest.mark.parametrize("end", ["lost", "closed", "refused"])
+def test_what_was_lost_ends_with_the_connection(end: str) -> None:
+    allowed = [True]
+    talk = grown(may_send=lambda: allowed[-1])
+    batches = [talk.ask(1), talk.ask(2), talk.ask(3)]
+    talk.wait(0.25)  # one of them is asked alone
+    assert talk.connection.room == 0
+    error = ModbusConnectionError("the end")
+    if end == "lost":
+        talk.lose(error)
+    elif end == "closed":
+        talk.connection.closed(error, talk.now)
+    else:
+        allowed.append(False)
+        talk.start()
+        talk.wait(1)
+        allowed.append(True)
+    assert all(batch.is_done for batch in batches)
+    assert talk.is_at_rest
+    if end != "closed":
+        talk.lose()
+        talk.open()
+        batch = talk.ask(9)
+        talk.come(tcp(talk.sent[-1]))
+        assert batch.outcomes == [[9]]
+
+
+def test_what_was_lost_beside_others_is_counted_as_sent_again() -> None:
+    talk = grown()
+    sent = len(talk.sent)
+    batches = [talk.ask(1), talk.ask(2), talk.ask(3)]
+    assert len(talk.sent) == sent + 3
+    talk.wait(0.25)  # the first of them is asked alone
+    assert (len(talk.sent), talk.statistics.retries) == (sent + 4, 1)
+    while not talk.is_at_rest:
+        talk.come(tcp(talk.sent[-1]))
+    assert [each.outcomes for each in batches] == [[[1]], [[2]], [[3]]]
+    assert (len(talk.sent), talk.statistics.retries) == (sent + 6, 3)
+    assert talk.statistics.timeouts == 0
+
+
+def test_what_nobody_answers_alone_either_is_not_sent_again() -> None:
+    talk = grown(timeouts_before_reconnect=99)
+    sent, limit = len(talk.sent), talk.connection.room
+    batch = talk.ask(*range(limit + 3), limit=16, go_on=True)
+    assert len(talk.sent) == sent + limit
+    talk.wait(9)
+    assert kinds(batch) == [ModbusTimeoutError] * (limit + 3)
+    # Each of them once, and one of them alone.
+    assert len(talk.sent) == sent + limit + 3 + 1
+    assert talk.statistics.retries == 1
+
+
+def test_another_device_behind_the_address_is_asked_with_one_request_at_first() -> None:
+    for by_itself in (True, False):
+        talk = Talk(max_in_flight=None)
+        talk.ask(*range(7), limit=16)
+        while not talk.is_at_rest:
+            pending = talk.connection.in_flight
+            talk.come(*[tcp(each) for each in talk.sent[len(talk.sent) - pending :]])
+        assert talk.connection.room >= 4
+        talk.lose(by_itself=by_itself)
+        talk.open()
+        assert talk.connection.room == 1
+
+
+# --- which requests --------------------------------------------------------------------------
+
+READS = [
+    pdu.ReadCoils(0, 1),
+    pdu.ReadDiscreteInputs(0, 1),
+    pdu.ReadHoldingRegisters(0, 1),
+    pdu.ReadInputRegisters(0, 1),
+    pdu.ReadExceptionStatus(),
+    pdu.ReadCommEventCounter(),
+    pdu.ReadCommEventLog(),
+    pdu.ReportServerId(),
+    pdu.ReadFileRecords(((4, 1, 2),)),
+    pdu.ReadFifoQueue(0),
+    pdu.ReadDeviceIdentification(1),
+]
+
+
+WRITES = [
+    pdu.WriteCoil(0, True),
+    pdu.WriteRegister(0, 1),
+    pdu.WriteCoils(0, (True,)),
+    pdu.WriteRegisters(0, (1,)),
+    pdu.WriteFileRecords(((4, 1, (2,)),)),
+    pdu.MaskWriteRegister(0, 0, 1),
+    pdu.ReadWriteRegisters(0, 1, 0, (1,)),
+]
+
+
+@each_case("request", READS, ids=repr)
+def test_a_read_is_asked_again_alone(request: Any) -> None:
+    talk = grown()
+    sent = len(talk.sent)
+    talk.ask(request), talk.ask(1)
+    assert len(talk.sent) == sent + 2
+    talk.come(tcp(talk.sent[-1]))
+    talk.wait(0.25)
+    assert [adu[2:] for adu in talk.sent[sent + 2 :]] == [talk.sent[sent][2:]]
+
+
+@each_case("request", WRITES, ids=repr)
+def test_a_write_is_sent_beside_no_other_and_once(request: Any) -> None:
+    talk = grown()
+    sent = len(talk.sent)
+    batch = talk.ask(request)
+    other = talk.ask(1)
+    talk.wait(0.99)
+    assert len(talk.sent) == sent + 1
+    talk.wait(0.01)
+    assert isinstance(batch.outcomes[0], ModbusTimeoutError)
+    assert len(talk.sent) == sent + 2
+    talk.come(tcp(talk.sent[-1]))
+    assert other.outcomes == [[1]]
+    assert talk.is_at_rest
+
+
+# --- units that do not answer ----------------------------------------------------------------
+
+
+def answer(talk: Talk, since: int) -> None:
+    """Answer all requests to unit 1 from the one with this index on."""
+    talk.come(*[tcp(each) for each in talk.sent[since:] if each[6] == 1])
+
+
+def silenced(function: pdu.Request[int] | int = 1) -> Talk:
+    """Return a talk in which unit 2 gave no answer alone either."""
+    talk = grown()
+    since = len(talk.sent)
+    one, other = talk.ask(function, unit=2), talk.ask(2)
+    answer(talk, since)
+    talk.wait(2)
+    assert [kinds(one), kinds(other)] == [[ModbusTimeoutError], [[2]]]
+    assert len(talk.sent) == since + 3
+    return talk
+
+
+def lost_beside_another(talk: Talk, request: pdu.Request[int] | int, unit: int) -> int:
+    """Lose a request beside one to unit 1; return how often it was sent."""
+    since = len(talk.sent)
+    talk.ask(request, unit=unit), talk.ask(2)
+    answer(talk, since)
+    talk.wait(1)
+    talk.wait(3)
+    return len(talk.sent) - since - 1
+
+
+def test_a_silent_unit_is_asked_alone_once() -> None:
+    talk = silenced()
+    assert [lost_beside_another(talk, 1, unit=2) for _ in range(10)] == [1] * 10
+
+
+def test_another_function_of_a_silent_unit_is_asked_alone_once_too() -> None:
+    talk = silenced()
+    inputs = pdu.ReadInputRegisters(1, 1)
+    assert [lost_beside_another(talk, inputs, unit=2) for _ in range(5)] == [2, 1, 1, 1, 1]
+
+
+def test_a_function_stays_silent_while_its_unit_answers_others() -> None:
+    talk = silenced(pdu.ReadInputRegisters(1, 1))
+    batch = talk.ask(1, unit=2)
+    talk.come(tcp(talk.sent[-1]))
+    assert batch.outcomes == [[1]]
+    inputs = pdu.ReadInputRegisters(1, 1)
+    assert [lost_beside_another(talk, inputs, unit=2) for _ in range(10)] == [1] * 10
+
+
+def test_what_answers_again_is_asked_alone_again() -> None:
+    talk = silenced()
+    batch = talk.ask(1, unit=2)
+    talk.come(tcp(talk.sent[-1]))
+    assert batch.outcomes == [[1]]
+    assert 2 in [lost_beside_another(talk, 1, unit=2) for _ in range(3)]
+
+
+def test_another_connection_knows_of_no_silent_units() -> None:
+    talk = silenced()
+    talk.lose()
+    talk.open()
+    talk.ask(*range(7), limit=16)
+    while not talk.is_at_rest:
+        answer(talk, len(talk.sent) - talk.connection.in_flight)
+    assert lost_beside_another(talk, 1, unit=2) == 2

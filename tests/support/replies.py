@@ -1,0 +1,38 @@
+"""
+What answers the requests of a `Talk`, whatever their framing.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from .talk import LINE, TCP, Talk, rtu, tcp, value
+
+__all__ = ["BOTH", "addresses", "answer", "refusal", "reply"]
+
+BOTH = pytest.mark.parametrize("url", [TCP, LINE])
+
+
+def answer(talk: Talk, at: int = -1) -> bytes:
+    """Answer a request of a single register with its address."""
+    adu = talk.sent[at]
+    if talk.has_ids:
+        return tcp(adu)
+    return value(int.from_bytes(adu[2:4], "big"), unit=adu[0])
+
+
+def reply(talk: Talk, body: str, at: int = -1) -> bytes:
+    """Answer a request with a PDU."""
+    adu = talk.sent[at]
+    return tcp(adu, body) if talk.has_ids else rtu(f"{adu[0]:02X} {body}")
+
+
+def refusal(talk: Talk, code: int, at: int = -1) -> bytes:
+    """Refuse a read of holding registers."""
+    return reply(talk, f"83 {code:02X}", at)
+
+
+def addresses(talk: Talk) -> list[int]:
+    """Return the addresses of the requests, in their order."""
+    first = 8 if talk.has_ids else 2
+    return [int.from_bytes(each[first : first + 2], "big") for each in talk.sent]
