@@ -8,7 +8,6 @@ import gc
 import os
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -16,10 +15,10 @@ from hypothesis import settings
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.client.queue import ONE_AT_A_TIME
-from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.c_programs import SOURCES, compile_c
-from tests.support.certificates import Papers, secured
+from tests.support.certificates import Papers
 from tests.support.clients import KINDS, Connect, connecting
+from tests.support.transports import serving
 
 pytest_plugins = ["tests.support.golden", "tests.support.leaks"]
 
@@ -98,19 +97,10 @@ def papers(tmp_path: Path) -> Papers:
 
 
 @pytest.fixture(params=["tcp", "rtu+tcp", "ascii+tcp", "tls", "rtu", "ascii"])
-def url(request: pytest.FixtureRequest, device: Device, tmp_path: Path) -> Iterator[str]:
+def url(request: pytest.FixtureRequest, device: Device) -> Iterator[str]:
     """A client's URL for unit 17 of a server, over each transport."""
-    with ExitStack() as stack:
-        if request.param == "tls":
-            yield stack.enter_context(secured(Server({UNIT: device}), Papers(tmp_path)))
-        elif request.param.endswith("tcp"):
-            address = f"{request.param}://127.0.0.1:0"
-            yield stack.enter_context(Server({UNIT: device}).background(address)).urls[0]
-        else:
-            wire = stack.enter_context(SerialWire())
-            address = f"{request.param}://{wire.server}?baudrate=115200"
-            stack.enter_context(Server({UNIT: device}).background(address))
-            yield f"{request.param}://{wire.client}?baudrate=115200"
+    with serving(request.param, Server({UNIT: device})) as made:
+        yield made
 
 
 @pytest.fixture(params=KINDS)

@@ -9,8 +9,6 @@ import inspect
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
@@ -20,14 +18,11 @@ from libmodbus_py import (
     Context,
     Device,
     IllegalDataAddress,
-    IllegalDataValue,
-    IllegalFunction,
     Mapping,
     Server,
     pdu,
 )
 from libmodbus_py.client.asynchronous import AsyncClient
-from libmodbus_py.protocol.pdu import ServerId, SubFunction
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.interop.test_interop_pymodbus import (
     FRAMERS,
@@ -38,61 +33,17 @@ from tests.interop.test_interop_pymodbus import (
 from tests.simulation.events import Events
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
-from tests.support.certificates import Papers, secured
 from tests.support.clients import Awaited, threadsafe
 from tests.support.interop import TIMEOUT, UNIT, Exchange, exchanges, make_device, program, refusals
-from tests.support.peers import UNKNOWN_FUNCTION, Write, echo
+from tests.support.peers import Write, echo
 from tests.support.scripted import run
-
-TRANSPORTS = ["tcp", "rtu+tcp", "ascii+tcp", "udp", "tls", "rtu", "ascii"]
-
-
-@contextmanager
-def serving(transport: str, device: Device) -> Iterator[str]:
-    """Return the client's URL of a server of ours."""
-    with ExitStack() as stack:
-        if transport in ("rtu", "ascii"):
-            wire = stack.enter_context(SerialWire())
-            address = f"{transport}://{wire.server}?baudrate=115200"
-            stack.enter_context(Server(device).background(address))
-            yield f"{transport}://{wire.client}?baudrate=115200"
-        elif transport == "tls":
-            papers = Papers(Path(stack.enter_context(TemporaryDirectory())))
-            yield stack.enter_context(secured(Server(device), papers))
-        else:
-            address = f"{transport}://127.0.0.1:0"
-            yield stack.enter_context(Server(device).background(address)).urls[0]
+from tests.support.transports import TRANSPORTS, serving
 
 
 @pytest.fixture(params=TRANSPORTS)
 def transport(request: pytest.FixtureRequest) -> str:
     assert isinstance(request.param, str)
     return request.param
-
-
-@pytest.fixture
-def url(transport: str) -> Iterator[str]:
-    mapping = Mapping(
-        coils=range(10, 2100),
-        discrete_inputs=range(20, 2100),
-        holding_registers=range(100, 400),
-        input_registers=range(200, 400),
-    )
-    mapping.coils[10:14] = [True, False, True, True]
-    mapping.discrete_inputs[20:23] = [False, True, False]
-    mapping.holding_registers[100:110] = range(1000, 1010)
-    mapping.input_registers[200:210] = range(2000, 2010)
-    device = Device(
-        mapping,
-        files={4: range(10_000), 3: {9: 0x33CD, 10: 0x0040}},
-        fifos={1246: [440, 4740], 9: range(32)},
-        identification={"VendorName": "Company", 4: "Product", 0x80: b"\xff" * 244, 0x81: b"x"},
-        server_id=ServerId(b"\x2a", False, b"abc"),
-        exception_status=0x6D,
-        canopen=lambda data: data[::-1],
-    )
-    with serving(transport, device) as address:
-        yield address
 
 
 # --- one vocabulary -------------------------------------------------------------------
@@ -123,93 +74,15 @@ def test_wrong_arguments_are_told_where_the_call_is_awaited() -> None:
     run(main())
 
 
-def test_every_method_on_every_transport(url: str) -> None:
-    async def main() -> None:
-        async with AsyncClient(url, unit=17) as plc:
-            assert await plc.read_coils(10, 4) == [True, False, True, True]
-            assert await plc.read_discrete_inputs(20, 3) == [False, True, False]
-            assert await plc.read_holding_registers(100, 3) == [1000, 1001, 1002]
-            assert await plc.read_input_registers(200, 2) == [2000, 2001]
-            assert await plc.write_coil(11, True) is None  # type: ignore[func-returns-value]
-            assert await plc.write_coils(30, [True, False, True]) is None  # type: ignore[func-returns-value]
-            assert await plc.read_coils(11, 1) + await plc.read_coils(30, 3) == [
-                True,
-                True,
-                False,
-                True,
-            ]
-            await plc.write_register(101, 40000)
-            await plc.write_registers(110, [1, 2, 65535])
-            assert await plc.read_holding_registers(101, 1) == [40000]
-            assert await plc.read_holding_registers(110, 3) == [1, 2, 65535]
-            await plc.mask_write_register(110, 0xF0, 0x0F)
-            assert await plc.read_holding_registers(110, 1) == [0x0F]
-            assert await plc.read_write_registers(110, 2, 111, [7]) == [0x0F, 7]
-            assert await plc.read_exception_status() == 0x6D
-            assert await plc.diagnostics(SubFunction.RETURN_QUERY_DATA, 0xA537) == 0xA537
-            assert (await plc.read_comm_event_counter()).status == 0
-            assert (await plc.read_comm_event_log()).events
-            assert await plc.report_server_id() == ServerId(b"\x2a", False, b"abc")
-            assert await plc.read_file_records([(4, 1, 2), (3, 9, 2)]) == [[1, 2], [0x33CD, 0x40]]
-            await plc.write_file_records([(4, 7, [1711, 1214])])
-            assert await plc.read_file_records([(4, 7, 2)]) == [[1711, 1214]]
-            assert await plc.read_fifo_queue(1246) == [440, 4740]
-            assert list((await plc.read_device_identification("extended")).objects) == [
-                0,
-                1,
-                2,
-                4,
-                0x80,
-                0x81,
-            ]
-            assert await plc.encapsulated_transport(13, b"CANopen") == b"nepoNAC"
-            assert await plc.execute(pdu.RawRequest(7)) == b"\x6d"
-            await plc.write_values("holding_registers", 120, [1.5, -2.0], "float32", order="CDAB")
-            assert await plc.read_values("holding_registers", 120, "float32", 2, order="CDAB") == [
-                1.5,
-                -2.0,
-            ]
-            requests = [pdu.ReadHoldingRegisters(address, 1) for address in range(100, 140)]
-            assert [
-                cells for [cells] in await plc.execute_many(requests)
-            ] == await plc.read_holding_registers(100, 40)
-            assert await plc.read_many(
-                {"a": ("holding_registers", 100, 2), "b": ("coils", 10, 2)}
-            ) == {"a": [1000, 40000], "b": [True, True]}
-            assert plc.statistics.responses == plc.statistics.requests
-
-    run(main())
-
-
-def test_refusals_name_what_was_asked(url: str) -> None:
-    async def main() -> None:
-        async with AsyncClient(url, unit=17) as plc:
-            for _ in range(2):
-                with pytest.raises(IllegalDataAddress) as caught:
-                    await plc.read_holding_registers(399, 2)
-                error = caught.value
-                assert (error.unit, error.function, error.code) == (17, 3, 2)
-                assert "ReadHoldingRegisters(address=399, count=2)" in str(error)
-                assert error.sent
-                assert error.received
-                with pytest.raises(IllegalDataValue):
-                    await plc.read_fifo_queue(9)
-                with pytest.raises(IllegalFunction):
-                    await plc.execute(pdu.RawRequest(UNKNOWN_FUNCTION, b"\x01"))
-                assert await plc.read_holding_registers(100, 1) == [1000]
-            assert plc.statistics.exceptions == 6
-
-    run(main())
-
-
-def test_many_tasks_each_get_their_own_answer(url: str) -> None:
-    async def main() -> None:
+def test_many_tasks_each_get_their_own_answer(transport: str, mapping: Mapping) -> None:
+    async def main(url: str) -> None:
         async with AsyncClient(url, unit=17) as plc:
             asked = [100 + number % 10 for number in range(60)]
             answers = await asyncio.gather(*(plc.read_holding_registers(a, 1) for a in asked))
             assert answers == [[900 + address] for address in asked]
 
-    run(main())
+    with serving(transport, Server(Device(mapping))) as url:
+        run(main(url))
 
 
 # --- many in flight -------------------------------------------------------------------
@@ -355,5 +228,5 @@ def test_against_pymodbus(transport: str) -> None:
 
 def test_against_our_server(transport: str) -> None:
     for what in agreements(range(1, 44)):
-        with serving(transport, make_device()) as url:
+        with serving(transport, Server(make_device())) as url:
             ask(url, what)

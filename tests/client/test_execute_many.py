@@ -16,7 +16,6 @@ from typing import Any
 import pytest
 
 from libmodbus_py import (
-    Context,
     IllegalDataAddress,
     InvalidResponse,
     Mapping,
@@ -516,14 +515,3 @@ def test_ctrl_c_in_a_batch_leaves_a_usable_context(kind: str) -> None:
             context.execute_many(reads(50))
         assert context.execute_many(reads(50)) == echoes(50)
         assert context.read_holding_registers(4, 1) == [4]
-
-
-def test_fork_leaves_the_parent_alone_and_the_child_connects_anew(url: str) -> None:
-    asked = [pdu.ReadHoldingRegisters(100 + at, 1) for at in range(10)]
-    with Context.from_url(url, unit=UNIT) as context:
-        assert context.execute_many(asked) == echoes(10, 1000)
-        child = os.fork()
-        if child == 0:
-            os._exit("://127" in url and context.execute_many(asked) != echoes(10, 1000))
-        assert os.waitpid(child, 0)[1] == 0
-        assert context.execute_many(asked) == echoes(10, 1000)

@@ -10,7 +10,6 @@ from collections.abc import Callable
 import pytest
 
 from libmodbus_py import (
-    IllegalDataAddress,
     InvalidResponse,
     ModbusError,
     ModbusTimeoutError,
@@ -193,23 +192,3 @@ def test_a_connection_that_ended_meanwhile_costs_no_request(world: Simulated) ->
             assert read(client, address) == address
             world.compute(0.1)
         assert peer.connections == 5
-
-
-# --- strange devices -----------------------------------------------------------------------------
-
-
-@EVERYWHERE
-def test_identification_that_leads_in_circles_gives_what_is_there(world: World) -> None:
-    page = bytes.fromhex("2b0e0101ff0003 000141 010142 020143")  # more follows, from object 0 on
-    peer = world.peer("tcp", answering(lambda request: [mbap(request, page)]))
-    with world.connect(peer.url) as client:
-        found = client.read_device_identification()
-        assert not found.complete
-        assert found.objects[0] == b"A"
-
-
-@EVERYWHERE
-def test_an_exception_with_a_mei_type_behind_it_is_the_exception(world: World) -> None:
-    peer = world.peer("tcp", answering(lambda request: [mbap(request, b"\xab\x02\x0e")]))
-    with world.connect(peer.url) as client, pytest.raises(IllegalDataAddress):
-        client.read_device_identification()

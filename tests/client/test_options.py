@@ -8,7 +8,9 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import AsyncClient, Context, pdu
+from libmodbus_py import AsciiContext, AsyncClient, Context, RtuContext, TcpContext, UdpContext, pdu
+from libmodbus_py.client.blocking import Client
+from tests.support.cases import each_case
 from tests.support.clients import World
 from tests.support.peers import Write, echo
 
@@ -71,6 +73,31 @@ def test_bad_url_is_named(world: World, url: Any, named: str) -> None:
         world.connect(url)
 
 
+TABLES, HELD = "holding_registers, input_registers", "holding_registers"
+
+VALUES = [
+    (lambda plc: plc.read_value("coils", 0, "uint16"), f"table must be one of {TABLES}"),
+    (lambda plc: plc.read_value(HELD, 0, "flaot32"), "flaot32"),
+    (lambda plc: plc.read_value(HELD, -1, "float32"), "address"),
+    (lambda plc: plc.read_value(HELD, 65535, "float32"), "65535"),
+    (lambda plc: plc.read_value(HELD, 0, "string:252"), "string"),
+    (lambda plc: plc.read_values("coils", 0, "int16"), f"table must be one of {TABLES}"),
+    (lambda plc: plc.read_values("input_registers", 0, "int17"), "type"),
+    (lambda plc: plc.read_values("input_registers", 0, "int32", 63), "count"),
+    (lambda plc: plc.read_values("input_registers", 0, "int16", order="ACDB"), "order"),
+    (lambda plc: plc.write_value("input_registers", 0, 1, "uint16"), f"table must be {HELD}, not"),
+    (lambda plc: plc.write_value("coils", 0, 1, "uint16"), f"table must be {HELD}, not 'coils'"),
+    (lambda plc: plc.write_value(HELD, 0, 1, "flaot32"), "flaot32"),
+    (lambda plc: plc.write_value(HELD, 65535, 1, "float32"), "65535"),
+    (lambda plc: plc.write_value(HELD, 0, 65536, "uint16"), r"^value must be in 0\.\.65535"),
+    (lambda plc: plc.write_value(HELD, 0, [1], "uint16"), "^value must be an integer"),
+    (lambda plc: plc.write_value(HELD, 0, "1.5", "float32"), "^value must be a number"),
+    (lambda plc: plc.write_values("coils", 0, [1], "int16"), f"table must be {HELD}"),
+    (lambda plc: plc.write_values(HELD, 0, [], "int16"), "values"),
+    (lambda plc: plc.write_values(HELD, 0, [1e40], "float32"), "value"),
+]
+
+
 @pytest.mark.parametrize(
     ("ask", "named"),
     [
@@ -88,8 +115,7 @@ def test_bad_url_is_named(world: World, url: Any, named: str) -> None:
         (lambda plc: plc.for_unit(1, timeout=0), "timeout must be in"),
         (lambda plc: plc.execute(3), "request must be a request object of pdu, not int"),
         (lambda plc: plc.execute(REQUEST, retries=-1), "retries must be in 0..100"),
-        (lambda plc: plc.read_values("coils", 0, "int16"), "table must be one of"),
-        (lambda plc: plc.write_values("coils", 0, [1], "int16"), "table must be holding"),
+        *VALUES,
     ],
 )
 def test_nothing_is_sent_for_bad_arguments(world: World, ask: Any, named: str) -> None:
@@ -114,3 +140,53 @@ def test_native_in_a_url_is_for_contexts_only() -> None:
 def test_native_is_true_or_false(native: Any) -> None:
     with pytest.raises(TypeError, match=f"native must be True or False, not {native!r}"):
         Context.from_url("tcp://127.0.0.1", native=native)
+
+
+@each_case(
+    ("kind", "arguments", "options", "named"),
+    [
+        (TcpContext, [""], {}, "host"),
+        (TcpContext, [None], {}, "host"),
+        (TcpContext, ["a\0b"], {}, "host"),
+        (TcpContext, ["127.0.0.1", 0], {}, "port"),
+        (TcpContext, ["127.0.0.1", 65536], {}, "port"),
+        (TcpContext, ["127.0.0.1", "502"], {}, "port"),
+        (TcpContext, ["127.0.0.1"], {"framing": "mbap"}, "framing"),
+        (UdpContext, [""], {}, "host"),
+        (UdpContext, ["127.0.0.1", 0], {}, "port"),
+        (UdpContext, ["127.0.0.1"], {"unit": 256}, "unit"),
+        (RtuContext, [""], {}, "device"),
+        (RtuContext, [3], {}, "device"),
+        (RtuContext, ["/dev/x", 0], {}, "baudrate"),
+        (RtuContext, ["/dev/x", 9600.5], {}, "baudrate"),
+        (RtuContext, ["/dev/x"], {"parity": "x"}, "parity"),
+        (RtuContext, ["/dev/x"], {"data_bits": 9}, "data_bits"),
+        (RtuContext, ["/dev/x"], {"stop_bits": 3}, "stop_bits"),
+        (RtuContext, ["/dev/x"], {"rs485": "yes"}, "rs485"),
+        (AsciiContext, ["/dev/x"], {"rts_delay": -1}, "rts_delay"),
+        (Client, ["http://192.0.2.1"], {}, "scheme"),
+        (Client, ["tcp://192.0.2.1"], {"unti": 1}, "unti"),
+        (Client, ["tcp://192.0.2.1"], {"parity": "N"}, "parity"),
+        (Client, [5], {}, "url"),
+    ],
+)
+def test_a_bad_argument_of_a_class_is_named(
+    kind: Any, arguments: list[Any], options: dict[str, Any], named: str
+) -> None:
+    with pytest.raises((ValueError, TypeError), match=named):
+        kind(*arguments, **options)
+
+
+@pytest.mark.parametrize(
+    ("url", "options", "settings"),
+    [
+        ("rtu:///dev/ttyS0?baudrate=9600", {"parity": "N"}, "parity=N"),
+        ("ascii:///dev/ttyS0?unit=7", {"data_bits": 8, "timeout": 0.5}, "data_bits=8"),
+    ],
+)
+def test_a_client_takes_the_settings_of_serial_ports(
+    url: str, options: dict[str, Any], settings: str
+) -> None:
+    client = Client(url, **options)
+    assert settings in client.url
+    assert client.url == Context.from_url(url, **options).url

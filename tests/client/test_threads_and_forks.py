@@ -1,5 +1,5 @@
 """
-Clients among threads, forks and callbacks that raise; peers and limits of the process.
+Clients among threads and forks, and the limits and the end of their process.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import signal
 import socket
 import subprocess
 import sys
+import termios
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -30,13 +31,12 @@ from libmodbus_py import (
     ModbusTimeoutError,
     RtuContext,
     Server,
-    State,
     TcpContext,
     pdu,
 )
 from tests.support.clients import ALL, BLOCKING, NATIVE, asking, read
 from tests.support.collecting import new_garbage_only
-from tests.support.peers import FakeServer, FakeUnit, answer, until
+from tests.support.peers import FakeServer, FakeUnit, answer, peer_at, until
 
 
 def tcp(request: bytes) -> list[bytes]:
@@ -45,132 +45,6 @@ def tcp(request: bytes) -> list[bytes]:
 
 def rtu(request: bytes) -> list[bytes]:
     return [answer(request, "rtu")]
-
-
-# --- callbacks ---------------------------------------------------------------------------------
-
-
-class Raised(BaseException):
-    """Neither an Exception nor one that an event loop knows."""
-
-
-@BLOCKING
-@pytest.mark.parametrize("error", [KeyError, KeyboardInterrupt, SystemExit, Raised])
-@pytest.mark.parametrize("hook", ["on_state", "trace"])
-@pytest.mark.parametrize("at", range(4))
-def test_a_hook_that_raises_leaves_a_context_that_works(
-    at: int, hook: str, error: type[BaseException], kind: str
-) -> None:
-    """At its first call, or a later one: connecting, sending, receiving, being lost."""
-    calls = iter(range(1000))
-
-    def fail(*_: object) -> None:
-        if next(calls) == at:
-            raise error
-
-    options: dict[str, Any] = {hook: fail}
-    with FakeServer(tcp, None, tcp) as server:
-        context = TcpContext("127.0.0.1", server.port, native=kind == "native", **options)
-        for address in range(6):
-            with contextlib.suppress(error, ModbusConnectionError):
-                assert context.read_holding_registers(address, 1) == [address]
-        for address in range(3):
-            assert context.read_holding_registers(address, 1) == [address]
-        assert context.state is State.CONNECTED
-        context.close()
-
-
-@BLOCKING
-@pytest.mark.parametrize("hook", ["on_state", "trace"])
-@pytest.mark.parametrize("at", range(3))
-def test_a_hook_that_closes_ends_the_request(at: int, hook: str, kind: str) -> None:
-    calls = iter(range(1000))
-
-    def close(*_: object) -> None:
-        if next(calls) == at:
-            context.close()
-
-    options: dict[str, Any] = {hook: close}
-    with FakeServer(tcp) as server:
-        context = TcpContext("127.0.0.1", server.port, native=kind == "native", **options)
-        with contextlib.suppress(ModbusConnectionError):
-            for address in range(3):
-                assert context.read_holding_registers(address, 1) == [address]
-        context.close()
-        with pytest.raises(ModbusConnectionError, match="closed"):
-            context.read_holding_registers(1, 1)
-    assert context.closed
-
-
-@BLOCKING
-@pytest.mark.parametrize("hook", ["on_state", "trace"])
-def test_a_hook_that_asks_is_refused_and_harms_nobody(hook: str, kind: str) -> None:
-    refused: list[BaseException] = []
-
-    def ask(*_: object) -> None:
-        try:
-            context.read_coils(0, 1)
-        except (RuntimeError, ModbusConnectionError) as error:
-            refused.append(error)
-
-    options: dict[str, Any] = {hook: ask}
-    with FakeServer(tcp) as server:
-        context = TcpContext("127.0.0.1", server.port, native=kind == "native", **options)
-        assert context.read_holding_registers(1, 1) == [1]
-        context.close()
-    assert isinstance(refused[0], RuntimeError)
-
-
-class Strange(pdu.ReadHoldingRegisters):
-    """A request whose class has a mistake, which only its caller must meet."""
-
-    mistake: BaseException | object = None
-
-    def decode_response(self, data: bytes) -> Any:
-        if isinstance(self.mistake, BaseException):
-            raise self.mistake
-        return self.mistake
-
-
-@ALL
-@pytest.mark.parametrize(
-    "mistake", [KeyError("x"), ValueError("y"), TypeError("z"), Raised(), None, object()]
-)
-def test_a_mistake_in_a_request_class_is_its_callers(mistake: Any, kind: str) -> None:
-    strange = type("Stranger", (Strange,), {"mistake": mistake})
-    with (
-        FakeServer(tcp) as server,
-        asking(kind, f"tcp://127.0.0.1:{server.port}", timeout=0.5) as client,
-    ):
-        for address in range(5):
-            if isinstance(mistake, BaseException):
-                with pytest.raises(type(mistake)):
-                    client.execute(strange(address, 1))
-            else:
-                assert client.execute(strange(address, 1)) is mistake
-            assert read(client, address) == address
-        assert client.statistics.timeouts == 0
-        if not isinstance(mistake, Raised):
-            assert server.connections == 1
-
-
-@ALL
-@pytest.mark.parametrize("encoded", [b"", bytes(254), "text", None, 7])
-def test_a_request_that_encodes_to_nonsense_is_refused(encoded: Any, kind: str) -> None:
-    class Nonsense(pdu.ReadHoldingRegisters):
-        def encode(self) -> Any:
-            return encoded
-
-    with (
-        FakeServer(tcp) as server,
-        asking(kind, f"tcp://127.0.0.1:{server.port}", timeout=0.5) as client,
-    ):
-        assert read(client, 1) == 1
-        for _ in range(3):
-            with pytest.raises((TypeError, ValueError)):
-                client.execute(Nonsense(1, 1))
-            assert read(client, 2) == 2
-        assert server.connections == 1
 
 
 # --- forks ------------------------------------------------------------------------------------
@@ -256,6 +130,44 @@ def test_a_fork_in_a_hook_leaves_both_with_contexts_that_work(kind: str) -> None
         context.close()
 
 
+@NATIVE
+def test_a_child_that_closes_leaves_its_parent_alone(native: bool) -> None:
+    with (
+        FakeUnit() as unit,
+        RtuContext(unit.path, 9600) as serial,
+        Threaded(tcp) as port,
+        TcpContext("127.0.0.1", port, native=native) as context,
+    ):
+        assert context.read_holding_registers(1, 1) == [1]
+        before = termios.tcgetattr(unit._slave)
+
+        def close() -> None:
+            context.close()
+            serial.close()
+            with TcpContext("127.0.0.1", port) as own:
+                assert own.read_holding_registers(2, 1) == [2]
+
+        assert in_child(close) == 0
+        assert termios.tcgetattr(unit._slave) == before
+        assert context.read_holding_registers(3, 1) == [3]
+        assert context.statistics.connects == 1
+
+
+def test_a_parent_and_its_child_may_ask_at_the_same_time() -> None:
+    with Threaded(tcp) as port, TcpContext("127.0.0.1", port) as context:
+        assert context.read_holding_registers(1, 1) == [1]
+        child = os.fork()
+        if child == 0:
+            code = 1
+            try:
+                code = any(context.read_holding_registers(2, 1) != [2] for _ in range(50))
+            finally:
+                os._exit(code)
+        for _ in range(50):
+            assert context.read_holding_registers(1, 1) == [1]
+        assert os.waitpid(child, 0)[1] == 0
+
+
 class Threaded:
     """A server with a thread for each connection."""
 
@@ -320,14 +232,6 @@ def test_a_hundred_threads_and_a_close(kind: str) -> None:
             assert not wrong
 
 
-# --- peers ---------------------------------------------------------------------------------------
-
-
-def closing(request: bytes) -> Iterator[bytes]:
-    yield answer(request, "tcp")
-    raise OSError
-
-
 # --- the process ----------------------------------------------------------------------------------
 
 
@@ -339,31 +243,11 @@ def test_descriptors_beyond_1023(scheme: str, kind: str) -> None:
         pytest.skip("this system allows no more descriptors")
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2048), hard))
     held: list[int] = []
-    with contextlib.ExitStack() as stack:
-        if scheme in ("rtu", "ascii"):
-            unit = stack.enter_context(FakeUnit(lambda request: [answer(request, scheme)]))
-            url = f"{scheme}://{unit.path}?baudrate=115200"
-        elif scheme == "udp":
-            server = stack.enter_context(socket.socket(type=socket.SOCK_DGRAM))
-            server.bind(("127.0.0.1", 0))
-            url = f"udp://127.0.0.1:{server.getsockname()[1]}"
-
-            def serve() -> None:
-                for _ in range(3):
-                    request, peer = server.recvfrom(300)
-                    server.sendto(answer(request, "udp"), peer)
-
-            threading.Thread(target=serve, daemon=True).start()
-        else:
-            fake = stack.enter_context(FakeServer(lambda request: [answer(request, scheme)]))
-            url = f"{scheme}://127.0.0.1:{fake.port}"
-            with socket.create_connection(("127.0.0.1", fake.port)):
-                until(lambda: fake.connections)
-            until(lambda: not fake._peers)  # its own descriptors are below
+    with peer_at(scheme, lambda request, write: write(answer(request, scheme))) as peer:
         try:
             while not held or held[-1] < 1030:
                 held.append(os.dup(0))
-            with asking(kind, url) as client:
+            with asking(kind, peer.url) as client:
                 assert client._driver._port.descriptor > 1023
                 for address in range(3):
                     assert read(client, address) == address

@@ -6,13 +6,12 @@ from __future__ import annotations
 
 import errno
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
 from libmodbus_py import (
-    Context,
     Device,
     IllegalDataAddress,
     InvalidResponse,
@@ -23,7 +22,6 @@ from libmodbus_py import (
     Server,
     pdu,
 )
-from libmodbus_py.client.blocking import UdpContext
 from tests.support.clients import EVERYWHERE, Connect, World
 from tests.support.peers import Answer, UdpPeer, Write, answering, echo, mbap
 
@@ -89,22 +87,6 @@ def test_url_with_an_ipv6_address(connect: Connect) -> None:
     ):
         assert context.read_holding_registers(5, 1) == [5]
         assert server.requests[0][2:] == bytes.fromhex("0000 0006 03 03 0005 0001")
-
-
-@pytest.mark.parametrize(
-    ("make", "named"),
-    [
-        (lambda: UdpContext(""), "host"),
-        (lambda: UdpContext("127.0.0.1", 0), "port"),
-        (lambda: UdpContext("127.0.0.1", unit=256), "unit"),
-        (lambda: UdpContext("127.0.0.1", timeout=0), "timeout"),
-        (lambda: UdpContext("127.0.0.1", busy_retries=-1), "busy_retries"),
-        (lambda: Context.from_url("udp://"), "host"),
-    ],
-)
-def test_bad_argument_is_named(make: Callable[[], object], named: str) -> None:
-    with pytest.raises((TypeError, ValueError), match=named):
-        make()
 
 
 # --- datagrams that do not fit -------------------------------------------------------------

@@ -5,19 +5,28 @@ Request classes and callbacks of users that raise, on both clients: their caller
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 
-from libmodbus_py import AsyncClient, ModbusError, ModbusTimeoutError, State, pdu
+from libmodbus_py import (
+    AsyncClient,
+    ModbusConnectionError,
+    ModbusError,
+    ModbusTimeoutError,
+    State,
+    TcpContext,
+    pdu,
+)
 from libmodbus_py.ports.schemes import SCHEMES
 from tests.simulation.network import Network
 from tests.simulation.scripted import OnRequest, Scripted
 from tests.support.cases import each_case
-from tests.support.clients import World, making
-from tests.support.peers import Write, address_of, answer, has_header
+from tests.support.clients import ALL, BLOCKING, World, asking, making, read
+from tests.support.peers import FakeServer, Write, address_of, answer, has_header
 from tests.support.urls import rules_of
 
 each_scheme = pytest.mark.parametrize("scheme", SCHEMES)
@@ -243,3 +252,133 @@ def test_a_class_may_use_the_client_while_it_decodes() -> None:
             assert told == [[6], [6], [6]]
 
     network.run(main)
+
+
+# --- hooks, and classes of requests, on the real system --------------------------------------
+
+
+def tcp(request: bytes) -> list[bytes]:
+    return [answer(request[at : at + 12], "tcp") for at in range(0, len(request), 12)]
+
+
+class Raised(BaseException):
+    """Neither an Exception nor one that an event loop knows."""
+
+
+@BLOCKING
+@pytest.mark.parametrize("error", [KeyError, KeyboardInterrupt, SystemExit, Raised])
+@pytest.mark.parametrize("hook", ["on_state", "trace"])
+@pytest.mark.parametrize("at", range(4))
+def test_a_hook_that_raises_leaves_a_context_that_works(
+    at: int, hook: str, error: type[BaseException], kind: str
+) -> None:
+    """At its first call, or a later one: connecting, sending, receiving, being lost."""
+    calls = iter(range(1000))
+
+    def fail(*_: object) -> None:
+        if next(calls) == at:
+            raise error
+
+    options: dict[str, Any] = {hook: fail}
+    with FakeServer(tcp, None, tcp) as server:
+        context = TcpContext("127.0.0.1", server.port, native=kind == "native", **options)
+        for address in range(6):
+            with contextlib.suppress(error, ModbusConnectionError):
+                assert context.read_holding_registers(address, 1) == [address]
+        for address in range(3):
+            assert context.read_holding_registers(address, 1) == [address]
+        assert context.state is State.CONNECTED
+        context.close()
+
+
+@BLOCKING
+@pytest.mark.parametrize("hook", ["on_state", "trace"])
+@pytest.mark.parametrize("at", range(3))
+def test_a_hook_that_closes_ends_the_request(at: int, hook: str, kind: str) -> None:
+    calls = iter(range(1000))
+
+    def close(*_: object) -> None:
+        if next(calls) == at:
+            context.close()
+
+    options: dict[str, Any] = {hook: close}
+    with FakeServer(tcp) as server:
+        context = TcpContext("127.0.0.1", server.port, native=kind == "native", **options)
+        with contextlib.suppress(ModbusConnectionError):
+            for address in range(3):
+                assert context.read_holding_registers(address, 1) == [address]
+        context.close()
+        with pytest.raises(ModbusConnectionError, match="closed"):
+            context.read_holding_registers(1, 1)
+    assert context.closed
+
+
+@BLOCKING
+@pytest.mark.parametrize("hook", ["on_state", "trace"])
+def test_a_hook_that_asks_is_refused_and_harms_nobody(hook: str, kind: str) -> None:
+    refused: list[BaseException] = []
+
+    def ask(*_: object) -> None:
+        try:
+            context.read_coils(0, 1)
+        except (RuntimeError, ModbusConnectionError) as error:
+            refused.append(error)
+
+    options: dict[str, Any] = {hook: ask}
+    with FakeServer(tcp) as server:
+        context = TcpContext("127.0.0.1", server.port, native=kind == "native", **options)
+        assert context.read_holding_registers(1, 1) == [1]
+        context.close()
+    assert isinstance(refused[0], RuntimeError)
+
+
+class Strange(pdu.ReadHoldingRegisters):
+    """A request whose class has a mistake, which only its caller must meet."""
+
+    mistake: BaseException | object = None
+
+    def decode_response(self, data: bytes) -> Any:
+        if isinstance(self.mistake, BaseException):
+            raise self.mistake
+        return self.mistake
+
+
+@ALL
+@pytest.mark.parametrize(
+    "mistake", [KeyError("x"), ValueError("y"), TypeError("z"), Raised(), None, object()]
+)
+def test_a_mistake_in_a_request_class_is_its_callers(mistake: Any, kind: str) -> None:
+    strange = type("Stranger", (Strange,), {"mistake": mistake})
+    with (
+        FakeServer(tcp) as server,
+        asking(kind, f"tcp://127.0.0.1:{server.port}", timeout=0.5) as client,
+    ):
+        for address in range(5):
+            if isinstance(mistake, BaseException):
+                with pytest.raises(type(mistake)):
+                    client.execute(strange(address, 1))
+            else:
+                assert client.execute(strange(address, 1)) is mistake
+            assert read(client, address) == address
+        assert client.statistics.timeouts == 0
+        if not isinstance(mistake, Raised):
+            assert server.connections == 1
+
+
+@ALL
+@pytest.mark.parametrize("encoded", [b"", bytes(254), "text", None, 7])
+def test_a_request_that_encodes_to_nonsense_is_refused(encoded: Any, kind: str) -> None:
+    class Nonsense(pdu.ReadHoldingRegisters):
+        def encode(self) -> Any:
+            return encoded
+
+    with (
+        FakeServer(tcp) as server,
+        asking(kind, f"tcp://127.0.0.1:{server.port}", timeout=0.5) as client,
+    ):
+        assert read(client, 1) == 1
+        for _ in range(3):
+            with pytest.raises((TypeError, ValueError)):
+                client.execute(Nonsense(1, 1))
+            assert read(client, 2) == 2
+        assert server.connections == 1
