@@ -5,14 +5,20 @@ The asyncio client at the edges of its port: sends that fail or take a while, an
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import errno
+import os
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from libmodbus_py import AsyncClient, ModbusConnectionError
+from libmodbus_py import AsyncClient, ModbusConnectionError, pdu
 from tests.simulation.network import Network
 from tests.simulation.ports import memory_port
 from tests.simulation.scripted import Scripted, Write
+from tests.support.peers import FakeServer, FakeUnit, echo
+from tests.support.scripted import run
 from tests.support.talk import value
 
 
@@ -148,27 +154,68 @@ def test_a_client_that_waits_for_nothing_sets_no_alarm() -> None:
     network.run(main)
 
 
-@pytest.mark.parametrize("allowed", [True, False])
-def test_what_may_not_be_sent_is_asked_before_each_request(allowed: bool) -> None:
-    network = Network()
-    peer = Scripted(network, "tcp://10.0.0.1", answer_tcp)
-    asked: list[None] = []
+def full(*_: Any) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    def may_send() -> bool:
-        asked.append(None)
-        return allowed
+
+def test_a_loop_that_can_watch_no_more_is_told_as_what_it_is() -> None:
+    async def go() -> None:
+        loop = asyncio.get_running_loop()
+        plc = AsyncClient(server.url, max_pause=0)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(loop, "add_reader", full)
+            with pytest.raises(ModbusConnectionError, match="cannot wait for tcp://127") as caught:
+                await plc.read_holding_registers(7, 1)
+            assert caught.value.errno == errno.ENOSPC
+        assert await plc.read_holding_registers(7, 1) == [7]
+        await plc.close()
+
+    with FakeServer(lambda request: [echo(request)]) as server:
+        asyncio.run(go())
+
+
+REQUEST = pdu.ReadHoldingRegisters(5, 1)
+
+
+def test_another_event_loop_is_refused_in_words() -> None:
+    plc = AsyncClient("tcp://no-such-host.invalid")
+
+    async def use() -> None:
+        with contextlib.suppress(ModbusConnectionError):
+            await plc.execute(REQUEST)
+
+    run(use())
+    for ask in (plc.connect, plc.close, lambda: plc.execute(REQUEST)):
+
+        async def main(ask: Callable[[], Any] = ask) -> None:
+            with pytest.raises(RuntimeError, match="another event loop"):
+                await ask()
+
+        run(main())
+    with pytest.raises(RuntimeError, match="no running event loop"):
+        plc.connect().send(None)
+
+
+def test_the_loop_goes_on_while_a_line_is_turned_round() -> None:
+    """RTS is set 50 ms before the first bit and as long after the last."""
+    answer = bytes.fromhex("01 03 02 0007 F986")
 
     async def main() -> None:
-        plc = AsyncClient(peer.url, may_send=may_send)
-        reading: Any = plc.read_holding_registers(5, 1)
-        if allowed:
-            assert await reading == [5]
-        else:
-            with pytest.raises(ModbusConnectionError, match="may_send allows no request"):
-                await reading
-        await plc.close()
-        assert asked
-        assert len(peer.requests) == allowed
-        assert peer.connections == allowed
+        turns = 0
 
-    network.run(main)
+        async def count() -> None:
+            nonlocal turns
+            while True:
+                await asyncio.sleep(0.001)
+                turns += 1
+
+        with FakeUnit(lambda request: [answer]) as unit:
+            url = f"rtu://{unit.path}?baudrate=115200&rs485=rts-up&rts_delay=0.05"
+            async with AsyncClient(url) as plc:
+                counting = asyncio.create_task(count())
+                for _ in range(2):
+                    assert await plc.read_holding_registers(0, 1) == [7]
+                counting.cancel()
+        assert turns > 20
+
+    run(main())

@@ -211,23 +211,6 @@ def test_requests_go_out_before_answers_are_decoded() -> None:
     assert [each.outcomes for each in batches] == [[[1]], [[2]], [[3]]]
 
 
-def test_an_answer_of_may_send_that_is_false_is_no_mistake(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    for allowed in (False, True):
-        talk = Talk(may_send=lambda allowed=allowed: allowed)
-        batch = talk.ask(1)
-        assert batch.is_done is not allowed
-        assert caplog.records == []
-    for mistake in (1, 0, None, "yes"):
-        talk = Talk(may_send=lambda mistake=mistake: mistake)
-        (outcome,) = talk.ask(1).outcomes
-        assert isinstance(outcome, ModbusConnectionError)
-        assert outcome.errno == errno.EPERM
-        assert caplog.records
-        caplog.clear()
-
-
 def test_a_batch_that_failed_while_it_waited_can_be_left() -> None:
     talk = Talk(max_in_flight=4)
     batch = talk.ask(*range(9), limit=16)

@@ -1,41 +1,49 @@
 """
-Whether anything goes out is asked right before it does.
+Whether anything may go out is asked right before it does: a process may be stopped at any place,
+such as between two lines of Python, and its lease may be over when it goes on.
 """
 
 from __future__ import annotations
 
 import asyncio
 import errno
-import time
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from libmodbus_py import AsyncClient, ModbusConnectionError, TcpContext
-from tests.support.peers import FakeServer
-
-ANSWER = bytes.fromhex("0000 0005 01 03 02 0007")
-
-
-def answer(request: bytes) -> list[bytes]:
-    return [request[:2] + ANSWER]
-
-
-def slow(request: bytes) -> list[bytes]:
-    time.sleep(0.1)
-    return answer(request)
+from libmodbus_py.client.connection import Transactions
+from libmodbus_py.ports.serial import SerialPort
+from libmodbus_py.tools.testing.wires import SerialWire
+from tests.simulation.network import Network
+from tests.simulation.scripted import Scripted
+from tests.support.peers import Write, answer
+from tests.support.talk import Talk
 
 
 class Gate:
+    """Says whether anything may be sent; counts how often it was asked."""
+
     def __init__(self, is_open: bool = True) -> None:
         self.is_open = is_open
+        self.asked = 0
 
     def __call__(self) -> bool:
+        self.asked += 1
         return self.is_open
 
+    def shut(self, *_: object) -> None:
+        self.is_open = False
 
-def ask(plc: AsyncClient) -> Any:
-    return plc.read_holding_registers(0, 1)
+
+def peer_at(network: Network, scheme: str = "tcp", after: float = 0.0) -> Scripted:
+    """Return a peer that answers reads."""
+
+    def on_request(request: bytes, write: Write) -> None:
+        write(answer(request, scheme), after=after)
+
+    return Scripted(network, f"{scheme}://10.0.0.1", on_request)
 
 
 def refused(outcome: object) -> bool:
@@ -43,62 +51,62 @@ def refused(outcome: object) -> bool:
 
 
 def test_nothing_connects_or_is_sent_until_it_may() -> None:
-    async def go() -> None:
-        gate = Gate(is_open=False)
-        plc = AsyncClient(server.url, may_send=gate)
-        try:
-            with pytest.raises(ModbusConnectionError, match="may_send") as caught:
-                await ask(plc)
-            assert refused(caught.value)
-            assert server.connections == 0
-            gate.is_open = True
-            assert await ask(plc) == [7]
-            gate.is_open = False
-            with pytest.raises(ModbusConnectionError, match="may_send"):
-                await ask(plc)
-        finally:
-            await plc.close()
+    network, gate = Network(), Gate(is_open=False)
+    peer = peer_at(network)
 
-    with FakeServer(answer) as server:
-        asyncio.run(go())
-        assert len(server.requests) == 1
-
-
-@pytest.mark.parametrize("options", [{"max_in_flight": 1}, {"connect_delay": 0.1}])
-def test_those_that_wait_are_not_sent_once_it_is_over(options: Any) -> None:
-    """They wait for a slot, or for the delay after connecting: asked at their start it was yes."""
-
-    async def go() -> list[Any]:
-        gate = Gate()
-        plc = AsyncClient(server.url, may_send=gate, **options)
-        try:
-            if "max_in_flight" in options:
-                await plc.connect()
-            asking = [asyncio.create_task(ask(plc)) for _ in range(3)]
-            await asyncio.sleep(0.03)
-            gate.is_open = False
-            return await asyncio.gather(*asking, return_exceptions=True)
-        finally:
-            await plc.close()
-
-    with FakeServer(slow) as server:
-        outcomes = asyncio.run(go())
-        sent = len(server.requests)
-    assert sent == (1 if "max_in_flight" in options else 0)
-    assert sum(map(refused, outcomes)) == 3 - sent
-
-
-def test_one_that_fails_means_no(caplog: pytest.LogCaptureFixture) -> None:
-    async def go() -> None:
-        plc = AsyncClient(server.url, may_send=lambda: 1 / 0 > 0)
+    async def main() -> None:
+        plc = AsyncClient(peer.url, may_send=gate)
+        with pytest.raises(ModbusConnectionError, match="may_send allows no request") as caught:
+            await plc.read_holding_registers(7, 1)
+        assert refused(caught.value)
+        assert peer.connections == 0
+        gate.is_open = True
+        assert await plc.read_holding_registers(7, 1) == [7]
+        asked = gate.asked
+        assert await plc.read_holding_registers(8, 1) == [8]
+        assert gate.asked > asked
+        gate.is_open = False
         with pytest.raises(ModbusConnectionError, match="may_send"):
-            await ask(plc)
+            await plc.read_holding_registers(7, 1)
         await plc.close()
+        assert len(peer.requests) == 2
 
-    with FakeServer(answer) as server:
-        asyncio.run(go())
-        assert server.connections == 0
-    assert "may_send failed" in caplog.text
+    network.run(main)
+
+
+@pytest.mark.parametrize(
+    ("options", "sent"), [({"max_in_flight": 1}, 1), ({"connect_delay": 0.1}, 0)]
+)
+def test_those_that_wait_are_not_sent_once_it_is_over(options: Any, sent: int) -> None:
+    """They wait for a slot, or for the delay after connecting: asked at their start it was yes."""
+    network, gate = Network(), Gate()
+    peer = peer_at(network, after=0.1)
+
+    async def main() -> None:
+        async with AsyncClient(peer.url, may_send=gate, **options) as plc:
+            asking = [asyncio.create_task(plc.read_holding_registers(7, 1)) for _ in range(3)]
+            await asyncio.sleep(0.03)
+            gate.shut()
+            outcomes = await asyncio.gather(*asking, return_exceptions=True)
+            assert len(peer.requests) == sent
+            assert sum(map(refused, outcomes)) == 3 - sent
+
+    network.run(main)
+
+
+def test_false_is_no_mistake_and_all_but_true_and_false_is(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    for allowed in (False, True):
+        talk = Talk(may_send=lambda allowed=allowed: allowed)
+        assert talk.ask(1).is_done is not allowed
+        assert caplog.records == []
+    for mistake in (lambda: 1, lambda: 0, lambda: None, lambda: "yes", lambda: 1 / 0 > 0):
+        (outcome,) = Talk(may_send=mistake).ask(1).outcomes
+        assert refused(outcome)
+        assert "may_send" in str(outcome)
+        assert caplog.records
+        caplog.clear()
 
 
 def test_it_is_for_asyncio_alone() -> None:
@@ -106,3 +114,55 @@ def test_it_is_for_asyncio_alone() -> None:
         TcpContext("127.0.0.1", may_send=Gate())  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="may_send must be a function"):
         AsyncClient("tcp://127.0.0.1", may_send=1)  # type: ignore[typeddict-item]
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "udp"])
+def test_nothing_goes_once_the_frames_were_made(
+    scheme: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    network, gate = Network(), Gate()
+    peer = peer_at(network, scheme)
+    start: Callable[..., Any] = Transactions.start
+
+    def stopping(self: Transactions, *arguments: Any) -> Any:
+        if found := start(self, *arguments):
+            gate.shut()
+        return found
+
+    monkeypatch.setattr(Transactions, "start", stopping)
+
+    async def main() -> None:
+        plc = AsyncClient(peer.url, may_send=gate, timeout=10)
+        asking = [plc.read_holding_registers(address, 1) for address in range(3)]
+        assert all(map(refused, await asyncio.gather(*asking, return_exceptions=True)))
+        await plc.close()
+
+    network.run(main)
+    assert peer.requests == []
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_nothing_goes_while_a_line_is_turned_round(
+    when: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With RTS the frame leaves later than it was given to the port."""
+    gate = Gate()
+    send = SerialPort.send
+
+    def stopping(self: SerialPort, adus: list[bytes], now: float) -> None:
+        send(self, adus, now)
+        gate.shut()
+
+    async def main(wire: SerialWire) -> None:
+        url = f"rtu://{wire.client}?baudrate=115200&rs485=rts-up&rts_delay=0.05"
+        # The trace is told of a frame before that is given to the port.
+        trace = gate.shut if when == "before" else None
+        async with AsyncClient(url, may_send=gate, timeout=10, trace=trace) as plc:
+            with pytest.raises(ModbusConnectionError) as caught:
+                await plc.read_holding_registers(0, 1)
+            assert refused(caught.value)
+
+    monkeypatch.setattr(SerialPort, "send", stopping if when == "after" else send)
+    with SerialWire() as wire:
+        asyncio.run(main(wire))
+        assert wire.sent_by("client") == b""
