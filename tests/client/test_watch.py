@@ -33,29 +33,46 @@ from tests.support.peers import Write, mbap
 
 METER = RegisterMap([Point("a", "holding_registers", 0), Point("b", "holding_registers", 9)])
 
-KINDS = pytest.mark.parametrize("kind", ["blocking", "asyncio"])
+
+TOTALS = RegisterMap(
+    [
+        Point("v", "holding_registers", 0),
+        Point("energy", "holding_registers", 10, interval=3, never_falls=True),
+        Point("sf", "holding_registers", 20, interval=3),
+    ]
+)
 
 
 class Wall:
-    """A simulated device, and a client that watches it."""
+    """
+    A simulated device, and a client that watches it.
+
+    Attributes:
+        registers: what is answered at an address, one value after the other; the last one stays.
+        refused, silent: addresses that get an exception, and no answer.
+        takes: how long an answer takes, in seconds.
+    """
 
     def __init__(self, kind: str, network: Network, loop: asyncio.AbstractEventLoop) -> None:
         self.kind = kind
         self.network = network
         self.loop = loop
+        self.registers: dict[int, list[int]] = {}
         self.refused: set[int] = set()
-        self.is_silent = False
+        self.silent: set[int] = set()
         self.takes = 0.0
         self.device = Scripted(network, "tcp://10.0.0.1", self.answer)
 
     def answer(self, request: bytes, write: Write) -> None:
-        if self.is_silent:
+        address = request[9]
+        if address in self.silent:
             return
-        if request[9] in self.refused:
+        if address in self.refused:
             write(mbap(request, b"\x83\x02"))
-        else:
-            answer = mbap(request, b"\x03\x02\x00\x07")
-            self.network.events.after(self.takes, write, answer)
+            return
+        values = self.registers.get(address, [7])
+        value = values.pop(0) if len(values) > 1 else values[0]
+        write(mbap(request, b"\x03\x02" + value.to_bytes(2, "big")), after=self.takes)
 
     def watch(
         self, most: int, *, during: Any = None, what: Any = METER, **options: Any
@@ -84,6 +101,11 @@ class Wall:
                     break
         return found
 
+    def times_of(self, address: int) -> list[int]:
+        """Return when a register was asked, in whole seconds since the first request."""
+        times = zip(self.device.requests, self.device.times, strict=True)
+        return [round(at - self.device.times[0]) for adu, at in times if adu[9] == address]
+
     @property
     def now(self) -> float:
         return self.network.events.now
@@ -109,10 +131,14 @@ def times(found: list[Any]) -> list[float]:
     return [round(at - found[0][0], 2) for at, _ in found]
 
 
+def values_of(found: list[Any]) -> list[Any]:
+    return [values for _, values in found]
+
+
 def test_times_are_exact_and_do_not_drift(wall: Wall) -> None:
     wall.takes = 0.03
     found = wall.watch(51, every=0.7)
-    assert [values for _, values in found] == [{"a": 7, "b": 7}] * 51
+    assert values_of(found) == [{"a": 7, "b": 7}] * 51
     # The first poll also connects, and finds out whether the device takes two requests at once.
     assert times(found[1:]) == [round(0.7 * number, 2) for number in range(50)]
 
@@ -125,7 +151,7 @@ def test_polls_that_are_late_are_left_out(wall: Wall) -> None:
 
 def test_a_device_that_is_away_gives_reasons(wall: Wall) -> None:
     def during(_: Any) -> None:
-        wall.is_silent = not wall.is_silent
+        wall.silent = set() if wall.silent else {0, 9}
 
     found = [values for _, values in wall.watch(4, every=1, during=during)]
     assert found[0] == found[2] == {"a": 7, "b": 7}
@@ -308,3 +334,50 @@ def test_a_loop_that_is_left_leaves_nothing(wall: Wall) -> None:
     wall.watch(1, every=1)
     gc.collect()
     assert not asyncio.all_tasks(wall.loop)
+
+
+# --- points with intervals of their own, and totals that fall ---------------------------------
+
+
+def test_points_are_asked_at_their_intervals_and_keep_their_values(wall: Wall) -> None:
+    found = values_of(wall.watch(8, what=TOTALS, every=1))
+    assert found == [{"v": 7, "energy": 7, "sf": 7}] * 8
+    assert wall.times_of(0) == [0, 1, 2, 3, 4, 5, 6, 7]
+    assert wall.times_of(10) == wall.times_of(20) == [0, 3, 6]
+
+
+def test_polls_come_at_the_shortest_interval(wall: Wall) -> None:
+    wall.watch(4, what=TOTALS, every=6)
+    assert wall.times_of(10) == [0, 3, 6, 9]
+    assert wall.times_of(0) == [0, 6]
+
+
+def test_no_point_is_asked_sooner_than_its_interval(wall: Wall) -> None:
+    points = RegisterMap(
+        [Point("v", "holding_registers", 0), Point("energy", "holding_registers", 10, interval=2.5)]
+    )
+    wall.watch(8, what=points, every=1)
+    assert wall.times_of(10) == [0, 3, 6]
+
+
+def test_a_total_that_is_smaller_once_is_not_believed(wall: Wall) -> None:
+    wall.registers[10] = [100, 3, 101, 102]
+    found = values_of(wall.watch(7, what=TOTALS, every=1, names=["v", "energy"]))
+    assert [values["energy"] for values in found] == [100, 100, 100, 101, 101, 101, 102]
+    assert not any(values.fell for values in found)
+    assert wall.times_of(10) == [0, 3, 3, 6]
+
+
+def test_a_total_that_is_smaller_twice_is_marked_once(wall: Wall) -> None:
+    wall.registers[10] = [100, 3, 4, 5]
+    found = values_of(wall.watch(7, what=TOTALS, every=1, names=["v", "energy"]))
+    assert [values["energy"] for values in found] == [100, 100, 100, 4, 4, 4, 5]
+    assert [set(values.fell) for values in found] == [*[set()] * 3, {"energy"}, *[set()] * 3]
+
+
+def test_a_point_without_an_answer_is_asked_again_at_the_next_poll_once(wall: Wall) -> None:
+    wall.silent = {20}
+    found = values_of(wall.watch(7, what=TOTALS, every=1))
+    assert isinstance(found[0]["sf"], ModbusTimeoutError)
+    # Each time-out takes some of the next second; a connection that failed at once is tried twice.
+    assert sorted(set(wall.times_of(20))) == [0, 1, 4, 5]
