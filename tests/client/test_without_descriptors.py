@@ -9,6 +9,7 @@ import sys
 
 import pytest
 
+from tests.support.clients import ALL
 from tests.support.peers import answer, peer_at
 
 # Each is a program of its own.
@@ -19,7 +20,7 @@ PROGRAM = """
 import asyncio, errno, resource, sys
 from libmodbus_py import ModbusConnectionError, ModbusError
 
-url, kind, hook = sys.argv[1:]
+url, kind = sys.argv[1:]
 if kind == "asyncio":
     from libmodbus_py import AsyncClient
 else:
@@ -29,7 +30,7 @@ soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
 def fail(*_):
     raise ZeroDivisionError
 
-options = {hook: fail} if hook else {}
+HOOKS = [{}, {"on_state": fail}, {"trace": fail}]
 
 def outcome(plc):
     try:
@@ -43,7 +44,7 @@ def told(found):
         assert error.errno == errno.EMFILE, repr(error)
         str(error)
 
-def blocking():
+def blocking(options):
     plc = Context.from_url(url, native=kind == "native", max_pause=0.001, **options)
     resource.setrlimit(resource.RLIMIT_NOFILE, (3, hard))
     told([outcome(plc) for _ in range(3)])
@@ -51,7 +52,7 @@ def blocking():
     assert outcome(plc) == [5]
     plc.close()
 
-async def asynchronous():
+async def asynchronous(options):
     plc = AsyncClient(url, max_pause=0.001, **options)
     resource.setrlimit(resource.RLIMIT_NOFILE, (3, hard))
     reads = [plc.read_holding_registers(5, 1) for _ in range(3)]
@@ -60,18 +61,18 @@ async def asynchronous():
     assert await plc.read_holding_registers(5, 1) == [5]
     await plc.close()
 
-asyncio.run(asynchronous()) if kind == "asyncio" else blocking()
+for options in HOOKS:
+    asyncio.run(asynchronous(options)) if kind == "asyncio" else blocking(options)
 print("ok")
 """
 
 
-@pytest.mark.parametrize("hook", ["", "on_state", "trace"])
-@pytest.mark.parametrize("kind", ["native", "python", "asyncio"])
+@ALL
 @pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu"])
-def test_it_is_a_connection_error_that_passes(scheme: str, kind: str, hook: str) -> None:
+def test_it_is_a_connection_error_that_passes(scheme: str, kind: str) -> None:
     with peer_at(scheme, lambda request, write: write(answer(request, scheme))) as peer:
         done = subprocess.run(
-            [sys.executable, "-c", PROGRAM, peer.url, kind, hook],
+            [sys.executable, "-c", PROGRAM, peer.url, kind],
             capture_output=True,
             text=True,
             timeout=30,
