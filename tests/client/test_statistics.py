@@ -15,15 +15,15 @@ from unittest.mock import patch
 
 import pytest
 
-from libmodbus_py import AsyncClient, ModbusError, pdu
+from libmodbus_py import AsyncClient, ModbusError, TcpContext, pdu
 from libmodbus_py.client.statistics import RESULTS, TIME_BOUNDS, Statistics
 from libmodbus_py.protocol.framing import crc16
 from tests.simulation import network
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.simulation.sockets import DELAY
-from tests.support.clients import BLOCKING, EVERYWHERE, Simulated, World, asking
-from tests.support.peers import TcpPeer, Write, answering, echo, mbap
+from tests.support.clients import BLOCKING, EVERYWHERE, Connect, Simulated, World, asking
+from tests.support.peers import FakeServer, TcpPeer, Write, answering, echo, mbap
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 WRITE = pdu.WriteRegister(5, 7)
@@ -239,3 +239,18 @@ def test_an_answer_is_counted_up_to_its_bound(seconds: float, place: int) -> Non
     assert statistics.answer_times[place] == statistics.responses == 2
     assert statistics.answer_seconds == 2 * seconds
     assert statistics.results == {(3, "ok"): 1, (3, "exception"): 1}
+
+
+def test_clients_one_after_the_other_count_in_the_same_place(connect: Connect) -> None:
+    counted = Statistics()
+    with FakeServer(lambda request: [echo(request)]) as server:
+        for _ in range(3):
+            with connect(server.url, statistics=counted) as plc:
+                assert plc.read_holding_registers(7, 1) == [7]
+                assert plc.statistics is counted
+    assert (counted.connects, counted.requests, counted.responses) == (3, 3, 3)
+
+
+def test_statistics_must_be_some() -> None:
+    with pytest.raises(TypeError, match="statistics must be Statistics, not dict"):
+        TcpContext("127.0.0.1", statistics={})  # type: ignore[typeddict-item]

@@ -1,5 +1,5 @@
 """
-Programs that bring statistics and a TLS context of their own.
+Clients with a TLS context that the program brings.
 """
 
 from __future__ import annotations
@@ -9,30 +9,13 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Device, Mapping, ModbusConnectionError, Server, TcpContext
-from libmodbus_py.client.statistics import Statistics
+from libmodbus_py import Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.security.security import GivenContext
 from tests.support import certificates
 from tests.support.certificates import Papers, expired
 from tests.support.clients import Connect
-from tests.support.peers import FakeServer, echo
 from tests.support.tls import context
 from tests.support.tls_peers import TlsServer, context_of
-
-
-def test_clients_one_after_the_other_count_in_the_same_place(connect: Connect) -> None:
-    counted = Statistics()
-    with FakeServer(lambda request: [echo(request)]) as server:
-        for _ in range(3):
-            with connect(server.url, statistics=counted) as plc:
-                assert plc.read_holding_registers(7, 1) == [7]
-                assert plc.statistics is counted
-    assert (counted.connects, counted.requests, counted.responses) == (3, 3, 3)
-
-
-def test_statistics_must_be_some() -> None:
-    with pytest.raises(TypeError, match="statistics must be Statistics, not dict"):
-        TcpContext("127.0.0.1", statistics={})  # type: ignore[typeddict-item]
 
 
 def unverified(papers: Papers) -> ssl.SSLContext:

@@ -1,0 +1,64 @@
+"""
+Clients and servers over TLS.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+from libmodbus_py.tools.certificates import Identity
+from tests.support import certificates
+from tests.support.certificates import Papers
+from tests.support.clients import Connect, connecting
+from tests.support.tls_clients import LONG, Serving, Talking
+from tests.support.tls_peers import Peer, Script, TlsServer, context_of
+
+
+@pytest.fixture(params=["python", "asyncio"])
+def connect(request: pytest.FixtureRequest) -> Iterator[Connect]:
+    """Makes clients of both kinds; C carries nothing over TLS."""
+    with connecting(request.param) as made:
+        yield made
+
+
+@pytest.fixture(params=["1.2", "1.3"])
+def version(request: pytest.FixtureRequest) -> str:
+    found: str = request.param
+    return found
+
+
+@pytest.fixture
+def serving(papers: Papers) -> Serving:
+    """Makes a server; options of `context_of`."""
+
+    def make(
+        script: Script = Peer.serve,
+        identity: Identity | None = None,
+        version: str | None = None,
+        **options: Any,
+    ) -> TlsServer:
+        chosen = identity or certificates.server()
+        return TlsServer(context_of(papers, chosen, version, **options), script)
+
+    return make
+
+
+@pytest.fixture
+def talking(connect: Connect, papers: Papers, serving: Serving) -> Talking:
+    """Makes a server as `serving` does, and a client that it trusts; `client` has its options."""
+
+    @contextmanager
+    def talk(
+        *arguments: Any, client: Mapping[str, Any] = {}, **options: Any
+    ) -> Iterator[tuple[TlsServer, Any]]:
+        with (
+            serving(*arguments, **options) as server,
+            connect(server.url, **{"security": papers.client(), "timeout": LONG, **client}) as plc,
+        ):
+            yield server, plc
+
+    return talk

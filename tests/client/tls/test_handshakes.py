@@ -1,0 +1,270 @@
+"""
+Handshakes that take too long, are closed, interrupted or forked; connections that a fork leaves.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from libmodbus_py import AsyncClient, Context, Device, Mapping, ModbusConnectionError, Server
+from tests.support import certificates
+from tests.support.certificates import Papers, secured
+from tests.support.clients import Connect
+from tests.support.peers import dead, until
+from tests.support.scripted import run as run_in_loop
+from tests.support.tls_clients import LONG, SOON, Serving, descriptors
+from tests.support.tls_peers import Peer, Relay, context_of, raw
+
+
+def trickles(sock: socket.socket) -> None:
+    """A ServerHello without an end, byte by byte."""
+    sock.recv(4096)
+    for each in b"\x16\x03\x03\x40\x00\x02\x00\x3f\xfc\x03\x03" + bytes(16_000):
+        sock.sendall(bytes([each]))
+        time.sleep(0.02)
+
+
+def says_hello_again_and_again(sock: socket.socket) -> None:
+    """HelloRequest, which every client ignores while it shakes hands (RFC 5246, 7.4.1.1)."""
+    sock.recv(4096)
+    while True:
+        sock.sendall(b"\x16\x03\x03\0\x04\0\0\0\0" * 1000)
+
+
+def stalls(sock: socket.socket) -> None:
+    while sock.recv(4096):
+        pass
+
+
+@pytest.mark.parametrize("talk", [trickles, says_hello_again_and_again, stalls])
+def test_a_handshake_ends_with_the_timeout(
+    connect: Connect, papers: Papers, talk: Callable[[socket.socket], object]
+) -> None:
+    with raw(talk) as url:
+        plc = connect(url, security=papers.client(), timeout=0.2)
+        begin = time.monotonic()
+        with pytest.raises(ModbusConnectionError) as caught:
+            plc.read_holding_registers(0, 1)
+        assert time.monotonic() - begin >= 0.19
+        assert caught.value.errno is not None
+        assert os.strerror(caught.value.errno) == "Connection timed out"
+        plc.close()
+
+
+def test_a_handshake_that_stops_after_the_servers_hello(
+    connect: Connect, papers: Papers, serving: Serving
+) -> None:
+    seen = 0
+
+    def first_hundred(data: bytes) -> list[bytes]:
+        nonlocal seen
+        seen += len(data)
+        return [data[: max(0, 100 - seen + len(data))]]
+
+    with serving() as server, Relay(server.port, first_hundred) as relay:
+        plc = connect(relay.url, security=papers.client(), timeout=0.5)
+        with pytest.raises(ModbusConnectionError):
+            plc.read_holding_registers(0, 1)
+        plc.close()
+    assert seen > 100
+
+
+def test_a_dead_host(connect: Connect, papers: Papers) -> None:
+    with dead() as port:
+        plc = connect(f"tls://127.0.0.1:{port}", security=papers.client(), timeout=0.1)
+        with pytest.raises(ModbusConnectionError):
+            plc.read_holding_registers(0, 1)
+        plc.close()
+
+
+def test_a_slow_handshake_is_good_if_there_is_time(
+    connect: Connect, papers: Papers, serving: Serving
+) -> None:
+    def bytewise(data: bytes) -> Iterator[bytes]:
+        for at in range(0, len(data), 7):
+            time.sleep(0.0002)
+            yield data[at : at + 7]
+
+    with (
+        serving() as server,
+        Relay(server.port, bytewise) as relay,
+        connect(relay.url, security=papers.client(), timeout=LONG) as plc,
+    ):
+        assert plc.read_holding_registers(5, 1) == [5]
+
+
+# --- closing, cancelling, forking ------------------------------------------------------------
+
+
+def test_close_ends_a_handshake(connect: Connect, papers: Papers) -> None:
+    reached = threading.Event()
+
+    def talk(sock: socket.socket) -> None:
+        sock.recv(4096)
+        reached.set()
+        stalls(sock)
+
+    with raw(talk) as url:
+        plc = connect(url, security=papers.client(), timeout=60)
+        errors: list[Exception] = []
+
+        def ask() -> None:
+            try:
+                plc.read_holding_registers(0, 1)
+            except Exception as error:
+                errors.append(error)
+
+        thread = threading.Thread(target=ask)
+        thread.start()
+        assert reached.wait(SOON)
+        plc.close()
+        thread.join(SOON)
+        assert not thread.is_alive()
+        (error,) = errors
+        assert isinstance(error, ModbusConnectionError)
+        assert "closed" in str(error)
+
+
+@pytest.mark.parametrize("deed", ["close", "Ctrl-C"])
+def test_a_signal_in_the_handshake(papers: Papers, deed: str) -> None:
+    with raw(stalls) as url:
+        plc = Context.from_url(url, security=papers.client(), timeout=60)
+        before = descriptors()
+
+        def handle(*_: object) -> None:
+            if deed == "close":
+                plc.close()
+            else:
+                raise KeyboardInterrupt
+
+        old = signal.signal(signal.SIGALRM, handle)
+        try:
+            signal.setitimer(signal.ITIMER_REAL, 0.3)
+            expected = ModbusConnectionError if deed == "close" else KeyboardInterrupt
+            with pytest.raises(expected):
+                plc.connect()
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.signal(signal.SIGALRM, old)
+        until(lambda: descriptors() <= before)
+        plc.close()
+
+
+def test_a_client_goes_on_after_ctrl_c_in_the_handshake(papers: Papers, serving: Serving) -> None:
+    is_silent = True
+
+    def handle(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    old = signal.signal(signal.SIGALRM, handle)
+    try:
+        with (
+            serving() as server,
+            Relay(server.port, lambda data: [] if is_silent else [data]) as relay,
+            contextlib.closing(
+                Context.from_url(relay.url, security=papers.client(), timeout=LONG)
+            ) as plc,
+        ):
+            signal.setitimer(signal.ITIMER_REAL, 0.3)
+            with pytest.raises(KeyboardInterrupt):
+                plc.connect()
+            is_silent = False
+            assert plc.read_holding_registers(5, 1) == [5]
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, old)
+
+
+def test_closing_at_each_await_of_a_handshake(papers: Papers) -> None:
+    """No descriptor is left, no task, and what is opened next in its place is heard."""
+
+    def bytewise(data: bytes) -> Iterator[bytes]:
+        for at in range(0, len(data), 40):
+            yield data[at : at + 40]
+
+    async def main(url: str) -> set[str]:
+        security, outcomes = papers.client(), set()
+        loop = asyncio.get_running_loop()
+        before = descriptors()
+        for turns in [*range(30), *range(30, 300, 9)]:
+            plc = AsyncClient(url, security=security, timeout=LONG)
+            asking = loop.create_task(plc.connect())
+            for _ in range(turns):
+                await asyncio.sleep(0)
+            if turns % 2:
+                asking.cancel()
+            await plc.close()
+            try:
+                await asking
+                outcomes.add("connected")
+            except ModbusConnectionError:
+                outcomes.add("failed")
+            except asyncio.CancelledError:
+                outcomes.add("cancelled")
+            near, far = socket.socketpair()
+            heard = asyncio.Event()
+            loop.add_reader(near, heard.set)
+            far.send(b"x")
+            await asyncio.wait_for(heard.wait(), SOON)
+            loop.remove_reader(near)
+            near.close()
+            far.close()
+        while descriptors() > before:  # the server has its own of each connection
+            await asyncio.sleep(0.01)
+        return outcomes
+
+    with raw(lambda sock: _serve(papers, sock, bytewise)) as url:
+        outcomes = run_in_loop(asyncio.wait_for(main(url), 60))
+        assert {"failed", "cancelled"} <= outcomes
+
+
+def _serve(papers: Papers, sock: socket.socket, cut: Callable[[bytes], Iterator[bytes]]) -> None:
+    peer = Peer(sock, context_of(papers, certificates.server()))
+    peer.cut = cut
+    peer.shake_hands()
+    peer.serve()
+
+
+def test_a_forked_child_leaves_the_connection_alone(papers: Papers) -> None:
+    """It connects anew, and says no goodbye in the parent's name."""
+    server = Server(Device(Mapping(holding_registers=10)))
+    with secured(server, papers) as url, Context.from_url(url, timeout=LONG) as plc:
+        plc.write_register(0, 7)
+        child = os.fork()
+        if child == 0:
+            code = 1
+            with contextlib.suppress(BaseException):
+                code = 0 if plc.read_holding_registers(0, 1) == [7] else 2
+                plc.close()
+            os._exit(code)
+        assert os.waitpid(child, 0)[1] == 0
+        assert plc.read_holding_registers(0, 1) == [7]
+        assert plc.statistics.connects == 1
+        assert server.statistics.handshakes == 2
+
+
+def test_an_asyncio_client_that_ends_in_a_child_leaves_the_connection_alone(
+    papers: Papers,
+) -> None:
+    async def main(url: str) -> None:
+        async with AsyncClient(url, timeout=LONG) as plc:
+            await plc.write_register(0, 7)
+            child = os.fork()
+            if child == 0:
+                plc._driver._port.close()
+                os._exit(0)
+            os.waitpid(child, 0)
+            assert await plc.read_holding_registers(0, 1) == [7]
+            assert plc.statistics.connects == 1
+
+    with secured(Server(Device(Mapping(holding_registers=10))), papers) as url:
+        run_in_loop(main(url))

@@ -1,0 +1,298 @@
+"""
+What goes over a connection of TLS, in whatever records, and how it ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import (
+    ModbusConnectionError,
+    ModbusTimeoutError,
+    State,
+    Traced,
+    pdu,
+)
+from tests.support import certificates
+from tests.support.certificates import (
+    Papers,
+)
+from tests.support.clients import Connect
+from tests.support.peers import echo, mbap, until
+from tests.support.tls_clients import LONG, Serving, Talking, reads, values
+from tests.support.tls_peers import (
+    HANDSHAKE,
+    Peer,
+    Script,
+    Sealed,
+)
+
+ALERT, ACCESS_DENIED = 21, b"\x02\x31"
+
+
+# --- what goes over it ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("key", ["EC", "RSA"])
+def test_both_versions_and_both_kinds_of_keys(
+    connect: Connect, papers: Papers, serving: Serving, version: str, key: str
+) -> None:
+    options = {"key": certificates.rsa_key()} if key == "RSA" else {}
+    own = certificates.client(**options)
+    with (
+        serving(Peer.serve, certificates.server(**options), version) as server,
+        connect(server.url, security=papers.security(own), timeout=LONG) as plc,
+    ):
+        assert [plc.read_holding_registers(each, 1) for each in range(3)] == values(3)
+        assert plc.execute_many(reads(300)) == values(300)
+    assert server.connections == 1
+
+
+def test_a_chain_with_an_intermediate(connect: Connect, papers: Papers, serving: Serving) -> None:
+    below = certificates.intermediate()
+    own = papers.security(certificates.client(issuer=below))
+    with (
+        serving(identity=certificates.server(issuer=below)) as server,
+        connect(server.url, security=own, timeout=LONG) as plc,
+    ):
+        assert plc.read_holding_registers(7, 1) == [7]
+
+
+def one_byte_records(peer: Peer) -> None:
+    peer.serve(lambda request: [bytes([each]) for each in echo(request)])
+
+
+def one_byte_segments(peer: Peer) -> None:
+    while request := peer.request():
+        for each in peer.sealed(echo(request)):
+            peer.sock.sendall(bytes([each]))
+
+
+def two_records_apart(peer: Peer) -> None:
+    while request := peer.request():
+        answer = echo(request)
+        peer.write(answer[:5])
+        time.sleep(0.02)
+        peer.write(answer[5:])
+
+
+def many_in_one_record(peer: Peer) -> None:
+    while request := peer.request():
+        answers = echo(request)
+        while peer.tls.pending():
+            answers += echo(peer.request())
+        peer.write(answers)
+
+
+@pytest.mark.parametrize(
+    "script", [one_byte_records, one_byte_segments, two_records_apart, many_in_one_record]
+)
+def test_records_say_nothing_about_frames(talking: Talking, version: str, script: Script) -> None:
+    with talking(script, version=version) as (server, plc):
+        assert [plc.read_holding_registers(each, 1) for each in range(3)] == values(3)
+        assert plc.execute_many(reads(40)) == values(40)
+    assert server.connections == 1
+
+
+def test_tickets_changes_of_keys_and_empty_records_between_answers(
+    talking: Talking, tmp_path: Path
+) -> None:
+    log = tmp_path / "keys"
+    other: list[Callable[[Sealed], bytes]] = [
+        lambda sealed: sealed.record(sealed.ticket(), HANDSHAKE),
+        lambda sealed: sealed.change_of_keys(),
+        lambda sealed: sealed.change_of_keys(is_answer_wanted=True),
+        lambda sealed: sealed.record(b""),
+    ]
+
+    def script(peer: Peer) -> None:
+        sealed = Sealed(log, count=peer.tls.context.num_tickets)
+        turn = 0
+        while request := peer.request():
+            answer = echo(request)
+            make = other[turn % 4]
+            before = turn // 4 % 3 == 0
+            data = make(sealed) if before else b""
+            data += sealed.record(answer[:4])
+            data += make(sealed) if turn // 4 % 3 == 1 else b""
+            data += sealed.record(answer[4:])
+            data += make(sealed) if turn // 4 % 3 == 2 else b""
+            peer.sock.sendall(data)
+            turn += 1
+
+    with talking(script, version="1.3", keylog_filename=str(log)) as (server, plc):
+        for each in range(24):
+            assert plc.read_holding_registers(each, 1) == [each]
+        assert plc.execute_many(reads(100)) == values(100)
+    assert server.connections == 1
+
+
+def test_requests_wait_while_a_ticket_comes_in_pieces(talking: Talking, tmp_path: Path) -> None:
+    """OpenSSL encrypts nothing in the midst of a message of the handshake's kind."""
+    log = tmp_path / "keys"
+    halves, asked = threading.Event(), threading.Event()
+
+    def script(peer: Peer) -> None:
+        sealed = Sealed(log, count=peer.tls.context.num_tickets)
+        ticket = sealed.ticket()
+        peer.sock.sendall(
+            sealed.record(echo(peer.request())) + sealed.record(ticket[:20], HANDSHAKE)
+        )
+        halves.set()
+        asked.wait(LONG)
+        time.sleep(0.1)
+        peer.sock.sendall(sealed.record(ticket[20:], HANDSHAKE))
+        while request := peer.request():
+            peer.sock.sendall(sealed.record(echo(request)))
+
+    with talking(script, version="1.3", keylog_filename=str(log)) as (server, plc):
+        assert plc.read_holding_registers(1, 1) == [1]
+        assert halves.wait(LONG)
+        time.sleep(0.1)
+        asked.set()
+        assert plc.read_holding_registers(2, 1) == [2]
+        assert plc.execute_many(reads(40)) == values(40)
+    assert server.connections == 1
+
+
+def test_the_trace_shows_what_is_inside(connect: Connect, papers: Papers, serving: Serving) -> None:
+    seen: list[Traced] = []
+    states: list[State] = []
+    with (
+        serving() as server,
+        connect(
+            server.url,
+            security=papers.client(),
+            timeout=LONG,
+            trace=seen.append,
+            on_state=lambda state, error: states.append(state),
+        ) as plc,
+    ):
+        plc.read_holding_registers(0x0102, 1)
+        assert plc.url == server.url
+        assert (plc.statistics.requests, plc.statistics.responses) == (1, 1)
+        assert plc.statistics.connects == 1
+    sent, received = seen
+    assert sent.adu[2:].hex() == "0000000601" + "0301020001"
+    assert received.adu[2:].hex() == "0000000501" + "03020102"
+    assert states == [State.CONNECTING, State.CONNECTED, State.CLOSED]
+
+
+# --- ends ------------------------------------------------------------------------------------
+
+
+def test_a_goodbye_while_a_request_waits(
+    connect: Connect, papers: Papers, serving: Serving
+) -> None:
+    """TLS has ended, though TCP has not."""
+    done = threading.Event()
+
+    def script(peer: Peer) -> None:
+        peer.request()
+        peer.sock.sendall(peer.end())
+        done.wait(300)
+
+    with serving(script) as server:
+        with (
+            connect(server.url, security=papers.client(), timeout=600) as plc,
+            pytest.raises(ModbusConnectionError, match="closed by the other side"),
+        ):
+            plc.read_holding_registers(0, 1)
+        done.set()
+
+
+def test_an_answer_and_a_goodbye_in_one_go(
+    connect: Connect, papers: Papers, serving: Serving
+) -> None:
+    """The answer counts, and who waits for another one hears at once that there is none."""
+    done = threading.Event()
+
+    def script(peer: Peer) -> None:
+        asked = [peer.request() for _ in range(4)]
+        peer.sock.sendall(peer.sealed(echo(asked[0])) + peer.end())
+        done.wait(300)
+
+    with serving(script) as server:
+        options = {"timeout": 600, "max_in_flight": 16}
+        with connect(server.url, security=papers.client(), **options) as plc:
+            found = plc.execute_many(reads(4), max_in_flight=8, return_exceptions=True)
+            assert found[0] == [0]
+            assert [type(each) for each in found[1:]] == [ModbusConnectionError] * 3
+            assert "closed by the other side" in str(found[1])
+        done.set()
+
+
+def test_an_answer_and_an_alert_in_one_go(
+    connect: Connect, papers: Papers, serving: Serving, tmp_path: Path
+) -> None:
+    """More requests wait to be sent, and cannot be any more."""
+    log = tmp_path / "keys"
+    kept: list[socket.socket] = []
+
+    def script(peer: Peer) -> None:
+        sealed = Sealed(log, count=peer.tls.context.num_tickets)
+        request = peer.request()
+        kept.append(peer.sock.dup())
+        server.script = Peer.serve
+        peer.sock.sendall(sealed.record(echo(request)) + sealed.record(ACCESS_DENIED, ALERT))
+
+    with serving(script, version="1.3", keylog_filename=str(log)) as server:
+        with connect(server.url, security=papers.client(), timeout=600) as plc:
+            found = plc.execute_many(reads(9), max_in_flight=4, return_exceptions=True)
+        kept[0].close()
+    refused = [each for each in found if isinstance(each, ModbusConnectionError)]
+    assert found[0] == [0]
+    assert refused
+    assert {each.args[0].partition(": ")[0].partition(" ")[2] for each in refused} == {
+        "refused our certificate (tlsv1 alert access denied)"
+    }
+    assert found[-1] == [8]
+
+
+def test_a_connection_that_ends_within_a_record(talking: Talking) -> None:
+    def script(peer: Peer) -> None:
+        peer.sock.sendall(peer.sealed(echo(peer.request()))[:20])
+
+    with talking(script) as (server, plc):
+        with pytest.raises(ModbusConnectionError, match="closed by the other side"):
+            plc.read_holding_registers(0, 1)
+        server.script = Peer.serve
+        assert plc.read_holding_registers(4, 1) == [4]
+
+
+def test_late_answers_are_dropped(talking: Talking) -> None:
+    def script(peer: Peer) -> None:
+        first, second = peer.request(), peer.request()
+        peer.write(mbap(first, b"\x03\x02\xff\xff"), echo(second))
+        peer.serve()
+
+    with talking(script) as (server, plc):
+        with pytest.raises(ModbusTimeoutError):
+            plc.execute(pdu.ReadHoldingRegisters(1, 1), timeout=0.1)
+        assert plc.read_holding_registers(2, 1) == [2]
+        assert plc.read_holding_registers(3, 1) == [3]
+        assert plc.late_answers == 1
+    assert server.connections == 1
+
+
+def test_retries_go_over_a_new_connection(talking: Talking) -> None:
+    with talking(Peer.request, client={"retries": 2}) as (server, plc):
+        with pytest.raises(ModbusConnectionError):
+            plc.read_holding_registers(1, 1)
+        assert plc.statistics.retries == 2
+        server.script = Peer.serve
+        until(lambda: _asked(plc) == [1])
+    assert server.connections >= 4
+
+
+def _asked(plc: Any) -> Any:
+    with contextlib.suppress(ModbusConnectionError):
+        return plc.read_holding_registers(1, 1)

@@ -1,0 +1,125 @@
+"""
+Sessions of TLS: which a new connection of a client resumes, and which it does not.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Device, Mapping, ModbusConnectionError, Server
+from tests.support import certificates
+from tests.support.certificates import Papers
+from tests.support.clients import Connect
+from tests.support.peers import until
+from tests.support.tls_clients import LONG, Talking
+from tests.support.tls_peers import Peer, Relay, Script, TlsServer, context_of
+
+
+def once(peer: Peer) -> None:
+    """Answer one request, and say goodbye."""
+    peer.answer()
+    peer.sock.sendall(peer.end())
+
+
+def abruptly(peer: Peer) -> None:
+    """Answer one request, and go without a word."""
+    peer.answer()
+
+
+def ask_after_each_end(plc: Any, server: TlsServer, times: int) -> None:
+    """Ask, and ask again when the server has closed the connection."""
+    for each in range(times):
+        assert plc.read_holding_registers(each, 1) == [each]
+        until(lambda: server.ended == server.connections)
+
+
+@pytest.mark.parametrize("script", [once, abruptly])
+def test_a_new_connection_resumes_the_session(
+    talking: Talking, version: str, script: Script
+) -> None:
+    with talking(script, version=version) as (server, plc):
+        ask_after_each_end(plc, server, 4)
+    assert server.resumed == [False, True, True, True]
+
+
+def test_a_server_that_forgot_the_session(talking: Talking, papers: Papers, version: str) -> None:
+    with talking(once, version=version) as (server, plc):
+        for _ in range(3):
+            ask_after_each_end(plc, server, 1)
+            server.context = context_of(papers, certificates.server(), version)
+    assert server.resumed == [False] * 3
+
+
+def alerted(peer: Peer) -> None:
+    """Answer one request, and send what cannot be decrypted: bad_record_mac is the answer."""
+    peer.answer()
+    peer.sock.sendall(b"\x17\x03\x03\0\x20" + bytes(32))
+    peer.sock.recv(1000)
+
+
+def test_no_session_outlives_an_alert(talking: Talking, version: str) -> None:
+    """R-11."""
+    with talking(alerted, version=version) as (server, plc):
+        for _ in range(3):
+            with contextlib.suppress(ModbusConnectionError):
+                assert plc.read_holding_registers(0, 1) == [0]
+    assert not any(server.resumed)
+    assert len(server.resumed) >= 2
+
+
+def test_no_session_outlives_a_failed_handshake(talking: Talking, version: str) -> None:
+    with talking(once, version=version) as (server, plc):
+        ask_after_each_end(plc, server, 1)
+        talk, server._talk = server._talk, lambda sock: sock.recv(1)
+        with pytest.raises(ModbusConnectionError, match="no TLS handshake"):
+            plc.read_holding_registers(1, 1)
+        server._talk = talk
+        assert asking_again(plc) == [1]
+    assert server.resumed == [False, False]
+
+
+def asking_again(plc: Any) -> Any:
+    """Until a connection stands again; the client pauses after failures."""
+    end = time.monotonic() + LONG
+    while True:
+        try:
+            return plc.read_holding_registers(1, 1)
+        except ModbusConnectionError:
+            assert time.monotonic() < end
+            time.sleep(0.05)
+
+
+def test_a_certificate_that_expired_meanwhile_is_not_resumed(
+    talking: Talking, version: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with talking(once, identity=certificates.server(days=2), version=version) as (server, plc):
+        assert plc.read_holding_registers(1, 1) == [1]
+        until(lambda: server.ended)
+        now = time.time()
+        monkeypatch.setattr(time, "time", lambda: now + 3 * 86_400)
+        with pytest.raises(ModbusConnectionError, match="certificate has expired: 'CN=Test"):
+            plc.read_holding_registers(1, 1)
+        monkeypatch.undo()
+
+
+def test_our_own_server_knows_who_comes_back(connect: Connect, papers: Papers) -> None:
+    roles: list[str | None] = []
+    device = Device(
+        Mapping(holding_registers=10), before_write=lambda access: roles.append(access.role)
+    )
+    server = Server(device, security=papers.server())
+    with (
+        server.background("tls://127.0.0.1:0") as running,
+        Relay(int(running.urls[0].rpartition(":")[2])) as relay,
+        connect(relay.url, security=papers.client(), timeout=LONG) as plc,
+    ):
+        for each in range(3):
+            plc.write_register(0, each)
+            relay.cut()
+            until(lambda: not server.statistics.connections)
+    assert roles == ["Operator"] * 3
+    assert (server.statistics.handshakes, server.statistics.handshakes_resumed) == (3, 2)

@@ -1,0 +1,42 @@
+"""
+What tests of clients over TLS share.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import Any
+
+from libmodbus_py import pdu
+
+from .tls_peers import TlsServer
+
+__all__ = ["LONG", "SOON", "Serving", "Talking", "descriptors", "reads", "values"]
+
+LONG = 20.0
+"""A timeout in seconds that no good answer needs, on a machine that is busy."""
+
+SOON = 10.0
+"""What comes at once takes no longer, in seconds, on a machine that is busy."""
+
+Serving = Callable[..., TlsServer]
+"""Makes a server of a script, an identity, a version and options of `context_of`."""
+
+Talking = Callable[..., AbstractContextManager[tuple[TlsServer, Any]]]
+"""Makes a server as `Serving` does, and a client that is connected to it."""
+
+
+def reads(count: int) -> list[pdu.ReadHoldingRegisters]:
+    return [pdu.ReadHoldingRegisters(address, 1) for address in range(count)]
+
+
+def values(count: int) -> list[list[int]]:
+    """Return the values that `reads` returns with `echo`."""
+    return [[address] for address in range(count)]
+
+
+def descriptors() -> int:
+    """Return how many descriptors this process has."""
+    return len(os.listdir("/proc/self/fd"))
