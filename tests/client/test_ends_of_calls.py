@@ -134,8 +134,13 @@ def test_nothing_is_sent_of_a_call_that_a_context_was_thrown_out_of(
         assert strike_each_moment(context, peer, scheme, error, settle) > 50
 
 
-@RAISED
-@TRANSPORTS
+@pytest.mark.parametrize(
+    ("scheme", "error"),
+    [
+        *(("tcp", error) for error in ERRORS),
+        *((scheme, KeyboardInterrupt()) for scheme in ("rtu", "udp")),
+    ],
+)
 def test_nothing_is_sent_of_a_call_that_c_carries(scheme: str, error: BaseException) -> None:
     with peer_at(scheme, replying(scheme)) as peer:
         # On a line a unit that owes an answer is left alone for one timeout, in real seconds.

@@ -29,7 +29,7 @@ from libmodbus_py import (
     TcpContext,
 )
 from tests.support.clients import ALL, BLOCKING, NATIVE, asking
-from tests.support.peers import FakeServer, FakeUnit, answer, dead, until
+from tests.support.peers import FakeServer, FakeUnit, answer, dead, peer_at, until
 from tests.support.scripted import run as run_watched
 
 
@@ -332,4 +332,57 @@ def test_ctrl_c_at_any_moment_fails_no_later_request(place: str, native: bool) -
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, before)
         assert interrupted > 5
+        context.close()
+
+
+# --- ends that are themselves interrupted ----------------------------------------------------
+
+
+class Interrupted:
+    """Raises KeyboardInterrupt in place of a method, so many times."""
+
+    def __init__(self, patch: pytest.MonkeyPatch, owner: Any, name: str, times: int = 1) -> None:
+        self._method, self._left = getattr(owner, name), times
+        patch.setattr(owner, name, self)
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        self._left -= 1
+        if self._left >= 0:
+            raise KeyboardInterrupt
+        return self._method(*arguments, **options)
+
+
+@NATIVE
+def test_the_connection_is_left_by_the_next_request(
+    native: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with (
+        peer_at("tcp", lambda request, write: write(answer(request, "tcp"))) as peer,
+        Context.from_url(peer.url, native=native) as context,
+    ):
+        assert context.read_holding_registers(6, 1) == [6]
+        driver = context._driver
+        Interrupted(monkeypatch, driver, "_step")
+        Interrupted(monkeypatch, driver._connection, "interrupted")
+        with pytest.raises(KeyboardInterrupt):
+            context.read_holding_registers(7, 1)
+        assert context.read_holding_registers(8, 1) == [8]
+        assert context.state is State.CONNECTED
+        assert context.statistics.connects == 2
+
+
+@NATIVE
+def test_a_client_that_was_closed_meanwhile_is_closed_by_the_next_request(
+    native: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with peer_at("tcp", lambda request, write: write(answer(request, "tcp"))) as peer:
+        context = Context.from_url(peer.url, native=native)
+        assert context.read_holding_registers(6, 1) == [6]
+        Interrupted(monkeypatch, context._driver, "_shut")
+        with pytest.raises(KeyboardInterrupt):
+            context.close()
+        with pytest.raises(ModbusConnectionError, match="closed"):
+            context.read_holding_registers(7, 1)
+        assert context.state is State.CLOSED
+        assert len(peer.requests) == 1
         context.close()

@@ -68,15 +68,6 @@ def test_echo_is_taken_out_of_what_is_received(connect: Connect, kind: str) -> N
             assert context.read_holding_registers(0, 1) == [7]
 
 
-def test_echo_in_one_piece_with_the_answer_is_taken_out(connect: Connect) -> None:
-    with (
-        FakeUnit(lambda request: [request[:3], request[3:] + ANSWER[:2], ANSWER[2:]]) as unit,
-        connect(f"rtu://{unit.path}?echo=1&timeout=0.5") as context,
-    ):
-        for _ in range(3):
-            assert context.read_holding_registers(0, 1) == [7]
-
-
 def test_no_echo_where_one_was_announced_does_no_harm(connect: Connect) -> None:
     with (
         FakeUnit(lambda request: [ANSWER]) as unit,

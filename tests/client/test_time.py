@@ -4,13 +4,11 @@ How long things take: time-outs, pauses, repetitions, broadcasts.
 
 from __future__ import annotations
 
-import asyncio
 from itertools import pairwise
 
 import pytest
 
 from libmodbus_py import (
-    AsyncClient,
     Device,
     Mapping,
     ModbusTimeoutError,
@@ -18,8 +16,6 @@ from libmodbus_py import (
     ServerDeviceBusy,
     pdu,
 )
-from tests.simulation.network import Network
-from tests.simulation.scripted import Scripted
 from tests.support.clients import EVERYWHERE, World, asking, read
 from tests.support.peers import Answer, Write, answering, echo, ignore, mbap
 
@@ -70,24 +66,6 @@ def test_an_answer_just_before_the_end_of_the_timeout_counts(world: World, secon
         late = seconds + 0.0015
         with world.lasting(seconds), pytest.raises(ModbusTimeoutError):
             read(plc, 6)
-
-
-def test_a_timeout_can_be_changed_while_somebody_waits() -> None:
-    network = Network()
-    peer = Scripted(network, "tcp://10.0.0.1", ignore)
-
-    async def main() -> None:
-        async with AsyncClient(peer.url, timeout=9) as plc:
-            before = network.events.now
-            waiting = asyncio.create_task(plc.execute(REQUEST))
-            await asyncio.sleep(3)
-            plc.timeout = 4
-            with pytest.raises(ModbusTimeoutError):
-                await waiting
-            assert network.events.now == pytest.approx(before + 4, abs=1e-6)
-            assert plc.timeout == 4
-
-    network.run(main)
 
 
 @EVERYWHERE
@@ -182,15 +160,6 @@ def test_a_busy_device_of_ours_is_asked_again(kind: str) -> None:
 
 
 # --- nobody answers -------------------------------------------------------------------------------
-
-
-def test_a_request_that_nobody_answers_is_not_waited_for(world: World) -> None:
-    peer = world.peer("tcp", answering(silent, good))
-    with world.connect(peer.url, timeout=5, turnaround=0.02) as plc:
-        with world.lasting(0.02):
-            assert plc.diagnostics(pdu.SubFunction.FORCE_LISTEN_ONLY) == 0
-        assert plc.read_holding_registers(5, 1) == [5]
-        assert plc.statistics.timeouts == 0
 
 
 @EVERYWHERE

@@ -36,24 +36,17 @@ def good(request: bytes, write: Write) -> None:
 def test_an_attempt_lasts_as_long_as_the_timeout_of_its_request(
     world: Simulated, own: float
 ) -> None:
-    """Not as that of the client."""
+    """Or of its handle, but not as that of the client."""
     world.network.unreachable.add(HOST)
     plc = world.connect(URL, timeout=1)
-    with world.lasting(own), pytest.raises(ModbusConnectionError) as caught:
-        plc.execute(REQUEST, timeout=own)
-    assert caught.value.errno == errno.ETIMEDOUT
-    world.sleep(0.01)
-    assert plc.state is State.DISCONNECTED
-    assert plc.statistics.failed_connects == 1
-    plc.close()
-
-
-@pytest.mark.parametrize("own", [0.1, 5.0])
-def test_so_it_is_for_handles(world: Simulated, own: float) -> None:
-    world.network.unreachable.add(HOST)
-    plc = world.connect(URL, timeout=1)
-    with world.lasting(own), pytest.raises(ModbusConnectionError):
-        plc.for_unit(3, timeout=own).execute(REQUEST)
+    handle = plc.for_unit(3, timeout=own)
+    for ask in (lambda: plc.execute(REQUEST, timeout=own), lambda: handle.execute(REQUEST)):
+        with world.lasting(own), pytest.raises(ModbusConnectionError) as caught:
+            ask()
+        assert caught.value.errno == errno.ETIMEDOUT
+        world.sleep(0.01)
+        assert plc.state is State.DISCONNECTED
+    assert plc.statistics.failed_connects == 2
     plc.close()
 
 

@@ -1,5 +1,5 @@
 """
-The blocking client over UDP: datagrams that are lost, late, doubled, damaged or another's.
+Clients over UDP: datagrams that are lost, late, doubled, damaged, empty or another's.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from libmodbus_py import (
     Server,
     pdu,
 )
-from tests.support.clients import EVERYWHERE, Connect, World
-from tests.support.peers import Answer, UdpPeer, Write, answering, echo, mbap
+from tests.support.clients import ALL, EVERYWHERE, Connect, World, asking, read
+from tests.support.peers import Answer, UdpPeer, Write, answer, answering, echo, mbap
 
 
 def good(request: bytes) -> list[bytes]:
@@ -268,3 +268,51 @@ def test_name_that_does_not_resolve(connect: Connect, host: str) -> None:
     with pytest.raises(ModbusConnectionError, match="cannot resolve host") as caught:
         connect(f"udp://{host}").read_coils(0, 1)
     assert caught.value.__cause__ is not None
+
+
+# --- datagrams without a byte ----------------------------------------------------------------
+
+SCHEMES = pytest.mark.parametrize("scheme", ["udp", "rtu+udp"])
+
+
+COUNTED = ("late_answers", "invalid", "lost", "connects", "timeouts")
+
+
+def counted(client: Any) -> dict[str, int]:
+    return {name: getattr(client.statistics, name) for name in COUNTED}
+
+
+@SCHEMES
+@ALL
+def test_those_before_an_answer_are_no_answer(kind: str, scheme: str) -> None:
+    def on_request(request: bytes, write: Write) -> None:
+        for _ in range(3):
+            write(b"")
+        write(answer(request, scheme))
+
+    with UdpPeer(on_request, scheme) as peer, asking(kind, peer.url, timeout=30) as client:
+        assert [read(client, address) for address in range(20)] == list(range(20))
+        assert counted(client) == dict.fromkeys(COUNTED, 0) | {"connects": 1}
+
+
+@SCHEMES
+@ALL
+def test_those_that_come_to_an_idle_client_change_nothing(kind: str, scheme: str) -> None:
+    """Neither its connection nor the rest that a unit without an answer gets."""
+    is_silent = False
+
+    def on_request(request: bytes, write: Write) -> None:
+        if not is_silent:
+            write(answer(request, scheme))
+
+    with UdpPeer(on_request, scheme) as peer, asking(kind, peer.url, timeout=0.1) as client:
+        assert read(client, 0) == 0
+        is_silent = True
+        with pytest.raises(ModbusTimeoutError):
+            read(client, 1)
+        before = counted(client)
+        for _ in range(100):
+            peer._socket.sendto(b"", peer.clients[0])
+        is_silent = False
+        assert read(client.for_unit(1, timeout=30), 2) == 2
+        assert counted(client) == before
