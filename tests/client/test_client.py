@@ -14,14 +14,7 @@ from typing import Any
 import pytest
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 
-from libmodbus_py import (
-    Context,
-    Device,
-    IllegalDataAddress,
-    Mapping,
-    Server,
-    pdu,
-)
+from libmodbus_py import Context, Device, IllegalDataAddress, Mapping, Server, pdu
 from libmodbus_py.client.asynchronous import AsyncClient
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.interop.test_interop_pymodbus import (

@@ -6,11 +6,7 @@ from __future__ import annotations
 
 import pytest
 
-from libmodbus_py import (
-    ModbusConnectionError,
-    ModbusTimeoutError,
-    pdu,
-)
+from libmodbus_py import ModbusConnectionError, ModbusTimeoutError, pdu
 from libmodbus_py.client.call import NOT_ASKED
 from tests.support.replies import BOTH, addresses, answer, refusal
 from tests.support.talk import LINE, LOST, TCP, Talk, kinds, tcp, value

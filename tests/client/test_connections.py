@@ -38,15 +38,7 @@ from tests.support.clients import (
     connecting,
     read,
 )
-from tests.support.peers import (
-    Write,
-    answer,
-    dead,
-    echo,
-    refusing,
-    until,
-    url_of,
-)
+from tests.support.peers import Write, answer, dead, echo, refusing, until, url_of
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 

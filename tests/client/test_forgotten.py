@@ -13,10 +13,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    AsyncClient,
-    RtuContext,
-)
+from libmodbus_py import AsyncClient, RtuContext
 from tests.support.collecting import new_garbage_only
 from tests.support.peers import FakeServer, FakeUnit, answer, until
 from tests.support.scripted import run as run_watched

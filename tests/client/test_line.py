@@ -15,13 +15,7 @@ from libmodbus_py import (
     pdu,
 )
 from tests.support.cases import each_case
-from tests.support.talk import (
-    LINE,
-    Talk,
-    kinds,
-    rtu,
-    value,
-)
+from tests.support.talk import LINE, Talk, kinds, rtu, value
 
 WRITE = pdu.WriteRegister(1, 2)
 

@@ -9,12 +9,7 @@ from collections.abc import Callable
 
 import pytest
 
-from libmodbus_py import (
-    InvalidResponse,
-    ModbusError,
-    ModbusTimeoutError,
-    framing,
-)
+from libmodbus_py import InvalidResponse, ModbusError, ModbusTimeoutError, framing
 from tests.support.clients import EVERYWHERE, Simulated, World, read
 from tests.support.peers import Write, answer, answering, mbap
 

@@ -16,16 +16,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    Context,
-    Device,
-    Mapping,
-    ModbusError,
-    RtuContext,
-    Server,
-    State,
-    framing,
-)
+from libmodbus_py import Context, Device, Mapping, ModbusError, RtuContext, Server, State, framing
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.c_programs import SOURCES, compile_c
 from tests.support.clients import ALL, Connect, asking, read

@@ -5,7 +5,6 @@ Requests that are submitted: told of once, whatever happens, and never waited fo
 from __future__ import annotations
 
 import asyncio
-import socket
 from collections.abc import Callable
 from typing import Any
 
@@ -13,60 +12,51 @@ import pytest
 
 from libmodbus_py import (
     AsyncClient,
-    Device,
     IllegalDataAddress,
-    Mapping,
     ModbusConnectionError,
     ModbusTimeoutError,
-    Server,
     pdu,
 )
-from tests.support.peers import FakeServer, dead, mbap
+from tests.simulation.network import Network
+from tests.simulation.scripted import OnRequest, Scripted
+from tests.support.peers import Write, answering, echo, ignore, mbap
 
-READ = pdu.ReadHoldingRegisters(0, 2)
+READ = pdu.ReadHoldingRegisters(7, 1)
 
 
-def run(url: str, use: Callable[[AsyncClient], Any], **options: Any) -> Any:
-    async def go() -> Any:
-        async with AsyncClient(url, **options) as client:
-            return await use(client)
+def run(on_request: OnRequest, use: Callable[[AsyncClient], Any], **options: Any) -> None:
+    network = Network()
+    peer = Scripted(network, "tcp://10.0.0.1", on_request)
 
-    return asyncio.run(go())
+    async def main() -> None:
+        async with AsyncClient(peer.url, **options) as client:
+            await use(client)
+
+    network.run(main)
 
 
 def test_many_are_told_of_once_each() -> None:
-    async def use(client: AsyncClient) -> list[Any]:
+    def up_to_nine(request: bytes, write: Write) -> None:
+        write(echo(request) if request[9] < 10 else mbap(request, b"\x83\x02"))
+
+    async def use(client: AsyncClient) -> None:
         told: list[int] = []
-        done = asyncio.Event()
-
-        def tell(number: int) -> None:
-            told.append(number)
-            if len(told) == 100:
-                done.set()
-
         made = [
-            client.submit(1, pdu.ReadHoldingRegisters(at % 12, 1), lambda at=at: tell(at))
+            client.submit(1, pdu.ReadHoldingRegisters(at % 12, 1), lambda at=at: told.append(at))
             for at in range(100)
         ]
-        await done.wait()
-        await asyncio.sleep(0.01)
+        await asyncio.sleep(5)
         assert sorted(told) == list(range(100))
-        return [each.outcome for each in made]
+        for at, each in enumerate(made):
+            if at % 12 < 10:
+                assert each.outcome == [at % 12]
+            else:
+                assert isinstance(each.outcome, IllegalDataAddress)
 
-    device = Device(Mapping(0, 0, 10, 0))
-    device.mapping.holding_registers[:] = range(10)
-    with Server({1: device}).background("tcp://127.0.0.1:0") as running:
-        found = run(running.urls[0], use)
-    for at, outcome in enumerate(found):
-        if at % 12 < 10:
-            assert outcome == [at % 12]
-        else:
-            assert isinstance(outcome, IllegalDataAddress)
+    run(up_to_nine, use)
 
 
 def test_one_that_is_withdrawn_is_not_told_of_and_its_answer_dropped() -> None:
-    answers = [lambda request: [], lambda request: [mbap(request, b"\3\4\0\1\0\2")]]
-
     async def use(client: AsyncClient) -> None:
         told: list[str] = []
         first = client.submit(1, READ, lambda: told.append("first"))
@@ -74,38 +64,37 @@ def test_one_that_is_withdrawn_is_not_told_of_and_its_answer_dropped() -> None:
         first.withdraw()
         first.withdraw()
         second = client.submit(1, READ, lambda: told.append("second"))
-        while not told:
-            await asyncio.sleep(0.001)
+        await asyncio.sleep(1)
         assert told == ["second"]
-        assert second.outcome == [1, 2]
+        assert second.outcome == [7]
         second.withdraw()  # too late, and no harm
+        assert client.late_answers == 1
 
-    with FakeServer(*answers) as server:
-        run(server.url, use, timeout=5)
+    def late(request: bytes) -> list[bytes]:
+        held.append(echo(request))
+        return []
+
+    held: list[bytes] = []
+    run(answering(late, lambda request: [*held, echo(request)]), use, timeout=5)
 
 
 @pytest.mark.parametrize("kind", ["nobody", "silence", "closed"])
 def test_failures_are_told_of_too(kind: str) -> None:
-    async def use(url: str) -> Any:
-        client = AsyncClient(url, timeout=0.2)
-        try:
-            if kind == "closed":
-                await client.close()
-            done = asyncio.Event()
-            submitted = client.submit(1, READ, done.set)
-            await asyncio.wait_for(done.wait(), 5)
-            return submitted.outcome
-        finally:
-            await client.close()
+    network = Network()
+    peer = Scripted(network, "tcp://10.0.0.1", ignore)
 
-    if kind == "silence":
-        with socket.create_server(("127.0.0.1", 0)) as mute:
-            outcome = asyncio.run(use(f"tcp://127.0.0.1:{mute.getsockname()[1]}"))
-        assert isinstance(outcome, ModbusTimeoutError)
-        return
-    with dead() as port:
-        outcome = asyncio.run(use(f"tcp://127.0.0.1:{port}"))
-    assert isinstance(outcome, ModbusConnectionError)
+    async def main() -> None:
+        client = AsyncClient("tcp://10.0.0.9" if kind == "nobody" else peer.url, timeout=0.2)
+        if kind == "closed":
+            await client.close()
+        done = asyncio.Event()
+        submitted = client.submit(1, READ, done.set)
+        await asyncio.wait_for(done.wait(), 5)
+        expected = ModbusTimeoutError if kind == "silence" else ModbusConnectionError
+        assert isinstance(submitted.outcome, expected)
+        await client.close()
+
+    network.run(main)
 
 
 def test_what_cannot_be_sent_is_refused_at_once() -> None:

@@ -8,14 +8,7 @@ from itertools import pairwise
 
 import pytest
 
-from libmodbus_py import (
-    Device,
-    Mapping,
-    ModbusTimeoutError,
-    Server,
-    ServerDeviceBusy,
-    pdu,
-)
+from libmodbus_py import Device, Mapping, ModbusTimeoutError, Server, ServerDeviceBusy, pdu
 from tests.support.clients import EVERYWHERE, World, asking, read
 from tests.support.peers import Answer, Write, answering, echo, ignore, mbap
 

@@ -11,13 +11,7 @@ import socket
 
 import pytest
 
-from libmodbus_py import (
-    AsyncClient,
-    ModbusConnectionError,
-    ModbusTimeoutError,
-    State,
-    pdu,
-)
+from libmodbus_py import AsyncClient, ModbusConnectionError, ModbusTimeoutError, State, pdu
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.support.clients import Simulated, connecting

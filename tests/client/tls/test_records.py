@@ -14,26 +14,13 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    ModbusConnectionError,
-    ModbusTimeoutError,
-    State,
-    Traced,
-    pdu,
-)
+from libmodbus_py import ModbusConnectionError, ModbusTimeoutError, State, Traced, pdu
 from tests.support import certificates
-from tests.support.certificates import (
-    Papers,
-)
+from tests.support.certificates import Papers
 from tests.support.clients import Connect
 from tests.support.peers import echo, mbap, until
 from tests.support.tls_clients import LONG, Serving, Talking, reads, values
-from tests.support.tls_peers import (
-    HANDSHAKE,
-    Peer,
-    Script,
-    Sealed,
-)
+from tests.support.tls_peers import HANDSHAKE, Peer, Script, Sealed
 
 ALERT, ACCESS_DENIED = 21, b"\x02\x31"
 
