@@ -14,7 +14,6 @@ import pytest
 from libmodbus_py import (
     Context,
     Device,
-    ExceptionResponse,
     FrameError,
     InvalidResponse,
     Mapping,
@@ -23,8 +22,7 @@ from libmodbus_py import (
     UdpContext,
 )
 from libmodbus_py.ports.endpoint import parse
-from tests.support.clients import ALL, EVERYWHERE, World, asking, read
-from tests.support.interop import UNIT, exchanges, make_device, refusals
+from tests.support.clients import EVERYWHERE, World, read
 from tests.support.peers import Write, answering, until
 
 # A read of one register of unit 1, and its answer 555, by hand: serial line, appendix B.
@@ -55,24 +53,6 @@ def test_its_url() -> None:
         assert type(context) is UdpContext
     with pytest.raises(ValueError, match="max_in_flight"):
         Context.from_url("rtu+udp://192.0.2.1?max_in_flight=4")
-
-
-@ALL
-def test_every_function_over_it(kind: str) -> None:
-    for each in exchanges():
-        with (
-            Server({UNIT: make_device()}).background("rtu+udp://127.0.0.1:0") as running,
-            asking(kind, running.urls[0], unit=UNIT, timeout=5) as client,
-        ):
-            assert each.ask(client) == each.answer
-            assert each.look(client) == each.seen
-    with (
-        Server({UNIT: make_device()}).background("rtu+udp://127.0.0.1:0") as running,
-        asking(kind, running.urls[0], unit=UNIT, timeout=5) as client,
-    ):
-        for each in refusals():
-            with pytest.raises(ExceptionResponse):
-                each.ask(client)
 
 
 @EVERYWHERE

@@ -16,7 +16,7 @@ from .certificates import Papers, secured
 
 __all__ = ["TRANSPORTS", "serving"]
 
-TRANSPORTS = ["tcp", "rtu+tcp", "ascii+tcp", "udp", "tls", "rtu", "ascii"]
+TRANSPORTS = ["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu+udp", "tls", "rtu", "ascii"]
 
 
 @contextmanager
