@@ -21,7 +21,7 @@ from libmodbus_py import (
     framing,
 )
 from tests.support.clients import EVERYWHERE, KINDS, World
-from tests.support.peers import Answer, Write, answer, answering, echo, ignore, mbap
+from tests.support.peers import Answer, Write, answer, answering, ignore, mbap
 
 GOOD = b"\x03\x06\x02\x2b\x00\x00\x00\x64"
 VALUES = [555, 0, 100]
@@ -224,25 +224,6 @@ def test_connection_closed_while_idle_is_made_again(world: World) -> None:
             assert read(context) == VALUES
             world.sleep(0.02)  # let the end of the connection arrive
         assert peer.connections == 3
-
-
-def test_late_answers_never_answer_another_request(world: World) -> None:
-    """Each answer comes 50 ms after the time-out, and is the value of the address asked."""
-    delay = 0.1
-
-    def slow(request: bytes, write: Write) -> None:
-        write(echo(request), after=delay)
-
-    peer = world.peer("tcp", slow)
-    with world.connect(peer.url, timeout=0.05) as context:
-        for address in range(10):
-            with world.lasting(0.05), pytest.raises(ModbusTimeoutError):
-                context.read_holding_registers(address, 1)
-        delay = 0.0
-        world.sleep(0.1)
-        context.timeout = 30
-        for address in (77, *range(5)):
-            assert context.read_holding_registers(address, 1) == [address]
 
 
 # --- serial lines --------------------------------------------------------------------

@@ -11,7 +11,6 @@ import socket
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,6 @@ from libmodbus_py import (
     ModbusError,
     ModbusTimeoutError,
     Server,
-    State,
     pdu,
 )
 from libmodbus_py.tools.testing.wires import SerialWire
@@ -78,31 +76,6 @@ def test_a_dead_host_on_the_real_system(kind: str) -> None:
     ):
         pass
     assert caught.value.errno == errno.ETIMEDOUT
-
-
-def test_attempts_have_pauses_between_them_if_the_client_wants(world: World) -> None:
-    """0.1 s, twice as long each time, 0.3 s at most; and some of it by chance."""
-    failures: list[float] = []
-
-    def note(state: State, error: ModbusError | None) -> None:
-        if error is not None:
-            failures.append(world.now)
-
-    plc = world.connect(NOBODY, timeout=0.05, max_pause=0.3, on_state=note)
-    refusals = 0
-    while len(failures) < 5:
-        with pytest.raises(ModbusConnectionError) as caught:
-            plc.execute(REQUEST)
-        # Who waited for the attempt may have had no time left for it.
-        assert caught.value.errno in (errno.ECONNREFUSED, errno.ETIMEDOUT)
-        if "next attempt in" in str(caught.value):
-            refusals += 1
-            world.sleep(0.005)
-    assert plc.statistics.failed_connects == 5
-    plc.close()
-    assert refusals
-    for (earlier, later), pause in zip(pairwise(failures), (0.1, 0.2, 0.3, 0.3), strict=True):
-        assert 0.8 * pause <= later - earlier <= 1.2 * pause + 0.01
 
 
 @ALL

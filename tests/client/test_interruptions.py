@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -113,24 +114,15 @@ def test_the_timeout_includes_the_look_up_of_the_name(kind: str, answers: thread
 @pytest.mark.parametrize("named", [False, True])
 @pytest.mark.usefixtures("answers")
 def test_close_does_not_wait_for_a_connection_that_is_being_made(named: bool, kind: str) -> None:
-    with dead() as port:
+    with dead() as port, ThreadPoolExecutor(1) as pool:
         host = "slow.invalid" if named else "127.0.0.1"
         context = TcpContext(host, port, timeout=600, native=kind == "native")
-        failed: list[BaseException] = []
-
-        def connect() -> None:
-            try:
-                context.connect()
-            except BaseException as error:
-                failed.append(error)
-
-        thread = threading.Thread(target=connect)
-        thread.start()
+        waiting = pool.submit(context.connect)
         until(lambda: context.state is State.CONNECTING)
         time.sleep(0.02)
         context.close()
-        thread.join()
-        assert isinstance(failed[0], ModbusConnectionError)
+        with pytest.raises(ModbusConnectionError):
+            waiting.result()
 
 
 @ALL

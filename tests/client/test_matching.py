@@ -82,24 +82,6 @@ def test_echoes_of_writes_are_their_answers_or_harm_none(world: World) -> None:
             client.write_register(address, 1)
 
 
-def test_a_dead_unit_costs_its_timeout_once_in_each_round(world: World) -> None:
-    def nine_live(request: bytes, write: Write) -> None:
-        if request[0] != 5:
-            write(rtu(request), after=0.06)
-
-    unit = world.peer("rtu", nine_live)
-    with world.connect(unit.url, timeout=0.5) as client:
-        for _ in range(2):
-            with world.lasting(0.5 + 9 * 0.06, more=10 * 0.005):
-                for number in range(1, 11):
-                    one = client.for_unit(number)
-                    if number == 5:
-                        with pytest.raises(ModbusTimeoutError):
-                            read(one, 1)
-                    else:
-                        assert read(one, number) == number
-
-
 # --- over TCP ------------------------------------------------------------------------------------
 
 

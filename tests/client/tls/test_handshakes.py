@@ -12,6 +12,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -115,23 +116,12 @@ def test_close_ends_a_handshake(connect: Connect, papers: Papers) -> None:
 
     with raw(talk) as url:
         plc = connect(url, security=papers.client(), timeout=60)
-        errors: list[Exception] = []
-
-        def ask() -> None:
-            try:
-                plc.read_holding_registers(0, 1)
-            except Exception as error:
-                errors.append(error)
-
-        thread = threading.Thread(target=ask)
-        thread.start()
-        assert reached.wait(SOON)
-        plc.close()
-        thread.join(SOON)
-        assert not thread.is_alive()
-        (error,) = errors
-        assert isinstance(error, ModbusConnectionError)
-        assert "closed" in str(error)
+        with ThreadPoolExecutor(1) as pool:
+            waiting = pool.submit(plc.read_holding_registers, 0, 1)
+            assert reached.wait(SOON)
+            plc.close()
+            with pytest.raises(ModbusConnectionError, match="closed"):
+                waiting.result(SOON)
 
 
 @pytest.mark.parametrize("deed", ["close", "Ctrl-C"])
