@@ -16,12 +16,9 @@ from libmodbus_py import AsyncClient, ModbusConnectionError, ModbusError, State,
 from tests.simulation.network import Network
 from tests.simulation.scripted import OnRequest, Scripted
 from tests.support.peers import TcpPeer, Write, echo
+from tests.support.reads import good
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
-
-
-def good(request: bytes, write: Write) -> None:
-    write(echo(request))
 
 
 def after(seconds: float) -> OnRequest:

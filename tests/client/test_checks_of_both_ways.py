@@ -23,7 +23,8 @@ from libmodbus_py.ports.schemes import SCHEMES
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.support.clients import ALL, BLOCKING, EVERYWHERE, World, asking
-from tests.support.peers import Write, answer, dead, ignore, peer_at, until
+from tests.support.peers import dead, ignore, peer_at, until
+from tests.support.reads import good
 
 UNITS = [
     (300, ValueError),
@@ -34,16 +35,12 @@ UNITS = [
 ]
 
 
-def reply(request: bytes, write: Write) -> None:
-    write(answer(request, "tcp"))
-
-
 @ALL
 @pytest.mark.parametrize(("unit", "error"), UNITS)
 def test_a_unit_that_does_not_exist_is_refused_when_it_is_set(
     kind: str, unit: Any, error: type[Exception]
 ) -> None:
-    with peer_at("tcp", reply) as peer, asking(kind, peer.url) as client:
+    with peer_at("tcp", good) as peer, asking(kind, peer.url) as client:
         with pytest.raises(error, match=r"unit must be .*0\.\.255"):
             client.unit = unit
         assert client.read_holding_registers(7, 1) == [7]
@@ -55,7 +52,7 @@ def test_a_unit_that_does_not_exist_is_refused_when_it_is_submitted(
     unit: Any, error: type[Exception]
 ) -> None:
     network = Network()
-    peer = Scripted(network, "tcp://10.0.0.1", reply)
+    peer = Scripted(network, "tcp://10.0.0.1", good)
 
     async def main() -> None:
         async with AsyncClient(peer.url) as plc:
@@ -77,7 +74,7 @@ class Silent(pdu.WriteRegister):
 
 @EVERYWHERE
 def test_a_request_without_an_answer_is_not_waited_for(world: World) -> None:
-    peer = world.peer("tcp", lambda request, write: request[7] != 6 and reply(request, write))
+    peer = world.peer("tcp", lambda request, write: request[7] != 6 and good(request, write))
     with world.connect(peer.url, timeout=600) as client:
         assert client.read_holding_registers(1, 1) == [1]
         assert client.execute(Silent(3, 4)) is None
@@ -114,7 +111,7 @@ def test_a_shorter_timeout_of_another_thread_ends_an_attempt_to_connect(kind: st
 
 @BLOCKING
 def test_a_timeout_set_again_and_again_disturbs_no_request(kind: str) -> None:
-    with peer_at("tcp", reply) as peer, asking(kind, peer.url, timeout=600) as client:
+    with peer_at("tcp", good) as peer, asking(kind, peer.url, timeout=600) as client:
         over = threading.Event()
 
         def change() -> None:

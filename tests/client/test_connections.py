@@ -38,14 +38,11 @@ from tests.support.clients import (
     read,
 )
 from tests.support.peers import Write, answer, dead, echo, ignore, peer_at, refusing, until, url_of
+from tests.support.reads import good
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 
 NOBODY = "tcp://10.0.0.9:502"
-
-
-def good(request: bytes, write: Write) -> None:
-    write(echo(request))
 
 
 # --- that cannot be made --------------------------------------------------------------------------

@@ -29,6 +29,7 @@ from tests.support.c_programs import SOURCES, compile_c
 from tests.support.clients import BLOCKING, EVERYWHERE, Connect, Simulated, World, asking
 from tests.support.interop import program
 from tests.support.peers import OnRequest, TcpPeer, Write, echo, ignore, mbap
+from tests.support.reads import echoes, good, reads
 
 UNIT = 17
 
@@ -67,18 +68,6 @@ def address_of(request: bytes) -> int:
 
 def refusal(request: bytes, code: int) -> bytes:
     return mbap(request, bytes([0x83, code]))
-
-
-def good(request: bytes, write: Write) -> None:
-    write(echo(request))
-
-
-def reads(count: int, first: int = 0) -> list[pdu.Request[Any]]:
-    return [pdu.ReadHoldingRegisters(address, 1) for address in range(first, first + count)]
-
-
-def echoes(count: int, first: int = 0) -> list[list[int]]:
-    return [[address] for address in range(first, first + count)]
 
 
 def failed(found: list[Any], kind: type[ModbusError] = ModbusError) -> list[int]:

@@ -12,13 +12,9 @@ from libmodbus_py import AsciiContext, AsyncClient, Context, RtuContext, TcpCont
 from libmodbus_py.client.blocking import Client
 from tests.support.cases import each_case
 from tests.support.clients import World
-from tests.support.peers import Write, echo
+from tests.support.reads import good
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
-
-
-def good(request: bytes, write: Write) -> None:
-    write(echo(request))
 
 
 @pytest.mark.parametrize(

@@ -15,15 +15,12 @@ from libmodbus_py import AsyncClient, ModbusConnectionError, ModbusTimeoutError,
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.support.clients import Simulated, connecting
-from tests.support.peers import Write, dead, echo
+from tests.support.peers import dead
+from tests.support.reads import good
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 HOST = "10.0.0.9"
 URL = f"tcp://{HOST}:502"
-
-
-def good(request: bytes, write: Write) -> None:
-    write(echo(request))
 
 
 @pytest.mark.parametrize("own", [0.1, 5.0])

@@ -24,6 +24,7 @@ from libmodbus_py import (
 )
 from tests.support.clients import ALL, EVERYWHERE, Connect, World, asking, read
 from tests.support.peers import Answer, UdpPeer, Write, answer, answering, echo, mbap
+from tests.support.reads import reads
 
 
 def good(request: bytes) -> list[bytes]:
@@ -32,10 +33,6 @@ def good(request: bytes) -> list[bytes]:
 
 def silent(request: bytes) -> list[bytes]:
     return []
-
-
-def reads(count: int) -> list[pdu.Request[Any]]:
-    return [pdu.ReadHoldingRegisters(address, 1) for address in range(count)]
 
 
 @pytest.fixture

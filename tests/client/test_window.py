@@ -14,6 +14,7 @@ from libmodbus_py import ModbusTimeoutError, pdu
 from libmodbus_py.ports.schemes import SCHEMES
 from tests.support.clients import World
 from tests.support.peers import Write, echo, has_header, ignore, mbap
+from tests.support.reads import echoes, reads
 
 # Requests may be in flight beside others where frames have transaction ids.
 each_scheme = pytest.mark.parametrize("scheme", [*filter(has_header, SCHEMES)])
@@ -52,14 +53,6 @@ class Device:
         write(echo(request))
         if self._waiting:
             self._events.after(0.005, self._answer)
-
-
-def reads(count: int) -> list[pdu.Request[Any]]:
-    return [pdu.ReadHoldingRegisters(address, 1) for address in range(count)]
-
-
-def echoes(count: int) -> list[list[int]]:
-    return [[address] for address in range(count)]
 
 
 class Clumsy:

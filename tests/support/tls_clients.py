@@ -9,11 +9,9 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any
 
-from libmodbus_py import pdu
-
 from .tls_peers import TlsServer
 
-__all__ = ["LONG", "SOON", "Serving", "Talking", "descriptors", "reads", "values"]
+__all__ = ["LONG", "SOON", "Serving", "Talking", "descriptors"]
 
 LONG = 20.0
 """A timeout in seconds that no good answer needs, on a machine that is busy."""
@@ -26,15 +24,6 @@ Serving = Callable[..., TlsServer]
 
 Talking = Callable[..., AbstractContextManager[tuple[TlsServer, Any]]]
 """Makes a server as `Serving` does, and a client that is connected to it."""
-
-
-def reads(count: int) -> list[pdu.ReadHoldingRegisters]:
-    return [pdu.ReadHoldingRegisters(address, 1) for address in range(count)]
-
-
-def values(count: int) -> list[list[int]]:
-    """Return the values that `reads` returns with `echo`."""
-    return [[address] for address in range(count)]
 
 
 def descriptors() -> int:

@@ -20,7 +20,8 @@ from libmodbus_py.ports.tls import TlsPort
 from tests.support.certificates import Papers
 from tests.support.clients import Connect
 from tests.support.peers import echo, mbap, until
-from tests.support.tls_clients import LONG, SOON, Serving, Talking, descriptors, reads
+from tests.support.reads import reads
+from tests.support.tls_clients import LONG, SOON, Serving, Talking, descriptors
 from tests.support.tls_peers import HANDSHAKE, Peer, Relay, Sealed, TlsServer
 
 # Of a flood that a client gives up: what it read, and what the system holds.

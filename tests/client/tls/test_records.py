@@ -19,7 +19,8 @@ from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.clients import Connect
 from tests.support.peers import echo, mbap, until
-from tests.support.tls_clients import LONG, Serving, Talking, reads, values
+from tests.support.reads import echoes, reads
+from tests.support.tls_clients import LONG, Serving, Talking
 from tests.support.tls_peers import HANDSHAKE, Peer, Script, Sealed
 
 ALERT, ACCESS_DENIED = 21, b"\x02\x31"
@@ -38,8 +39,8 @@ def test_both_versions_and_both_kinds_of_keys(
         serving(Peer.serve, certificates.server(**options), version) as server,
         connect(server.url, security=papers.security(own), timeout=LONG) as plc,
     ):
-        assert [plc.read_holding_registers(each, 1) for each in range(3)] == values(3)
-        assert plc.execute_many(reads(300)) == values(300)
+        assert [plc.read_holding_registers(each, 1) for each in range(3)] == echoes(3)
+        assert plc.execute_many(reads(300)) == echoes(300)
     assert server.connections == 1
 
 
@@ -84,8 +85,8 @@ def many_in_one_record(peer: Peer) -> None:
 )
 def test_records_say_nothing_about_frames(talking: Talking, version: str, script: Script) -> None:
     with talking(script, version=version) as (server, plc):
-        assert [plc.read_holding_registers(each, 1) for each in range(3)] == values(3)
-        assert plc.execute_many(reads(40)) == values(40)
+        assert [plc.read_holding_registers(each, 1) for each in range(3)] == echoes(3)
+        assert plc.execute_many(reads(40)) == echoes(40)
     assert server.connections == 1
 
 
@@ -118,7 +119,7 @@ def test_tickets_changes_of_keys_and_empty_records_between_answers(
     with talking(script, version="1.3", keylog_filename=str(log)) as (server, plc):
         for each in range(24):
             assert plc.read_holding_registers(each, 1) == [each]
-        assert plc.execute_many(reads(100)) == values(100)
+        assert plc.execute_many(reads(100)) == echoes(100)
     assert server.connections == 1
 
 
@@ -146,7 +147,7 @@ def test_requests_wait_while_a_ticket_comes_in_pieces(talking: Talking, tmp_path
         time.sleep(0.1)
         asked.set()
         assert plc.read_holding_registers(2, 1) == [2]
-        assert plc.execute_many(reads(40)) == values(40)
+        assert plc.execute_many(reads(40)) == echoes(40)
     assert server.connections == 1
 
 

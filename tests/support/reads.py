@@ -1,0 +1,27 @@
+"""
+Reads of one register each, and a peer that answers a read with its address.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from libmodbus_py import pdu
+
+from .peers import Write, echo
+
+__all__ = ["echoes", "good", "reads"]
+
+
+def good(request: bytes, write: Write) -> None:
+    """Answer a read over TCP at once."""
+    write(echo(request))
+
+
+def reads(count: int, first: int = 0) -> list[pdu.Request[Any]]:
+    return [pdu.ReadHoldingRegisters(address, 1) for address in range(first, first + count)]
+
+
+def echoes(count: int, first: int = 0) -> list[list[int]]:
+    """Return the values that a good peer answers to `reads`."""
+    return [[address] for address in range(first, first + count)]
