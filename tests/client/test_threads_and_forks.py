@@ -1,5 +1,5 @@
 """
-Clients among threads and forks, and the limits and the end of their process.
+Clients among threads and forks, and what is left of those that nobody closed.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import pickle
 import resource
 import signal
 import socket
-import subprocess
 import sys
 import termios
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -25,17 +25,16 @@ import pytest
 
 from libmodbus_py import (
     AsyncClient,
-    Device,
-    Mapping,
     ModbusConnectionError,
     ModbusTimeoutError,
     RtuContext,
-    Server,
     TcpContext,
     pdu,
 )
 from tests.support.clients import ALL, BLOCKING, NATIVE, asking, read
+from tests.support.collecting import new_garbage_only
 from tests.support.peers import FakeServer, FakeUnit, answer, peer_at, until
+from tests.support.scripted import run as run_watched
 
 
 def tcp(request: bytes) -> list[bytes]:
@@ -255,47 +254,6 @@ def test_descriptors_beyond_1023(scheme: str, kind: str) -> None:
                 os.close(descriptor)
 
 
-LEFT_OPEN = """
-import asyncio, sys
-from libmodbus_py import AsyncClient, Context
-url, how = sys.argv[1:]
-contexts = [Context.from_url(url, native=native) for native in (True, False)]
-for context in contexts:
-    context.read_coils(0, 1)
-if how == "circle":
-    contexts.append(contexts)
-    context.me = contexts
-async def main():
-    global client, waiting
-    client = AsyncClient(url)
-    await client.read_coils(0, 1)
-    if how == "waiting":
-        waiting = asyncio.ensure_future(client.read_coils(1, 1))
-        await asyncio.sleep(0)
-asyncio.run(main())
-"""
-
-
-@pytest.mark.parametrize("how", ["globals", "circle", "waiting"])
-@pytest.mark.parametrize("warn", [True, False])
-def test_a_program_that_ends_with_open_clients_ends_quietly(warn: bool, how: str) -> None:
-    options = ["-W", "default"] if warn else []
-    with Server(Device(Mapping(coils=8))).background("tcp://127.0.0.1:0") as running:
-        done = subprocess.run(
-            [sys.executable, *options, "-c", LEFT_OPEN, running.urls[0], how],
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
-    assert done.returncode == 0
-    lines = [line for line in done.stderr.splitlines() if "ResourceWarning" not in line]
-    if not warn:
-        assert lines == []
-    assert "Exception ignored" not in done.stderr
-    assert "Traceback" not in done.stderr
-
-
 @NATIVE
 def test_no_descriptor_or_thread_is_left_by_clients_of_any_fate(native: bool) -> None:
     """What is left fails the test: see tests.support.leaks."""
@@ -357,3 +315,60 @@ def test_the_debug_mode_of_asyncio_finds_nothing() -> None:
                 assert await client.read_holding_registers(2, 1) == [2]
 
     asyncio.run(main(), debug=True)
+
+
+# --- clients that nobody closed --------------------------------------------------------------
+
+
+def forgotten(main: Any) -> None:
+    asyncio.run(main)
+    gc.collect()
+
+
+def test_a_forgotten_client_says_so_and_frees_its_port() -> None:
+    with FakeUnit(rtu) as unit:
+
+        async def forget() -> None:
+            client = AsyncClient(f"rtu://{unit.path}?baudrate=115200")
+            assert await client.read_holding_registers(3, 1) == [3]
+
+        for times in range(2):
+            with pytest.warns(ResourceWarning, match=unit.path):
+                forgotten(forget())
+            with RtuContext(unit.path, 115200) as context:
+                assert context.read_holding_registers(times, 1) == [times]
+
+
+@pytest.mark.filterwarnings("error::ResourceWarning")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_forgotten_client_frees_its_port_where_warnings_are_errors() -> None:
+    with FakeUnit(rtu) as unit:
+
+        async def forget() -> None:
+            client = AsyncClient(f"rtu://{unit.path}?baudrate=115200")
+            assert await client.read_holding_registers(3, 1) == [3]
+
+        forgotten(forget())
+        with RtuContext(unit.path, 115200) as context:
+            assert context.read_holding_registers(1, 1) == [1]
+
+
+def test_a_client_forgotten_while_it_connects_leaves_nothing() -> None:
+    async def main() -> None:
+        for steps in range(6):
+            client = AsyncClient(server.url)
+            asked = asyncio.create_task(client.connect())
+            for _ in range(steps):
+                await asyncio.sleep(0)
+            asked.cancel()
+            await asyncio.wait([asked])
+            del client, asked
+            gc.collect()
+        async with AsyncClient(server.url) as last:  # those before it are accepted
+            assert await last.read_holding_registers(1, 1) == [1]
+        until(lambda: not server._peers)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)
+        with FakeServer(lambda request: [answer(request, "tcp")]) as server, new_garbage_only():
+            run_watched(main())

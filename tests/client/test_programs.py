@@ -1,7 +1,5 @@
 """
-A process with clients that forks: its child neither disturbs nor keeps its connections.
-
-Each test is a program of its own, so that no thread of pytest is forked.
+Programs with clients: that fork, that have no descriptor left, that end or are killed.
 """
 
 from __future__ import annotations
@@ -11,7 +9,11 @@ import sys
 
 import pytest
 
-# Each forks a program of its own.
+from libmodbus_py import Device, Mapping, RtuContext, Server
+from tests.support.clients import ALL
+from tests.support.peers import FakeUnit, answer, peer_at
+
+# Each is a program of its own, so that no thread of pytest is forked.
 pytestmark = pytest.mark.slow
 
 HEAD = """
@@ -220,3 +222,129 @@ with peer_at(SCHEME, reply) as peer:
         gc.collect()
 print("good")
 """)
+
+
+# --- without descriptors ---------------------------------------------------------------------
+
+# Every import opens a file, so a module that is first needed now cannot be had.
+PROGRAM = """
+import asyncio, errno, resource, sys
+from libmodbus_py import ModbusConnectionError, ModbusError
+
+url, kind = sys.argv[1:]
+if kind == "asyncio":
+    from libmodbus_py import AsyncClient
+else:
+    from libmodbus_py import Context
+soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+
+def fail(*_):
+    raise ZeroDivisionError
+
+HOOKS = [{}, {"on_state": fail}, {"trace": fail}]
+
+def outcome(plc):
+    try:
+        return plc.read_holding_registers(5, 1)
+    except ModbusError as error:
+        return error
+
+def told(found):
+    for error in found:
+        assert isinstance(error, ModbusConnectionError), repr(error)
+        assert error.errno == errno.EMFILE, repr(error)
+        str(error)
+
+def blocking(options):
+    plc = Context.from_url(url, native=kind == "native", max_pause=0.001, **options)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (3, hard))
+    told([outcome(plc) for _ in range(3)])
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert outcome(plc) == [5]
+    plc.close()
+
+async def asynchronous(options):
+    plc = AsyncClient(url, max_pause=0.001, **options)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (3, hard))
+    reads = [plc.read_holding_registers(5, 1) for _ in range(3)]
+    told(await asyncio.gather(*reads, return_exceptions=True))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert await plc.read_holding_registers(5, 1) == [5]
+    await plc.close()
+
+for options in HOOKS:
+    asyncio.run(asynchronous(options)) if kind == "asyncio" else blocking(options)
+print("ok")
+"""
+
+
+@ALL
+@pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu"])
+def test_no_descriptor_left_is_a_connection_error_that_passes(scheme: str, kind: str) -> None:
+    with peer_at(scheme, lambda request, write: write(answer(request, scheme))) as peer:
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM, peer.url, kind],
+            capture_output=True,
+            text=True,
+            timeout=30,
+        )
+    assert done.stdout == "ok\n", done.stderr
+
+
+# --- at their end ----------------------------------------------------------------------------
+
+LEFT_OPEN = """
+import asyncio, sys
+from libmodbus_py import AsyncClient, Context
+url, how = sys.argv[1:]
+contexts = [Context.from_url(url, native=native) for native in (True, False)]
+for context in contexts:
+    context.read_coils(0, 1)
+if how == "circle":
+    contexts.append(contexts)
+    context.me = contexts
+async def main():
+    global client, waiting
+    client = AsyncClient(url)
+    await client.read_coils(0, 1)
+    if how == "waiting":
+        waiting = asyncio.ensure_future(client.read_coils(1, 1))
+        await asyncio.sleep(0)
+asyncio.run(main())
+"""
+
+
+@pytest.mark.parametrize("how", ["globals", "circle", "waiting"])
+@pytest.mark.parametrize("warn", [True, False])
+def test_a_program_that_ends_with_open_clients_ends_quietly(warn: bool, how: str) -> None:
+    options = ["-W", "default"] if warn else []
+    with Server(Device(Mapping(coils=8))).background("tcp://127.0.0.1:0") as running:
+        done = subprocess.run(
+            [sys.executable, *options, "-c", LEFT_OPEN, running.urls[0], how],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    assert done.returncode == 0
+    lines = [line for line in done.stderr.splitlines() if "ResourceWarning" not in line]
+    if not warn:
+        assert lines == []
+    assert "Exception ignored" not in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_port_is_opened_that_a_killed_program_left_as_it_was() -> None:
+    """Its settings are those that are to be set, and a pseudo-terminal refuses one of them."""
+    with FakeUnit(lambda request: [answer(request, "rtu")]) as unit:
+        program = (
+            "import os, sys, libmodbus_py as m\n"
+            "context = m.RtuContext(sys.argv[1], 115200)\n"
+            "context.connect()\n"
+            "os.kill(os.getpid(), 9)"
+        )
+        for times in range(3):
+            subprocess.run([sys.executable, "-c", program, unit.path], check=False, timeout=30)
+            if times:
+                with RtuContext(unit.path, 115200) as context:
+                    assert context.read_holding_registers(times, 1) == [times]
