@@ -346,9 +346,6 @@ def test_a_broadcast_on_a_connection_that_ends_fails() -> None:
     assert kinds(batch) == [ModbusConnectionError]
 
 
-# --- whatever happens ------------------------------------------------------------------
-
-
 def test_a_batch_without_requests_is_over_at_once_on_a_connection_that_stands() -> None:
     talk = Talk()
     batch = talk.batch()
