@@ -124,8 +124,8 @@ TUNING: dict[str, frozenset[str]] = {
     ),
     "of tries, of seconds between them, and of how exactly time is kept": frozenset(
         {
-            *("COARSEST", "EXACTNESS", "FADING", "FIRST_PAUSE", "FIRST_PAUSE_S", "FORCED_S"),
-            *("GATHERED_S", "LAST_WAIT_S", "LEAVING", "LONGEST_PAUSE", "LONGEST_PAUSE_S", "LOOK"),
+            *("COARSEST_S", "EXACTNESS", "FADING", "FIRST_PAUSE_S", "FORCED_S"),
+            *("GATHERED_S", "LAST_WAIT_S", "LEAVING", "LONGEST_PAUSE_S", "LOOK"),
             *("MOST_DOUBLINGS", "MOST_TRIES", "PAUSE", "QUICK_S"),
             *("RESOLUTION", "SAMPLED", "SHORTEST_TRIAL_S", "SLEPT_S"),
         }

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from libmodbus_py.services.gateway.options import GatewayOptions
 
 from libmodbus_py import (
     AsciiContext,
@@ -30,6 +29,7 @@ from libmodbus_py.client.options import AsyncOptions, CheckedOptions, ContextOpt
 from libmodbus_py.ports.serial import SERIAL_DEFAULTS
 from libmodbus_py.server.limits import Limits
 from libmodbus_py.services.fleet.config import DeviceConfig
+from libmodbus_py.services.gateway.routes import GatewayOptions
 
 DOCS = Path(__file__).parents[2] / "docs"
 

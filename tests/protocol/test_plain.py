@@ -95,7 +95,7 @@ PACKAGE = Path(__file__).parents[2] / "libmodbus_py"
 
 OTHERS = {
     *("protocol/plain.py", "protocol/spelling.py", "protocol/times.py"),  # values of registers
-    "services/fleet/journal/journal_file.py",  # SQL
+    "services/fleet/journal/schema.py",  # SQL
 }
 
 

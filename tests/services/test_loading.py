@@ -30,7 +30,8 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
     ],
 )
 def test_a_file_is_what_it_contains(name: str, kind: type, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MQTT_PASSWORD", "secret")
+    for variable in ("MQTT_PASSWORD", "INFLUX_PASSWORD", "INFLUX_TOKEN"):
+        monkeypatch.setenv(variable, "secret")
     assert isinstance(load(EXAMPLES / name), kind)
 
 

@@ -151,7 +151,7 @@ def _name(result: ReadResult, row: Any) -> tuple[str, str]:
     where = row.where.strip()
     if item.point is not None:
         return where, item.point.units
-    return f"{item.word} {where}", ""
+    return f"{item.word} {where}".strip(), ""
 
 
 def _value(text: str) -> int | float | str | None:

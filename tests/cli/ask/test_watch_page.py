@@ -50,7 +50,9 @@ class Silent:
 
 def test_what_fails_is_a_gap_with_its_reason() -> None:
     shown = ShownWatch("meter", Silent(), 1.0)
-    formatter = formatter_of(Item("holding_registers", 7, 1), as_all=False, in_hex=False)
+    formatter = formatter_of(
+        Item("holding_registers", 7, 1, word="holding"), as_all=False, in_hex=False
+    )
     good = ReadResult(formatter, [FormattedValue("    7", "5", "5")], {})
     assert shown.status() == ("no answer yet", False)
     shown.fail(3, "no answer")
@@ -79,7 +81,9 @@ def cells(shown: ShownWatch) -> list[list[Any]]:
 
 def test_a_total_that_fell_has_a_mark_for_one_poll() -> None:
     shown = ShownWatch("meter", Silent(), 1.0)
-    formatter = formatter_of(Item("holding_registers", 7, 1), as_all=False, in_hex=False)
+    formatter = formatter_of(
+        Item("holding_registers", 7, 1, word="holding"), as_all=False, in_hex=False
+    )
     good = ReadResult(formatter, [FormattedValue("    7", "5", "5")], {})
     found = []
     for result in (good, good._replace(has_fallen=True), good):
