@@ -345,5 +345,5 @@ def test_bad_option_is_named(options: Any, named: str) -> None:
 
 def test_without_aiomqtt_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "aiomqtt", None)
-    with pytest.raises(OutputError, match=r"pip install 'libmodbus-py\[mqtt\]'"):
+    with pytest.raises(OutputError, match="MQTT needs aiomqtt: "):
         asyncio.run(Mqtt("mqtt://192.0.2.1").open())
