@@ -122,7 +122,8 @@ class Pair:
 
     def check(self, now: float) -> None:
         """Note that no other answer follows the last one."""
-        self.is_doubted = self.is_answered = self.is_shifted = False
+        self.is_doubted = self.is_answered = False
+        self.is_shifted: bool = False
         self.checked_at: float = now
 
 

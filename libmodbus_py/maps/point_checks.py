@@ -48,7 +48,7 @@ TEXTS = {
 }
 """Argument -> the fewest and the most characters."""
 
-NEED_NUMBERS = {
+NEED_NUMBERS: dict[str, Any] = {
     "scale": 1,
     "offset": 0,
     **dict.fromkeys(("scale_from", "minimum", "maximum"), None),

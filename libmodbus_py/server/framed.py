@@ -9,9 +9,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable
 
 from ..ports.endpoint import Endpoint
+from ..ports.trace import Trace
 from ..protocol.echo import Echo
 from ..protocol.errors import FrameError
-from ..protocol.framing import Frame, Framing, Overheard, RtuFramer, make_framer, pdu_of
+from ..protocol.framing import Frame, Framer, Framing, Overheard, RtuFramer, make_framer, pdu_of
 from ..protocol.logs import HarmlessLogger
 from ..protocol.rtu import may_be
 from .limits import ServerStatistics
@@ -80,11 +81,11 @@ class Framed(ABC):
     ) -> None:
         self._settings = settings
         self._echo = settings.new_echo()
-        self.framer = make_framer(settings.framing, "server", settings.endpoint.pause)
+        self.framer: Framer = make_framer(settings.framing, "server", settings.endpoint.pause)
         if isinstance(self.framer, RtuFramer):
             self.framer.is_ours = is_ours
-        self.channel = channel
-        self.trace = channel.trace
+        self.channel: Channel = channel
+        self.trace: Trace | None = channel.trace
         self.statistics = settings.statistics
         self._at_once = settings.at_once
         self._timer: asyncio.TimerHandle | None = None

@@ -115,7 +115,8 @@ class WatchedUnit:
     """
 
     def __init__(self, name: str) -> None:
-        self.name = self.words = name
+        self.name: str = name
+        self.words: str = name
         self.answered_at: float = 0.0
         self._reason: str | None = None  # of a unit that does not answer; None before the first
         self._since = 0.0

@@ -54,7 +54,7 @@ MOST_SERVERS = 32
 LONGEST_FILE = 1 << 16
 
 # Variable that names a file -> the option of nats-py, and what the file must contain.
-FILES = {
+FILES: dict[str, tuple[str, tuple[str, ...]]] = {
     "NATS_CREDS": ("user_credentials", ("BEGIN NATS USER JWT", "BEGIN USER NKEY SEED")),
     "NATS_NKEY": ("nkeys_seed_str", ("SU",)),
 }

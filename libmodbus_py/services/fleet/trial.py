@@ -106,9 +106,9 @@ def _seconds(device: DeviceConfig, names: list[str]) -> float:
     endpoint = device.endpoint
     framer = make_framer(endpoint.framing, "client")
     silence = SILENCE if endpoint.framing == "rtu" else 0.0
-    requests: Sequence[Any] = device.plan(names).requests
+    reads: Any = device.plan(names).requests
     pdus = [
-        pdu for each in requests for pdu in (each.encode(), each.encode_response([0] * each.count))
+        pdu for each in reads for pdu in (each.encode(), each.encode_response([0] * each.count))
     ]
     characters = sum(len(framer.encode(Frame(device.unit, pdu))) + silence for pdu in pdus)
     return characters * _port(endpoint).character

@@ -78,10 +78,13 @@ class CsvText:
         self._lines = re.split("\r\n|\r|\n", self._text)
         self._names_first = names_first
         heads = [(delimiter, *self._head(delimiter, is_known)) for delimiter in DELIMITERS]
-        self.delimiter, head, self.skipped = max(heads, key=lambda each: _known(each[1], is_known))
+        best = max(heads, key=lambda each: _known(each[1], is_known))
+        delimiter, head, skipped = best
         if isinstance(head, FileError):
             raise head
+        self.delimiter: str = delimiter
         self.head: CsvRow = head
+        self.skipped: int = skipped
 
     def number_cell(self, cell: str) -> str:
         """Return a cell with a point in place of its decimal comma, if it has one."""

@@ -210,7 +210,8 @@ class Mqtt:
         """Publish all last values; forget those at which the broker ends the connection."""
         key, self._alone = self._alone, None
         if key is not None and self._messages.note_loss(key):
-            what = f"{key[1]} of {key[0]}" if len(key) > 1 else f"the device {key[0]!r}"
+            device, *point = key
+            what = f"{point[0]} of {device}" if point else f"the device {device!r}"
             logger.error(
                 "%s: %s is not published again: the broker ended the connection each time",
                 self.name,
