@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from ...protocol.logs import HarmlessLogger
 from ...server.audit import Audit, AuditFile
 
-__all__ = ["add_arguments", "audited"]
+__all__ = ["add_arguments", "audited", "recording"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -65,3 +65,15 @@ def audited(
 
     with contextlib.closing(file):
         yield Audit(file, required=options.audit_required), [reopen]
+
+
+def recording(trail: Audit | None, tell: Callable[[str], object]) -> Callable[[str], object]:
+    """Return a function that passes on a line about files that were read again, and records it."""
+    if trail is None:
+        return tell
+
+    def tell_and_record(line: str) -> None:
+        tell(line)
+        trail.note_own("reload", line)
+
+    return tell_and_record

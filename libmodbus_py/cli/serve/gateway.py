@@ -8,7 +8,7 @@ import argparse
 import contextlib
 import inspect
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -153,7 +153,8 @@ def _gateway_logged(options: argparse.Namespace, hangup: Hangup) -> int:
         hooks["audit"] = trail
         gateway = arguments.checked(make, arguments.given(options, OPTIONS))
         if file is not None:
-            on_hangup.append(partial(_read_again, gateway, str(options.config), file))
+            tell = audit.recording(trail, logger.warning)
+            on_hangup.append(partial(_read_again, gateway, str(options.config), file, tell))
         has_files = on_hangup or is_secure([*urls, *(route.to for route in routes)])
         read_again = hangup.unless_closed(*on_hangup) if has_files else None
         announce = announcing(options.allow)
@@ -191,7 +192,9 @@ def _overridden(
     ]
 
 
-def _read_again(gateway: Gateway, path: str, before: config.GatewayFile) -> None:
+def _read_again(
+    gateway: Gateway, path: str, before: config.GatewayFile, tell: Callable[[str], object]
+) -> None:
     def use(file: config.GatewayFile) -> list[str]:
         earlier, now = ({each.units: each for each in of} for of in (gateway.routes, file.routes))
         gateway.change_routes(file.routes)
@@ -200,4 +203,4 @@ def _read_again(gateway: Gateway, path: str, before: config.GatewayFile) -> None
             lines.append(f"{path}: changes that are not routes need a restart of the gateway")
         return lines
 
-    reread(lambda: config.load(path, known=before.routes), use, logger.warning)
+    reread(lambda: config.load(path, known=before.routes), use, tell)

@@ -146,8 +146,8 @@ def _serve_logged(options: argparse.Namespace, hangup: Hangup) -> int:
         announce = announcing(options.allow)
         reloader = None
         if simulation is not None and path is not None:
-            is_watching = options.reload
-            reloader = Reloader(server, path, simulation, is_watching=is_watching, tell=_tell)
+            is_watching, tell = options.reload, audit.recording(trail, _tell)
+            reloader = Reloader(server, path, simulation, is_watching=is_watching, tell=tell)
         with (
             _kept(options.state, lambda: (reloader or server).devices),
             metrics.exposed(server, options.metrics),

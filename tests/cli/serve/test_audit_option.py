@@ -62,6 +62,33 @@ def test_writes_are_refused_while_the_disk_is_full(command: list[str]) -> None:
         assert process.wait() == 0
 
 
+@pytest.mark.parametrize("command", ["serve", "gateway"])
+def test_what_changed_in_a_file_that_is_read_again_is_recorded(
+    command: str, tmp_path: Path
+) -> None:
+    file, trail = tmp_path / "file.toml", tmp_path / "audit.json"
+    options = ["tcp://127.0.0.1:0", "--device", file]
+    cells = "[[unit.holding_registers]]\naddress = 0\n"
+    texts = [f"[[unit]]\nid = {number}\n{cells}" for number in (1, 2)]
+    if command == "gateway":
+        options = ["--config", file]
+        head = 'listen = ["tcp://127.0.0.1:0"]\n'
+        texts = [f'{head}[[route]]\nto = "tcp://127.0.0.1:{port}"\n' for port in (1502, 1503)]
+    file.write_text(texts[0])
+    with Started(command, *options, "--audit", trail) as process:
+        assert process.stdout.readline().startswith("listening on ")
+        file.write_text(texts[1])
+        process.send_signal(signal.SIGHUP)
+        until(lambda: "reload" in trail.read_text())
+        process.terminate()
+        assert process.wait() == 0
+    found = [json.loads(line) for line in trail.read_text().splitlines()]
+    assert sorted(each["event"] for each in found) == ["audit", "reload", "start", "stop"]
+    (said,) = (each["result"] for each in found if each["event"] == "reload")
+    assert said.startswith(f"{file}: read again, 1 ")
+    assert "1 new" in said or "1 changed" in said
+
+
 def test_wrong_options_are_told_in_a_line(command: list[str], tmp_path: Path) -> None:
     for options, said in (
         (["--audit-required"], "--audit-required needs --audit"),
