@@ -90,8 +90,11 @@ class Reloader:
 
     async def _read_again(self) -> None:
         self._read_signatures = self._signatures()
-        loading = asyncio.ensure_future(asyncio.to_thread(load, self._path))
-        await asyncio.wait([loading])
+        loading = asyncio.get_running_loop().run_in_executor(None, load, self._path)
+        try:
+            await asyncio.wait([loading])
+        finally:
+            loading.cancel()  # for nobody, if this task was cancelled
         error = loading.exception()
         self._follow(getattr(error, "files", ()) if error else loading.result().files)
         reread(loading.result, self._use, self._tell)

@@ -21,6 +21,7 @@ import pytest
 from libmodbus_py import Context, Device, Server, pdu
 from libmodbus_py.tools.simulator.device_file import SimulatedDevice, load, parse
 from libmodbus_py.tools.simulator.reloading import Reloader
+from libmodbus_py.tools.simulator.simulated import Simulation
 from tests.support.cases import each_case
 from tests.support.commands import Started, run
 from tests.tools.simulator.simulated_units import Clock
@@ -282,6 +283,26 @@ def test_clients_lose_nothing_that_they_write_while_it_is_read_again(path: Path)
         finally:
             stopped.set()
             thread.join()
+
+
+def test_the_end_of_a_server_in_the_middle_of_a_reading_leaves_no_task(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, ended = threading.Event(), threading.Event()
+
+    def read(name: str) -> Simulation:
+        begun.set()
+        ended.wait(20)
+        return load(name)
+
+    with reloading(path) as (ask, _, told):
+        monkeypatch.setattr("libmodbus_py.tools.simulator.reloading.load", read)
+        ask()
+        assert begun.wait(20)
+        end = threading.Timer(0.1, ended.set)
+        end.start()
+    end.join()
+    assert told == []
 
 
 def test_reading_again_leaks_nothing(path: Path) -> None:
