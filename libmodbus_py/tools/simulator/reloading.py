@@ -94,7 +94,7 @@ class Reloader:
         try:
             await asyncio.wait([loading])
         finally:
-            loading.cancel()  # for nobody, if this task was cancelled
+            loading.cancel()  # if this task was cancelled, its result is not used
         error = loading.exception()
         self._follow(getattr(error, "files", ()) if error else loading.result().files)
         reread(loading.result, self._use, self._tell)
