@@ -265,16 +265,14 @@ class AuditFile:
 
     def reopen(self) -> None:
         """
-        Open the file again, for example after a rotation. An event "audit" tells this in it.
+        Open the file again, for example after a rotation.
 
         Raises:
-            OSError: the file cannot be opened, and the previous one stays open; or the event could
-                not be written.
+            OSError: the file cannot be opened; the previous one stays open.
         """
         opened = self._opened()
         self._descriptor, before = opened, self._descriptor
         os.close(before)
-        self(AuditEvent(datetime.now(UTC), "audit", "", "opened again"))
 
     def close(self) -> None:
         """Close the file; may be called any number of times."""

@@ -398,15 +398,6 @@ def test_a_renamed_file_is_left_when_it_is_opened_again(tmp_path: Path) -> None:
     assert [each["result"] for each in lines(tmp_path / "audit.json.1")] == ["one", "two"]
 
 
-def test_a_file_that_was_opened_again_begins_with_that(tmp_path: Path) -> None:
-    path = tmp_path / "audit.json"
-    file = AuditFile(path)
-    path.unlink()
-    file.reopen()
-    file.close()
-    assert [(each["event"], each["result"]) for each in lines(path)] == [("audit", "opened again")]
-
-
 def test_a_full_disk_fails(tmp_path: Path) -> None:
     file = AuditFile("/dev/full")
     with pytest.raises(OSError, match="No space left"):

@@ -57,14 +57,18 @@ def audited(
     except ValueError as error:
         raise ValueError(f"--audit: {error}") from None
 
+    trail = Audit(file, required=options.audit_required)
+
     def reopen() -> None:
         try:
             file.reopen()
         except OSError as error:
             logger.error("%s: %s; the former file is still used", options.audit, error.strerror)
+        else:
+            trail.note_own("audit", "opened again")
 
     with contextlib.closing(file):
-        yield Audit(file, required=options.audit_required), [reopen]
+        yield trail, [reopen]
 
 
 def recording(trail: Audit | None, tell: Callable[[str], object]) -> Callable[[str], object]:

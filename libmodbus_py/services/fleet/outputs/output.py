@@ -66,7 +66,7 @@ class Output(Protocol):
         ...
 
     async def close(self) -> None:
-        """Disconnect, until `open` is called again; raise nothing, take a second at most."""
+        """Disconnect, until `open` is called again; raise nothing, take two seconds at most."""
         ...
 
 
