@@ -66,12 +66,14 @@ def reload_all() -> list[str]:
     """
     Reload all certificates, keys and passwords of this process, as on SIGHUP.
 
-    Returns a line for each object that has a mistake in a file, and keeps the former content.
+    Returns a line for each object that has a mistake in a file, and keeps the former content;
+    without a mistake, one line if there is such an object.
     """
-    mistakes = []
-    for reloadable in list(_in_use):
+    lines = []
+    reloadables = list(_in_use)
+    for reloadable in reloadables:
         try:
             reloadable.reload()
         except MISTAKES as error:
-            mistakes.append(f"nothing is changed: {error}")
-    return mistakes
+            lines.append(f"the former content is used: {error}")
+    return lines or ["certificates and passwords: read again"] * bool(reloadables)

@@ -54,7 +54,7 @@ def test_a_mistake_in_a_file_changes_nothing(tmp_path: Path, papers: Papers, wha
     with pytest.raises(ValueError, match=f"^{what} "):
         security.reload()
     assert security.loaded is before
-    assert any(line.startswith(f"nothing is changed: {what} ") for line in reload_all())
+    assert any(line.startswith(f"the former content is used: {what} ") for line in reload_all())
     Path(broken).unlink()
     assert any("No such file" in line for line in reload_all())
 

@@ -60,7 +60,7 @@ def test_a_value_is_the_former_until_the_file_is_good_again(
     assert renewed.value == 2
     path.write_text("two")
     told = [line for line in reload_all() if "'two'" in line]
-    assert told == ["nothing is changed: invalid literal for int() with base 10: 'two'"]
+    assert told == ["the former content is used: invalid literal for int() with base 10: 'two'"]
     assert [renewed.fresh(), renewed.fresh()] == [2, 2]
     path.unlink()
     assert renewed.fresh() == 2

@@ -8,12 +8,9 @@ import argparse
 import contextlib
 from collections.abc import Callable, Iterator
 
-from ...protocol.logs import HarmlessLogger
 from ...server.audit import Audit, AuditFile
 
 __all__ = ["add_arguments", "audited", "recording"]
-
-logger: HarmlessLogger = HarmlessLogger(__name__)
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
@@ -35,12 +32,12 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
 @contextlib.contextmanager
 def audited(
     options: argparse.Namespace,
-) -> Iterator[tuple[Audit | None, list[Callable[[], object]]]]:
+) -> Iterator[tuple[Audit | None, list[Callable[[], str]]]]:
     """
     Open the file of the audit trail while the block runs, if there is one.
 
     Yields:
-        The audit trail, and functions to call on SIGHUP.
+        The audit trail, and functions to call on SIGHUP, which return what happened.
 
     Raises:
         ValueError: the file cannot be opened, or none is given and one is required.
@@ -59,13 +56,13 @@ def audited(
 
     trail = Audit(file, required=options.audit_required)
 
-    def reopen() -> None:
+    def reopen() -> str:
         try:
             file.reopen()
         except OSError as error:
-            logger.error("%s: %s; the former file is still used", options.audit, error.strerror)
-        else:
-            trail.note_own("audit", "opened again")
+            return f"{options.audit}: {error.strerror}; the former file is still used"
+        trail.note_own("audit", "opened again")
+        return f"{options.audit}: opened again"
 
     with contextlib.closing(file):
         yield trail, [reopen]

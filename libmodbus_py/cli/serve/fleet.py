@@ -228,7 +228,7 @@ class _Worker:
     show: Show | None
 
     async def run(self, hangup: Hangup) -> int:
-        hung_up = hangup.unless_closed(_tell_of_push)
+        hung_up = hangup.unless_closed(_log, _of_push)
         # From now on, though NATS may elect a leader for a while.
         with signal_handlers({signal.SIGHUP: hung_up}):
             if hangup.came:
@@ -278,10 +278,12 @@ def _handlers(polling: Polling, hung_up: Handler) -> dict[signal.Signals, Handle
     }
 
 
-def _tell_of_push() -> None:
-    logger.warning(
-        "the devices of the engine are polled, not those of the file; --push replaces them"
-    )
+def _of_push() -> str:
+    return "the devices of the engine are polled, not those of the file; --push replaces them"
+
+
+def _log(line: str) -> None:
+    logger.warning("%s", line)
 
 
 # --- status --------------------------------------------------------------------------------------

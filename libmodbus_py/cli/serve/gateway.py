@@ -8,7 +8,7 @@ import argparse
 import contextlib
 import inspect
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -153,10 +153,10 @@ def _gateway_logged(options: argparse.Namespace, hangup: Hangup) -> int:
         hooks["audit"] = trail
         gateway = arguments.checked(make, arguments.given(options, OPTIONS))
         if file is not None:
-            tell = audit.recording(trail, logger.warning)
-            on_hangup.append(partial(_read_again, gateway, str(options.config), file, tell))
+            on_hangup.insert(0, partial(_read_again, gateway, str(options.config), file))
         has_files = on_hangup or is_secure([*urls, *(route.to for route in routes)])
-        read_again = hangup.unless_closed(*on_hangup) if has_files else None
+        tell = audit.recording(trail, logger.warning)
+        read_again = hangup.unless_closed(tell, *on_hangup) if has_files else None
         announce = announcing(options.allow)
         with metrics.exposed(gateway, options.metrics), _shown(gateway, options):
             hangup.serve_forever(gateway, urls, announce, read_again)
@@ -192,15 +192,13 @@ def _overridden(
     ]
 
 
-def _read_again(
-    gateway: Gateway, path: str, before: config.GatewayFile, tell: Callable[[str], object]
-) -> None:
-    def use(file: config.GatewayFile) -> list[str]:
+def _read_again(gateway: Gateway, path: str, before: config.GatewayFile) -> str:
+    def use(file: config.GatewayFile) -> str:
         earlier, now = ({each.units: each for each in of} for of in (gateway.routes, file.routes))
         gateway.change_routes(file.routes)
-        lines = [compared(path, "route", earlier, now)]
+        line = compared(path, "route", earlier, now)
         if (file.listen, repr(file.options)) != (before.listen, repr(before.options)):
-            lines.append(f"{path}: changes that are not routes need a restart of the gateway")
-        return lines
+            line += "; changes that are not routes need a restart of the gateway"
+        return line
 
-    reread(lambda: config.load(path, known=before.routes), use, tell)
+    return reread(lambda: config.load(path, known=before.routes), use)

@@ -11,13 +11,10 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from ...ports.endpoint import parse
-from ...protocol.logs import HarmlessLogger
 from ...security.renewed import reload_all
 from ...server.serving import Running, Serving
 
 __all__ = ["Hangup", "is_secure", "noted"]
-
-logger: HarmlessLogger = HarmlessLogger(__name__)
 
 
 def is_secure(urls: Iterable[str]) -> bool:
@@ -54,21 +51,32 @@ class Hangup:
             self._is_noted = False
             signal.signal(signal.SIGHUP, self._before)
 
-    def unless_closed(self, *read_again: Callable[[], object]) -> Callable[[], None]:
+    def unless_closed(
+        self,
+        tell: Callable[[str], object],
+        *read_again: Callable[[], str],
+        read_later: Callable[[Sequence[str]], object] | None = None,
+    ) -> Callable[[], None]:
         """
-        Return a function for the signal.
+        Return a function for the signal, each of which is answered by one line.
 
-        It reads all files of certificates again, after those of the command.
+        Args:
+            tell: called with the line.
+            read_again: each reads a file again, before the certificates and passwords are read
+                again, and returns what the line says of it.
+            read_later: reads a file again without blocking, and is called with what the line says
+                of the others, in place of `tell`.
         """
 
         def hung_up() -> None:
             if self._can_close and not _has_terminal():
                 signal.raise_signal(signal.SIGTERM)
             else:
-                for each in read_again:
-                    each()
-                for mistake in reload_all():
-                    logger.warning("%s", mistake)
+                said = [*(each() for each in read_again), *reload_all()]
+                if read_later is not None:
+                    read_later(said)
+                elif said:
+                    tell("; ".join(said))
 
         return hung_up
 

@@ -11,7 +11,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -272,7 +272,7 @@ async def _run(
     polling = asyncio.create_task(fleet.run(once=options.once))
     screen = asyncio.create_task(show(fleet)) if show else None
     reloading = Reloading(fleet, options.file, file)
-    handlers = _handlers(stopped, hangup.unless_closed(reloading.begin))
+    handlers = _handlers(stopped, hangup.unless_closed(reloading.tell, read_later=reloading.begin))
     with signal_handlers(handlers):
         if hangup.came:
             handlers[signal.SIGHUP]()
@@ -318,19 +318,29 @@ class Reloading:
         self._kept = file.outputs, file.journal
         self._thread = WriterThread(path)
         self._is_wanted = False
+        self._of_others: Sequence[str] = ()
         self._task: asyncio.Task[None] | None = None
 
-    def begin(self) -> None:
-        """Read the file; once more afterwards, if it is being read now."""
+    def begin(self, of_others: Sequence[str]) -> None:
+        """
+        Read the file; once more afterwards, if it is being read now.
+
+        Args:
+            of_others: what the line about this reading says of other files.
+        """
         try:
             if not self._thread.is_running:
                 self._thread.start()
         except OSError as error:
-            logger.warning("nothing is changed: %s", error)
+            self.tell("; ".join([f"the former content is used: {error}", *of_others]))
             return
-        self._is_wanted = True
+        self._is_wanted, self._of_others = True, of_others
         if self._task is None or self._task.done():
             self._task = asyncio.create_task(self._read())
+
+    def tell(self, line: str) -> None:
+        """Log a line about files that were read again."""
+        logger.warning("%s", line)
 
     async def end(self) -> None:
         """Change nothing any more; the thread ends with the program."""
@@ -342,22 +352,22 @@ class Reloading:
 
     async def _read(self) -> None:
         while self._is_wanted:
-            self._is_wanted = False
+            self._is_wanted, of_others = False, self._of_others
             loading = asyncio.create_task(self._thread.call(load, self._path))
             try:
                 await asyncio.wait([loading])
             finally:
                 loading.cancel()
-            reread(loading.result, self._use, logger.warning)
+            self.tell("; ".join([reread(loading.result, self._use), *of_others]))
 
-    def _use(self, file: FleetFile) -> list[str]:
+    def _use(self, file: FleetFile) -> str:
         before = {name: each.config for name, each in self._fleet.devices.items()}
         self._fleet.replace(file.devices)
         after = {each.name: each for each in file.devices}
-        lines = [compared(self._path, "device", before, after)]
+        line = compared(self._path, "device", before, after)
         if (file.outputs, file.journal) != self._kept:
-            lines.append(f"{self._path}: its outputs have changed; they are used after a restart")
-        return lines
+            line += "; its outputs have changed, and are used after a restart"
+        return line
 
 
 def _screen(

@@ -14,6 +14,7 @@ from typing import Any
 
 from ...device.device import Device
 from ...device.mapping import Mapping
+from ...protocol.logs import HarmlessLogger
 from ...protocol.pdu import RECORDS_PER_FILE
 from ...server.server import Running
 from ...server.units import UNKNOWN_UNIT_POLICIES
@@ -24,13 +25,14 @@ from .. import arguments, completers, logs
 from ..connecting import OF_SERVERS, with_options
 from ..foreign import place
 from ..help import VerbatimHelp
-from ..output import complain
 from ..tracing import print_frame
 from . import audit, limits, metrics, page
 from .announcing import announcing
 from .hangup import Hangup, is_secure, noted
 
 __all__ = ["add_command"]
+
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 EXAMPLE_URL = "tcp://127.0.0.1:1502"
 
@@ -144,9 +146,10 @@ def _serve_logged(options: argparse.Namespace, hangup: Hangup) -> int:
             audit=trail,
         )
         announce = announcing(options.allow)
+        tell = audit.recording(trail, _tell)
         reloader = None
         if simulation is not None and path is not None:
-            is_watching, tell = options.reload, audit.recording(trail, _tell)
+            is_watching = options.reload
             reloader = Reloader(server, path, simulation, is_watching=is_watching, tell=tell)
         with (
             _kept(options.state, lambda: (reloader or server).devices),
@@ -155,10 +158,10 @@ def _serve_logged(options: argparse.Namespace, hangup: Hangup) -> int:
         ):
             if reloader is None:
                 has_files = on_hangup or is_secure(urls)
-                read_again = hangup.unless_closed(*on_hangup) if has_files else None
+                read_again = hangup.unless_closed(tell, *on_hangup) if has_files else None
                 hangup.serve_forever(server, urls, announce_all, read_again)
             else:
-                read_again = hangup.unless_closed(reloader.ask, *on_hangup)
+                read_again = hangup.unless_closed(tell, *on_hangup, read_later=reloader.ask)
                 begin = partial(_begin, reloader, announce_all)
                 hangup.serve_forever(server, urls, begin, read_again)
     return 0
@@ -227,6 +230,4 @@ def _kept(path: str | None, devices: Callable[[], Any]) -> Iterator[None]:
 
 
 def _tell(line: str) -> None:
-    """Print a line on stderr, if there is a reader."""
-    with contextlib.suppress(OSError, ValueError):  # without a reader it still serves
-        complain(line)
+    logger.warning("%s", line)

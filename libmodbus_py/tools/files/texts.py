@@ -9,7 +9,7 @@ import re
 import reprlib
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from os import PathLike, fspath
 from pathlib import Path as FilePath
 from typing import Any, TypeVar
@@ -98,24 +98,22 @@ def load_file(
 
 def reread(
     load: Callable[[], Content],
-    use: Callable[[Content], Iterable[str]],
-    tell: Callable[[str], object],
-) -> None:
+    use: Callable[[Content], str],
+) -> str:
     """
-    Load a file again and use its content; a mistake in the file changes nothing.
+    Load a file again, use its content, and return a line that says what changed.
+
+    A mistake in the file changes nothing, and is the line.
 
     Args:
         load: returns the content, or raises TypeError or ValueError with the mistake.
-        use: applies the content and returns what changed, in lines; raises TypeError or
-            ValueError, before it changes anything, if the content cannot be used.
-        tell: called with each line, or with the mistake.
+        use: applies the content and returns the line; raises TypeError or ValueError, before it
+            changes anything, if the content cannot be used.
     """
     try:
-        lines = use(load())
+        return use(load())
     except (TypeError, ValueError) as error:
-        lines = [f"nothing is changed: {error}"]
-    for line in lines:
-        tell(line)
+        return f"the former content is used: {error}"
 
 
 def compared(path: str, noun: str, before: Mapping[Any, Any], after: Mapping[Any, Any]) -> str:

@@ -8,7 +8,7 @@ import asyncio
 import contextlib
 import gc
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 from ...protocol.mistakes import inside
 from ..faults.server import Server
@@ -55,6 +55,7 @@ class Reloader:
         self._look_every = LOOK_EVERY_S if is_watching else None
         self._tell = tell
         self._asked = asyncio.Event()
+        self._of_others: Sequence[str] = ()
         self._files = (path, *simulation.files)
         self._read_signatures = self._signatures()
 
@@ -71,8 +72,14 @@ class Reloader:
         """Read the file no more; in the loop of the server."""
         self._task.cancel()
 
-    def ask(self) -> None:
-        """Request another reading of the file, in the loop of the server."""
+    def ask(self, of_others: Sequence[str] = ()) -> None:
+        """
+        Request another reading of the file, in the loop of the server.
+
+        Args:
+            of_others: what the line about this reading says of other files.
+        """
+        self._of_others = of_others
         self._asked.set()
 
     async def _run(self) -> None:
@@ -97,10 +104,12 @@ class Reloader:
             loading.cancel()  # if this task was cancelled, its result is not used
         error = loading.exception()
         self._follow(getattr(error, "files", ()) if error else loading.result().files)
-        reread(loading.result, self._use, self._tell)
+        line = reread(loading.result, self._use)
+        of_others, self._of_others = self._of_others, ()
+        self._tell("; ".join([line, *of_others]))
         gc.collect()  # old devices are reference cycles, and their tables larger than they look
 
-    def _use(self, simulation: Simulation) -> list[str]:
+    def _use(self, simulation: Simulation) -> str:
         # Before values are taken over, because nothing may change if the file cannot be served.
         with inside(self._path):
             self._server.replace(*simulation)
@@ -109,7 +118,7 @@ class Reloader:
         self._server.replace(*self._simulation)
         changes = compared(self._path, "unit", before.by_unit, self._simulation.by_unit)
         of_faults = "" if before.faults == simulation.faults else "; its faults have changed"
-        return [changes + of_faults]
+        return changes + of_faults
 
     # --- the files -----------------------------------------------------------------------------
 

@@ -72,7 +72,7 @@ def test_hangup_has_the_file_read_again_and_nobody_notices(behind: str, tmp_path
         assert process.stderr.readline() == f"{path}: read again, 1 route: 1 new, 1 removed\n"
         said = process.stderr.readline()
         assert said == (
-            f"nothing is changed: {path}, line 4: "
+            f"the former content is used: {path}, line 4: "
             "route[0].units: '1-300' must go up, within 0..255\n"
         )
         assert has(2)

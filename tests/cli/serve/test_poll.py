@@ -203,7 +203,7 @@ def test_sighup_reads_the_file_again(fleet: Path) -> None:
         text = fleet.read_text()
         fleet.write_text("nothing")
         polling.send_signal(signal.SIGHUP)
-        assert polling.stderr.readline().startswith("nothing is changed: ")
+        assert polling.stderr.readline().startswith("the former content is used: ")
         fleet.write_text(text.replace('"two"', '"renamed"'))
         polling.send_signal(signal.SIGHUP)
         assert polling.stderr.readline() == f"{fleet}: read again, 3 devices: 1 new, 1 removed\n"

@@ -142,9 +142,10 @@ def test_outputs_that_have_changed_are_told(command: Started) -> None:
     for _ in range(2):
         command.hang_up()
         command.read()
-        assert command.said() == f"{command.fleet}: read again, 1 device: no change"
-        told = f"{command.fleet}: its outputs have changed; they are used after a restart"
-        assert command.said() == told
+        assert command.said() == (
+            f"{command.fleet}: read again, 1 device: no change;"
+            " its outputs have changed, and are used after a restart"
+        )
     command.fleet.write_text(text)
     command.hang_up()
     command.read()

@@ -53,7 +53,7 @@ def test_a_new_password_is_used_and_one_that_cannot_be_read_is_told(tmp_path: Pa
                     pass
                 (tmp_path / "secret").unlink()
                 process.send_signal(signal.SIGHUP)
-                told = await asyncio.to_thread(line_with, process, "nothing is changed: ")
+                told = await asyncio.to_thread(line_with, process, "the former content is used: ")
                 assert str(tmp_path / "secret") in told
                 assert await broker.passwords.get() == "second"
                 process.terminate()

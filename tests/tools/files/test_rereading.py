@@ -10,38 +10,32 @@ from libmodbus_py.tools.files.texts import compared, reread
 from tests.support.cases import each_case
 
 
-def test_the_content_is_used_and_each_line_told() -> None:
+def test_the_content_is_used_and_what_changed_is_returned() -> None:
     used: list[str] = []
-    told: list[str] = []
 
-    def use(content: str) -> list[str]:
+    def use(content: str) -> str:
         used.append(content)
-        return ["first", "second"]
+        return "all is new"
 
-    reread(lambda: "content", use, told.append)
-    assert (used, told) == (["content"], ["first", "second"])
+    assert reread(lambda: "content", use) == "all is new"
+    assert used == ["content"]
 
 
 @pytest.mark.parametrize("kind", [TypeError, ValueError])
-def test_a_mistake_is_told_and_nothing_used(kind: type[Exception]) -> None:
-    used: list[str] = []
-    told: list[str] = []
-
+def test_a_mistake_is_returned_and_nothing_used(kind: type[Exception]) -> None:
     def load() -> str:
         raise kind("line 4: unit must be in 0..255")
 
-    reread(load, lambda content: used.append(content) or [], told.append)  # type: ignore[func-returns-value]
-    assert (used, told) == ([], ["nothing is changed: line 4: unit must be in 0..255"])
+    line = reread(load, lambda content: pytest.fail(content))
+    assert line == "the former content is used: line 4: unit must be in 0..255"
 
 
-def test_content_that_cannot_be_used_is_told() -> None:
-    told: list[str] = []
-
-    def use(content: str) -> list[str]:
+def test_content_that_cannot_be_used_is_returned_as_a_mistake() -> None:
+    def use(content: str) -> str:
         raise ValueError("two routes for unit 1")
 
-    reread(lambda: "content", use, told.append)
-    assert told == ["nothing is changed: two routes for unit 1"]
+    line = reread(lambda: "content", use)
+    assert line == "the former content is used: two routes for unit 1"
 
 
 def test_other_errors_are_raised() -> None:
@@ -49,7 +43,7 @@ def test_other_errors_are_raised() -> None:
         raise RuntimeError("a bug")
 
     with pytest.raises(RuntimeError, match="a bug"):
-        reread(load, lambda content: [], print)
+        reread(load, lambda content: "")
 
 
 @each_case(

@@ -194,10 +194,10 @@ def test_a_mistake_keeps_the_old_devices_and_is_told(path: Path) -> None:
         for text, message in (
             (
                 PLAIN.replace("id = 1", "id = 999"),
-                "nothing is changed: {}, line 3: unit[0].id must",
+                "the former content is used: {}, line 3: unit[0].id must",
             ),
-            (PLAIN[:40], "nothing is changed: {}"),
-            (None, "nothing is changed: cannot read {}: No such file"),
+            (PLAIN[:40], "the former content is used: {}"),
+            (None, "the former content is used: cannot read {}: No such file"),
         ):
             told.clear()
             if text is None:
@@ -336,14 +336,14 @@ def test_hangups_read_the_file_again_and_connections_stay(path: Path) -> None:
         assert client.read_holding_registers(0, 1) == [1]
         path.write_text("[[unit]")
         process.send_signal(signal.SIGHUP)
-        assert process.stderr.readline().startswith(f"libmodbus-py: nothing is changed: {path}: ")
+        assert process.stderr.readline().startswith(f"the former content is used: {path}: ")
         path.write_text(PLAIN.replace("[1, 2]", "[8, 9]"))
         for _ in range(200):
             process.send_signal(signal.SIGHUP)
             client.read_holding_registers(0, 1)
         until(lambda: client.read_holding_registers(0, 1) == [8])
         told = process.stderr.readline()
-        assert told == f"libmodbus-py: {path}: read again, 2 units: 1 changed\n"
+        assert told == f"{path}: read again, 2 units: 1 changed\n"
         process.send_signal(signal.SIGHUP)
         process.send_signal(signal.SIGTERM)
         assert process.wait() == 0
