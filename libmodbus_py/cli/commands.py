@@ -14,8 +14,7 @@ from importlib import import_module
 
 from ..version import __version__
 from .help import Help, HelpAll, VerbatimHelp, coloured, shown, tell_defaults
-from .output import PROGRAM
-from .output import message as printed
+from .output import PROGRAM, complain
 
 TYPE_CHECKING = False  # typing alone takes a twentieth of what --version may
 if TYPE_CHECKING:
@@ -220,4 +219,5 @@ class _Parser(argparse.ArgumentParser):
         raise argparse.ArgumentError(action, f"must be one of {known}, not {value!r}{close}")
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{printed(message)} (see {self.prog} --help)\n")
+        complain(f"{message} (see {self.prog} --help)")
+        self.exit(2)

@@ -15,6 +15,7 @@ from typing import Any
 
 from ..protocol.plain import time_text
 from .help import make_rare
+from .output import log_line
 
 __all__ = ["add_arguments", "called_before_lines", "logged"]
 
@@ -48,17 +49,19 @@ def logged(options: argparse.Namespace) -> Iterator[None]:
     if options.log is None and options.log_format is None:
         yield
         return
-    logger = logging.getLogger(PACKAGE)
+    logger, root = logging.getLogger(PACKAGE), logging.getLogger()
     handler = _Handler(sys.stderr)
     handler.setFormatter(FORMATTERS[options.log_format or "text"]())
     handler.setLevel((options.log or "warning").upper())
     before = logger.level
-    logger.addHandler(handler)
+    root.addHandler(handler)  # for asyncio and other packages, too, whose warnings matter
     logger.setLevel(handler.level)
+    logging.captureWarnings(True)
     try:
         yield
     finally:
-        logger.removeHandler(handler)
+        logging.captureWarnings(False)
+        root.removeHandler(handler)
         logger.setLevel(before)
 
 
@@ -70,7 +73,7 @@ def called_before_lines(function: Callable[[], object]) -> Iterator[None]:
         function()
         return True
 
-    filtered = [*logging.getLogger(PACKAGE).handlers]
+    filtered = [*logging.getLogger().handlers]
     if not filtered and logging.lastResort is not None:
         filtered = [logging.lastResort]
     for each in filtered:
@@ -103,17 +106,9 @@ class JsonFormatter(logging.Formatter):
     """One object in one line: time, level, logger, message, and exception if there is one."""
 
     def format(self, record: logging.LogRecord) -> str:
-        from ..protocol.json_text import json_text
-
-        entry = {
-            "time": time_text(record.created),
-            "level": record.levelname.lower(),
-            "logger": record.name,
-            "message": record.getMessage(),
-        }
-        if record.exc_info:
-            entry["exception"] = self.formatException(record.exc_info)
-        return json_text(entry)
+        level = record.levelname.lower()
+        exception = self.formatException(record.exc_info) if record.exc_info else ""
+        return log_line(record.created, level, record.name, record.getMessage(), exception)
 
 
 FORMATTERS: dict[str, type[logging.Formatter]] = {"json": JsonFormatter, "text": TextFormatter}

@@ -4,10 +4,12 @@ Standard output and standard error: messages, JSON and styles.
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import io
 import os
 import sys
+import time
 
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
@@ -16,8 +18,8 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "PROGRAM", "abandon", "complain", "counted", "harmless", "has_styles", "message", "prepare",
-    "print_json", "styled", "written_to",
+    "PROGRAM", "abandon", "complain", "counted", "harmless", "has_styles", "inform", "log_line",
+    "prepare", "print_json", "print_log_lines", "styled", "written_to",
 ]
 # fmt: on
 
@@ -27,14 +29,27 @@ ERROR = "1;31"
 """Style of the name of the program before an error: bold and red."""
 
 
+_prints_log_lines = False
+
+
 def prepare() -> None:
     """Make both streams accept everything that is printed, even if closed or limited to ASCII."""
+    codecs.register_error("json", _escaped)
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:  # the descriptor was closed when the program started
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 (never closed)
         elif isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
+            stream.reconfigure(errors="json")
+
+
+def _escaped(error: UnicodeError) -> tuple[str, int]:
+    """Return what a stream cannot encode as escapes that JSON has, too, such as ``\\u00fc``."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    units = error.object[error.start : error.end].encode("utf-16-be", "surrogatepass")
+    escapes = (f"\\u{units[at : at + 2].hex()}" for at in range(0, len(units), 2))
+    return "".join(escapes), error.end
 
 
 def abandon() -> None:
@@ -46,14 +61,35 @@ def abandon() -> None:
         os.close(nowhere)
 
 
-def complain(text: str) -> None:
-    """Print a message to stderr, after the name of the program."""
-    print(message(text), file=sys.stderr, flush=True)
+def print_log_lines(*, is_on: bool) -> None:
+    """From now on, `inform` and `complain` print lines as --log-format json has them, or not."""
+    global _prints_log_lines
+    _prints_log_lines = is_on
 
 
-def message(text: str) -> str:
-    """Return a message as stderr shows it: after the name of the program, which may be red."""
-    return f"{styled(f'{PROGRAM}:', ERROR, sys.stderr)} {harmless(text)}"
+def log_line(seconds: float, level: str, logger: str, message: str, exception: str = "") -> str:
+    """Return one line of a log in JSON, without the newline."""
+    from ..protocol.json_text import json_line
+    from ..protocol.plain import time_text
+
+    entry = {"time": time_text(seconds), "level": level, "logger": logger, "message": message}
+    return json_line({**entry, "exception": exception} if exception else entry)
+
+
+def inform(text: str, to: TextIO | None = None) -> None:
+    """Print a line about what the command does, to stdout or another stream."""
+    if _prints_log_lines:
+        text = log_line(time.time(), "info", "libmodbus_py.cli", text)
+    print(text, file=to, flush=True)
+
+
+def complain(text: str, level: str = "error") -> None:
+    """Print a message to stderr, after the name of the program, which may be red."""
+    if _prints_log_lines:
+        text = log_line(time.time(), level, "libmodbus_py.cli", text)
+    else:
+        text = f"{styled(f'{PROGRAM}:', ERROR, sys.stderr)} {harmless(text)}"
+    print(text, file=sys.stderr, flush=True)
 
 
 def harmless(text: str) -> str:
@@ -67,9 +103,9 @@ def harmless(text: str) -> str:
 
 def print_json(fields: dict[str, Any]) -> None:
     """Print an object of JSON as one line, at once."""
-    from ..protocol.json_text import json_text
+    from ..protocol.json_text import json_line
 
-    print(json_text(fields), flush=True)
+    print(json_line(fields), flush=True)
 
 
 @contextlib.contextmanager

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from ..ports.trace import WIRE, Traced
 from ..protocol.pdu import REQUESTS
 from ..protocol.plain import clock_text
+from .output import inform
 
 __all__ = ["Tracing", "print_frame", "wire_printed"]
 
@@ -33,12 +34,12 @@ class Tracing:
             self._sent = traced.time
         else:
             took = traced.time - self._sent
-        print(_in_columns(traced, took), file=sys.stderr, flush=True)
+        inform(_in_columns(traced, took), sys.stderr)
 
 
 def print_frame(traced: Traced) -> None:
     """Print a frame of a server to stderr, in the same columns."""
-    print(_in_columns(traced), file=sys.stderr, flush=True)
+    inform(_in_columns(traced), sys.stderr)
 
 
 @contextlib.contextmanager

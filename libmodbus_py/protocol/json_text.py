@@ -13,7 +13,7 @@ from typing import Any
 
 from .mistakes import WrongValue
 
-__all__ = ["COMPACT_JSON", "JSON", "SORTED_JSON", "each_once", "json_text"]
+__all__ = ["COMPACT_JSON", "JSON", "SORTED_JSON", "each_once", "json_line", "json_text"]
 
 JSON = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
 """Encodes text as it is."""
@@ -26,6 +26,14 @@ SORTED_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"), sort_keys
 
 json_text = json.JSONEncoder(allow_nan=False).encode
 """Returns a value as JSON, in ASCII."""
+
+
+def json_line(value: Any) -> str:
+    """Return a value as JSON, in which text is as it is, but for characters that print nothing."""
+    text = JSON.encode(value)
+    if text.isprintable():
+        return text
+    return "".join(each if each.isprintable() else json_text(each)[1:-1] for each in text)
 
 
 def each_once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from ..device.caller import Executed, ValueChange
 from ..protocol.callbacks import checked_callback, finished
 from ..protocol.close_names import named_arguments
 from ..protocol.errors import ExceptionResponse
-from ..protocol.json_text import json_text
+from ..protocol.json_text import json_line
 from ..protocol.logs import HarmlessLogger
 from ..protocol.plain import time_text
 from ..security.describing import CertificateHolder
@@ -87,7 +87,7 @@ class AuditEvent:
         found = dataclasses.asdict(dataclasses.replace(self, changes=()))
         found["time"] = time_text(self.time.timestamp())
         found["changes"] = [_change(each) for each in self.changes]
-        return json_text(
+        return json_line(
             {key: value for key, value in found.items() if value not in (None, "", [])}
         )
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import logging
+import signal
 from argparse import Namespace
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -17,7 +18,7 @@ import pytest
 from libmodbus_py import Context, Device, Mapping, Server
 from libmodbus_py.cli.logs import logged
 from tests.cli.serving import FLEET_OF_ONE
-from tests.support.commands import Started
+from tests.support.commands import PAGE_TOKEN, Started
 
 LOGGER = logging.getLogger("libmodbus_py.somewhere")
 
@@ -44,6 +45,38 @@ def test_messages_of_a_level_and_above_are_objects(
         assert (last["level"], last["logger"]) == ("warning", "libmodbus_py.somewhere")
         assert last["message"] == "a line\nand another: \x1b[2J"
         assert datetime.fromisoformat(last["time"]).tzinfo == UTC
+
+
+@pytest.mark.parametrize(
+    ("command", "code"),
+    [
+        ("serve tcp://{host}:0 --audit {folder}/trail --page {host}:0 -v", 0),
+        ("gateway tcp://{host}:0 --to {device} --metrics 127.0.0.1:0 -v", 0),
+        ("poll {folder}/fleet.toml --json --page 127.0.0.1:0", 0),
+        ("poll {folder}/fleet.toml --once -v --csv {folder}/full/readings.csv", 1),
+        ("serve {device}", 1),
+        ("gateway tcp://127.0.0.1:0", 2),
+    ],
+)
+def test_each_line_is_an_object_whoever_prints_it(
+    command: str, code: int, device: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "Kälte"
+    folder.mkdir()
+    (folder / "fleet.toml").write_text(FLEET_OF_ONE.format(url=device))
+    words = command.format(folder=folder, device=device, host="0.0.0.0").split()
+    options = ["--log", "info", "--log-format", "json"]
+    environment = {**PAGE_TOKEN, "PYTHONIOENCODING": "ascii", "PYTHONWARNINGS": "error::Warning"}
+    with Started(*words, *options, environment=environment) as process:
+        lines = [process.stdout.readline()] if code == 0 else []
+        if "--audit" in words:
+            process.send_signal(signal.SIGHUP)
+        if code == 0:
+            process.terminate()
+        lines += [*process.stdout, *process.stderr]
+        assert process.wait() == code
+    assert lines
+    assert all(isinstance(json.loads(line), dict) for line in lines)
 
 
 def test_text_has_time_level_and_place(capsys: pytest.CaptureFixture[str]) -> None:
@@ -86,7 +119,7 @@ def test_servers_tell_where_they_listen_and_every_frame(name: str, device: str) 
     more = ["--to", device] if name == "gateway" else []
     options = ["--log", "debug", "--log-format", "json"]
     with Started(name, "tcp://127.0.0.1:0", *more, *options) as process:
-        url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
+        url = json.loads(process.stdout.readline())["message"].removeprefix("listening on ")
         with Context.from_url(url) as plc:
             plc.read_holding_registers(0, 1)
         process.terminate()

@@ -166,7 +166,7 @@ def test_what_the_terminal_cannot_show_is_written_in_ascii() -> None:
         text=True,
         timeout=30,
     )
-    assert done.stdout == "21.5 \\xb0C\n"
+    assert done.stdout == "21.5 \\u00b0C\n"
 
 
 @pytest.mark.timeout(20)

@@ -33,16 +33,32 @@ from typing import NamedTuple, Self, TextIO
 from libmodbus_py.cli.main import main
 from tests.support.leaks import lasts
 
-__all__ = ["PROGRAM", "Done", "Started", "Terminal", "ended", "on_terminal", "run"]
+# fmt: off
+__all__ = [
+    "PAGE_TOKEN", "PROGRAM", "Done", "Started", "Terminal", "ended", "on_terminal", "page_url",
+    "run",
+]
+# fmt: on
 
 PROGRAM = [sys.executable, "-m", "libmodbus_py"]
 
 ROOT = Path(__file__).parents[2]
 
+PAGE_TOKEN = {"LIBMODBUS_PY_PAGE_TOKEN": "Bookmarked-by_the-plant-2026"}
+"""The environment of a command whose page has a known token."""
+
 PATIENCE = 60.0
 """Seconds until a command that does not end is a failure."""
 
 PR_SET_CHILD_SUBREAPER = 36
+
+
+def page_url(line: str) -> str:
+    """Return the URL of a page from the line that a command with `PAGE_TOKEN` printed about it."""
+    assert line.startswith("page on http://127.0.0.1:")
+    url = line.removeprefix("page on ").rstrip("\n")
+    assert url.endswith("/?token=...")
+    return url.replace("...", *PAGE_TOKEN.values())
 
 
 # --- in this process ------------------------------------------------------------------------

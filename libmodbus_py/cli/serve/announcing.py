@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from ...ports.endpoint import Endpoint, parse
 from ...ports.hosts import is_loopback
-from ..output import complain
+from ..output import complain, inform
 
 if TYPE_CHECKING:
     from ...server.server import Running
@@ -30,12 +30,13 @@ def announcing(allowed: list[str] | None) -> Callable[[Running], None]:
 
     def announce(running: Running) -> None:
         for url in running.urls:
-            print(f"listening on {url}", flush=True)
+            inform(f"listening on {url}")
         unguarded = [] if allowed else [url for url in running.urls if _is_open(parse(url))]
         if unguarded:
             complain(
                 f"anyone who can reach {', '.join(unguarded)} can read and write; --allow NETWORK,"
-                " or tls:// with certificates, restricts access"
+                " or tls:// with certificates, restricts access",
+                "warning",
             )
         notify_ready()
 

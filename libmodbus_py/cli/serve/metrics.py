@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, TextIO
 
 from ...protocol.errors import ModbusConnectionError
+from ..output import inform
 
 __all__ = ["Address", "OneAddress", "add_argument", "address_like", "exposed"]
 
@@ -56,7 +57,7 @@ def exposed(
             raise ModbusConnectionError(
                 f"cannot listen for metrics on {place}: {error.strerror}", errno=error.errno
             ) from error
-        print(f"metrics on {url}", flush=True, file=to)
+        inform(f"metrics on {url}", to)
         yield
 
 

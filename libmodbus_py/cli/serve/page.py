@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, TextIO, TypeGuard
 
 from ...protocol.errors import ModbusConnectionError
 from ..help import make_rare
-from ..output import complain
+from ..output import complain, inform
 from .metrics import Address, OneAddress, address_like
 
 if TYPE_CHECKING:
@@ -94,18 +94,20 @@ def shown(
 
     Raises:
         ModbusConnectionError: the address is not available, with errno.
-        ValueError: the token is wrong, or there is one but no page.
+        ValueError: the token is wrong, there is one but no page, or there is none and a new one
+            could be read in a log.
     """
     if not _is_wanted(address, token_file):
         yield announce
         return
     from ...tools.page.page import live_page
 
-    with _opened(partial(live_page, server), address, token_file) as tell:
+    can = "can change all devices"
+    with _opened(partial(live_page, server), address, token_file, sys.stdout, can) as tell:
 
         def announce_all(running: Running) -> None:
             announce(running)
-            tell("can change all devices", sys.stdout)
+            tell()
 
         yield announce_all
 
@@ -131,8 +133,9 @@ def tables_shown(
     from ...tools.page.page import table_page
     from ...tools.page.table_source import TableSource
 
-    with _opened(partial(table_page, TableSource(make())), address, token_file) as tell:
-        tell("can see all values", to)
+    open_page, can = partial(table_page, TableSource(make())), "can see all values"
+    with _opened(open_page, address, token_file, to, can) as tell:
+        tell()
         yield
 
 
@@ -147,24 +150,41 @@ def _opened(
     open_page: Callable[..., contextlib.AbstractContextManager[Page]],
     address: Address,
     token_file: str | None,
-) -> Iterator[Callable[[str, TextIO], None]]:
-    """Open a page while the block runs; yield a function that prints its URL."""
+    to: TextIO,
+    can: str,
+) -> Iterator[Callable[[], None]]:
+    """
+    Open a page while the block runs; yield a function that prints its URL.
+
+    Args:
+        to: the stream on which the URL is printed; with the token only if the token is new, and
+            the stream is a terminal.
+        can: what anyone with the URL can do.
+    """
     from ...ports.hosts import is_loopback
 
     with contextlib.ExitStack() as stack:
+        token = token_of(token_file)
+        if token is None and not to.isatty():
+            raise ValueError(
+                f"--page-token FILE, or {TOKEN} in the environment, must give the token of the"
+                " page: a new one is printed on a terminal only"
+            )
         try:
-            page = stack.enter_context(open_page(*address, token_of(token_file)))
+            page = stack.enter_context(open_page(*address, token))
         except OSError as error:
             place = ":".join(map(str, address))
             raise ModbusConnectionError(
                 f"cannot show a page on {place}: {error.strerror}", errno=error.errno
             ) from error
 
-        def tell(danger: str, to: TextIO) -> None:
-            print(f"page on {page.url}", file=to, flush=True)
+        def tell() -> None:
+            url = page.url if token is None else page.url.replace(token, "...")
+            inform(f"page on {url}", to)
             if not is_loopback(address[0]):
-                complain(
-                    f"anyone with the URL of the page {danger}, and the connection is not encrypted"
+                danger = (
+                    f"anyone with the URL of the page {can}, and the connection is not encrypted"
                 )
+                complain(danger, "warning")
 
         yield tell

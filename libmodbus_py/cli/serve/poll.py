@@ -32,7 +32,7 @@ from ...tools.files.texts import compared, reread
 from .. import arguments, logs, tracing
 from ..failing import CommandError
 from ..help import VerbatimHelp
-from ..output import complain, counted
+from ..output import complain, counted, inform
 from ..screen import Redrawn, Status
 from . import fleet as workers
 from . import metrics, page
@@ -289,7 +289,8 @@ async def _run(
                 await asyncio.wait([polling, *([screen] if screen else [])])
                 await reloading.end()
                 if stopped.is_set() or show:
-                    print(_summary(fleet, time.monotonic() - started), file=sys.stderr, flush=True)
+                    for line in _summary(fleet, time.monotonic() - started):
+                        inform(line, sys.stderr)
     if not polling.cancelled():
         polling.result()
 
@@ -430,7 +431,7 @@ def _errors(fleet: Fleet) -> str:
     return told
 
 
-def _summary(fleet: Fleet, seconds: float) -> str:
+def _summary(fleet: Fleet, seconds: float) -> list[str]:
     statistics = fleet.statistics
     lines = [
         f"{statistics.polls} polls in {seconds:.1f} s,"
@@ -449,7 +450,7 @@ def _summary(fleet: Fleet, seconds: float) -> str:
             f"journal: {journal.written} written, {journal.dropped} dropped,"
             f" {journal.bytes / 1e6:.1f} MB; {waiting} wait for an output{trouble}"
         )
-    return "\n".join(lines)
+    return lines
 
 
 # --- trying -------------------------------------------------------------------------------------

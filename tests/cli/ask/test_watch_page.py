@@ -11,7 +11,7 @@ from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.cli.ask.formatters import FormattedValue, ReadResult, formatter_of
 from libmodbus_py.cli.ask.items import Item
 from libmodbus_py.cli.ask.shown_watch import ShownWatch
-from tests.support.commands import Started
+from tests.support.commands import PAGE_TOKEN, Started, page_url
 from tests.tools.page.watching import Visitor
 
 
@@ -19,10 +19,8 @@ def test_values_are_shown_and_printed() -> None:
     mapping = Mapping(holding_registers=[range(3)])
     with Server(Device(mapping)).background("tcp://127.0.0.1:0") as running:
         what = ("read", running.urls[0], "holding", "0", "3", "--watch", "0.05")
-        with Started(*what, "--page", "127.0.0.1:0") as process:
-            line = process.stderr.readline()
-            assert line.startswith("page on ")
-            with Visitor(line.split()[-1]).watching() as visitor:
+        with Started(*what, "--page", "127.0.0.1:0", environment=PAGE_TOKEN) as process:
+            with Visitor(page_url(process.stderr.readline())).watching() as visitor:
                 assert visitor.seen["head"]["kind"] == "watch"
                 assert running.urls[0] in visitor.seen["head"]["title"]
                 visitor.look_at()

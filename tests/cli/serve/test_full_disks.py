@@ -12,7 +12,7 @@ from contextlib import closing
 from pathlib import Path
 
 from libmodbus_py import Device, Mapping, Server
-from tests.support.commands import Started
+from tests.support.commands import PAGE_TOKEN, Started, page_url
 from tests.tools.page.watching import Visitor
 
 METER = "name,table,address\nlevel,holding_registers,0\n"
@@ -27,8 +27,9 @@ def test_a_journal_without_room_ends_nothing(tmp_path: Path) -> None:
             "journal = 'fleet.db'\n[defaults]\nmap = 'meter.csv'\ninterval = 0.02\n"
             f"[[device]]\nname = 'one'\nurl = '{running.urls[0]}'\n"
         )
-        with Started("poll", path, "--page", "127.0.0.1:0", folder=tmp_path) as process:
-            with Visitor(process.stderr.readline().split()[-1]).watching() as visitor:
+        command = ("poll", path, "--page", "127.0.0.1:0")
+        with Started(*command, folder=tmp_path, environment=PAGE_TOKEN) as process:
+            with Visitor(page_url(process.stderr.readline())).watching() as visitor:
                 visitor.look_at()
                 visitor.receive(lambda: len(visitor.rows("rows")) == 3)
                 rows = visitor.seen["rows"]

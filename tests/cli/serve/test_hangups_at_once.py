@@ -10,7 +10,7 @@ from pathlib import Path
 
 from libmodbus_py import Context, Device, Mapping, Server
 from libmodbus_py.errors import GatewayPathUnavailable
-from tests.support.commands import Started
+from tests.support.commands import PAGE_TOKEN, Started, page_url
 from tests.support.peers import until
 from tests.tools.page.watching import Visitor
 
@@ -64,8 +64,8 @@ def test_a_page_shows_the_newest_devices(tmp_path: Path) -> None:
             path.write_text(f"[defaults]\n{defaults}[[device]]\nname = '{name}'\n")
 
         write("first")
-        with Started("poll", path, "--page", "127.0.0.1:0") as process:
-            url = process.stderr.readline().removeprefix("page on ").rstrip("\n")
+        with Started("poll", path, "--page", "127.0.0.1:0", environment=PAGE_TOKEN) as process:
+            url = page_url(process.stderr.readline())
             with Visitor(url).watching() as visitor:
                 visitor.look_at()
                 visitor.receive(lambda: visitor.rows("rows"))

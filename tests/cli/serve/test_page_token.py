@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -11,32 +12,55 @@ from pathlib import Path
 import pytest
 
 from tests.support.cases import each_case
-from tests.support.commands import Started, run
+from tests.support.commands import PAGE_TOKEN, Started, on_terminal, page_url, run
 
-TOKEN = "Bookmarked-by_the-plant-2026"
+(TOKEN,) = PAGE_TOKEN.values()
 
 
-def url_of_page(*options: object, **environment: str) -> str:
-    """Start a server, open its page, and return the URL."""
-    command = ("serve", "tcp://127.0.0.1:0", "--page", "127.0.0.1:0", *options)
-    with Started(*command, environment=environment) as process:
+SERVE = ("serve", "tcp://127.0.0.1:0", "--page", "127.0.0.1:0")
+
+
+@pytest.mark.parametrize("where", ["file", "environment"])
+def test_a_token_that_was_given_opens_the_page_and_is_not_printed(
+    where: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "token"
+    file.write_text(f"{TOKEN}\n")
+    options = ("--page-token", file) if where == "file" else ()
+    environment = PAGE_TOKEN if where == "environment" else {}
+    with Started(*SERVE, *options, "--log", "debug", environment=environment) as process:
         process.stdout.readline()
-        url = process.stdout.readline().removeprefix("page on ").rstrip("\n")
+        url = page_url(process.stdout.readline())
         with urllib.request.urlopen(url) as answer:
             assert answer.status == 200
         with pytest.raises(urllib.error.HTTPError, match="403"):
             urllib.request.urlopen(url[:-1])
         process.terminate()
-        process.wait()
-    return url
+        assert TOKEN not in process.stdout.read() + process.stderr.read()
 
 
-def test_the_token_of_a_file_or_the_environment_is_used(tmp_path: Path) -> None:
-    file = tmp_path / "token"
-    file.write_text(f"{TOKEN}\n")
-    assert url_of_page("--page-token", file).endswith(f"?token={TOKEN}")
-    assert url_of_page(LIBMODBUS_PY_PAGE_TOKEN=TOKEN).endswith(f"?token={TOKEN}")
-    assert TOKEN not in url_of_page()
+def test_a_new_token_is_printed_on_a_terminal() -> None:
+    shows_url = re.compile(r"page on (http://\S+\?token=\S{32})\s").search
+    with on_terminal(*SERVE) as terminal:
+        found = shows_url(terminal.until(lambda text: shows_url(text) is not None))
+        assert found
+        with urllib.request.urlopen(found[1]) as answer:
+            assert answer.status == 200
+
+
+@each_case(
+    "command",
+    [
+        SERVE,
+        ("gateway", "tcp://127.0.0.1:0", "--to", "tcp://127.0.0.1:1", "--page", "127.0.0.1:0"),
+        ("read", "tcp://127.0.0.1:1", "hr", "0", "--watch", "1", "--page", "127.0.0.1:0"),
+    ],
+)
+def test_a_new_token_is_printed_in_no_log(command: tuple[str, ...]) -> None:
+    done = run(*command)
+    assert done.code == 2
+    assert "a new one is printed on a terminal only" in done.err
+    assert "token=" not in done.out + done.err
 
 
 @each_case(

@@ -12,10 +12,8 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
-from tests.support.commands import Started, run
+from tests.support.commands import PAGE_TOKEN, Started, page_url, run
 from tests.tools.page.watching import Visitor
-
-TOKEN = "Bookmarked-by_the-plant-2026"
 
 METER = "name,table,address,unit\nlevel,holding_registers,0,m\npressure,holding_registers,1,bar\n"
 
@@ -32,11 +30,8 @@ def fleet(tmp_path: Path) -> Iterator[Path]:
 
 def test_the_fleet_is_shown_and_follows_its_file(fleet: Path) -> None:
     command = ("poll", fleet, "--page", "127.0.0.1:0")
-    with Started(*command, environment={"LIBMODBUS_PY_PAGE_TOKEN": TOKEN}) as process:
-        line = process.stderr.readline()
-        assert line.startswith("page on http://127.0.0.1:")
-        visitor = Visitor(line.removeprefix("page on ").rstrip("\n"))
-        assert visitor.token == TOKEN
+    with Started(*command, environment=PAGE_TOKEN) as process:
+        visitor = Visitor(page_url(process.stderr.readline()))
         with visitor.watching():
             head = visitor.seen["head"]
             assert (head["kind"], head["title"]) == ("fleet", "plant.toml")
@@ -61,7 +56,7 @@ def test_the_fleet_is_shown_and_follows_its_file(fleet: Path) -> None:
 def test_an_address_in_use_is_told(fleet: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         place = f"127.0.0.1:{taken.getsockname()[1]}"
-        done = run("poll", fleet, "--page", place)
+        done = run("poll", fleet, "--page", place, environment=PAGE_TOKEN)
     assert done.code == 1
     assert f"cannot show a page on {place}: Address already in use" in done.err
 

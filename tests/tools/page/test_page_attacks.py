@@ -12,13 +12,12 @@ import threading
 import time
 from contextlib import ExitStack, suppress
 from typing import Any
-from urllib.parse import urlsplit
 
 import pytest
 
 from libmodbus_py.tools.page.web import FILES
 from tests.support.cases import each_case
-from tests.support.commands import Started, run
+from tests.support.commands import PAGE_TOKEN, Started, page_url, run
 from tests.tools.page.watching import Visitor, shown, until
 
 PATHS = ["/", "/scripts/page.js", "/events", "/log.csv", "/value"]
@@ -321,15 +320,15 @@ def test_who_does_not_read_is_left_behind_and_told_everything_when_it_does() -> 
 
 def test_an_end_ends_everybody() -> None:
     """SIGTERM with open streams, from the command line."""
-    with Started("serve", "tcp://127.0.0.1:0", "--page", "127.0.0.1:0") as program:
+    with Started(
+        "serve", "tcp://127.0.0.1:0", "--page", "127.0.0.1:0", environment=PAGE_TOKEN
+    ) as program:
         assert program.stdout.readline().startswith("listening on tcp://127.0.0.1:")
-        line = program.stdout.readline().rstrip()
-        assert line.startswith("page on http://127.0.0.1:")
-        visitor = Visitor(line.removeprefix("page on "))
-        assert urlsplit(line.removeprefix("page on ")).path == "/"
+        url = page_url(program.stdout.readline())
+        visitor = Visitor(url)
         with ExitStack() as stack:
             for _ in range(5):
-                stack.enter_context(Visitor(line.removeprefix("page on ")).watching())
+                stack.enter_context(Visitor(url).watching())
             stack.enter_context(socket.create_connection(visitor.address))
             program.terminate()
             assert program.wait() == 0
@@ -342,7 +341,7 @@ def test_a_page_that_cannot_be_gets_one_line() -> None:
             (f"127.0.0.1:{port}", 1, f"cannot show a page on 127.0.0.1:{port}: Address already"),
             ("127.0.0.1", 2, "argument --page: must be HOST:PORT, such as 127.0.0.1:8080, not"),
         ):
-            done = run("serve", "tcp://127.0.0.1:0", "--page", place)
+            done = run("serve", "tcp://127.0.0.1:0", "--page", place, environment=PAGE_TOKEN)
             assert (done.code, done.out) == (code, "")
             assert text in done.err
             assert done.err.count("\n") == 1
