@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tests.docs.python_blocks import matches
-from tests.support.commands import Started
+from tests.support.commands import PAGE_TOKEN, Started
 
 __all__ = ["Command", "Shell", "of_console", "of_sh"]
 
@@ -115,6 +115,7 @@ class Shell:
             "PWD": str(folder),
             "PYTHONUNBUFFERED": "1",
             "COLUMNS": "100",
+            **PAGE_TOKEN,  # a reader has a terminal, on which a new one is printed
             # Not those of whoever runs these tests, and without a plugin that takes long to load.
             "PYTEST_ADDOPTS": "-p no:hypothesispytest",
         }
