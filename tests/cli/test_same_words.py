@@ -61,16 +61,16 @@ def test_scan_takes_the_words_of_read(url: str, word: str) -> None:
 
 
 @each_case(
-    ("words", "probes"),
+    ("words", "tried"),
     [
-        (["-b", "9600", "-p", "none", "-u", "1"], "1 probe"),
-        (["-b", "9600,19200", "-p", "none,Even,O", "-u", "1-2"], "12 probes"),
-        (["--baudrate", "9600", "--parity", "n,N,none", "--unit", "1"], "1 probe"),
-        (["--baudrates", "9600", "--parities", "E,N", "--units", "1"], "2 probes"),
+        (["-b", "9600", "-p", "none", "-u", "1"], "1 unit, "),
+        (["-b", "9600,19200", "-p", "none,Even,O", "-u", "1-2"], "2 units at 6 settings, "),
+        (["--baudrate", "9600", "--parity", "n,N,none", "--unit", "1"], "1 unit, "),
+        (["--baudrates", "9600", "--parities", "E,N", "--units", "1"], "1 unit at 2 settings, "),
     ],
 )
-def test_scan_of_a_line_takes_them(words: list[str], probes: str) -> None:
-    assert run("scan", "/dev/no-such", *words).err.startswith(probes)
+def test_scan_of_a_line_takes_them(words: list[str], tried: str) -> None:
+    assert run("scan", "/dev/no-such", *words).err.startswith(tried)
 
 
 def test_serve_has_the_units_that_were_typed() -> None:

@@ -14,12 +14,13 @@ from ...ports.schemes import PARITIES as WORDS_OF_PARITY
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...protocol.pdu.interface import OBJECT_NAMES
+from ...protocol.ranges import joined
 from ...tools.scan.places import (
     BAUDRATES,
+    FIRST_UNITS,
     ON_LINES,
     ON_NETWORKS,
     PARITIES,
-    STOP_BITS,
     USUAL,
     USUAL_UNITS,
 )
@@ -41,9 +42,6 @@ MOST_IN_ALL = 10 * MOST_REQUESTS
 MOST_SHOWN = 60
 """Characters of an identification that are printed, at most."""
 
-
-QUICK = "1-10,17,100,247"
-"""The usual units, as they are typed."""
 
 QUICK_BAUDRATES = tuple(dict.fromkeys(baudrate for baudrate, _ in USUAL))
 
@@ -75,7 +73,7 @@ def add_command(commands: Any) -> None:
         "--quick",
         action="store_true",
         help=f"try usual settings and units only: {','.join(map(str, QUICK_BAUDRATES))};"
-        f" {','.join(QUICK_PARITIES)}; {QUICK}",
+        f" {','.join(QUICK_PARITIES)}; {_units(USUAL_UNITS)}",
     )
     command.add_argument(
         "--yes", action="store_true", help="try more than 1024 hosts without a question"
@@ -142,7 +140,9 @@ class _Report:
         self.found: list[Found] = []
         self.extents: dict[str, list[Extent]] = {}
         self.notes: list[str] = []
+        self.tried: dict[str, list[int]] = {}
         self.place: str = ""
+        self.hosts: int = 0
         self._as_json = as_json
         self._status = Status()
 
@@ -168,9 +168,22 @@ class _Report:
             self.say(note)
         if self._as_json:
             told = [_told(each, self.extents.get(each.url)) for each in self.found]
-            print_json({"found": told, "notes": self.notes, "stopped": stopped})
-        elif not self.found:
-            self.say("no unit was found" + " so far" * stopped)
+            tried = {setting: _units(units) for setting, units in self.tried.items()}
+            print_json({"found": told, "tried": tried, "notes": self.notes, "stopped": stopped})
+        elif self.tried or self.hosts:
+            found = counted(len(self.found), "unit") if self.found else "no unit"
+            self.say(f"tried {self._all_tried()}: {found} found{' so far' * stopped}")
+
+    def _all_tried(self) -> str:
+        if self.hosts:
+            return f"{counted(self.hosts, 'host')}, of which {len(self.tried)} accept a connection"
+        settings: dict[str, list[str]] = {}
+        for setting, units in self.tried.items():
+            settings.setdefault(_units(units), []).append(setting)
+        return "; ".join(
+            f"unit{'s' * (not units.isdigit())} {units} at {_settings(at)}"
+            for units, at in settings.items()
+        )
 
     def _print(self, text: str) -> None:
         if not self._as_json:
@@ -187,8 +200,9 @@ def _scan(options: argparse.Namespace) -> int:
         return 1
     timeout = options.timeout or ON_NETWORKS
     rounds = -(-len(hosts.hosts) // AT_ONCE)
+    report.hosts = len(hosts.hosts)
     report.say(
-        f"{counted(len(hosts.hosts), 'host')}, {duration(rounds * timeout)} at most, and more for"
+        f"{counted(report.hosts, 'host')}, {duration(rounds * timeout)} at most, and more for"
         " each host that accepts a connection; Ctrl-C stops the scan"
     )
     options.quick = options.quick or options.units is None
@@ -234,6 +248,7 @@ def _scan_place(options: argparse.Namespace, report: _Report, url: str) -> None:
         report.notes.append(f"{url}: the connection was lost")
     finally:
         report.notes += scanned.notes
+        report.tried |= scanned.tried
 
 
 def _chosen(options: argparse.Namespace, *, is_serial: bool) -> dict[str, Any]:
@@ -273,11 +288,13 @@ def _search(report: _Report) -> None:
 
 def _estimate(scan: Scan, deep: bool) -> str:
     more = f"; then up to {MOST_REQUESTS} requests to each unit found" if deep else ""
-    first = ""
-    if scan.longest_usual < scan.longest:
-        first = f"; units {QUICK} come first, and take {duration(scan.longest_usual)}"
+    first = at = ""
+    if scan.longest_first < scan.longest:
+        first = f"; units {_units(FIRST_UNITS)} come first, and take {duration(scan.longest_first)}"
+    if scan.settings > 1:
+        at = f" at {scan.settings} settings"
     return (
-        f"{counted(scan.total, 'probe')}, {duration(scan.longest)} at most, and "
+        f"{counted(len(scan.units), 'unit')}{at}, {duration(scan.longest)} at most, and "
         f"{duration(scan.longest_found)} more for each unit found{first}{more}; Ctrl-C stops the"
         " scan"
     )
@@ -300,10 +317,30 @@ def _line(found: Found) -> str:
 
 
 def _setting(found: Found) -> str:
-    if found.parity == "N" and found.stop_bits == STOP_BITS["N"]:
-        # A receiver looks at the first stop bit only, so that the answer shows nothing more.
-        return f"{found.baudrate} {found.data_bits}N1 or {found.data_bits}N2"
-    return f"{found.baudrate} {found.data_bits}{found.parity}{found.stop_bits}"
+    return f"{found.baudrate} {_form(f'{found.data_bits}{found.parity}{found.stop_bits}')}"
+
+
+def _form(form: str) -> str:
+    """Return all forms of characters that one finds: a receiver checks only the first stop bit."""
+    return f"{form[:-1]}1 or {form}" if form.endswith("N2") else form
+
+
+def _settings(settings: Iterable[str]) -> str:
+    """Return settings such as "9600 8E1", with those rates together that have the same forms."""
+    forms: dict[str, list[str]] = {}
+    for setting in settings:
+        rate, _, form = setting.partition(" ")  # a URL has no form
+        forms.setdefault(rate, []).append(form and f" {_form(form)}")
+    rates: dict[str, list[str]] = {}
+    for rate, found in forms.items():
+        rates.setdefault(",".join(found), []).append(rate)
+    return ", ".join("/".join(each) + form for form, each in rates.items())
+
+
+def _units(units: Iterable[int]) -> str:
+    """Return units as they are typed, such as "1-10,17"."""
+    found = joined(range(unit, unit + 1) for unit in units)
+    return ",".join(f"{each[0]}-{each[-1]}" if len(each) > 1 else f"{each[0]}" for each in found)
 
 
 def _identification(told: DeviceIdentification) -> str:

@@ -16,26 +16,28 @@ from ...security.security import Security
 
 # fmt: off
 __all__ = [
-    "BAUDRATES", "ON_LINES", "ON_NETWORKS", "PARITIES", "STOP_BITS", "USUAL", "USUAL_UNITS",
-    "Place", "listed", "places",
+    "BAUDRATES", "FIRST_UNITS", "ON_LINES", "ON_NETWORKS", "PARITIES", "USUAL",
+    "USUAL_UNITS", "Place", "listed", "places",
 ]
 # fmt: on
 
-BAUDRATES = (9600, 19200, 115200)
+# In the order in which they are tried: those that most devices leave the factory with come first.
+BAUDRATES = (9600, 19200, 38400, 57600, 115200, 4800, 2400, 1200)
 
 PARITIES = ("E", "N", "O")
 
-# What most devices are set to when they leave the factory: the specification's 19200 8E1 (serial
-# line, 3.4), and 9600 without parity. Tried before other rates and parities.
-USUAL = ((9600, "N"), (9600, "E"), (19200, "E"), (19200, "N"))
+# Tried before all other rates and parities. The specification's default is 19200 8E1 (serial
+# line, 3.4).
+USUAL = ((9600, "E"), (9600, "N"), (19200, "E"), (19200, "N"))
 
-# Units that most devices have. Where a line has several settings, these are asked at all of them
-# before the other units are.
+# Where a line has several settings, the first units are asked at all of them, then the usual
+# ones, then all others: nearly every device leaves the factory as one of the first.
+FIRST_UNITS = (1, 2, 3, 247)
 USUAL_UNITS = (*range(1, 11), 17, 100, 247)
 
 # Serial line, 2.5.1: no parity means two stop bits. A receiver looks at the first one only, so
 # this finds devices with one stop bit as well.
-STOP_BITS = {"E": 1, "N": 2, "O": 1}
+_STOP_BITS = {"E": 1, "N": 2, "O": 1}
 
 # Default timeouts in seconds. After a request to another unit, a server made with libmodbus takes
 # what comes within 0.5 s for that unit's response: a shorter timeout finds only every second such
@@ -159,7 +161,7 @@ def _unusual(setting: tuple[int, str]) -> int:
 
 def _set(endpoint: Endpoint, baudrate: int, parity: str) -> Endpoint:
     integer("baudrate", baudrate, 1, 4_000_000)
-    stop_bits = endpoint.options.get("stop_bits", STOP_BITS[parity])
+    stop_bits = endpoint.options.get("stop_bits", _STOP_BITS[parity])
     made = {**endpoint.options, "baudrate": baudrate, "parity": parity, "stop_bits": stop_bits}
     return replace(endpoint, options=made)
 

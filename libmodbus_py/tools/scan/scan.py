@@ -16,7 +16,7 @@ from ...protocol.close_names import named_parameters
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...security.security import Security
-from .places import USUAL_UNITS, Place, listed, places
+from .places import FIRST_UNITS, USUAL_UNITS, Place, listed, places
 from .probe import LONGEST_SIZE, MOST_PAGES, PROBE_SIZE, Answer, Nothing, Prober, Walk, Walker
 
 __all__ = ["Found", "Progress", "Scan", "scan"]
@@ -96,21 +96,28 @@ class Scan(Walker[Found]):
     whatever `on_progress` raises.
 
     Attributes:
+        settings: the number of settings that are tried; 1 on networks.
+        units: the units that are probed at each setting.
         total: the number of probes, if no unit is found.
         longest: the most seconds that the scan takes, if no unit is found.
-        longest_usual: the most seconds until the usual units have been probed at all settings, if
+        longest_first: the most seconds until the first units have been probed at all settings, if
             no unit is found; `longest` if there are no other units, or only one setting.
         longest_found: the most seconds that each unit found adds.
+        tried: setting, such as "9600 8E1" (the URL on networks) -> the units that have been probed
+            there so far.
         notes: other observations, one line each.
         requests: the number of requests sent.
     """
 
     def __init__(self, scanned: _PlacesScan) -> None:
         super().__init__(scanned)
+        self.settings: int = scanned.settings
+        self.units: list[int] = scanned.units
         self.total: int = scanned.total
         self.longest: float = scanned.longest
-        self.longest_usual: float = scanned.longest_usual
+        self.longest_first: float = scanned.longest_first
         self.longest_found: float = scanned.longest_found
+        self.tried: dict[str, list[int]] = scanned.tried
         self.notes: list[str] = scanned.notes
 
 
@@ -125,11 +132,14 @@ class _PlacesScan(Walk[Found]):
     ) -> None:
         super().__init__()
         self.notes: list[str] = []
-        self.total: int = len(asked_at) * sum(map(len, rounds))
+        self.tried: dict[str, list[int]] = {}
+        self.settings: int = len(asked_at)
+        self.units: list[int] = [unit for units in rounds for unit in units]
+        self.total: int = len(asked_at) * len(self.units)
         longest = [sum(_longest(place, len(units)) for place in asked_at) for units in rounds]
         self.longest: float = sum(longest)
-        self.longest_usual: float = longest[0]
-        self.longest_found: float = max(MORE_ASKED * each.wait(LONGEST_SIZE) for each in asked_at)
+        self.longest_first: float = longest[0]
+        self.longest_found: float = max(map(_longest_found, asked_at))
         self._scans = [_UnitsScan(each, rounds, self._tell, self._skip) for each in asked_at]
         self._rounds = rounds
         self._on_progress = on_progress
@@ -172,6 +182,7 @@ class _PlacesScan(Walk[Found]):
         if self._on_progress is not None:
             left = max(0.0, self._left)
             self._on_progress(Progress(str(place), unit, self._done, self.total, left))
+        self.tried.setdefault(str(place), []).append(unit)
         self._skip(place, 1)
 
     def _skip(self, place: Place, count: int) -> None:
@@ -332,9 +343,14 @@ def _each(place: Place) -> float:
 
 
 def _longest(place: Place, units: int) -> float:
-    """Return the seconds for all units, two that cannot exist, and connecting."""
+    """Return the seconds for connecting and for units of which none answers."""
     delay = float(place.endpoint.client_options.get("connect_delay", 0.0))
-    return (units + 2) * _each(place) + place.timeout + delay
+    return units * _each(place) + place.timeout + delay
+
+
+def _longest_found(place: Place) -> float:
+    """Return the seconds that a unit which answers adds: two that cannot exist are asked, too."""
+    return MORE_ASKED * place.wait(LONGEST_SIZE) + 2 * _each(place)
 
 
 @named_parameters
@@ -355,14 +371,16 @@ def scan(
     except 10 and 11, with which gateways report an absent unit. Units that respond also get
     functions 17 and 43/14. Nothing is sent before the result is iterated.
 
-    If no units are given and there are several settings to try, the usual units are probed first,
-    at all settings; then the others, beginning with the settings at which a unit has responded.
+    If no units are given and there are several settings to try, units 1, 2, 3 and 247 are probed
+    first, at all settings; then other usual units, and then all others, beginning with the settings
+    at which a unit has responded.
 
     Args:
         url: a URL as for clients. Its baud rate, parity, unit and timeout are used unless the
             following arguments are given.
-        baudrates: for serial ports; None for 9600, 19200 and 115200. If neither baud rates nor
-            parities are given, usual combinations are tried first, such as 9600 8N1 and 19200 8E1.
+        baudrates: for serial ports; None for 9600, 19200, 38400, 57600, 115200, 4800, 2400 and
+            1200. If neither baud rates nor parities are given, 9600 and 19200 with even and with
+            no parity are tried first.
         parities: for serial ports; None for "E", "N" and "O". Stop bits are those of the URL;
             if it has none, 2 without parity and 1 with parity, which finds devices with any
             number of stop bits.
@@ -390,7 +408,11 @@ def scan(
     chosen = [integer("units", unit, lowest, 255) for unit in listed("units", units, usual)]
     rounds = [chosen]
     if units is None and len(asked_at) > 1 and len(usual) > len(USUAL_UNITS):
-        rounds = [[*USUAL_UNITS], [unit for unit in usual if unit not in USUAL_UNITS]]
+        rounds = [
+            [*FIRST_UNITS],
+            [unit for unit in USUAL_UNITS if unit not in FIRST_UNITS],
+            [unit for unit in usual if unit not in USUAL_UNITS],
+        ]
     return Scan(_PlacesScan(asked_at, rounds, on_progress))
 
 

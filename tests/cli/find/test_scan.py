@@ -20,6 +20,8 @@ from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.cases import each_case
 from tests.support.commands import Started, on_terminal, run
 from tests.support.peers import FakeServer, mbap, refusing, until, url_of
+from tests.tools.scan.serial_bus import Member, of
+from tests.tools.scan.simulated_bus import SimulatedBus, simulated
 
 
 @pytest.fixture
@@ -44,9 +46,10 @@ def test_who_answers_is_printed_and_the_rest_goes_elsewhere(url: str) -> None:
     assert second.startswith("unit 7: ")
     assert ", exception 2" in second
     assert "\x1b" not in done.out + done.err  # whatever a device says
-    estimate, note = done.err.splitlines()
-    assert "248 probes" in estimate
-    assert "4 min 12 s at most" in estimate
+    estimate, note, tried = done.err.splitlines()
+    assert estimate.startswith("248 units, ")
+    assert tried == f"tried units 1-247,255 at {url}: 2 units found"
+    assert "4 min 9 s at most" in estimate
     assert "a gateway reports 246 units" in note
 
 
@@ -83,10 +86,46 @@ def test_what_deep_prints_is_a_device_file(url: str, tmp_path: Path) -> None:
 def test_nobody_is_exit_code_1(url: str) -> None:
     done = run("scan", url, "--units", "200")
     assert (done.code, done.out) == (1, "")
-    assert done.err.splitlines()[-1] == "no unit was found"
+    assert done.err.splitlines()[-1] == f"tried unit 200 at {url}: no unit found"
     done = run("scan", url, "--units", "200", "--json")
     assert done.code == 1
-    assert json.loads(done.out)["found"] == []
+    told = json.loads(done.out)
+    assert (told["found"], told["tried"]) == ([], {url: "200"})
+
+
+def test_the_end_says_what_was_tried_on_a_line() -> None:
+    with simulated() as network:
+        SimulatedBus(network, {})
+        done = run("scan", "/dev/line", "--timeout", "20ms")
+        short = run("scan", "/dev/line", "-b", "9600,300", "-p", "even,none", "-u", "1-3,9")
+    assert (done.code, done.out) == (1, "")
+    estimate, tried = done.err.splitlines()
+    assert estimate.startswith("247 units at 24 settings, ")
+    assert tried == (
+        "tried units 1-247 at 9600/19200/38400/57600/115200/4800/2400/1200"
+        " 8E1, 8N1 or 8N2, 8O1: no unit found"
+    )
+    assert short.err.splitlines()[-1] == (
+        "tried units 1-3,9 at 9600/300 8E1, 8N1 or 8N2: no unit found"
+    )
+
+
+def test_a_stopped_scan_says_only_what_was_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    with simulated() as network:
+        bus = SimulatedBus(network, {2: Member(of(Device(Mapping())), 19200)})
+        heard = bus.hear
+
+        def stop(data: bytes) -> None:
+            if len(bus.asked) >= 20:
+                raise KeyboardInterrupt
+            heard(data)
+
+        monkeypatch.setattr(bus, "hear", stop)
+        done = run("scan", "/dev/line")
+    assert done.code == 130
+    assert done.err.splitlines()[-1] == (
+        "tried units 1-3,247 at 9600/19200 8E1, 8N1 or 8N2; unit 1 at 9600 8O1: 1 unit found so far"
+    )
 
 
 def test_no_connection_is_one_line_and_exit_code_1() -> None:

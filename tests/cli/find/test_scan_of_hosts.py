@@ -86,16 +86,18 @@ def test_hosts_that_accept_a_connection_are_scanned(port: str) -> None:
 def test_a_range_without_any_server() -> None:
     done = run("scan", "127.0.0.0/30:1", "--timeout", "50ms")
     assert done.code == 1
-    assert done.err.endswith("no unit was found\n")
+    assert done.err.endswith("tried 2 hosts, of which 0 accept a connection: no unit found\n")
 
 
 def test_a_quick_scan_asks_usual_units(port: str) -> None:
     everything = run("scan", f"127.0.0.1:{port}", "--quick")
-    assert everything.err.startswith("14 probes")
+    assert everything.err.startswith("14 units, ")
     assert [line.partition(":")[0] for line in everything.out.splitlines()] == ["unit 3"]
     assert run("scan", f"127.0.0.1:{port}", "--quick", "-u", "30").out.startswith("unit 30: ")
-    assert run("scan", "/dev/no-such", "--quick").err.startswith("52 probes, ")
-    assert run("scan", "/dev/no-such", "--quick", "-b", "4800").err.startswith("26 probes, ")
+    assert run("scan", "/dev/no-such", "--quick").err.startswith("13 units at 4 settings, ")
+    assert run("scan", "/dev/no-such", "--quick", "-b", "4800").err.startswith(
+        "13 units at 2 settings, "
+    )
 
 
 @each_case(

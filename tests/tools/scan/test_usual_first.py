@@ -6,9 +6,11 @@ from __future__ import annotations
 
 import signal
 
+import pytest
+
 from libmodbus_py import Device, Mapping
 from libmodbus_py.scan import scan
-from libmodbus_py.tools.scan.places import USUAL_UNITS
+from libmodbus_py.tools.scan.places import FIRST_UNITS, USUAL_UNITS
 from libmodbus_py.tools.scan.scan import Progress
 from tests.support.commands import Started
 from tests.support.peers import until
@@ -16,6 +18,9 @@ from tests.tools.scan.serial_bus import Bus, Member, of
 from tests.tools.scan.simulated_bus import SimulatedBus, simulated
 
 TIMEOUT = 0.05
+
+SETTINGS = 24
+FIRST = SETTINGS * len(FIRST_UNITS)
 
 
 def device() -> Device:
@@ -34,14 +39,38 @@ def test_usual_settings_and_units_are_asked_first() -> None:
         with scan(bus.url, timeout=TIMEOUT, on_progress=told.append) as scanned:
             assert list(scanned) == []
         places = list(dict.fromkeys(each.setting for each in told))
-    assert places[:4] == ["9600 8N2", "9600 8E1", "19200 8E1", "19200 8N2"]
-    assert len(places) == 9
-    first = 9 * len(USUAL_UNITS)
-    assert [each.unit for each in told[:first]] == [*USUAL_UNITS] * 9
-    assert {each.unit for each in told[first:]} == {*range(1, 248)} - {*USUAL_UNITS}
+    assert places[:4] == ["9600 8E1", "9600 8N2", "19200 8E1", "19200 8N2"]
+    assert places[4:9] == ["9600 8O1", "19200 8O1", "38400 8E1", "38400 8N2", "38400 8O1"]
+    rates = list(dict.fromkeys(place.partition(" ")[0] for place in places[6:]))
+    assert rates == ["38400", "57600", "115200", "4800", "2400", "1200"]
+    assert len(places) == SETTINGS == scanned.settings
+    usual = SETTINGS * len(USUAL_UNITS)
+    assert [each.unit for each in told[:FIRST]] == [*FIRST_UNITS] * SETTINGS
+    assert {each.unit for each in told[:usual]} == {*USUAL_UNITS}
+    assert {each.unit for each in told[usual:]} == {*range(1, 248)} - {*USUAL_UNITS}
     asked = {(each.setting, each.unit) for each in told}
-    assert len(asked) == len(told) == scanned.total == 9 * 247  # each once
+    assert len(asked) == len(told) == scanned.total == SETTINGS * 247  # each once
     assert [each.done for each in told] == [*range(scanned.total)]
+    assert {setting: sorted(units) for setting, units in scanned.tried.items()} == {
+        place: [*range(1, 248)] for place in places
+    }
+
+
+@pytest.mark.parametrize(
+    ("baudrate", "stop_bits", "most"),
+    [(9600, 1, 2), (9600, 2, 5), (19200, 2, 10), (38400, 1, 20), (115200, 2, 40), (1200, 1, 80)],
+)
+def test_a_device_as_it_left_the_factory_is_found_soon(
+    baudrate: int, stop_bits: int, most: float
+) -> None:
+    with simulated() as network:
+        bus = SimulatedBus(network, {1: Member(of(device()), baudrate, stop_bits)})
+        started = network.events.now
+        with scan(bus.url) as scanned:
+            found = next(scanned)
+        assert (found.unit, found.baudrate, found.stop_bits) == (1, baudrate, stop_bits)
+        assert network.events.now - started < most
+        assert {unit for units in scanned.tried.values() for unit in units} <= {*FIRST_UNITS}
 
 
 def test_the_settings_at_which_a_unit_answered_are_the_first_of_the_second_round() -> None:
@@ -52,9 +81,9 @@ def test_the_settings_at_which_a_unit_answered_are_the_first_of_the_second_round
         scanned = scan(bus.url, timeout=TIMEOUT, on_progress=told.append)
         found = next(scanned)
         assert (found.unit, found.baudrate, found.parity) == (7, 19200, "E")
-        assert len(told) < 3 * len(USUAL_UNITS)
+        assert len(told) < FIRST + 3 * len(USUAL_UNITS)
         late = [(each.unit, each.baudrate, each.parity) for each in scanned]
-        second = told[9 * len(USUAL_UNITS)]
+        second = told[SETTINGS * len(USUAL_UNITS)]
         assert (second.setting, second.unit) == ("19200 8E1", 11)
         # One stop bit: odd parity looks the same on this bus.
         assert late == [(7, 19200, "O"), (55, 19200, "E"), (55, 19200, "O")]
@@ -68,13 +97,13 @@ def test_it_says_before_it_starts_how_long_each_part_takes() -> None:
         ends: list[float] = []
 
         def note(progress: Progress) -> None:
-            if progress.done == 9 * len(USUAL_UNITS):
+            if progress.done == FIRST:
                 ends.append(network.events.now - started)
 
         scanned = scan(bus.url, timeout=TIMEOUT, on_progress=note)
         list(scanned)
         assert bus.asked
-        assert 0.6 * scanned.longest_usual < ends[0] < scanned.longest_usual
+        assert 0.6 * scanned.longest_first < ends[0] < scanned.longest_first
         assert ends[0] < network.events.now - started < scanned.longest
 
 
@@ -84,7 +113,7 @@ def test_what_was_typed_is_asked_in_one_round_and_its_order() -> None:
         scanned = scan(bus.url, baudrates=[19200, 9600], parities="E", units=[40, 1], timeout=0.05)
         list(scanned)
         assert probed(bus) == [(19200, 40), (19200, 1), (9600, 40), (9600, 1)]
-        assert scanned.longest_usual == scanned.longest
+        assert scanned.longest_first == scanned.longest
 
 
 def test_one_setting_is_one_round() -> None:
@@ -117,7 +146,7 @@ def test_what_a_place_showed_is_noted_once() -> None:
 
 def test_the_command_finds_a_usual_device_at_once() -> None:
     with (
-        Bus({7: Member(of(device()), 19200, 1)}) as bus,
+        Bus({3: Member(of(device()), 19200, 1)}) as bus,
         Started("scan", bus.path, "--timeout", "30ms") as process,
     ):
         first = process.stdout.readline()
@@ -126,7 +155,7 @@ def test_the_command_finds_a_usual_device_at_once() -> None:
         assert process.wait() == 130
         until(lambda: bus.is_restored)
         asked = [(baudrate, unit) for baudrate, unit, pdu in bus.asked if pdu[0] == 3]
-    assert first.startswith("unit 7 at 19200 8E1: ")
-    assert estimate.startswith("2223 probes, ")
-    assert "; units 1-10,17,100,247 come first, and take " in estimate
-    assert asked[: len(USUAL_UNITS)] == [(9600, unit) for unit in USUAL_UNITS]
+    assert first.startswith("unit 3 at 19200 8E1: ")
+    assert estimate.startswith("247 units at 24 settings, ")
+    assert "; units 1-3,247 come first, and take " in estimate
+    assert asked[: len(FIRST_UNITS)] == [(9600, unit) for unit in FIRST_UNITS]
