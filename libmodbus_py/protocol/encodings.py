@@ -1,16 +1,17 @@
 """
-The encodings of strings in registers.
+The encodings of text in registers: those of strings, and MAC addresses.
 """
 
 from __future__ import annotations
 
+import re
 import reprlib
 from encodings import normalize_encoding
 from encodings.aliases import aliases
 
 from .mistakes import Path, WrongType, WrongValue
 
-__all__ = ["ENCODINGS", "encoded", "fill_of"]
+__all__ = ["ENCODINGS", "encoded", "fill_of", "pack_mac", "unpack_mac"]
 
 # fmt: off
 ENCODINGS = frozenset((
@@ -67,3 +68,25 @@ def fill_of(padding: str, encoding: str) -> bytes:
         )
     one, two = (encoded("padding", padding * count, encoding) for count in (1, 2))
     return two[len(one) :]
+
+
+_MAC = re.compile(r"[0-9A-Fa-f]{2}(?:[:-][0-9A-Fa-f]{2}){5}", re.ASCII)
+
+
+def pack_mac(name: str | Path, value: object) -> bytes:
+    """
+    Return the eight bytes of a MAC address: two of padding, which are 0, come first.
+
+    Raises:
+        WrongType, WrongValue: the value is no text like "0D:D7:4C:C6:44:8E" or "0d-d7-4c-c6-44-8e".
+    """
+    if not isinstance(value, str):
+        raise WrongType(name, f"must be a string, not {type(value).__name__}")
+    if not _MAC.fullmatch(value):
+        raise WrongValue(name, f"must be like 0D:D7:4C:C6:44:8E, not {reprlib.repr(value)}")
+    return bytes.fromhex(f"0000{value.replace(':', '').replace('-', '')}")
+
+
+def unpack_mac(data: bytes) -> str:
+    """Return the MAC address that eight bytes hold; the two of padding may hold anything."""
+    return data[2:].hex(":").upper()

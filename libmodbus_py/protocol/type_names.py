@@ -36,8 +36,9 @@ TextType = Literal[
     "string:1", "string:2", "string:3", "string:4", "string:5", "string:6", "string:7", "string:8",
     "string:10", "string:12", "string:14", "string:16", "string:18", "string:20", "string:24",
     "string:28", "string:30", "string:32", "string:40", "string:48", "string:50", "string:64",
+    "eui48",
 ] | StringType
-"""Types whose values are text: the usual lengths; `string_type` has the others."""
+"""Types whose values are text: MAC addresses, the usual lengths; `string_type` has the others."""
 # fmt: on
 TypeName = NumberType | BitsType | TimeType | TextType
 """All of them."""

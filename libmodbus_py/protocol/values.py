@@ -12,6 +12,7 @@ device; this module knows the usual ones. Types are named by strings:
 * iec870: CP56Time2a of IEC 60870-5-4 in the four registers of Schneider's devices;
 * date48: six bytes, year (since 2000), month, day, hour, minute, second; bcddate48: the same in
   decimal digits; date96: six registers, with the full year;
+* eui48: a MAC address as text, such as "0D:D7:4C:C6:44:8E", behind a register of padding;
 * string:N: N bytes of text, 1..250, two in each register; if N is odd, the last
   byte of the last register is written as 0 and ignored when read.
 
@@ -31,7 +32,7 @@ DCBA BA HGFEDCBA little-endian    7856 3412
 Text is always in reading order: its registers are never reversed, only the bytes of
 each are swapped (BADC, DCBA).
 
-The float functions of libmodbus are not used, because they differ between versions.
+libmodbus's own float functions are not used: they differ between versions.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, SupportsFloat, SupportsIndex
 
 from .checks import are_registers, integer, shown
-from .encodings import ENCODINGS, encoded, fill_of
+from .encodings import ENCODINGS, encoded, fill_of, pack_mac, unpack_mac
 from .mistakes import Path, WrongType, WrongValue, item
 from .type_names import (
     MAX_STRING_BYTES,
@@ -91,7 +92,6 @@ ORDERS: dict[str, tuple[bool, bool]] = {
 }
 """Order -> (registers reversed, bytes of each swapped)."""
 
-# The same orders written out: name and registers.
 _SPELLINGS = {
     "AB": ("ABCD", 1),
     "BA": ("BADC", 1),
@@ -103,7 +103,6 @@ _SPELLINGS = {
 
 
 def _order(order: object, kind: ValueType) -> str:
-    """The four letters; a spelling of another width is a mistake, not a synonym."""
     if not isinstance(order, str):
         raise WrongType("order", f"must be one of {', '.join(ORDERS)}, not {type(order).__name__}")
     name, width = _SPELLINGS.get(order.upper(), (order.upper(), None))
@@ -119,7 +118,6 @@ def _order(order: object, kind: ValueType) -> str:
 
 
 def _reorder(data: bytes, words: bool, swap: bool) -> bytes:
-    """Each order undoes itself, so that one function serves both ways."""
     if words:
         data = data[::-1]  # which swaps the bytes of each, too
     if words == swap:
@@ -162,9 +160,9 @@ class ValueType:
         Return the registers of one value, 0..65535 each.
 
         Args:
-            value: a number; for bits, a list of True and False, lowest first; for string:N, a
-                string, which is never truncated; for times, a datetime with a time zone, whose
-                fractions of a second are dropped if the type has none.
+            value: a number; for bits, a list of True and False, lowest first; for string:N and
+                eui48, a string, which is never truncated; for times, a datetime with a time zone,
+                whose fractions of a second are dropped if the type has none.
 
         Raises:
             TypeError, ValueError: the value does not fit the type.
@@ -406,6 +404,7 @@ TYPES: dict[str, ValueType] = {
         *(_decimals(bits) for bits in (16, 32, 64)),
         *(_flags(bits) for bits in (16, 32, 64)),
         *(_moments(name, registers) for name, registers in TIME_REGISTERS.items()),
+        ValueType("eui48", 4, pack_mac, unpack_mac),
     )
 }
 """Name -> type, in the order ABCD; strings are made by `value_type`."""
@@ -487,7 +486,8 @@ def readings(registers: Iterable[int]) -> list[Interpretation]:
     """
     cells = _cells(registers)
     count = integer("the number of registers", len(cells), 1, 125)
-    names = [name for name, kind in TYPES.items() if kind.registers == count and not kind.is_time]
+    fitting = [kind for kind in TYPES.values() if kind.registers == count]
+    names = [kind.name for kind in fitting if kind.limits or kind.name.startswith("bits")]
     found: dict[tuple[str, str], Interpretation] = {}
     for name in [*names, f"string:{2 * count}"]:
         for order in ORDERS:

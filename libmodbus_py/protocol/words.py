@@ -76,6 +76,7 @@ TYPE_WORDS = by_word(
         "date48": "",
         "bcddate48": "",
         "date96": "",
+        "eui48": "mac, mac address",
         "bool": "boolean, bit",
     }
 )

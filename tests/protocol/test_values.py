@@ -365,7 +365,7 @@ class TestValueType:
         ],
     )
     def test_no_such_type(self, name: str) -> None:
-        with pytest.raises(ValueError, match=r"type must be one of int16, .*date96, string:N") as e:
+        with pytest.raises(ValueError, match=r"type must be one of int16, .*date96, eui48, string:N") as e:
             value_type(name)
         assert repr(name) in str(e.value)
 
@@ -895,8 +895,10 @@ class TestParseReference:
 
 
 def test_names_for_type_checkers_are_all_there_are() -> None:
-    assert {*get_args(NumberType), *get_args(BitsType), *get_args(TimeType)} == set(TYPES)
-    assert all(value_type(name).is_text for name in get_args(get_args(TextType)[0]))
+    others = {*get_args(NumberType), *get_args(BitsType), *get_args(TimeType)}
+    texts = {*get_args(get_args(TextType)[0])}
+    assert {name for name in texts if not value_type(name).is_text} == {"eui48"}
+    assert others | {"eui48"} == set(TYPES)
     assert sum(len(get_args(each)) for each in get_args(TypeName)) < 60  # errors list all of them
     assert set(get_args(Order)) == set(ORDERS)
 
@@ -924,3 +926,29 @@ def test_limits_are_the_numbers_that_just_fit(name: str) -> None:
 @each_case("name", [*get_args(BitsType), "string:1"])
 def test_what_is_no_number_has_no_limits(name: str) -> None:
     assert value_type(name).limits is None
+
+
+# --- MAC addresses -------------------------------------------------------------------------
+
+
+def test_a_mac_address_is_text_behind_two_bytes_of_padding() -> None:
+    kind = value_type("eui48")
+    assert kind.decode([0xABCD, 0x0DD7, 0x4CC6, 0x448E]) == "0D:D7:4C:C6:44:8E"
+    for text in ("0D:D7:4C:C6:44:8E", "0d-d7-4c-c6-44-8e"):
+        assert kind.encode(text) == [0, 0x0DD7, 0x4CC6, 0x448E]
+    assert value_type("eui48", order="CDAB").encode("0D:D7:4C:C6:44:8E")[0] == 0x448E
+
+
+@each_case(
+    ("value", "error"),
+    [
+        ("0D:D7:4C:C6:44", ValueError),
+        ("0D:D7:4C:C6:44:8G", ValueError),
+        ("0DD74CC6448E", ValueError),
+        ("0D:D7:4C:C6:44:8E\n", ValueError),
+        (0x0DD74CC6448E, TypeError),
+    ],
+)
+def test_what_is_no_mac_address_is_refused(value: Any, error: type[Exception]) -> None:
+    with pytest.raises(error, match=r"value must be (like 0D:D7:4C:C6:44:8E|a string)"):
+        value_type("eui48").encode(value)
