@@ -5,8 +5,10 @@ The command identify: device identification and server id (functions 43/14 and 1
 from __future__ import annotations
 
 import argparse
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
+from ...protocol.errors import ModbusError
 from .. import arguments
 from ..completers import completing, levels
 
@@ -69,7 +71,8 @@ def _identification(context: Context, wanted: str | int) -> dict[int, bytes]:
     """Return the objects of a level; some devices leave out those of the basic level in others."""
     found = context.read_device_identification(wanted).objects
     if wanted in ("regular", "extended") and MANDATORY - found.keys():
-        found = {**context.read_device_identification("basic").objects, **found}
+        with suppress(ModbusError):
+            found = {**context.read_device_identification("basic").objects, **found}
     return found
 
 
