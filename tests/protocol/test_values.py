@@ -365,7 +365,7 @@ class TestValueType:
         ],
     )
     def test_no_such_type(self, name: str) -> None:
-        with pytest.raises(ValueError, match="type must be one of .*eui48, string:N") as e:
+        with pytest.raises(ValueError, match=r"type must be one of .*eui48, string:N") as e:
             value_type(name)
         assert repr(name) in str(e.value)
 
