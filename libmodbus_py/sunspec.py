@@ -3,8 +3,8 @@ SunSpec models of inverters, meters and batteries: a short path to `tools.sunspe
 """
 
 from .tools.sunspec.chain import SunSpecError as SunSpecError
-from .tools.sunspec.device import SunSpecDevice as SunSpecDevice
-from .tools.sunspec.device import SunSpecModel as SunSpecModel
+from .tools.sunspec.discovery import SunSpecDevice as SunSpecDevice
+from .tools.sunspec.discovery import SunSpecModel as SunSpecModel
 from .tools.sunspec.discovery import discover as discover
 
 __all__ = ["SunSpecDevice", "SunSpecError", "SunSpecModel", "discover"]

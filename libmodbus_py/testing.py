@@ -2,7 +2,7 @@
 Serial lines, recording servers and faults, for tests: a short path to `tools.testing`.
 """
 
-from .tools.testing.fault_switch import FaultSwitch as FaultSwitch
+from .tools.faults.fault import FaultSwitch as FaultSwitch
 from .tools.testing.recording import RecordingServer as RecordingServer
 from .tools.testing.recording import ServerMaker as ServerMaker
 from .tools.testing.wires import SerialWire as SerialWire

@@ -10,8 +10,7 @@ from os import PathLike, fspath
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
-from ..tools.files.file_error import FileError, FilePlace
-from ..tools.files.texts import read_text, read_toml
+from ..tools.files.texts import FileError, FilePlace, read_text, read_toml
 
 if TYPE_CHECKING:
     from ..maps.register_map import RegisterMap

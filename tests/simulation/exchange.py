@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 from libmodbus_py.cli.find.listen import line_of
 from libmodbus_py.protocol.framing import Frame, make_framer
-from libmodbus_py.tools.listener.hearing import Candidate
-from libmodbus_py.tools.listener.separator import Separator
+from libmodbus_py.tools.listener.separator import Candidate, Separator
 from libmodbus_py.tools.listener.transaction import Transaction
 
 from .events import START, Events

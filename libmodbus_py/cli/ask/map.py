@@ -172,8 +172,8 @@ def _class(options: argparse.Namespace) -> int:
     """Write a class for a register map to a file, or print it."""
     from pathlib import Path, PurePath
 
-    from ...tools.files.maps.class_text import class_text
     from ...tools.files.maps.map_file import load_map
+    from ...tools.files.maps.texts import class_text
     from ...tools.simulator.example_files import map_file
 
     map = load_map(map_file(options.file))
@@ -191,7 +191,7 @@ def _check_output(output: str) -> None:
     """Refuse to overwrite a file that this command has not written."""
     from pathlib import Path
 
-    from ...tools.files.maps.class_text import MARK
+    from ...tools.files.maps.texts import MARK
 
     path = Path(output)
     if path.suffix != ".py":

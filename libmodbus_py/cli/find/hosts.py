@@ -31,13 +31,7 @@ _RANGE = re.compile(r"(?:tcp://)?\[?([0-9A-Fa-f.:]+/[0-9]{1,3})\]?(?::([0-9]{1,5
 
 @dataclass(frozen=True)
 class _HostRange:
-    """
-    The hosts of a network, and the port that is tried on each.
-
-    Attributes:
-        hosts: their addresses.
-        port: 1..65535.
-    """
+    """The hosts of a network, and the port that is tried on each."""
 
     hosts: tuple[str, ...]
     port: int

@@ -70,13 +70,7 @@ def _sunspec(options: argparse.Namespace) -> int:
 
 
 def _asked(context: Any, base: int | None) -> list[dict[str, Any]]:
-    """
-    Return a row for each point of a unit.
-
-    Raises:
-        CommandError: pysunspec2 is missing.
-        ModbusError: the unit has no models, or there is no answer.
-    """
+    """Return a row for each point of a unit."""
     from ...tools.sunspec.chain import BASES
     from ...tools.sunspec.discovery import discover
     from ..failing import CommandError

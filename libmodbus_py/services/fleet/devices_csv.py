@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 from ...protocol.mistakes import Path, WrongValue, inside
 from ...tools.files.csv_text import CELLS, CsvText
-from ...tools.files.file_error import FileError, FilePlace
 from ...tools.files.schema import Keys
+from ...tools.files.texts import FileError, FilePlace
 
 __all__ = ["DeviceRow", "device_rows"]
 

@@ -37,12 +37,10 @@ from ...protocol.mistakes import (
     path_text,
     placed,
 )
-from ...tools.files.amounts import in_bytes, in_seconds
-from ...tools.files.file_error import FileError
 from ...tools.files.maps.contents import POINT
 from ...tools.files.maps.map_file import load_map
-from ...tools.files.schema import REQUIRED, Key, Keys, keys_of, tables
-from ...tools.files.texts import load_file, read_text, read_toml
+from ...tools.files.schema import REQUIRED, Key, Keys, in_bytes, in_seconds, keys_of, tables
+from ...tools.files.texts import FileError, load_file, read_text, read_toml
 from ...tools.simulator.example_files import map_file
 from .config import DeviceConfig, checked
 from .devices_csv import DeviceRow, device_rows

@@ -24,9 +24,8 @@ from ...ports.endpoint import parse_to_listen
 from ...protocol.mistakes import Path, WrongType, WrongValue, inside, item
 from ...server.limits import Limits
 from ...tools.files import roles
-from ...tools.files.file_error import FileError
 from ...tools.files.schema import Key, Keys, keys_of
-from ...tools.files.texts import load_file, read_toml
+from ...tools.files.texts import FileError, load_file, read_toml
 from .gateway import Gateway
 from .routes import GatewayOptions, Route, check_line, check_routes
 

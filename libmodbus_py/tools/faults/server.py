@@ -14,8 +14,7 @@ from ...server.limits import Limits
 from ...server.server import DeviceServer
 from ...server.units import UnknownUnit
 from .answers import Faults
-from .fault import Fault
-from .switch import FaultsByUnit, FaultSwitch
+from .fault import Fault, FaultsByUnit, FaultSwitch
 
 if TYPE_CHECKING:
     from ...security.security import Security

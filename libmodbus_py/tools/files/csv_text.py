@@ -19,7 +19,7 @@ from typing import Any, Literal, NamedTuple
 
 from ...protocol.mistakes import WrongValue
 from ...protocol.plain import CONTROL
-from .file_error import FileError, FilePlace
+from .texts import FileError, FilePlace
 
 __all__ = ["CELLS", "CsvRow", "CsvText", "csv_rows", "flag_in", "number_in", "whole_in"]
 

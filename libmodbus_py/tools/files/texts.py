@@ -1,28 +1,89 @@
 """
-Reading files, and reading them again: their text, and TOML with the line of each key.
+Reading files, and reading them again: their text, TOML with the line of each key, and mistakes with
+their place in the file.
 """
 
 from __future__ import annotations
 
 import codecs
+import os
 import re
 import reprlib
+import stat
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from os import PathLike, fspath
 from pathlib import Path as FilePath
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
-from ...protocol.mistakes import Path, placed
-from .file_error import FileError, FilePlace
+from ...protocol.mistakes import Mistake, Path, WrongValue, placed
 
 # fmt: off
 __all__ = [
-    "compared", "line_of", "load_file", "read_table", "read_text", "read_toml", "reread",
-    "shown_key",
+    "FileError", "FilePlace", "compared", "line_of", "load_file", "read_secret",
+    "read_table", "read_text", "read_toml", "reread", "shown_key",
 ]
 # fmt: on
+
+
+class FilePlace(NamedTuple):
+    """
+    A place in a file.
+
+    Attributes:
+        file: the path of the file; empty where a text comes from no file.
+        line: from 1; None for the file as a whole.
+        column: the heading of a column; empty in TOML, and for a whole row.
+    """
+
+    file: str = ""
+    line: int | None = None
+    column: str = ""
+
+    def __str__(self) -> str:
+        line = f"line {self.line}" if self.line else ""
+        column = f"column {self.column}" if self.column else ""
+        return ", ".join(filter(None, (self.file, line, column)))
+
+
+class FileError(WrongValue):
+    """
+    The content of a file is wrong.
+
+    Attributes:
+        place: the place of the mistake.
+        path: the key that is wrong, such as ("unit", 0, "id").
+        reason: the mistake, and the values that are allowed.
+    """
+
+    def __init__(
+        self, path: str | Path, reason: str, between: str = " ", place: FilePlace | None = None
+    ) -> None:
+        super().__init__(path, reason, between)
+        self.place: FilePlace = place or FilePlace()
+
+    @classmethod
+    def of(cls, error: Exception, place: FilePlace | None = None) -> Self:
+        """Return a TypeError or ValueError as an error about a place."""
+        found = placed(error, ())
+        return cls(found.path, found.reason, found.between, place)
+
+    def in_file(self, file: str) -> Self:
+        """Return the same error about a place in a file."""
+        return type(self)(self.path, self.reason, self.between, self.place._replace(file=file))
+
+    def under(self, around: Path) -> Mistake:
+        """Return an error about the key that names the file of this one."""
+        return WrongValue.about(around, str(self))
+
+    def __str__(self) -> str:
+        place = str(self.place)
+        return f"{place}: {super().__str__()}" if place else super().__str__()
+
+
+# --- texts ----------------------------------------------------------------------------------------
+
 
 Content = TypeVar("Content")
 
@@ -42,6 +103,20 @@ def read_text(path: str | PathLike[str], kind: type[FileError]) -> str:
     except UnicodeDecodeError as error:
         reason = f'byte {error.start} is not UTF-8; save it as UTF-8, in Excel as "CSV UTF-8"'
         raise kind((), reason, place=place) from None
+
+
+def read_secret(path: str | PathLike[str], kind: type[FileError]) -> str:
+    """
+    Return the text of a file that only its owner, and perhaps its group, may read.
+
+    Raises:
+        FileError: of `kind`: as `read_text`, or all users of the machine may read it.
+    """
+    text = read_text(path, kind)
+    if os.stat(path).st_mode & stat.S_IROTH:
+        reason = "all users of this machine may read it; chmod o= takes that away"
+        raise kind((), reason, place=FilePlace(fspath(path)))
+    return text
 
 
 def read_table(path: str | PathLike[str], kind: type[FileError]) -> tuple[str, str]:
@@ -152,10 +227,7 @@ def read_toml(text: str) -> dict[str, Any]:
     Raises:
         ValueError: the text is not TOML; the message names line and column.
     """
-    try:
-        return tomllib.loads(text)
-    except RecursionError:
-        raise ValueError("too many levels of tables or lists") from None
+    return tomllib.loads(text)
 
 
 def shown_key(key: str) -> str:

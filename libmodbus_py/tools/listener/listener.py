@@ -23,10 +23,8 @@ from ...protocol.logs import HarmlessLogger
 from ...system import make_poller
 from .capture import CaptureReader, CaptureWriter
 from .separator import LineFraming, Separator
-from .source import SerialSource, Source, TimedBytes
-from .summary import Summary
-from .tap import Tap
-from .transaction import Heard, OnHeard, Transaction
+from .sources import SerialSource, Source, Tap, TimedBytes
+from .transaction import Heard, OnHeard, Summary, Transaction
 
 __all__ = ["Listener", "listen"]
 

@@ -5,14 +5,12 @@ the traffic, and faults; those of fleets, gateways and watched devices show one 
 ::
 
     page             live_page, table_page: serve a page while a block runs
-    web              HTTP: paths, and limits of requests
-      guard          checks the token, Host and Origin of requests
+    web              HTTP: paths, limits of requests, and checks of token, Host and Origin
       page.html, tables.html, page.css, scripts/
     streams          sends rows that have changed to open pages; the source of these rows
 
-    server_source    a server: units, values, log, counters, faults
+    server_source    a server: units, values, log, counters, faults, and their changes
       units          the units of a server, with rows of their points and cells
-      changes        sets cells to values that a person typed, and switches faults
       log            transactions as text, and the last write to each address
 
     table_source     a table: its search, and charts of its rows

@@ -21,7 +21,7 @@ from ...protocol.pdu import Request
 from ...protocol.pdu.request import arguments
 from ...protocol.plain import time_text
 from ..files.csv_text import csv_rows
-from ..listener.traces import Exchange, TracePairing
+from ..listener.pairing import Exchange, TracePairing
 from .streams import Tables
 from .text import cell_text, point_text
 from .units import ShownServer, ShownUnit

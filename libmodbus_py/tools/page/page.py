@@ -9,11 +9,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ..faults.server import Server
-from .guard import checked_token
 from .server_source import ServerSource
 from .streams import PageSource, Streams
 from .table_source import TableSource
-from .web import WebServer
+from .web import WebServer, checked_token
 
 __all__ = ["Page", "live_page", "table_page"]
 

@@ -28,7 +28,7 @@ from ...protocol.errors import (
 )
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...protocol.pdu.interface import identify
-from ..listener.traces import TracePairing
+from ..listener.pairing import TracePairing
 from ..listener.transaction import Transaction
 from .places import Place
 
@@ -271,12 +271,7 @@ class Walk(ABC, Generic[Item]):
 
     @contextlib.contextmanager
     def _asking(self, place: Place) -> Iterator[Prober]:
-        """
-        Connect while the block runs; then close the port and restore its settings.
-
-        Raises:
-            ModbusConnectionError: the connection cannot be made.
-        """
+        """Connect while the block runs; then close the port and restore its settings."""
         prober = self._prober = Prober(place)
         try:
             if self.is_closed:  # before this one could be closed

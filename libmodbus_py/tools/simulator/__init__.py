@@ -5,8 +5,7 @@ Simulated devices, described in a file.
 
     device_file    TOML to devices and faults; DeviceFileError
     keys           all keys of device files
-    own_points     points described in the device file itself
-    mapped         points from register maps
+    points         points described in the device file itself, or in register maps
     clockwork      a point with its first values and its behaviour; computes values that move
     behaviour      ... by counters, waves, walks, copies
     simulated      SimulatedDevice: a device with named points, which can take over values of

@@ -265,12 +265,7 @@ class Copy:
             )
 
     def _source(self, index: int, others: Clockwork) -> tuple[SimulatedPoint, int]:
-        """
-        Return the point that one value of this point follows, and the index in it.
-
-        Raises:
-            ValueError: no value begins there.
-        """
+        """Return the point that one value of this point follows, and the index in it."""
         first = others.find(self.table, self.address)
         address = self.address + index * (1 if first is None else first.size)
         source = others.find(self.table, address)

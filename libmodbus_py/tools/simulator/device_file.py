@@ -28,13 +28,19 @@ from ...protocol.mistakes import Path, WrongValue, inside, placed
 from ...protocol.pdu.interface import OBJECT_NAMES
 from ...protocol.tables import TABLES
 from ..faults.fault import Fault
-from ..files.file_error import FileError
 from ..files.schema import bytes_or_text
-from ..files.texts import load_file, read_toml, shown_key
+from ..files.texts import FileError, load_file, read_toml, shown_key
 from .clockwork import Clockwork, SimulatedPoint
 from .keys import FAULT, FIFO, FILE, UNIT
-from .mapped import Maps, mapped_contents, mapped_points
-from .own_points import check_overlaps, checked_defaults, own_points, without_parts
+from .points import (
+    Maps,
+    check_overlaps,
+    checked_defaults,
+    mapped_contents,
+    mapped_points,
+    own_points,
+    without_parts,
+)
 from .simulated import SimulatedDevice, Simulation
 
 __all__ = [

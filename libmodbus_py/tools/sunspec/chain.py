@@ -173,12 +173,7 @@ def _pieces(address: int, count: int) -> Iterator[tuple[int, int]]:
 
 
 def _asked(address: int, count: int) -> Generator[Any, Any, list[int] | ExceptionResponse]:
-    """
-    Ask for registers; return them, or the exception response.
-
-    Raises:
-        ModbusError: any other failure.
-    """
+    """Ask for registers; return them, or the exception response."""
     (answer,) = yield Several([pdu.ReadHoldingRegisters(address, count)], 1, True)
     if isinstance(answer, ModbusError) and not isinstance(answer, ExceptionResponse):
         raise answer

@@ -18,10 +18,9 @@ from ...protocol.tables import TABLE_SIZE
 from ...security.security import Security
 from ...server.limits import Limits, ServerStatistics
 from ...server.units import UnknownUnit
-from ..faults.fault import Fault
+from ..faults.fault import Fault, FaultSwitch
 from ..faults.server import Server
-from ..faults.switch import FaultSwitch
-from ..listener.traces import TracePairing
+from ..listener.pairing import TracePairing
 from ..listener.transaction import Transaction
 
 __all__ = ["MOST", "Exchanges", "RecordingServer", "ServerMaker"]

@@ -13,8 +13,7 @@ import pytest
 from libmodbus_py import load_map
 from libmodbus_py.services.fleet.files import load as load_fleet
 from libmodbus_py.tools.files.csv_text import csv_rows
-from libmodbus_py.tools.files.file_error import FileError
-from libmodbus_py.tools.files.texts import shown_key
+from libmodbus_py.tools.files.texts import FileError, shown_key
 from libmodbus_py.tools.simulator.device_file import load as load_device
 from tests.support.cases import each_case
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from libmodbus_py import Client, Device, Point, RegisterMap, Server, load_map
 from libmodbus_py.maps.attribute_names import attribute_names, class_name
-from libmodbus_py.tools.files.maps.class_text import class_text
+from libmodbus_py.tools.files.maps.texts import class_text
 from tests.support.cases import each_case
 
 TYPING = Path(__file__).parents[2] / "typing"

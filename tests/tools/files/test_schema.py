@@ -15,7 +15,6 @@ from libmodbus_py.protocol.mistakes import Mistake, path_text
 from libmodbus_py.protocol.mistakes import Path as KeyPath
 from libmodbus_py.services.fleet import files as fleet_files
 from libmodbus_py.services.gateway import config as gateway_file
-from libmodbus_py.tools.files.amounts import in_bytes, in_seconds
 from libmodbus_py.tools.files.csv_text import CELLS
 from libmodbus_py.tools.files.maps.contents import POINT
 from libmodbus_py.tools.files.maps.csv_form import READERS
@@ -25,6 +24,8 @@ from libmodbus_py.tools.files.schema import (
     Keys,
     bytes_or_text,
     flag,
+    in_bytes,
+    in_seconds,
     one_of,
     table,
     tables,

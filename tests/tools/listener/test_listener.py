@@ -34,7 +34,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.listen import Listener, Transaction, listen
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.tools.listener.tap import Tap
+from libmodbus_py.tools.listener.sources import Tap
 from tests.support.cases import each_case
 from tests.support.talk import rtu
 from tests.tools.listener.shared_line import SharedLine

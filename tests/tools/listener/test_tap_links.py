@@ -14,8 +14,8 @@ import pytest
 
 from libmodbus_py.listen import listen
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.tools.listener import tap
-from libmodbus_py.tools.listener.tap import TapLink
+from libmodbus_py.tools.listener import sources
+from libmodbus_py.tools.listener.sources import TapLink
 from tests.support.peers import dead, until
 
 Ends = tuple[socket.socket, socket.socket]
@@ -64,7 +64,7 @@ def flood(client: socket.socket) -> None:
 def test_one_that_is_idle_ends_at_both_sides(
     tapped: Tapped, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tap, "IDLE", 0.05)
+    monkeypatch.setattr(sources, "IDLE", 0.05)
     client, device = tapped.connected()
     assert (client.recv(1), device.recv(1)) == (b"", b"")
 
@@ -73,7 +73,7 @@ def test_one_that_is_idle_ends_at_both_sides(
 def test_one_that_a_side_has_left_waits_less_for_the_other(
     first: int, tapped: Tapped, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tap, "LEAVING", 0.05)
+    monkeypatch.setattr(sources, "LEAVING", 0.05)
     ends = tapped.connected()
     assert passes(ends)
     ends[first].shutdown(socket.SHUT_WR)
@@ -82,7 +82,7 @@ def test_one_that_a_side_has_left_waits_less_for_the_other(
 
 
 def test_a_side_that_takes_nothing_ends_it(tapped: Tapped, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tap, "LEAVING", 0.05)
+    monkeypatch.setattr(sources, "LEAVING", 0.05)
     client, _ = tapped.connected()
     with pytest.raises(ConnectionError):
         flood(client)
@@ -91,7 +91,7 @@ def test_a_side_that_takes_nothing_ends_it(tapped: Tapped, monkeypatch: pytest.M
 def test_the_one_that_was_idle_longest_makes_room(
     tapped: Tapped, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tap, "MAX_LINKS", 2)
+    monkeypatch.setattr(sources, "MAX_LINKS", 2)
     first, second = tapped.connected(), tapped.connected()
     assert passes(second)
     assert passes(first)
@@ -123,5 +123,5 @@ def test_the_system_probes_both_sides() -> None:
         carried.carry(lambda *_: None)
         for end in carried._ends:
             assert end.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
-            assert end.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == tap.KEEPALIVE
+            assert end.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == sources.KEEPALIVE
         carried.close()

@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 from libmodbus_py.listen import Separator
 from libmodbus_py.ports.trace import Traced
-from libmodbus_py.tools.listener.pairing import MOST, TIMEOUT
-from libmodbus_py.tools.listener.traces import MOST_CONNECTIONS, TracePairing
+from libmodbus_py.tools.listener.pairing import MOST, MOST_CONNECTIONS, TIMEOUT, TracePairing
 from libmodbus_py.tools.page.log import Log
 from libmodbus_py.tools.page.units import ShownServer
 from libmodbus_py.tools.testing.recording import Exchanges

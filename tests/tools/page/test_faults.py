@@ -15,7 +15,7 @@ from libmodbus_py import (
     Server,
     ServerDeviceBusy,
 )
-from libmodbus_py.tools.page.changes import add_fault, fault_rows, turn_fault
+from libmodbus_py.tools.page.server_source import add_fault, fault_rows, turn_fault
 from libmodbus_py.tools.testing.recording import RecordingServer
 from tests.tools.page.watching import shown, until
 

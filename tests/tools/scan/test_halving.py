@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from libmodbus_py.tools.scan.halving import FINEST, Cells, halving
+from libmodbus_py.tools.scan.search import FINEST, Cells, halving
 
 SIZE = 65536
 

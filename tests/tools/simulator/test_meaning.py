@@ -10,8 +10,8 @@ import pytest
 
 from libmodbus_py import Device
 from libmodbus_py.device_file import DeviceFileError, load
-from libmodbus_py.tools.page.changes import set_point
 from libmodbus_py.tools.page.samples import Samples
+from libmodbus_py.tools.page.server_source import set_point
 from libmodbus_py.tools.page.units import ShownUnit, point_rows
 
 MAP = """

@@ -24,7 +24,7 @@ from collections.abc import Iterable, Sequence
 
 from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType
-from ....tools.files.amounts import in_bytes, in_seconds
+from ....tools.files.schema import in_bytes, in_seconds
 from ...tasks import Pauses, end_tasks, finish
 from ..outputs.exclusive import file_at
 from ..outputs.writer_thread import WriterThread

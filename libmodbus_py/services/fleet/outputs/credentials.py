@@ -14,8 +14,7 @@ from pathlib import Path
 
 from ....security.describing import in_words
 from ....security.renewed import Renewed
-from ....tools.files.file_error import FileError
-from ....tools.files.texts import read_text
+from ....tools.files.texts import FileError, read_text
 
 __all__ = ["SecretFile", "Trust", "text_of"]
 

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 from ....maps.point import Point
 from ....maps.point_plan import scale_mistakes
 from ....protocol.mistakes import Path, WrongValue, placed
-from ..file_error import FileError, FilePlace
 from ..schema import keys_of
+from ..texts import FileError, FilePlace
 
 __all__ = ["POINT", "Contents", "MapEntry", "MapError", "collected", "remarks"]
 

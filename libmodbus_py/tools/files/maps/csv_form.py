@@ -22,7 +22,7 @@ from ....protocol.mistakes import Path, WrongValue, inside
 from ....protocol.values import parse_reference
 from ....protocol.words import ORDER_WORDS, TABLE_WORDS, TYPE_WORDS, by_word, plain, type_named
 from ..csv_text import CsvRow, CsvText, flag_in, number_in, whole_in
-from ..file_error import FilePlace
+from ..texts import FilePlace
 from .contents import MapEntry, MapError
 
 __all__ = ["PADDINGS", "READERS", "Columns", "columns_of", "entries", "opened"]

@@ -12,9 +12,8 @@ from typing import Any
 
 from ....maps.register_map import RegisterMap
 from ....protocol.mistakes import Path, placed
-from ..file_error import FilePlace
 from ..schema import Key, Keys, table, tables
-from ..texts import line_of, read_table, read_text, read_toml
+from ..texts import FilePlace, line_of, read_table, read_text, read_toml
 from . import csv_form
 from .contents import Contents, MapEntry, MapError, collected
 
