@@ -64,6 +64,11 @@ def samples_of_each(count: int) -> int:
     return max(FEWEST, min(MOST_SAMPLES, MOST_BYTES // 16 // max(1, count)))
 
 
+def _is_number(value: object) -> bool:
+    """Return True for a finite number."""
+    return type(value) in NUMBERS and -GREATEST <= value <= GREATEST  # type: ignore[operator]
+
+
 def _is_gap(passed: float, every: float | None) -> bool:
     """Return True if too many seconds passed between two samples that are `every` seconds apart."""
     return every is not None and passed > GAP * max(every, SHORTEST)
@@ -100,7 +105,7 @@ class Samples:
     def add(self, time: float, value: Any) -> None:
         """Keep a sample; a value that is not a finite number is a gap."""
         number = math.nan
-        if type(value) in NUMBERS and -GREATEST <= value <= GREATEST:
+        if _is_number(value):
             number = value
             if self.low is None or self.high is None:
                 self.low = self.high = number
@@ -161,8 +166,13 @@ class Series(NamedTuple):
 
 
 def charted(pairs: Pairs, now: float, units: str, every: float | None) -> dict[str, Any]:
-    """Return samples as JSON for a chart; `every` as for `Samples`."""
-    kept = _thinned(pairs, MOST_PAIRS)
+    """
+    Return samples up to now as JSON for a chart; `every` as for `Samples`.
+
+    Samples are later than now if the clock was set back. A value that is not a number is a gap.
+    """
+    shown = [(at, value if _is_number(value) else None) for at, value in pairs if at <= now]
+    kept = _thinned(shown, MOST_PAIRS)
     return {
         "now": now,
         "times": [round(at, 2) for at, _ in kept],

@@ -147,6 +147,45 @@ def test_a_time_in_which_the_journal_has_nothing_is_a_gap(
         assert visitor.history(row=["a", "x"], seconds=3600)["values"] == values
 
 
+def test_numbers_that_are_none_are_gaps_of_a_chart_wherever_they_come_from() -> None:
+    now = time.time()
+    older = [(now - 9, 1.0), (now - 8, math.inf), (now - 7, math.nan), (now - 6, 10**400)]
+    plant = Plant(older=lambda *_: older)
+    plant.describe(("a", "x"), every=None)
+    for at, value in enumerate([-math.inf, math.nan, 10**400, "<script>", 2.0]):
+        plant.put("a", "x", value, now - 4 + at)
+    with visited(plant) as visitor:
+        found = visitor.history(row=["a", "x"], seconds=60)
+    assert found["values"] == [1.0, *[None] * 7, 2.0]
+
+
+def test_a_chart_ends_now_after_the_clock_was_set_back() -> None:
+    plant = Plant()
+    plant.describe(("a", "x"))
+    now = time.time()
+    for at in (now + 3600, now + 3601, now - 2, now - 1):
+        plant.put("a", "x", at - now, at)
+    with visited(plant) as visitor:
+        assert visitor.history(row=["a", "x"], seconds=60)["values"] == pytest.approx([-2, -1])
+
+
+def test_ten_thousand_rows_with_every_kind_of_value_arrive_as_text() -> None:
+    given = [math.nan, math.inf, -math.inf, 10**400, "<script>", "\ud800", [math.nan], None, b"x"]
+    plant = Plant()
+    plant.describe(*(("a", str(at)) for at in range(10_000)))
+    for at in range(10_000):
+        plant.put("a", str(at), given[at % len(given)])
+    with visited(plant) as visitor:
+        visitor.look_at(1, 1 + len(given))
+        visitor.receive(lambda: len(visitor.rows("rows")) == len(given))
+        texts = [cells[2][0] for cells in visitor.rows("rows")]
+        visitor.look_at(9_990, 10_001)
+        visitor.receive(lambda: "10000" in visitor.seen["rows"])
+    assert texts[:3] == ["nan", "inf", "-inf"]
+    assert len(texts[3]) < 210
+    assert texts[4:] == ["<script>", "?", "nan", "-", "b'x'"]
+
+
 @each_case(
     ("path", "request_", "said"),
     [
