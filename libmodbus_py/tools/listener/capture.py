@@ -15,10 +15,10 @@ import io
 import os
 import struct
 from collections.abc import Iterator
-from typing import BinaryIO, NamedTuple, Self
+from typing import BinaryIO, NamedTuple
 
 from ...protocol.framing import Frame, is_one_frame, mbap
-from .hearing import Candidate, Damage
+from .separator import Candidate, Damage
 from .transaction import Heard
 
 __all__ = ["CaptureError", "CaptureReader", "CaptureWriter"]
@@ -84,47 +84,38 @@ class CaptureWriter:
 
     Args:
         path: a new file, or a pipe or device that exists.
-        names: the names of the interfaces, such as URLs.
+        name: the name of its interface, such as a URL.
 
     Raises:
         ValueError: the file exists.
         OSError: the file cannot be written.
     """
 
-    def __init__(self, path: str | os.PathLike[str], *names: str) -> None:
+    def __init__(self, path: str | os.PathLike[str], name: str) -> None:
         self._path = os.fspath(path)
         self._file = _opened(self._path)
-        self._ids: dict[tuple[int, int, int], int] = {}
+        self._ids: dict[tuple[int, int], int] = {}
         self._last_id = 0
         section = struct.pack("<IHHq", _BYTE_ORDER, 1, 0, -1)
-        blocks = [_block(_SECTION, section)]
-        for name in names:
-            text = name.encode()[:1000]
-            option = struct.pack("<HH", _IF_NAME, len(text)) + _padded(text) + bytes(4)
-            blocks.append(_block(_INTERFACE, struct.pack("<HHI", UPPER_PDU, 0, 0) + option))
+        text = name.encode()[:1000]
+        option = struct.pack("<HH", _IF_NAME, len(text)) + _padded(text) + bytes(4)
+        interface = struct.pack("<HHI", UPPER_PDU, 0, 0) + option
         try:
-            self._write(b"".join(blocks))
+            self._write(_block(_SECTION, section) + _block(_INTERFACE, interface))
         except BaseException:
             self.close()
             raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Close the file; any number of times."""
         self._file.close()
 
-    def write(self, heard: Heard, interface: int = 0, link: int = 0) -> None:
+    def write(self, heard: Heard, link: int = 0) -> None:
         """
         Write a frame or damaged bytes.
 
         Args:
             heard: a frame that was named, or damaged bytes.
-            interface: the index of its interface in `names`.
             link: the number of the connection, if there are several.
 
         Raises:
@@ -136,14 +127,14 @@ class CaptureWriter:
             tags = _tag(_DISSECTOR, b"mbrtu") + _ports(port, port)
             data = tags + bytes(4) + heard.data
         else:
-            data = self._exported(heard, heard.frame, interface, port)
+            data = self._exported(heard, heard.frame, port)
         time = max(round(heard.ended * 1_000_000), 0)
-        head = struct.pack("<IIIII", interface, time >> 32, time & 0xFFFFFFFF, len(data), len(data))
+        head = struct.pack("<IIIII", 0, time >> 32, time & 0xFFFFFFFF, len(data), len(data))
         self._write(_block(_PACKET, head + _padded(data)))
 
-    def _exported(self, heard: Heard, frame: Frame, interface: int, port: int) -> bytes:
+    def _exported(self, heard: Heard, frame: Frame, port: int) -> bytes:
         # Responses carry the number of the last request to their unit.
-        key = interface, port, frame.unit
+        key = port, frame.unit
         if heard.part == "request" or key not in self._ids:
             self._last_id = self._last_id % 0xFFFF + 1
             self._ids[key] = self._last_id

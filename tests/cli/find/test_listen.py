@@ -8,6 +8,7 @@ import json
 import os
 import re
 import signal
+import struct
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -24,6 +25,9 @@ from libmodbus_py import (
     ModbusTimeoutError,
     Server,
 )
+from libmodbus_py.protocol.framing import Frame
+from libmodbus_py.tools.listener.capture import CaptureWriter
+from libmodbus_py.tools.listener.transaction import Heard
 from tests.support.cases import each_case
 from tests.support.commands import Done, Started, on_terminal, run
 from tests.support.golden import Golden
@@ -167,6 +171,27 @@ def test_a_capture_is_written(target: str, tmp_path: Path) -> None:
         made.send_signal(signal.SIGINT)
         assert made.wait(10) == 0
     assert "4 transactions" in listen(file).out
+
+
+@pytest.mark.parametrize("moment", [1e11, 1e12, 2.0**63])
+@pytest.mark.parametrize("options", [[], ["--json"]])
+def test_times_that_no_calendar_has_are_shown_in_seconds(
+    tmp_path: Path, moment: float, options: list[str]
+) -> None:
+    writer = CaptureWriter(tmp_path / "x.pcapng", "x")
+    at = moment / 1e6  # written in microseconds, which the file then calls seconds
+    writer.write(Heard(at, at, "request", Frame(1, b"\x03\0\0\0\1")))
+    writer.close()
+    data = (tmp_path / "x.pcapng").read_bytes()
+    unit = struct.pack("<HHBBBB", 9, 1, 0, 0, 0, 0)  # if_tsresol: 10^0 seconds
+    name = data.index(b"x\0\0\0", 28)
+    changed = bytearray(data[: name + 4] + unit + data[name + 4 :])
+    for at in (32, name + 4 + len(unit) + 4):
+        changed[at : at + 4] = struct.pack("<I", struct.unpack_from("<I", changed, at)[0] + 8)
+    (tmp_path / "x.pcapng").write_bytes(changed)
+    done = listen(tmp_path / "x.pcapng", *options)
+    assert (done.code, done.err) == (0, "")
+    assert "Traceback" not in done.out
 
 
 @pytest.mark.parametrize(("variables", "coloured"), [({}, True), ({"NO_COLOR": "1"}, False)])

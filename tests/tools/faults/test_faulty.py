@@ -15,6 +15,7 @@ from libmodbus_py import (
     ExceptionResponse,
     GatewayTargetFailedToRespond,
     ModbusTimeoutError,
+    Server,
     ServerDeviceBusy,
     ServerDeviceFailure,
     pdu,
@@ -196,6 +197,34 @@ def test_others_are_answered_while_the_fault_lasts(stage: Stage, fault: Fault, u
         stage.pass_time(FOREVER / 2)
         assert not slow.has_input()
         assert head == (b"\0" if fault.kind == "trickle" else b"")
+
+
+@pytest.mark.parametrize("change", ["switched_off", "turned_off", "replaced"])
+def test_a_fault_that_ends_while_a_request_is_out_holds_for_that_request_only(
+    stage: Stage, change: str
+) -> None:
+    server = Server({1: made_device()})
+    with server.background("tcp://10.0.0.1:0") as running, stage.talk(running.urls[0]) as slow:
+        switched = server.fault_switch.switch_on(Fault("delay", seconds=5))
+        slow.sendall(adu(READ, 1))
+        stage.pass_time(1)
+        if change == "switched_off":
+            switched.switch_off()
+        elif change == "turned_off":
+            server.fault_switch.turn(switched.states[0], is_on=False)
+        else:
+            server.replace({1: made_device()})
+            switched.switch_off()
+        begun = stage.now
+        with client_of(running.urls[0]) as other:
+            assert other.read_holding_registers(0, 1) == [555]
+        assert stage.now - begun < 0.1
+        slow.sendall(adu(READ, 2))  # behind the first, whose answer comes when it would have come
+        stage.pass_time(3)
+        assert not slow.has_input()
+        answer = b"\x03\x02\x02\x2b"
+        assert slow.receive(22) == adu(answer, 1) + adu(answer, 2)
+        assert stage.now - begun < 4.5
 
 
 def test_a_server_stops_while_answers_wait(stage: Stage) -> None:

@@ -22,7 +22,7 @@ from libmodbus_py.listen import CaptureError, Transaction, listen
 from libmodbus_py.tools.listener.capture import CaptureReader, CaptureWriter
 from libmodbus_py.tools.listener.transaction import Heard
 from tests.support.cases import each_case
-from tests.support.vectors import EXCEPTIONS, FRAMES, REQUESTS, RESPONSES
+from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES
 
 DECODED = Path(__file__).with_name("decoded.pcapng")
 
@@ -47,7 +47,7 @@ def write(path: Path, *links: int) -> Path:
     writer = CaptureWriter(path, "rtu:///dev/ttyUSB0?baudrate=19200")
     for heard in conversation():
         for link in links or (0,):
-            writer.write(heard, 0, link)
+            writer.write(heard, link)
     writer.close()
     return path
 
@@ -60,23 +60,6 @@ def read(path: Path) -> list[Transaction]:
 class TestWriter:
     def test_the_bytes_are_those_that_tshark_decodes(self, tmp_path: Path) -> None:
         assert write(tmp_path / "x.pcapng").read_bytes() == DECODED.read_bytes()
-
-    def test_each_port_is_an_interface(self, tmp_path: Path) -> None:
-        writer = CaptureWriter(tmp_path / "x.pcapng", "rtu:///dev/a", "rtu:///dev/b")
-        heard = Heard(0.0, 0.0, "request", FRAMES[0].frame)
-        writer.write(heard, 0)
-        writer.write(heard, 1)
-        writer.close()
-        data = (tmp_path / "x.pcapng").read_bytes()
-        kinds, interfaces, at = [], [], 0
-        while at < len(data):
-            kind, size = struct.unpack_from("<II", data, at)
-            kinds.append(kind)
-            interfaces += struct.unpack_from("<I", data, at + 8) if kind == 6 else []
-            at += size
-        assert kinds == [0x0A0D0D0A, 1, 1, 6, 6]
-        assert interfaces == [0, 1]
-        assert b"rtu:///dev/b" in data
 
     def test_a_full_disk_is_named(self) -> None:
         with pytest.raises(OSError, match="No space") as caught:

@@ -37,7 +37,6 @@ TABLES_AND_KEYS = [
     "[[unit]]\nid = 1\nid = 2\n",
     "",
     "unit = []",
-    "a = " + "[" * 10_000,
     "[unit]",
     "unit = [1]",
     "units = []",
