@@ -18,9 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = ["add_command"]
 
-MANDATORY = {0, 1, 2}
-"""Numbers of the objects of the basic level, which every device has (section 6.21)."""
-
 EXAMPLES = """\
 examples:
   libmodbus-py identify 192.0.2.10
@@ -69,6 +66,8 @@ def _identify(options: argparse.Namespace) -> int:
 
 def _identification(context: Context, wanted: str | int) -> dict[int, bytes]:
     """Return the objects of a level; some devices leave out those of the basic level in others."""
+    from ...protocol.pdu.interface import MANDATORY
+
     found = context.read_device_identification(wanted).objects
     if wanted in ("regular", "extended") and MANDATORY - found.keys():
         with suppress(ModbusError):

@@ -18,7 +18,7 @@ from .request import Request, Result
 
 # fmt: off
 __all__ = [
-    "DEVICE_IDENTIFICATION", "LEVELS", "OBJECT_NAMES", "DeviceIdentification",
+    "DEVICE_IDENTIFICATION", "LEVELS", "MANDATORY", "OBJECT_NAMES", "DeviceIdentification",
     "EncapsulatedTransport", "IdentificationPage", "RawRequest", "ReadDeviceIdCode",
     "ReadDeviceIdentification", "pages",
 ]
@@ -84,8 +84,8 @@ class ReadDeviceIdCode(IntEnum):
     INDIVIDUAL = 4
 
 
-# The objects that every device has (section 6.21).
 MANDATORY = {0, 1, 2}
+"""The objects of the basic level, which every device has (section 6.21)."""
 
 # From here on a response may lack an object because there was no room for it.
 FULL_MESSAGE = 244

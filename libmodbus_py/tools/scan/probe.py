@@ -27,7 +27,7 @@ from ...protocol.errors import (
     ModbusError,
 )
 from ...protocol.pdu import DeviceIdentification, ServerId
-from ...protocol.pdu.interface import identify
+from ...protocol.pdu.interface import MANDATORY, identify
 from ..listener.pairing import TracePairing
 from ..listener.transaction import Transaction
 from .places import Place
@@ -162,8 +162,20 @@ class Prober:
         return told
 
     def identification(self, unit: int) -> DeviceIdentification | None:
-        """Read the identification (43/14), `MOST_PAGES` pages at most; None if there is none."""
-        steps = identify("regular")
+        """
+        Read the identification (43/14), `MOST_PAGES` pages at most; None if there is none.
+
+        Some devices leave the objects of the basic level out of the regular one.
+        """
+        told = self._level(unit, "regular")
+        if told is not None and MANDATORY - told.objects.keys():
+            basic = self._level(unit, "basic")
+            if basic is not None:
+                told = told._replace(objects={**basic.objects, **told.objects})
+        return told
+
+    def _level(self, unit: int, level: str) -> DeviceIdentification | None:
+        steps = identify(level)
         request = next(steps)
         told: DeviceIdentification | None = None
         objects: dict[int, bytes] = {}

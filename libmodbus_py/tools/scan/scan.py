@@ -30,8 +30,8 @@ DIRECT = 255
 RESERVED = (249, 252, 250, 251, 253)
 
 # Timeouts after a probe: for function 17, after which the line must be silent for as long, and for
-# function 43/14.
-MORE_ASKED = 2 + MOST_PAGES
+# the two levels of function 43/14.
+MORE_ASKED = 2 + 2 * MOST_PAGES
 
 
 class Progress(NamedTuple):

@@ -562,6 +562,21 @@ def test_units_are_found_over_tls(tmp_path: Path) -> None:
         assert server.statistics.accepted < 9
 
 
+def test_basic_objects_that_a_level_leaves_out_are_asked_for() -> None:
+    def answer(request: bytes) -> list[bytes]:
+        if request[7] != 43:
+            return [mbap(request, bytes([request[7] | 0x80, 1]))]
+        level, number, text = request[9], *((0, b"ACME") if request[9] == 1 else (3, b"url"))
+        page = bytes([43, 14, level, 2, 0, 0, 1, number, len(text)])
+        return [mbap(request, page + text)]
+
+    with simulated() as network:
+        server = served(network, "tcp://10.0.0.1", answer)
+        (found,) = all_of(scan(server.url, units=[5], timeout=PATIENT))
+    assert found.identification is not None
+    assert found.identification.names == {"VendorName": "ACME", "VendorUrl": "url"}
+
+
 def test_identification_in_many_pages_is_cut() -> None:
     """A device that would never come to an end costs four requests."""
     asked: list[int] = []
