@@ -12,7 +12,7 @@ from typing import Any
 
 from ...ports.schemes import PARITIES as WORDS_OF_PARITY
 from ...protocol.errors import ModbusConnectionError
-from ...protocol.pdu import DeviceIdentification, ServerId
+from ...protocol.pdu import DeviceIdentification
 from ...protocol.pdu.interface import OBJECT_NAMES
 from ...protocol.ranges import joined
 from ...tools.scan.places import (
@@ -176,7 +176,8 @@ class _Report:
 
     def _all_tried(self) -> str:
         if self.hosts:
-            return f"{counted(self.hosts, 'host')}, of which {len(self.tried)} accept a connection"
+            hosts = counted(self.hosts, "host")
+            return f"{len(self.tried)} of {hosts}, those that accepted a connection"
         settings: dict[str, list[str]] = {}
         for setting, units in self.tried.items():
             settings.setdefault(_units(units), []).append(setting)
@@ -236,7 +237,11 @@ def _scan_place(options: argparse.Namespace, report: _Report, url: str) -> None:
     scanned = scan(
         endpoint.url, on_progress=report.progress, **_chosen(options, is_serial=endpoint.is_serial)
     )
-    report.say(_estimate(scanned, options.deep) if is_one else f"{url}: {_estimate_short(scanned)}")
+    report.say(
+        _estimate(scanned, options.deep)
+        if is_one
+        else f"{url}: {counted(scanned.total, 'probe')}, {duration(scanned.longest)} at most"
+    )
     report.place = "" if is_one else f"{url}: "
     try:
         with scanned:
@@ -261,10 +266,6 @@ def _chosen(options: argparse.Namespace, *, is_serial: bool) -> dict[str, Any]:
     if is_serial:
         usual |= {"baudrates": QUICK_BAUDRATES, "parities": QUICK_PARITIES}
     return {name: usual.get(name) if value is None else value for name, value in chosen.items()}
-
-
-def _estimate_short(scan: Scan) -> str:
-    return f"{counted(scan.total, 'probe')}, {duration(scan.longest)} at most"
 
 
 def _search(report: _Report) -> None:
@@ -310,7 +311,8 @@ def _line(found: Found) -> str:
     who = "any unit" if found.is_any else f"unit {found.unit}"
     parts = [f"{who}{where}: {found.took * 1000:.0f} ms{what}{late}"]
     if found.identification is not None:
-        parts.append(_identification(found.identification))
+        objects = sorted(found.identification.objects.items())
+        parts.append(", ".join(_safe(value) for _, value in objects if value))
     if found.server_id is not None:
         parts.append(f"server id {_safe(found.server_id.data)}")
     return "; ".join(part for part in parts if part)
@@ -343,10 +345,6 @@ def _units(units: Iterable[int]) -> str:
     return ",".join(f"{each[0]}-{each[-1]}" if len(each) > 1 else f"{each[0]}" for each in found)
 
 
-def _identification(told: DeviceIdentification) -> str:
-    return ", ".join(_safe(value) for _, value in sorted(told.objects.items()) if value)
-
-
 def _safe(data: bytes) -> str:
     """Return text without control characters, short enough for a line."""
     shown = "".join(chr(byte) if 0x20 <= byte < 0x7F else f"\\x{byte:02x}" for byte in data)
@@ -371,15 +369,11 @@ def _told(found: Found, extents: list[Extent] | None) -> dict[str, Any]:
     told: dict[str, Any] = {"unit": found.unit, "url": found.url, **settings}
     told |= {"stop_bits": found.stop_bits, "took": round(found.took, 4)}
     told |= {"exception": found.exception, "is_late": found.is_late, "is_any": found.is_any}
-    told["server_id"] = _id(found.server_id)
+    told["server_id"] = None if found.server_id is None else found.server_id.data.hex()
     told["identification"] = _objects(found.identification)
     if extents is not None:
         told["tables"] = {each.table: _extent(each) for each in extents}
     return told
-
-
-def _id(server_id: ServerId | None) -> str | None:
-    return None if server_id is None else server_id.data.hex()
 
 
 def _objects(told: DeviceIdentification | None) -> dict[str, str] | None:

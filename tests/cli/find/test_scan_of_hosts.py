@@ -86,7 +86,9 @@ def test_hosts_that_accept_a_connection_are_scanned(port: str) -> None:
 def test_a_range_without_any_server() -> None:
     done = run("scan", "127.0.0.0/30:1", "--timeout", "50ms")
     assert done.code == 1
-    assert done.err.endswith("tried 2 hosts, of which 0 accept a connection: no unit found\n")
+    assert done.err.endswith(
+        "tried 0 of 2 hosts, those that accepted a connection: no unit found\n"
+    )
 
 
 def test_a_quick_scan_asks_usual_units(port: str) -> None:
