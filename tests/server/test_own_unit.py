@@ -27,7 +27,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.protocol import errors
 from libmodbus_py.protocol.framing import Frame
-from libmodbus_py.tools.faults.answers import Faults
+from libmodbus_py.tools.faults.server import Faults
 from tests.simulation.stage import Stage
 
 MESSAGES = pdu.SubFunction.BUS_MESSAGE_COUNT

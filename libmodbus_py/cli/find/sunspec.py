@@ -71,8 +71,7 @@ def _sunspec(options: argparse.Namespace) -> int:
 
 def _asked(context: Any, base: int | None) -> list[dict[str, Any]]:
     """Return a row for each point of a unit."""
-    from ...tools.sunspec.chain import BASES
-    from ...tools.sunspec.discovery import discover
+    from ...tools.sunspec.discovery import BASES, discover
     from ..failing import CommandError
     from ..output import complain
 

@@ -23,8 +23,7 @@ from typing import Any
 from ...ports.endpoint import parse_to_listen
 from ...protocol.mistakes import Path, WrongType, WrongValue, inside, item
 from ...server.limits import Limits
-from ...tools.files import roles
-from ...tools.files.schema import Key, Keys, keys_of
+from ...tools.files.schema import Key, Keys, keys_of, parts_of_tables, roles
 from ...tools.files.texts import FileError, load_file, read_toml
 from .gateway import Gateway
 from .routes import GatewayOptions, Route, check_line, check_routes
@@ -123,7 +122,7 @@ def _routes(path: Path, given: object) -> list[Route]:
 OPTIONS = keys_of(Gateway).only(*keys_of(GatewayOptions))
 """Options of `Gateway` that are passed to it unchanged."""
 
-ROUTE = keys_of(Route, writable=roles.parts)
+ROUTE = keys_of(Route, writable=parts_of_tables)
 
 FILE = (
     Keys([Key("listen", _listen, "URLs of the endpoints where clients are served", ())])
@@ -132,7 +131,7 @@ FILE = (
         [
             Key("limits", keys_of(Limits).read, "limits for clients, as `Limits`"),
             Key("route", _routes, "a table for each line and its units: [[route]]"),
-            Key("roles", roles.rules, "the accesses that each role allows: [roles.NAME]"),
+            Key("roles", roles, "the accesses that each role allows: [roles.NAME]"),
         ]
     )
 )

@@ -2,7 +2,7 @@
 A fault: a mistake in answers of a server, the requests concerned, and its frequency; and the faults
 of one running server, switched by several users who do not undo each other.
 
-`answers` counts the requests of a server, and makes the fault that is due happen.
+`server` counts the requests of a server, and makes the fault that is due happen.
 """
 
 from __future__ import annotations
@@ -256,9 +256,6 @@ class FaultSwitch:
 
     Args:
         apply: called with all faults that are on; if it raises an exception, nothing has changed.
-
-    Attributes:
-        version: a number that grows with every change.
     """
 
     def __init__(self, apply: Callable[[FaultsByUnit], object]) -> None:
@@ -267,7 +264,6 @@ class FaultSwitch:
         self._switched: list[_Switched] = []
         # Reentrant, because a signal handler may switch faults in the middle of a change.
         self._changing = threading.RLock()
-        self.version: int = 0
 
     def switch_on(self, *faults: Fault, unit: int | None = None) -> _Switched:
         """
@@ -319,7 +315,6 @@ class FaultSwitch:
             given = [FaultState(unit, each) for unit, found in faults.items() for each in found]
             yield _that_are_on(self._states(self._switched, given))
             self._given = given
-            self.version += 1
 
     def remove(self, switched: _Switched) -> None:
         """Remove faults that were switched on; may be called any number of times."""
@@ -329,7 +324,6 @@ class FaultSwitch:
     def _change(self, switched: list[_Switched]) -> None:
         self._apply(_that_are_on(self._states(switched, self._given)))
         self._switched = switched
-        self.version += 1
 
     def _states(self, switched: list[_Switched], given: list[FaultState]) -> list[FaultState]:
         return [state for each in switched for state in each.states] + given

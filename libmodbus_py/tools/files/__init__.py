@@ -4,8 +4,7 @@ Files that describe devices, gateways and fleets, and register maps: readers and
 ::
 
     texts        reading a file, the line of each key of TOML, and mistakes with their place
-    schema       the keys of tables: a row for each, and the checks of their values
+    schema       the keys of tables: a row for each, and the checks of their values; rights of roles
     csv_text     CSV: headings, rows, cells
-    roles        rights of roles in certificates
     maps         register maps
 """

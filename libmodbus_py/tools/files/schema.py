@@ -14,6 +14,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from ...device.access import Access
+from ...device.rules import Allow, Rules
 from ...protocol.checks import integer, shown
 from ...protocol.close_names import close_option
 from ...protocol.mistakes import Path, WrongType, WrongValue, inside, item
@@ -22,7 +24,8 @@ from .texts import shown_key
 # fmt: off
 __all__ = [
     "REQUIRED", "Check", "Key", "Keys", "a_list", "anything", "bytes_or_text", "flag", "in_bytes",
-    "in_seconds", "keys_of", "one_of", "table", "tables", "text", "whole",
+    "in_seconds", "keys_of", "one_of", "parts_of_tables", "roles", "table", "tables", "text",
+    "whole",
 ]
 # fmt: on
 
@@ -301,3 +304,53 @@ def _read(text: str, units: dict[str, int]) -> float | None:
     if found is None or found[2] not in units:
         return None
     return float(found[1]) * units[found[2]]
+
+
+# --- roles: [roles.NAME], with the arguments of Allow ---------------------------------------------
+
+
+def roles(path: Path, given: object) -> Rules:
+    """
+    Return the rules of all roles; the empty name stands for clients without a role.
+
+    A unit without rules of its own has those of the file, which are passed ready-made.
+
+    Raises:
+        TypeError, ValueError: a table is not a rule; with the path of the key.
+    """
+    if isinstance(given, Rules):
+        return given
+    named = table(path, given)
+    found = {
+        name or None: ALLOW.read((*path, shown_key(name)), each) for name, each in named.items()
+    }
+    with inside(*path):
+        return Rules(found)
+
+
+def parts_of_tables(path: Path, given: object) -> Any:
+    """
+    Return names of tables, and an `Access` for each part of a table.
+
+    Raises:
+        TypeError, ValueError: a part has a missing or an unknown key.
+    """
+    if not isinstance(given, list):
+        return given
+    return [
+        PART.read(item(path, at), each) if isinstance(each, dict) else each
+        for at, each in enumerate(given)
+    ]
+
+
+ALLOW = keys_of(Allow, read=parts_of_tables, write=parts_of_tables)
+
+PART = Keys(
+    (
+        Key("table", anything, "the table", REQUIRED),
+        Key("address", anything, "the first address or record", REQUIRED),
+        Key("count", anything, "how many", REQUIRED),
+        Key("file", anything, "the number of the file", 0),
+    ),
+    Access,
+)

@@ -23,12 +23,14 @@ from ...protocol.logs import HarmlessLogger
 from ...system import make_poller
 from .capture import CaptureReader, CaptureWriter
 from .separator import LineFraming, Separator
-from .sources import SerialSource, Source, Tap, TimedBytes
-from .transaction import Heard, OnHeard, Summary, Transaction
+from .sources import SerialSource, Tap, TimedBytes
+from .transaction import Heard, Summary, Transaction
 
 __all__ = ["Listener", "listen"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
+
+Source = SerialSource | Tap
 
 # Seconds after which a quiet line is checked for requests without a response.
 IDLE = 1.0
@@ -239,11 +241,8 @@ class Listener:
         done: list[Transaction] = []
         if len(self._separators) >= MAX_SEPARATORS:
             done = self._separators.pop(next(iter(self._separators))).end()
-        self._separators[link] = Separator(self._framing, self._on_heard(link), self._pause)
+        self._separators[link] = Separator(self._framing, partial(self._record, link), self._pause)
         return self._separators[link], done
-
-    def _on_heard(self, link: int) -> OnHeard:
-        return _ignore if self._writer is None else partial(self._record, link)
 
     def _record(self, link: int, heard: Heard) -> None:
         """Write to the capture; if that fails, end the capture, but continue to listen."""
@@ -263,10 +262,6 @@ class Listener:
         for each in done:
             self.summary.note(each)
         return done
-
-
-def _ignore(heard: Heard) -> None:
-    """Do nothing, because there is no capture to write."""
 
 
 class Clock:

@@ -9,7 +9,7 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator
 from math import sqrt
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple
 
 from ...protocol.callbacks import checked_callback
 from ...protocol.errors import MAX_RECEIVED, FrameError
@@ -47,22 +47,13 @@ class Damage(NamedTuple):
     data: bytes
 
 
-class _Hearing(Protocol):
-    """Cuts frames. Call `silence` after `quiet` seconds without a byte."""
-
-    quiet: float
-
-    def hear(self, data: bytes, at: float) -> Iterator[Candidate | Damage]:
-        """Take bytes and the time of their arrival in seconds; yield frames and damage in order."""
-        ...
-
-    def silence(self, *, is_long: bool = False) -> Iterator[Candidate | Damage]:
-        """Note that the line is quiet; if `is_long`, for too long to complete a pending frame."""
-        ...
-
-
 class _RtuHearing:
-    """Cuts requests and responses in one stream, as on a line; each frame has its own time."""
+    """
+    Cuts requests and responses in one stream, as on a line; each frame has its own time.
+
+    Call `silence` after `quiet` seconds without a byte; with `is_long` if that is too long for a
+    pending frame to be completed.
+    """
 
     def __init__(self, pause: float = 0.0) -> None:
         self.quiet: float = pause + ALLOWANCE
@@ -127,7 +118,7 @@ class _RtuHearing:
 
 
 class _FramerHearing:
-    """Cuts frames with a framer; the time of each frame is that of the piece that ends it."""
+    """As `_RtuHearing`, with a framer: each frame has the time of the piece that ends it."""
 
     def __init__(self, make_framer: Callable[[], Framer], is_asking: bool | None) -> None:
         self._make_framer = make_framer
@@ -172,6 +163,9 @@ class _FramerHearing:
         is_asking = self._is_asking
         either = may_be(found.pdu) if is_asking is None else (is_asking, not is_asking)
         return Candidate(began, self._at, found, *either)
+
+
+_Hearing = _RtuHearing | _FramerHearing
 
 
 # --- requests or responses ------------------------------------------------------------------------

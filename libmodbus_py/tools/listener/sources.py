@@ -17,7 +17,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from ...ports.endpoint import Endpoint
 from ...ports.hosts import listen_on, reason, start_thread
@@ -27,7 +27,7 @@ from ...protocol.errors import ModbusConnectionError
 from ...protocol.logs import HarmlessLogger
 from .separator import Direction
 
-__all__ = ["SerialSource", "Source", "Tap", "TapLink", "TimedBytes"]
+__all__ = ["SerialSource", "Tap", "TapLink", "TimedBytes"]
 
 
 class TimedBytes(NamedTuple):
@@ -47,40 +47,12 @@ class TimedBytes(NamedTuple):
     data: bytes
 
 
-class Source(Protocol):
-    """The common part of all sources."""
-
-    @property
-    def descriptor(self) -> int:
-        """A descriptor that is readable when there are bytes to receive."""
-        ...
-
-    def open(self) -> None:
-        """
-        Open the source, or open it again.
-
-        Raises:
-            ModbusConnectionError: the source cannot be opened, with errno.
-        """
-        ...
-
-    def receive(self) -> list[TimedBytes]:
-        """
-        Return the received bytes, oldest first.
-
-        Raises:
-            ModbusConnectionError: the port was removed, or failed.
-        """
-        ...
-
-    def close(self) -> None:
-        """Close the source; any number of times."""
-        ...
-
-
 class SerialSource:
     """
     A serial port that is only read.
+
+    Attributes:
+        descriptor: readable when there are bytes to receive.
 
     Raises:
         TypeError, ValueError: a setting is wrong.

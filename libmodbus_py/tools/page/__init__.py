@@ -4,8 +4,7 @@ the traffic, and faults; those of fleets, gateways and watched devices show one 
 
 ::
 
-    page             live_page, table_page: serve a page while a block runs
-    web              HTTP: paths, limits of requests, and checks of token, Host and Origin
+    page             live_page, table_page; HTTP: paths, limits and checks of requests
       page.html, tables.html, page.css, scripts/
     streams          sends rows that have changed to open pages; the source of these rows
 

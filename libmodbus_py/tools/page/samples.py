@@ -142,7 +142,11 @@ class Samples:
             if time > since
         ]
         # The clock may have been set back.
-        return found if all(a[0] <= b[0] for a, b in pairwise(found)) else sorted(found, key=_time)
+        return (
+            found
+            if all(a[0] <= b[0] for a, b in pairwise(found))
+            else sorted(found, key=lambda each: each[0])
+        )
 
     def spark(self, count: int) -> list[int]:
         """Return the last samples as levels from 0 to 20, and -1 for each gap."""
@@ -190,10 +194,6 @@ def with_gaps(pairs: Pairs, every: float | None) -> Pairs:
             found.append((before[0] + SHORTEST, None))
         found.append(after)
     return found
-
-
-def _time(pair: tuple[float, Any]) -> float:
-    return pair[0]
 
 
 def _thinned(pairs: Sequence[tuple[float, float | None]], most: int) -> Pairs:

@@ -18,10 +18,11 @@ from ...protocol.tables import TABLE_SIZE, TABLES
 from ...protocol.values import ORDERS, TYPES, readings, value_type
 from ..faults.fault import KINDS, OPTIONAL, Fault, FaultSwitch
 from ..faults.server import Server
+from ..simulator.simulated import SimulatedDevice
 from .log import Log
 from .samples import Samples, charted
 from .streams import Action, Download, Tables
-from .units import SAMPLED, CanHold, ShownUnit, cell_rows, point_rows, shown_of
+from .units import SAMPLED, ShownUnit, cell_rows, point_rows, shown_of
 
 # fmt: off
 __all__ = [
@@ -301,7 +302,7 @@ class ServerSource:
     def _hold(self, given: Given) -> None:
         unit = self._unit(given)
         point = _point(unit, given)
-        if not isinstance(unit.device, CanHold):
+        if not isinstance(unit.device, SimulatedDevice):
             raise ValueError(f"{point.name} never moves by itself")
         unit.device.hold(point, is_on=given["on"] is True)
 

@@ -180,7 +180,11 @@ class TableSource:
 
     def _history(self, given: Mapping[str, Any]) -> dict[str, Any]:
         name, column = given["row"], given["column"]
-        if not isinstance(name, list) or len(name) != 2 or not _are_texts([*name, column]):
+        if (
+            not isinstance(name, list)
+            or len(name) != 2
+            or not all(isinstance(each, str) for each in [*name, column])
+        ):
             raise ValueError("row must be a list of two strings, and column a string")
         series = self._shown.series((name[0], name[1]), column)
         if series is None:
@@ -202,10 +206,6 @@ class TableSource:
         # Of each of `most` / 3 spans of time, a journal returns three samples at most.
         apart = None if every is None else max(every, 2 * 3 / most * (until - since))
         return with_gaps([*(each for each in older if each[0] < until), *recent], apart)
-
-
-def _are_texts(given: Sequence[object]) -> bool:
-    return all(isinstance(each, str) for each in given)
 
 
 def _is_wanted(row: PageRow, words: Sequence[str], only: bool) -> bool:

@@ -12,7 +12,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 from ...device.device import Device
 from ...device.mapping import Table
@@ -23,12 +23,12 @@ from ...protocol.logs import HarmlessLogger
 from ...protocol.tables import TABLES
 from ...server.units import SERVER_ITSELF
 from ..faults.server import Server
+from ..simulator.simulated import SimulatedDevice
 from .samples import SPARK, Samples
 from .text import judged_point
 
 __all__ = [
     "SAMPLED",
-    "CanHold",
     "ShownServer",
     "ShownUnit",
     "cell_rows",
@@ -51,24 +51,6 @@ MOST_CELLS = 16_384
 
 # Cells of one row, which begins at a multiple of this.
 CHUNK = 64
-
-
-@runtime_checkable
-class CanHold(Protocol):
-    """A device that computes values, and can hold them."""
-
-    def movement(self, point: Point) -> bool | None:
-        """Return True if a point moves, False if it is held, None if it never moves."""
-        ...
-
-    def hold(self, point: Point, *, is_on: bool) -> None:
-        """
-        Hold a moving point at its value, or let it move again.
-
-        Raises:
-            ValueError: the point never moves.
-        """
-        ...
 
 
 class Refreshing:
@@ -135,7 +117,7 @@ class ShownUnit:
 
     def movement(self, point: Point) -> bool | None:
         """Return True if a point moves, False if it is held, None if it never moves by itself."""
-        return self.device.movement(point) if isinstance(self.device, CanHold) else None
+        return self.device.movement(point) if isinstance(self.device, SimulatedDevice) else None
 
     def refresh(self, table: str, addresses: range) -> None:
         """Let the device compute values; called under the lock of its mapping."""

@@ -10,7 +10,6 @@ from ...protocol.checks import integer
 from ...protocol.mistakes import Path, WrongValue
 from ...protocol.pdu import RECORDS_PER_FILE
 from ..faults.fault import LONGEST, Fault
-from ..files import roles
 from ..files.maps.contents import POINT
 from ..files.schema import (
     REQUIRED,
@@ -20,6 +19,7 @@ from ..files.schema import (
     bytes_or_text,
     flag,
     keys_of,
+    roles,
     table,
     tables,
     text,
@@ -132,7 +132,7 @@ UNIT = Keys(
         Key("fault", tables, "a table for each fault"),
         Key(
             "roles",
-            roles.rules,
+            roles,
             "what each role may read and write, in this unit",
         ),
     ]
@@ -142,7 +142,7 @@ FILE = Keys(
     [
         Key("unit", tables, "a table for each unit", REQUIRED),
         Key("fault", tables, "a table for each fault of all units"),
-        Key("roles", roles.rules, "what each role may read and write: [roles.NAME]"),
+        Key("roles", roles, "what each role may read and write: [roles.NAME]"),
         Key(
             "defaults",
             table,

@@ -3,7 +3,6 @@ Finds the SunSpec models of a device, and turns them into register maps.
 
 ::
 
-    chain        the walk from the marker to the end model: requests and decisions, no I/O
     points       the points of one definition: scale factors, states, bits, repeated groups
     discovery    discover: for both clients; SunSpecDevice, SunSpecModel: what was found
 """

@@ -1,27 +1,192 @@
 """
-Finds the SunSpec models of a device; their definitions are JSON files that pysunspec2 carries.
+Finds the SunSpec models of a device: the walk along their chain yields requests, and is sent
+answers. The definitions of models are JSON files that pysunspec2 carries.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Coroutine, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Coroutine, Generator, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, NamedTuple, overload
 
-from ...client.requests import Awaiting, Blocking, Steps
+from ...client.requests import Awaiting, Blocking, Several, Steps
 from ...maps.point import Point
 from ...maps.register_map import RegisterMap
-from ...protocol.errors import ExceptionResponse
+from ...protocol import pdu
+from ...protocol.checks import integer
+from ...protocol.errors import ExceptionResponse, ModbusError
 from ...protocol.extras import what_is_missing
-from ...protocol.mistakes import WrongType
-from .chain import BASES, HEADER, MARKER, Chain, Header, checked_bases, read_span, walk
-from .points import MOST_POINTS, NOT_IMPLEMENTED, TABLE, Laid, ModelLayout, counters_of
+from ...protocol.mistakes import WrongType, WrongValue
+from ...protocol.tables import TABLE_SIZE
+from .points import HEADER, MOST_POINTS, NOT_IMPLEMENTED, TABLE, Laid, ModelLayout, counters_of
 
-__all__ = ["SunSpecDevice", "SunSpecModel", "definition_of", "discover", "folder"]
+# fmt: off
+__all__ = [
+    "BASES", "END", "MARKER", "SunSpecDevice", "SunSpecError",
+    "SunSpecModel", "definition_of", "discover", "folder", "walk",
+]
+# fmt: on
+
+BASES = (0, 40000, 50000)
+"""The addresses at which SunSpec allows a chain to begin."""
+
+MARKER = [0x5375, 0x6E53]
+"""The registers of "SunS", with which a chain begins."""
+
+END = 0xFFFF
+"""The id of the end model."""
+
+# The longest chains of real devices have some thirty models.
+MOST_MODELS = 256
+
+# Addresses at which a chain is sought; SunSpec names three.
+MOST_BASES = 16
+
+# Registers of one response (function 3).
+MOST_REGISTERS = 125
+
+
+class SunSpecError(ModbusError):
+    """The device has no chain of SunSpec models at the given addresses."""
+
+
+class _Header(NamedTuple):
+    """
+    The header of one model.
+
+    Attributes:
+        id: 1..65534.
+        address: of the register with the id.
+        length: the number of registers after the header.
+    """
+
+    id: int
+    address: int
+    length: int
+
+
+@dataclass
+class _Chain:
+    """
+    The headers of a chain of models.
+
+    Attributes:
+        base: the address of the marker.
+        headers: in their order, without the end model.
+        end: the address of the end model; None if the chain ends without one.
+        notes: what is wrong with the chain, each as one sentence.
+    """
+
+    base: int
+    headers: list[_Header] = field(default_factory=list)
+    end: int | None = None
+    notes: list[str] = field(default_factory=list)
+
+
+def _checked_bases(bases: Iterable[int]) -> tuple[int, ...]:
+    """
+    Return the addresses at which a chain may begin.
+
+    Raises:
+        TypeError, ValueError: `bases` is not a list of 1..16 addresses.
+    """
+    if isinstance(bases, str | bytes) or not isinstance(bases, Iterable):
+        raise WrongType("bases", f"must be a list of addresses, not {type(bases).__name__}")
+    most = TABLE_SIZE - len(MARKER)
+    found = tuple(integer(("bases", at), each, 0, most) for at, each in enumerate(bases))
+    if not 1 <= len(found) <= MOST_BASES:
+        raise WrongValue("bases", f"must hold 1..{MOST_BASES} addresses, not {len(found)}")
+    return tuple(dict.fromkeys(found))
+
+
+def walk(bases: Iterable[int]) -> Steps[_Chain]:
+    """
+    Find the marker, and follow the chain to its end.
+
+    Raises:
+        SunSpecError: there is no marker.
+        ModbusError: there is no answer.
+    """
+    chain = yield from _begun(bases)
+    address = chain.base + len(MARKER)
+    while len(chain.headers) < MOST_MODELS:
+        if address + HEADER > TABLE_SIZE:
+            chain.notes.append("the chain has no end model before address 65535")
+            return chain
+        answer = yield from _asked(address, HEADER)
+        if isinstance(answer, ExceptionResponse):
+            chain.notes.append(f"the chain has no end model: address {address}: {answer}")
+            return chain
+        header = _Header(answer[0], address, answer[1])
+        if header.id == END:
+            chain.end = address
+            return chain
+        if note := _mistake(header):
+            chain.notes.append(note)
+            return chain
+        chain.headers.append(header)
+        address += HEADER + header.length
+    chain.notes.append(f"the chain has more than {MOST_MODELS} models; the rest is left out")
+    return chain
+
+
+def _begun(bases: Iterable[int]) -> Steps[_Chain]:
+    reasons = []
+    for base in bases:
+        answer = yield from _asked(base, len(MARKER))
+        if answer == MARKER:
+            return _Chain(base)
+        told = answer if isinstance(answer, ExceptionResponse) else "no SunS there"
+        reasons.append(f"address {base}: {told}")
+    raise SunSpecError(f"the device has no SunSpec models: {'; '.join(reasons)}")
+
+
+def _mistake(header: _Header) -> str:
+    if header.id == 0:
+        return f"the chain has no end model: there is no model 0, as at address {header.address}"
+    if header.address + HEADER + header.length > TABLE_SIZE:
+        return (
+            f"model {header.id} at address {header.address} is left out: its length,"
+            f" {header.length}, leads beyond address 65535"
+        )
+    return ""
+
+
+def _read_span(address: int, count: int) -> Steps[list[int] | ExceptionResponse]:
+    """
+    Read registers in as few requests as there can be.
+
+    Returns:
+        The registers, or the exception response to one of the requests.
+    """
+    found: list[int] = []
+    for first, length in _pieces(address, count):
+        answer = yield from _asked(first, length)
+        if isinstance(answer, ExceptionResponse):
+            return answer
+        found += answer
+    return found
+
+
+def _pieces(address: int, count: int) -> Iterator[tuple[int, int]]:
+    stop = address + count
+    for first in range(address, stop, MOST_REGISTERS):
+        yield first, min(MOST_REGISTERS, stop - first)
+
+
+def _asked(address: int, count: int) -> Generator[Any, Any, list[int] | ExceptionResponse]:
+    """Ask for registers; return them, or the exception response."""
+    (answer,) = yield Several([pdu.ReadHoldingRegisters(address, count)], 1, True)
+    if isinstance(answer, ModbusError) and not isinstance(answer, ExceptionResponse):
+        raise answer
+    return answer  # type: ignore[no-any-return]
+
+
+# --- what is found --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -109,7 +274,7 @@ def _prefixed(model: SunSpecModel) -> Iterator[Point]:
         )
 
 
-def names_of(headers: Iterable[Header], known: Iterable[str | None]) -> Iterator[str]:
+def names_of(headers: Iterable[_Header], known: Iterable[str | None]) -> Iterator[str]:
     """Yield a name for each model; the second one of a name ends with 2, and so on."""
     seen: dict[str, int] = {"end": 1, "SunS": 1}
     for header, given in zip(headers, known, strict=True):
@@ -187,7 +352,7 @@ def discover(client: Any, *, bases: Iterable[int] = BASES) -> Any:
     if not isinstance(client, Blocking | Awaiting):
         raise WrongType("client", f"must be a client, not {type(client).__name__}")
     folder()  # before anything is sent
-    return client._follow(_discovery, (checked_bases(bases),), {})
+    return client._follow(_discovery, (_checked_bases(bases),), {})
 
 
 def _discovery(_: object, bases: Iterable[int]) -> Steps[SunSpecDevice]:
@@ -210,14 +375,14 @@ def _discovery(_: object, bases: Iterable[int]) -> Steps[SunSpecDevice]:
     return SunSpecDevice(chain.base, tuple(models), chain.end, tuple(chain.notes))
 
 
-def _counts(chain: Chain, header: Header, group: Mapping[str, Any]) -> Steps[dict[str, int]]:
+def _counts(chain: _Chain, header: _Header, group: Mapping[str, Any]) -> Steps[dict[str, int]]:
     """Read the points by which groups are repeated."""
     offsets = counters_of(group)
     offsets = {name: at for name, at in offsets.items() if at < HEADER + header.length}
     if not offsets:
         return {}
     first, last = min(offsets.values()), max(offsets.values())
-    cells = yield from read_span(header.address + first, last - first + 1)
+    cells = yield from _read_span(header.address + first, last - first + 1)
     if isinstance(cells, ExceptionResponse):
         chain.notes.append(f"{_told(header)}: its repeated groups are left out: {cells}")
         return {}
@@ -225,7 +390,7 @@ def _counts(chain: Chain, header: Header, group: Mapping[str, Any]) -> Steps[dic
     return {name: 0 if count == NOT_IMPLEMENTED else count for name, count in found.items()}
 
 
-def _notes(header: Header, laid: Laid) -> Iterator[str]:
+def _notes(header: _Header, laid: Laid) -> Iterator[str]:
     for note in laid.notes:
         yield f"{_told(header)} has the length {header.length}: {note}"
     rest = HEADER + header.length - laid.used
@@ -233,15 +398,15 @@ def _notes(header: Header, laid: Laid) -> Iterator[str]:
         yield f"{_told(header)} has {rest} registers more than its definition"
 
 
-def _told(header: Header) -> str:
+def _told(header: _Header) -> str:
     return f"model {header.id} at address {header.address}"
 
 
-def _place(header: Header) -> tuple[int, int, int]:
+def _place(header: _Header) -> tuple[int, int, int]:
     return header.id, header.address, header.length
 
 
-def _unknown(header: Header, name: str) -> SunSpecModel:
+def _unknown(header: _Header, name: str) -> SunSpecModel:
     """Return a model without a definition: its registers as they are."""
     points = [
         Point("ID", TABLE, header.address, access="read"),

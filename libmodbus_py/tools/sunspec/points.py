@@ -10,11 +10,13 @@ from typing import Any, NamedTuple
 from ...maps.point import Point
 from ...maps.point_checks import MAX_DESCRIPTION
 from ...protocol.tables import TABLE_SIZE, Table
-from .chain import HEADER
 
-__all__ = ["MOST_POINTS", "Laid", "ModelLayout", "counters_of"]
+__all__ = ["HEADER", "MOST_POINTS", "Laid", "ModelLayout", "counters_of"]
 
 TABLE: Table = "holding_registers"
+
+HEADER = 2
+"""Registers of the header of a model: id and length."""
 
 MOST_POINTS = 10000
 """Points of one device, as many as a map file may have."""

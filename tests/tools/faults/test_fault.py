@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from libmodbus_py import Server, pdu
 from libmodbus_py.protocol.framing import Frame
-from libmodbus_py.tools.faults.answers import Faults
 from libmodbus_py.tools.faults.fault import Fault
+from libmodbus_py.tools.faults.server import Faults
 from tests.tools.faults.serving import READ, REQUEST, made_device
 
 

@@ -67,7 +67,7 @@ FORMATS: dict[str, tuple[Callable[[Path, Keys], Path], Callable[[Path], object],
 }
 """Format -> how it is written and read, and the lines above the keys."""
 
-WRONG: list[tuple[Keys, str, str]] = [
+BAD_MEANINGS: list[tuple[Keys, str, str]] = [
     ({"states": {0: "x", 1: "x"}}, "states", "must have a name of its own; 'x' occurs twice"),
     ({"states": {70000: "x"}}, "states", "must be in 0..65535, not 70000"),
     ({"bits": {0: "x", 1: "x"}}, "bits", "must have a name of its own; 'x' occurs twice"),
@@ -94,7 +94,7 @@ WRONG: list[tuple[Keys, str, str]] = [
 ]
 
 
-@each_case(("keys", "wrong", "reason"), WRONG)
+@each_case(("keys", "wrong", "reason"), BAD_MEANINGS)
 @pytest.mark.parametrize("form", list(FORMATS))
 def test_a_mistake_is_one_line_with_its_place(
     tmp_path_factory: pytest.TempPathFactory, form: str, keys: Keys, wrong: str, reason: str

@@ -15,8 +15,13 @@ import pytest
 from libmodbus_py.listen import listen
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.tools.listener import sources
+from libmodbus_py.tools.listener.separator import LineFraming, Separator
 from libmodbus_py.tools.listener.sources import TapLink
+from tests.server.test_server import BODIES, MADE
+from tests.support.cases import each_case
+from tests.support.commands import run
 from tests.support.peers import dead, until
+from tests.support.talk import rtu
 
 Ends = tuple[socket.socket, socket.socket]
 
@@ -125,3 +130,59 @@ def test_the_system_probes_both_sides() -> None:
             assert end.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
             assert end.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == sources.KEEPALIVE
         carried.close()
+
+
+# --- listeners and TLS ----------------------------------------------------------------------------
+
+
+SECURE = "tls://127.0.0.1:802"
+
+PLACES = [
+    (SECURE, None),
+    (SECURE, "tls://192.0.2.10"),
+    ("rtu+tcp://127.0.0.1:0", "tls://192.0.2.10"),
+    ("rtu:///dev/ttyUSB0", "tls://192.0.2.10"),
+]
+
+
+@each_case(("url", "between"), PLACES)
+def test_tls_is_refused_with_what_shows_it(url: str, between: str | None) -> None:
+    with pytest.raises(ValueError, match="cannot see into TLS; a gateway") as raised:
+        listen(url, between=between)
+    assert str(raised.value).startswith("tls://")
+
+
+def test_the_command_and_its_help_say_so() -> None:
+    done = run("listen", SECURE)
+    assert (done.code, done.out) == (2, "")
+    assert "listening cannot see into TLS; a gateway" in done.err
+    assert "Traffic in TLS cannot be read; libmodbus-py gateway -v" in run("listen", "--help").out
+
+
+# --- what a listener makes of frames that only silence ends, with others right behind them --------
+
+
+ASK, ANSWER = "02 03 0000 0001", "02 03 02 0001"
+
+
+def kinds(framing: LineFraming, bodies: list[str]) -> list[str]:
+    """Return what the frames are called, with silence between them."""
+    separator, done = Separator(framing), []
+    for number, body in enumerate(bodies):
+        done += separator.feed(MADE[framing](body), number / 10)
+    return [each.kind for each in done + separator.end()]
+
+
+@pytest.mark.parametrize("framing", ["rtu", "ascii"])
+def test_a_good_frame_that_nobody_sends_is_no_damage(framing: LineFraming) -> None:
+    """It is an exception to something that was not asked, or invalid."""
+    for body in ["00", "00 01 02 03", *BODIES]:
+        found = kinds(framing, [ASK, ANSWER, f"02 {body}", ASK, ANSWER])
+        assert found[0] == found[-1] == "answered", body
+        assert found[1:-1] in (["unasked"], ["invalid"]), body
+
+
+def test_a_wrong_crc_is_damage() -> None:
+    separator = Separator("rtu")
+    done = separator.feed(rtu("02 83 02 00")[:-1] + b"\x00", 0.0)
+    assert [each.kind for each in done + separator.end()] == ["damaged"]

@@ -37,6 +37,7 @@ BEFORE = {"log": {1: ["a"], 2: ["b"]}, "view": {"count": 1}}
         ({"log": {1: ["a"], 2: ["b"]}}, {"view": None}),
         (BEFORE | {"log": {2: ["c"], 3: ["d"]}}, {"log": {1: None, 2: ["c"], 3: ["d"]}}),
         (BEFORE | {"log": {}, "rows": {}}, {"log": {1: None, 2: None}, "rows": {}}),
+        (BEFORE | {"log": {2: ["b"], 1: ["new"]}}, {"log": {1: ["new"]}}),  # gone, and there again
     ],
 )
 def test_a_message_is_the_difference_of_rows(after: Any, message: object) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py.tools.page.web import FILES
+from libmodbus_py.tools.page.page import FILES
 from tests.support.cases import each_case
 from tests.support.commands import PAGE_TOKEN, Started, page_url, run
 from tests.tools.page.watching import Visitor, shown, until
@@ -250,7 +250,7 @@ def test_who_says_nothing_keeps_nobody_out() -> None:
 
 
 def test_who_trickles_has_gone_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("libmodbus_py.tools.page.web.LIMIT", 0.5)
+    monkeypatch.setattr("libmodbus_py.tools.page.page.LIMIT", 0.5)
     with shown() as (_, _, visitor), socket.create_connection(visitor.address, 20) as loris:
         until(lambda: not _trickles(loris))
 

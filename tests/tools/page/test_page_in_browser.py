@@ -24,7 +24,7 @@ from libmodbus_py.page import live_page
 from libmodbus_py.tools.simulator.device_file import load
 from tests.tools.page.browsers import browser, console, missing, resize
 from tests.tools.page.persons import Person
-from tests.tools.page.test_holding import PLANT
+from tests.tools.page.test_changes import PLANT
 from tests.tools.page.watching import made_server, until
 
 pytestmark = [

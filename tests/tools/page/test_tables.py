@@ -107,6 +107,21 @@ def test_devices_that_are_replaced_vanish_and_their_history_stays_with_those_tha
         assert gone == "this value no longer exists"
 
 
+def test_a_browser_that_comes_back_has_all_rows_and_none_that_went_meanwhile() -> None:
+    plant = Plant()
+    plant.describe(("a", "x"), ("b", "x"))
+    with table_page(TableSource(plant)) as page:
+        with Visitor(page.url).watching() as visitor:
+            visitor.look_at()
+            visitor.receive(lambda: count(visitor) == 4)
+        plant.describe(("b", "x"))
+        plant.put("b", "x", 7)
+        with Visitor(page.url).watching() as visitor:
+            visitor.look_at()
+            visitor.receive(lambda: names(visitor) == ["b", "x"])
+            assert visitor.rows("rows")[1][2] == ["7", "V"]
+
+
 def test_history_is_that_of_memory_and_before_it_that_of_the_journal() -> None:
     asked: list[Any] = []
     now = time.time()

@@ -5,15 +5,18 @@ Values that move by themselves.
 from __future__ import annotations
 
 import math
+import resource
+import time
+from itertools import pairwise
 
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from libmodbus_py import IllegalDataAddress, pdu, values
+from libmodbus_py import IllegalDataAddress, ServerDeviceFailure, pdu, values
 from libmodbus_py.tools.simulator.behaviour import Counter, RandomWalk
 from tests.support.cases import each_case
-from tests.tools.simulator.simulated_units import Clock, answer, inputs, numbers, unit
+from tests.tools.simulator.simulated_units import Clock, answer, holding, inputs, numbers, unit
 
 
 @each_case(
@@ -155,3 +158,264 @@ def test_behaviours_check_themselves() -> None:
         Counter(step=0)
     with pytest.raises(ValueError, match="high must be above low"):
         RandomWalk(5, 5, 1)
+
+
+# --- values that are copies of others -------------------------------------------------------------
+
+
+def test_copies_of_2000_copies_are_made_at_once() -> None:
+    """Each finds its sources run by run, and copies them together."""
+    tables = ["coils", "discrete_inputs", "holding_registers", "input_registers"]
+    text = "".join(
+        f"[[unit.{table}]]\naddress = 0\ncount = 2000\n"
+        f"copy = {{ table = '{other}', address = 0 }}\n"
+        for table, other in pairwise(tables)
+    )
+    device = unit(text + "[[unit.input_registers]]\naddress = 0\ncount = 2000")
+    device.mapping.input_registers[0:2000] = [at % 3 == 0 for at in range(2000)]
+    assert answer(device, pdu.ReadCoils(0, 2000)) == [at % 3 == 0 for at in range(2000)]
+
+
+def test_copies_go_on_from_run_to_run() -> None:
+    """In the rhythm of the first; a longer value behind it is not hit in its middle."""
+    device = unit("""
+        [[unit.holding_registers]]
+        address = 0
+        count = 6
+        copy = { table = "input_registers", address = 10 }
+        [[unit.coils]]
+        address = 0
+        count = 3
+        copy = { table = "holding_registers", address = 1 }
+        [[unit.input_registers]]
+        address = 10
+        type = "uint32"
+        values = [1, 70000]
+        [[unit.input_registers]]
+        address = 14
+        values = [3, 99, 4, 99]
+        [[unit.input_registers]]
+        address = 18
+        type = "uint32"
+        values = [5, 6]
+    """)
+    assert holding(device, 0, 6) == [1, 65535, 3, 4, 5, 6]
+    assert holding(device, 3, 2) == [4, 5]
+    assert answer(device, pdu.ReadCoils(0, 3)) == [True, True, True]
+
+
+COPIES = """
+    [[unit.holding_registers]]
+    address = 0
+    type = "{source}"
+    count = 2
+    value = {value}
+    [[unit.input_registers]]
+    address = 7
+    type = "{target}"
+    count = 2
+    copy = {{ table = "holding_registers", address = 0, scale = {scale} }}
+"""
+
+
+@each_case(
+    ("source", "value", "target", "scale", "expected"),
+    [
+        ("uint16", 555, "uint16", 1, 555),
+        ("float32", 21.56, "int16", 10, 216),
+        ("float32", 21.5, "float64", -2, -43.0),
+        ("int16", -5, "uint16", 1, 0),
+        ("uint32", 70000, "uint16", 1, 65535),
+        ("uint16", 70, "bcd16", 1000, 9999),
+        ("float64", 1e300, "float32", 1, values.value_type("float32").decode([0x7F7F, 0xFFFF])),
+        ("float64", 1e300, "float16", -1, -65504.0),
+        ("float64", "nan", "int16", 1, 0),
+        ("float64", "inf", "int16", -1, -32768),
+        ("uint64", (1 << 64) - 1, "uint64", 1, (1 << 64) - 1),
+        ("string:4", '"abc"', "string:4", 1, "abc"),
+        ("bits16", [1] + [0] * 15, "bits16", 1, [True] + [False] * 15),
+    ],
+)
+def test_copies(source: str, value: object, target: str, scale: float, expected: object) -> None:
+    device = unit(COPIES.format(source=source, value=value, target=target, scale=scale))
+    count = 2 * values.value_type(target).registers
+    assert values.value_type(target).decode_many(inputs(device, 7, count)) == [expected, expected]
+
+
+def test_a_copy_follows_what_clients_write() -> None:
+    device = unit(COPIES.format(source="uint16", value=0, target="uint16", scale=2))
+    answer(device, pdu.WriteRegisters(0, (5, 6)))
+    assert inputs(device, 7, 2) == [10, 12]
+    assert inputs(device, 8) == [12]
+
+
+def test_a_copy_of_what_is_no_value_is_exception_4() -> None:
+    device = unit(COPIES.format(source="bcd16", value=1, target="uint16", scale=1))
+    answer(device, pdu.WriteRegister(0, 0xABCD))
+    with pytest.raises(ServerDeviceFailure):
+        inputs(device, 7)
+    assert inputs(device, 8) == [1]
+
+
+def test_a_copy_of_a_copy_is_of_now() -> None:
+    clock = Clock()
+    device = unit(
+        """
+        [[unit.holding_registers]]
+        address = 9
+        counter = {}
+        [[unit.holding_registers]]
+        address = 1
+        count = 8
+        copy = { table = "holding_registers", address = 2, scale = 2 }
+    """,
+        clock,
+    )
+    clock.now += 3
+    assert holding(device, 1) == [3 << 8]
+    assert holding(device, 8, 2) == [6, 3]
+
+
+# --- values that walk at random -------------------------------------------------------------------
+
+
+def test_a_random_walk_with_a_seed_is_the_same_after_every_start() -> None:
+    text = """
+        [[unit.input_registers]]
+        address = 0
+        count = 3
+        random_walk = { low = 0, high = 1000, step = 50, interval = 0.1, seed = 1 }
+    """
+    walks = []
+    for _ in range(2):
+        clock = Clock()
+        device = unit(text, clock)
+        walk = []
+        for _ in range(50):
+            walk.append(inputs(device, 0, 3))
+            assert inputs(device, 0, 3) == walk[-1]
+            clock.now += 0.1
+        walks.append(walk)
+    assert walks[0] == walks[1]
+    assert walks[0][0] == [500, 500, 500]
+    columns = list(zip(*walks[0], strict=True))
+    assert len(set(columns)) == 3
+    assert all(len(set(column)) > 20 for column in columns)
+
+
+def test_a_random_walk_with_a_seed_is_the_same_whenever_it_is_read() -> None:
+    text = """
+        [[unit.input_registers]]
+        address = 0
+        random_walk = { low = 0, high = 1000, step = 50, interval = 0.001, seed = 1 }
+    """
+    clocks = [Clock(), Clock()]
+    often, seldom = (unit(text, clock) for clock in clocks)
+    for _ in range(3):
+        for _ in range(500):
+            clocks[0].now += 0.025
+            inputs(often, 0)
+        clocks[1].now = clocks[0].now
+        assert inputs(often, 0) == inputs(seldom, 0)
+
+
+@given(step=st.floats(0.01, 500), start=st.integers(0, 10**12), seed=st.integers(0, 1 << 63))
+def test_no_move_of_a_random_walk_is_longer_than_its_step(
+    step: float, start: int, seed: int
+) -> None:
+    clock = Clock()
+    behaviour = f"random_walk = {{ low = -250, high = 250, step = {step!r}, seed = {seed} }}"
+    device = unit(f'[[unit.input_registers]]\naddress = 0\ntype = "float64"\n{behaviour}', clock)
+    clock.now += start + 0.5
+    before = None
+    for _ in range(20):
+        (value,) = values.value_type("float64").decode_many(inputs(device, 0, 4))
+        assert before is None or abs(value - before) <= step * 1.000001
+        before = value
+        clock.now += 1
+
+
+def test_random_walks_get_about() -> None:
+    """To both sides of where they begin, each its own way, further in a longer time."""
+    clock = Clock()
+    text = "random_walk = { low = 0, high = 60000, step = 10, seed = 3 }"
+    device = unit(f"[[unit.input_registers]]\naddress = 0\ncount = 100\n{text}", clock)
+    spread = {}
+    for moves in (16, 256, 4096, 65536):
+        clock.now = 1000.0 + moves
+        ways = [value - 30000 for value in inputs(device, 0, 100)]
+        assert min(ways) < 0 < max(ways)
+        assert len(set(ways)) > 20
+        spread[moves] = math.sqrt(sum(way * way for way in ways) / 100)
+    # Four times as far in 16 times as many moves; a third of that or three times is chance.
+    for before, after in pairwise(spread.values()):
+        assert 4 / 3 < after / before < 12
+
+
+def test_2000_random_walks_at_once_do_not_stop_the_server() -> None:
+    """Not after an hour in which nobody looked, nor at each later read."""
+    clock = Clock()
+    walk = "random_walk = { low = 0, high = 1, step = 1, interval = 0.001 }"
+    device = unit(f"[[unit.coils]]\naddress = 0\ncount = 65536\n{walk}", clock)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    start = time.process_time()
+    for at in range(0, 65536 - 2000, 2000):
+        clock.now += 3600
+        assert len(answer(device, pdu.ReadCoils(at, 2000))) == 2000
+    # 32 reads; a move for each millisecond would take one second for each read.
+    assert time.process_time() - start < 8
+    # A random generator for each would take 2.5 KB.
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
+
+
+def test_a_random_walk_after_a_year_is_quick() -> None:
+    clock = Clock()
+    device = unit(
+        """
+        [[unit.input_registers]]
+        address = 0
+        count = 100
+        random_walk = { low = 0, high = 9, step = 1, interval = 0.001 }
+    """,
+        clock,
+    )
+    inputs(device, 0, 100)
+    clock.now += 365 * 86400
+    start = time.process_time()
+    assert all(0 <= value <= 9 for value in inputs(device, 0, 100))
+    assert time.process_time() - start < 5
+
+
+def test_a_random_walk_turns_round_at_its_limits() -> None:
+    clock = Clock()
+    text = "random_walk = { low = 100, high = 110, step = 10 }"
+    device = unit(f'[[unit.input_registers]]\naddress = 0\ntype = "float64"\n{text}', clock)
+    for _ in range(300):
+        clock.now += 1
+        assert 100 < values.value_type("float64").decode(inputs(device, 0, 4)) < 110
+
+
+@given(low=numbers, span=st.floats(1, 1e5), moments=st.lists(st.floats(0, 100), max_size=20))
+def test_waves_and_walks_stay_between_their_limits(
+    low: float, span: float, moments: list[float]
+) -> None:
+    clock = Clock()
+    high = low + span
+    limits = f"low = {low!r}, high = {high!r}"
+    device = unit(
+        f"""
+        [[unit.input_registers]]
+        address = 0
+        type = "float64"
+        sine = {{ {limits}, period = 7 }}
+        [[unit.input_registers]]
+        address = 4
+        type = "float64"
+        random_walk = {{ {limits}, step = {high - low!r} }}
+    """,
+        clock,
+    )
+    for moment in moments:
+        clock.now += moment
+        for value in values.value_type("float64").decode_many(inputs(device, 0, 8)):
+            assert low - span * 1e-9 <= value <= high + span * 1e-9

@@ -6,10 +6,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, ExceptionResponse, IllegalDataAddress, Server, pdu
+from libmodbus_py import Context, Device, ExceptionResponse, IllegalDataAddress, Server, pdu
+from libmodbus_py.serve import Caller
 from libmodbus_py.tools.faults.fault import Fault
 from libmodbus_py.tools.simulator.device_file import load, parse
 from tests.support.cases import each_case
@@ -138,3 +140,236 @@ def test_every_unit_of_a_file_without_id_is_served(tmp_path: Path) -> None:
                 assert client.read_holding_registers(0, 1) == [42]
                 with pytest.raises(ExceptionResponse, match="exception 3"):
                     client.read_coils(0, 1)
+
+
+# --- which requests the ranges of a device file allow ---------------------------------------------
+
+
+ACCESS = """
+    [[unit.holding_registers]]
+    address = 0
+    count = 2
+    [[unit.holding_registers]]
+    address = 2
+    count = 2
+    access = "read"
+    [[unit.holding_registers]]
+    address = 4
+    count = 2
+    access = "write"
+    [[unit.holding_registers]]
+    address = 8
+    count = 2
+    access = "read_write"
+    [[unit.coils]]
+    address = 0
+    count = 2
+    [[unit.coils]]
+    address = 2
+    access = "read"
+    [[unit.coils]]
+    address = 3
+    access = "write"
+    [[unit.file]]
+    number = 1
+    record = 0
+    count = 2
+    [[unit.file]]
+    number = 1
+    record = 2
+    access = "read"
+    [[unit.file]]
+    number = 1
+    record = 3
+    access = "write"
+    [[unit.file]]
+    number = 1
+    record = 6
+    [[unit.file]]
+    number = 2
+    record = 3
+"""
+
+# Request -> whether it is executed; neighbours that allow the same are one range.
+REQUESTS = [
+    (pdu.ReadHoldingRegisters(0, 4), True),
+    (pdu.ReadHoldingRegisters(0, 5), False),
+    (pdu.ReadHoldingRegisters(3, 2), False),
+    (pdu.ReadHoldingRegisters(4, 1), False),
+    (pdu.ReadHoldingRegisters(6, 1), False),
+    (pdu.ReadHoldingRegisters(6, 2), False),
+    (pdu.ReadHoldingRegisters(7, 2), False),
+    (pdu.ReadHoldingRegisters(8, 2), True),
+    (pdu.ReadHoldingRegisters(9, 2), False),
+    (pdu.WriteRegister(1, 9), True),
+    (pdu.WriteRegister(2, 9), False),
+    (pdu.WriteRegister(4, 9), True),
+    (pdu.WriteRegister(6, 9), False),
+    (pdu.WriteRegisters(0, (9, 9)), True),
+    (pdu.WriteRegisters(1, (9, 9)), False),
+    (pdu.WriteRegisters(4, (9, 9)), True),
+    (pdu.WriteRegisters(5, (9, 9)), False),
+    (pdu.MaskWriteRegister(0, 0, 0), True),
+    (pdu.MaskWriteRegister(3, 0, 0), False),
+    (pdu.ReadWriteRegisters(0, 4, 4, (9, 9)), True),
+    (pdu.ReadWriteRegisters(4, 1, 0, (9, 9)), False),
+    (pdu.ReadWriteRegisters(0, 1, 2, (9,)), False),
+    (pdu.ReadCoils(0, 3), True),
+    (pdu.ReadCoils(2, 2), False),
+    (pdu.WriteCoil(3, True), True),
+    (pdu.WriteCoil(2, True), False),
+    (pdu.WriteCoils(0, (True, True)), True),
+    (pdu.WriteCoils(1, (True, True)), False),
+    (pdu.ReadFileRecords(((1, 0, 3),)), True),
+    (pdu.ReadFileRecords(((1, 2, 2),)), False),
+    (pdu.ReadFileRecords(((1, 4, 1),)), False),
+    (pdu.ReadFileRecords(((1, 6, 1), (2, 3, 1))), True),
+    (pdu.ReadFileRecords(((2, 0, 1),)), False),
+    (pdu.ReadFileRecords(((3, 0, 1),)), False),
+    (pdu.WriteFileRecords(((1, 0, (9, 9)),)), True),
+    (pdu.WriteFileRecords(((1, 3, (9,)),)), True),
+    (pdu.WriteFileRecords(((1, 0, (9,)), (1, 2, (9,)))), False),
+]
+
+
+@each_case(("request_", "is_executed"), REQUESTS, ids=str)
+def test_what_a_range_does_not_allow_is_exception_2(
+    request_: pdu.Request[Any], is_executed: bool
+) -> None:
+    device = unit(ACCESS)
+    tables = device.mapping.holding_registers, device.mapping.coils, *device.files.values()
+    before = [list(table) for table in tables]
+    if is_executed:
+        answer(device, request_)
+    else:
+        with pytest.raises(IllegalDataAddress):
+            answer(device, request_)
+    # A mask write of 0 and 0 leaves the 0 that is there.
+    writes = hasattr(request_, "values") or hasattr(request_, "value") or bool(_pieces(request_))
+    assert ([list(table) for table in tables] != before) is (is_executed and writes)
+
+
+def _pieces(request: pdu.Request[Any]) -> list[Any]:
+    return list(request.records) if isinstance(request, pdu.WriteFileRecords) else []
+
+
+# --- roles in device files ------------------------------------------------------------------------
+
+
+PLANT = Path(__file__).parents[3] / "examples" / "plant.toml"
+
+UNITS = """
+[[unit]]
+id = 1
+[[unit.holding_registers]]
+address = 0
+count = 100
+[[unit.coils]]
+address = 0
+
+[[unit]]
+id = 2
+[[unit.holding_registers]]
+address = 0
+count = 100
+"""
+
+
+def devices(text: str) -> dict[int, Device]:
+    found = parse(text).devices
+    assert isinstance(found, dict)
+    return found
+
+
+def code(device: Device, request: pdu.Request[Any], role: str | None) -> int:
+    answer = device.answer(request.encode(), Caller(1, role=role))
+    return answer[1] if answer[0] & 0x80 else 0
+
+
+READ, WRITE = pdu.ReadHoldingRegisters(0, 10), pdu.WriteRegister(20, 1)
+
+
+def test_without_roles_all_is_allowed() -> None:
+    for device in devices(UNITS).values():
+        for role in (None, "Viewer"):
+            assert code(device, READ, role) == code(device, WRITE, role) == 0
+
+
+def test_one_role_refuses_the_rest() -> None:
+    text = """
+    [roles.Viewer]
+    read = ["coils", {table = "holding_registers", address = 0, count = 10}]
+    functions = ["43/14"]
+    [roles."Shift leader"]
+    read = "all"
+    write = [{table = "holding_registers", address = 20, count = 1}]
+    [roles.""]
+    functions = [17]
+    """
+    for device in devices(UNITS + text).values():
+        for role, read, write, identify, server_id in (
+            ("Viewer", 0, 1, 0, 1),
+            ("Shift leader", 0, 0, 1, 1),
+            (None, 1, 1, 1, 0),
+            ("Engineer", 1, 1, 1, 1),
+            ("", 1, 1, 1, 1),
+        ):
+            assert code(device, READ, role) == read
+            assert code(device, WRITE, role) == write
+            assert code(device, pdu.ReadDeviceIdentification(1), role) == identify
+            assert code(device, pdu.ReportServerId(), role) == server_id
+        assert code(device, pdu.ReadHoldingRegisters(0, 11), "Viewer") == 1
+        assert code(device, pdu.WriteRegister(21, 1), "Shift leader") == 1
+
+
+def test_a_unit_may_have_its_own() -> None:
+    text = UNITS + '[unit.roles.Engineer]\nwrite = "all"\n[roles.Viewer]\nread = "all"\n'
+    first, second = devices(text).values()
+    assert [code(first, READ, role) for role in ("Viewer", "Engineer")] == [0, 1]
+    assert [code(second, READ, role) for role in ("Viewer", "Engineer")] == [1, 1]
+    assert [code(second, WRITE, role) for role in ("Viewer", "Engineer")] == [1, 0]
+
+
+@pytest.mark.parametrize("text", ["roles = {}\n", "[roles]\n", "[roles.Viewer]\n"])
+def test_no_rule_allows_nothing(text: str) -> None:
+    text = text + UNITS
+    for device in devices(text).values():
+        assert code(device, READ, None) == code(device, READ, "Viewer") == 1
+
+
+def test_what_does_not_exist_is_not_told_to_who_may_not_read_it() -> None:
+    text = UNITS + '[roles.Viewer]\nread = ["holding_registers"]\n'
+    device = devices(text)[1]
+    assert code(device, pdu.ReadHoldingRegisters(200, 1), "Viewer") == 2
+    assert code(device, pdu.ReadHoldingRegisters(200, 1), None) == 1
+
+
+def test_files_and_queues() -> None:
+    text = """
+    [[unit]]
+    [[unit.file]]
+    number = 4
+    record = 0
+    count = 100
+    [[unit.fifo]]
+    address = 5
+    values = [1]
+    [roles.Viewer]
+    read = ["fifo", {table = "file", file = 4, address = 0, count = 10}]
+    """
+    device = parse(text).devices
+    assert isinstance(device, Device)
+    assert code(device, pdu.ReadFifoQueue(5), "Viewer") == 0
+    assert code(device, pdu.ReadFileRecords(((4, 0, 10),)), "Viewer") == 0
+    assert code(device, pdu.ReadFileRecords(((4, 0, 11),)), "Viewer") == 1
+    assert code(device, pdu.ReadFileRecords(((3, 0, 1),)), "Viewer") == 1
+
+
+def test_the_example_does_what_it_says() -> None:
+    plant = load(PLANT).devices
+    assert isinstance(plant, dict)
+    boiler = plant[1]
+    allowed = pdu.ReadHoldingRegisters(100, 3)
+    assert [code(boiler, allowed, role) for role in (None, "Viewer", "Thief")] == [0, 0, 1]
+    for role, expected in (("Operator", 0), ("Viewer", 1), (None, 0)):
+        assert code(boiler, pdu.ReportServerId(), role) == expected

@@ -82,16 +82,12 @@ def contents_of_text(text: str, suffix: str, most: int, columns: Mapping[str, st
     if suffix == ".toml":
         if columns:
             raise ValueError("columns are for CSV; the keys of TOML have the names of arguments")
-        return _from_toml(text, most)
+        return collected(Contents(), _toml_entries(text), most)
     for kind in columns:
         if kind not in csv_form.READERS:
             allowed = ", ".join(csv_form.READERS)
             raise ValueError(f"columns must name some of {allowed}, not {kind!r}")
     return _from_csv(text, most, columns)
-
-
-def _from_toml(text: str, most: int) -> Contents:
-    return collected(Contents(), _toml_entries(text), most)
 
 
 def _toml_entries(text: str) -> Iterator[MapEntry]:
