@@ -55,7 +55,7 @@ DECIDING = [
     *("client", "services/gateway", "services/fleet", "services/workers", "protocol"),
     *(f"server/{name}.py" for name in ("addresses", "framed")),
     *(f"server/{name}.py" for name in ("limits", "peer", "peers", "sessions")),
-    "tools/faults/answers.py",
+    "tools/faults/server.py",
 ]
 
 # Where the tests of a folder stand, if not in the folder of the same name; all have the world.

@@ -2,8 +2,8 @@
 Decides which response belongs to which request of one connection or line, and how each ended.
 
 All tools that show or record traffic use these rules: the page and the pytest plugin for the trace
-of a server, scans for the trace of a client, and listeners for the frames of a line (`naming` first
-decides which of these are requests).
+of a server, scans for the trace of a client, and listeners for the frames of a line (`separator`
+first decides which of these are requests).
 
 * A response belongs to the first open request with the same unit, function code and transaction
   id (0 on lines) to which it can be decoded as a response.
