@@ -10,9 +10,8 @@ from typing import Any
 
 from ...tools.page.log import Log
 from ...tools.page.samples import Series
-from ...tools.page.table_source import Column, Older, PageRow
+from ...tools.page.table_source import COLUMNS, Column, Older, PageRow, ShownPoint, Values
 from ...tools.page.text import cell_text
-from ...tools.page.values import COLUMNS, ShownPoint, Values
 from .formatters import ReadResult
 from .reading import Printer
 

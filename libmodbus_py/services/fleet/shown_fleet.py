@@ -9,9 +9,17 @@ from typing import Any
 
 from ...tools.page.log import Log
 from ...tools.page.samples import Series
-from ...tools.page.table_source import Column, Older, PageRow
+from ...tools.page.table_source import (
+    COLUMNS,
+    Column,
+    GroupRow,
+    Older,
+    PageRow,
+    ShownPoint,
+    Values,
+    problem_text,
+)
 from ...tools.page.text import cell_text
-from ...tools.page.values import COLUMNS, GroupRow, ShownPoint, Values, problem_text
 from .config import DeviceConfig
 from .fleet import Fleet
 from .outputs.last_values import LastValues

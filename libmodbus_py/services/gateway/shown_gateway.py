@@ -12,10 +12,9 @@ from ...ports.trace import Traced
 from ...protocol.pdu.function_codes import REQUESTS
 from ...tools.page.log import Log, request_name
 from ...tools.page.samples import Counts, RowHistory, Series
-from ...tools.page.table_source import Column, Older, PageRow
+from ...tools.page.table_source import Column, Older, PageRow, problem_text
 from ...tools.page.text import cell_text
 from ...tools.page.units import ShownServer
-from ...tools.page.values import problem_text
 from .gateway import Gateway
 from .statistics import LineStatistics, UnitStatistics
 

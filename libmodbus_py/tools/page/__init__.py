@@ -12,8 +12,7 @@ the traffic, and faults; those of fleets, gateways and watched devices show one 
       units          the units of a server, with rows of their points and cells
       log            transactions as text, and the last write to each address
 
-    table_source     a table: its search, and charts of its rows
-      values         rows of values, below those of their devices
+    table_source     a table: its search, charts of its rows, rows of values
       samples        the last numbers of a value, in few bytes, and their gaps
       text           values and names as the text of a cell
 """

@@ -10,9 +10,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from libmodbus_py.tools.page.page import table_page
-from libmodbus_py.tools.page.table_source import TableSource
+from libmodbus_py.tools.page.table_source import COLUMNS, ShownPoint, TableSource, Values
 from libmodbus_py.tools.page.text import cell_text
-from libmodbus_py.tools.page.values import COLUMNS, ShownPoint, Values
 from tests.tools.page.watching import Visitor
 
 __all__ = ["HOSTILE", "Plant", "visited"]
