@@ -6,10 +6,8 @@ their place in the file.
 from __future__ import annotations
 
 import codecs
-import os
 import re
 import reprlib
-import stat
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -21,8 +19,8 @@ from ...protocol.mistakes import Mistake, Path, WrongValue, placed
 
 # fmt: off
 __all__ = [
-    "FileError", "FilePlace", "compared", "line_of", "load_file", "read_secret",
-    "read_table", "read_text", "read_toml", "reread", "shown_key",
+    "FileError", "FilePlace", "compared", "line_of", "load_file", "read_table",
+    "read_text", "read_toml", "reread", "shown_key",
 ]
 # fmt: on
 
@@ -103,20 +101,6 @@ def read_text(path: str | PathLike[str], kind: type[FileError]) -> str:
     except UnicodeDecodeError as error:
         reason = f'byte {error.start} is not UTF-8; save it as UTF-8, in Excel as "CSV UTF-8"'
         raise kind((), reason, place=place) from None
-
-
-def read_secret(path: str | PathLike[str], kind: type[FileError]) -> str:
-    """
-    Return the text of a file that only its owner, and perhaps its group, may read.
-
-    Raises:
-        FileError: of `kind`: as `read_text`, or all users of the machine may read it.
-    """
-    text = read_text(path, kind)
-    if os.stat(path).st_mode & stat.S_IROTH:
-        reason = "all users of this machine may read it; chmod o= takes that away"
-        raise kind((), reason, place=FilePlace(fspath(path)))
-    return text
 
 
 def read_table(path: str | PathLike[str], kind: type[FileError]) -> tuple[str, str]:
