@@ -108,10 +108,9 @@ _FREE = {
 TUNING: dict[str, frozenset[str]] = {
     "of how much is done before others have their turn": frozenset(
         {
-            *("AT_ONCE", "BEHIND_AT_ONCE", "EVENTS_MAX", "FAIR_BYTES", "FOUND_AT_ONCE"),
-            *("FREED", "GREEDY_AT_ONCE", "MERGED_BYTES", "MOST_AT_ONCE", "MOST_DELETED"),
-            *("GREEDY_BYTES", "MOST_OF_JOURNAL", "MOST_WRITES", "PIECE", "READ_SIZE"),
-            *("RECEIVED_BYTES", "TOGETHER"),
+            *("AT_ONCE", "FOUND_AT_ONCE", "FREED", "MERGED_BYTES", "MOST_AT_ONCE"),
+            *("MOST_DELETED", "MOST_OF_JOURNAL", "MOST_WRITES", "PIECE", "READ_BYTES"),
+            *("READ_SIZE", "RECEIVED_BYTES", "TOGETHER", "TURN_EVENTS"),
         }
     ),
     "of memory that only floods and failures reach": frozenset(

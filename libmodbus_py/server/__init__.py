@@ -6,16 +6,13 @@ In the order in which a request goes through::
     server       DeviceServer: devices at any number of endpoints
     serving      Serving: opens endpoints, and serves in a loop, in a thread, or for ever;
                  `ENDPOINTS` has the endpoint of each transport, from the file of its name
-    background   a server in a thread of its own
-    forever      signals and garbage collection of programs that only serve
-    sockets      sockets of endpoints, which answer from the address that was asked
+    running      a server in a thread of its own; signals and garbage of programs that only serve
     tcp          takes connections and hands them to `peers`; udp answers datagrams, serial a port
-    peers        Peers: TCP connections within their limits (limits); addresses chooses which of
-                 them are paused or closed
+    peers        Peers: TCP connections within their limits; limits chooses which of them are
+                 paused or closed
     peer         Peer: one connection; Turns: all of them in one poller
     tls          TlsSession: a session within TLS, and the role of the client
     audit        Audit: who wrote what, and who was refused
-    tracing      callbacks for every ADU that sessions receive and send
     service      the interface between endpoints and what answers; `Interceptor` is what answers
                  some units in place of their devices
     sessions     ByFrame: asks devices frame by frame; ByChunk: Modbus/TCP by the chunk, in C,

@@ -30,13 +30,11 @@ __all__ = ["Audit", "AuditEvent", "AuditFile", "OnAudited", "audit_of"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-# Events that wait while the audit trail cannot be written.
-MAX_WAITING = 1000
+REMEMBERED_MAX = 1000
+"""Events that wait while they cannot be written; and disallowed hosts that were seen."""
 
-# Seconds after which another connection or datagram of a disallowed host is an event again, and
-# the number of hosts that are remembered for this.
-QUIET = 60.0
-HOSTS_REMEMBERED = 1000
+QUIET_S = 60.0
+"""Seconds after which a disallowed host that comes again is another event."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,10 +169,10 @@ class Audit:
     def note_disallowed(self, host: str, peer: str) -> None:
         """Record a connection or datagram from a network that is not served, once a minute."""
         now = time.monotonic()
-        if now < self._disallowed.get(host, -QUIET) + QUIET:
+        if now < self._disallowed.get(host, -QUIET_S) + QUIET_S:
             return
         self._disallowed.pop(host, None)
-        if len(self._disallowed) >= HOSTS_REMEMBERED:
+        if len(self._disallowed) >= REMEMBERED_MAX:
             del self._disallowed[next(iter(self._disallowed))]
         self._disallowed[host] = now
         self._tell("disallowed", peer, "not in an allowed network", None)
@@ -184,7 +182,7 @@ class Audit:
     ) -> None:
         if holder is not None:
             more |= holder._asdict()
-        if len(self._waiting) >= MAX_WAITING:
+        if len(self._waiting) >= REMEMBERED_MAX:
             self._waiting.popleft()
             self._lost += 1
         self._waiting.append(AuditEvent(datetime.now(UTC), event, peer, result, **more))

@@ -18,14 +18,12 @@ from ..protocol.rtu import may_be
 from .limits import ServerStatistics
 from .service import Channel, SessionState
 
-__all__ = ["AT_ONCE", "FOUND_AT_ONCE", "Framed", "SessionSettings"]
+__all__ = ["FOUND_AT_ONCE", "Framed", "SessionSettings"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-# Limits for one of many connections before others have their turn: bytes that are searched, and
-# requests that are answered. Searching 64 bytes is cheap; answering the requests in them is not.
-AT_ONCE = 64
 FOUND_AT_ONCE = 4
+"""Requests of one of many connections that Python answers before others have their turn."""
 
 
 class SessionSettings:
@@ -35,16 +33,15 @@ class SessionSettings:
     Args:
         endpoint: the endpoint, with the setting `echo`.
         statistics: the counters of requests.
-        at_once: the number of bytes searched for frames in one `receive`; of these frames,
-            `FOUND_AT_ONCE` are answered. None for no limit, where no other client waits.
+        has_turns: True if others wait while one connection is answered.
     """
 
     def __init__(
-        self, endpoint: Endpoint, statistics: ServerStatistics, at_once: int | None = None
+        self, endpoint: Endpoint, statistics: ServerStatistics, *, has_turns: bool = False
     ) -> None:
         self.endpoint = endpoint
         self.statistics = statistics
-        self.at_once = at_once
+        self.has_turns = has_turns
         self.framing: Framing = endpoint.framing
         self._was_echo_logged = False
 
@@ -87,7 +84,6 @@ class Framed(ABC):
         self.channel: Channel = channel
         self.trace: Trace | None = channel.trace
         self.statistics = settings.statistics
-        self._at_once = settings.at_once
         self._timer: asyncio.TimerHandle | None = None
         self._unsearched = b""
         self._is_quiet = False  # True if silence followed the unsearched bytes
@@ -125,12 +121,9 @@ class Framed(ABC):
                 self._timer.cancel()
             self._unsearched += data if self._echo is None else self._without_echo(self._echo, data)
             self._is_heard = False
-            if self._at_once is not None and len(self._unsearched) > self._at_once:
-                self.channel.follow()
-                return 0
         if not self._found and self.framer.in_step:
             self._search()
-        most = len(self._found) if self._at_once is None else FOUND_AT_ONCE
+        most = FOUND_AT_ONCE if self._settings.has_turns else len(self._found)
         now, self._found = self._found[:most], self._found[most:]
         requests = self.take(now)
         if self._held is not None and not (self._found or self._unsearched):
@@ -193,9 +186,8 @@ class Framed(ABC):
 
     def _search(self) -> None:
         if self._unsearched or not self._is_quiet:
-            piece = self._unsearched[: self._at_once]
-            self._unsearched = self._unsearched[len(piece) :]
-            self._found = self.framer.scan(piece)
+            data, self._unsearched = self._unsearched, b""
+            self._found = self.framer.scan(data)
             if self._settings.endpoint.is_datagram:
                 self._found += self.framer.scan_silence()
                 self._end_datagram()

@@ -15,7 +15,6 @@ import socket
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
-from heapq import nsmallest
 from select import POLLERR, POLLHUP, POLLIN, POLLOUT
 from typing import TYPE_CHECKING
 
@@ -23,30 +22,18 @@ from ..ports.trace import Trace
 from ..protocol.errors import FrameError
 from ..protocol.logs import HarmlessLogger
 from ..system import DescriptorPoller
-from .addresses import Address, Idle
-from .limits import Limits, ServerStatistics
-from .service import ENDS, UNREAD, Session, SessionState
+from .limits import Address, Idle, Limits, ServerStatistics
+from .service import ENDS, TURN_EVENTS, UNREAD, Session, SessionState
 
 if TYPE_CHECKING:
     from ..security.describing import CertificateHolder
 
-__all__ = ["GREEDY_BYTES", "MakePeerSession", "Peer", "Turns"]
+__all__ = ["READ_BYTES", "MakePeerSession", "Peer", "Turns"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-# Bytes read from one client in a turn, during which the others wait. A client that sends more
-# than the first number is read only when all others are answered, and then up to the second.
-FAIR_BYTES = 256
-GREEDY_BYTES = 1024
-
-# Clients served in a turn, because serial ports and new connections wait for their own turn.
-EVENTS_MAX = 128
-
-# Clients served in a turn that send more than FAIR_BYTES.
-GREEDY_AT_ONCE = 2
-
-# Clients served in a turn that sent more than is searched or answered at once.
-BEHIND_AT_ONCE = 8
+READ_BYTES = 256
+"""Read from one client in a turn, during which the others wait: 16 requests in flight fit."""
 
 # The resolution of idle times: noting the time of each request would cost more than reading
 # the request.
@@ -85,7 +72,6 @@ class Turns(ABC):
         self._next_turn: asyncio.Handle | None = None
         self._ending: BaseException | None = None  # raised by a hook to end the program
         self._in_turn = False
-        self._greedy_turns = 0
         self._now = 0.0  # the time of this turn
         self._poller = poller
         self._by_descriptor: dict[int, Peer] = {}
@@ -159,21 +145,11 @@ class Turns(ABC):
             self._next_turn = None
         self._in_turn = True
         self._now = self.loop.time()
-        greedy = []
-        for descriptor, events in self._poller.poll(0, EVENTS_MAX):
+        for descriptor, events in self._poller.poll(0, TURN_EVENTS):
             # The turn of another connection may have closed this one.
             if peer := self._by_descriptor.get(descriptor):
-                if peer.is_greedy:
-                    greedy.append((peer, events))
-                else:
-                    peer.act(events)
-        self._finish_turn()
-        if greedy:
-            self._greedy_turns += 1
-            for peer, events in nsmallest(GREEDY_AT_ONCE, greedy, key=_latest_turn):
-                peer.latest_turn = self._greedy_turns
                 peer.act(events)
-            self._finish_turn()
+        self._finish_turn()
         if self._behind:
             self._catch_up()
         self._in_turn = False
@@ -183,7 +159,7 @@ class Turns(ABC):
             raise error
 
     def _catch_up(self) -> None:
-        for _ in range(min(BEHIND_AT_ONCE, len(self._behind))):
+        for _ in range(min(TURN_EVENTS, len(self._behind))):
             self._behind.popleft().catch_up()
         self._finish_turn()
         if self._behind:
@@ -222,19 +198,14 @@ class Turns(ABC):
         self.deadlines.pop(peer, None)
 
 
-def _latest_turn(ready: tuple[Peer, int]) -> int:
-    return ready[0].latest_turn
-
-
 class Peer:
     """One client. It is read only while it takes its answers and is not throttled."""
 
     # fmt: off
     __slots__ = (
-        "_descriptor", "_is_behind", "_is_closing", "_is_full", "_is_reading",
-        "_is_sending", "_is_throttled", "_session", "_socket", "_turns", "_unsent", "address",
-        "holder", "is_greedy", "latest_turn", "role", "shared",
-        "trace",
+        "_descriptor", "_is_behind", "_is_closing", "_is_full", "_is_reading", "_is_sending",
+        "_is_throttled", "_session", "_socket", "_turns", "_unsent", "address", "holder", "role",
+        "shared", "trace",
     )
     # fmt: on
 
@@ -257,8 +228,6 @@ class Peer:
         self._descriptor = client.fileno()
         # bytes as long as the client takes them at once: mostly one answer, never copied.
         self._unsent: bytes | bytearray = b""
-        self.is_greedy: bool = False  # True if more bytes are available than were read
-        self.latest_turn: int = 0
         self._is_sending = self._is_full = self._is_throttled = self._is_closing = False
         self._is_reading = True
         self._is_behind = False  # True while it waits for its turn to catch up
@@ -273,9 +242,10 @@ class Peer:
         del self._session  # a reference cycle, which only the garbage collector would find
         self._turns.forget(self._descriptor)
         self._descriptor = -1
-        if self._unsent:  # its last bytes, if the client takes them
-            with contextlib.suppress(OSError):
-                self._socket.send(self._unsent)
+        with contextlib.suppress(OSError):
+            self._socket.send(self._unsent)  # its last bytes, if the client takes them
+            # Unread bytes would make this a reset, which takes sent answers from the client.
+            self._socket.recv(1 << 16)
         self._socket.close()
         self._turns.remove(self)
 
@@ -317,9 +287,8 @@ class Peer:
         of requests. One function only, because every request passes through it.
         """
         if data is None:
-            size = GREEDY_BYTES if self.is_greedy else FAIR_BYTES
             try:
-                data = self._socket.recv(size)
+                data = self._socket.recv(READ_BYTES)
             except (BlockingIOError, InterruptedError):
                 return 0
             except OSError:
@@ -328,7 +297,6 @@ class Peer:
             if not data:  # the client sends no more requests, but may still read answers
                 self.end()
                 return 0
-            self.is_greedy = len(data) == size
         turns, session = self._turns, self._session
         try:
             requests = session.receive(data)

@@ -14,8 +14,15 @@ from typing import TYPE_CHECKING
 
 from ..ports.port import abandoned_in_children
 from ..system import DescriptorPoller, make_poller, reserve_descriptors
-from .addresses import Address, Addresses, Idle, due
-from .limits import SPARE_DESCRIPTORS, Limits, ServerStatistics
+from .limits import (
+    SPARE_DESCRIPTORS,
+    Address,
+    Addresses,
+    Idle,
+    Limits,
+    ServerStatistics,
+    due,
+)
 from .peer import MakePeerSession, Peer, Turns
 from .service import SessionState
 

@@ -17,7 +17,7 @@ from ..device.device import Device
 from ..device.reply import replier
 from ..ports.endpoint import Endpoint
 from ..ports.trace import OnTraced
-from .framed import AT_ONCE, SessionSettings
+from .framed import SessionSettings
 from .limits import Limits, ServerStatistics
 from .service import Later, MakeSession, Service, explained
 from .serving import Running, Serving
@@ -109,7 +109,7 @@ class Devices:
     def sessions(
         self, endpoint: Endpoint, statistics: ServerStatistics, later: Later | None = None
     ) -> MakeSession:
-        settings = SessionSettings(endpoint, statistics, None if later is None else AT_ONCE)
+        settings = SessionSettings(endpoint, statistics, has_turns=later is not None)
         if not endpoint.has_transactions:
             line = SerialUnits(self._units)
             self._of_endpoints.append(line)

@@ -39,8 +39,9 @@ __all__ = [
 ENDS = (SystemExit, KeyboardInterrupt)
 
 
-TURN_EVENTS = 16
-"""Connections accepted, or datagrams answered, before other clients have their turn."""
+TURN_EVENTS = 128
+"""Connections that are accepted or read, or datagrams that are answered, in one turn: the clients
+of other endpoints wait meanwhile."""
 
 
 class Channel(Protocol):

@@ -5,45 +5,32 @@ A TCP endpoint of a server: it listens, and passes on new connections.
 from __future__ import annotations
 
 import asyncio
+import math
 import socket
-from typing import TYPE_CHECKING, Protocol
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from ..ports.endpoint import Endpoint
-from ..ports.hosts import host_and_port, reason, tcp_listener
+from ..ports.hosts import Make, Resolve, bind_all, host_and_port, reason, tcp_listener
 from ..ports.port import abandoned_in_children
+from ..ports.waiting_async import look_up
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.logs import HarmlessLogger
 from .peer import MakePeerSession
 from .peers import Peers
 from .service import TURN_EVENTS, MakeSession, Service
-from .sockets import bound
 
 if TYPE_CHECKING:
+    from ..ports.unix import UnixListener
     from ..security.security import Security
     from .tls import Handshakes
 
-__all__ = ["TcpServer"]
+__all__ = ["TcpServer", "bound"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Seconds without accepting when the process has no descriptors left.
 RETRY_AFTER = 0.1
-
-
-class StreamListener(Protocol):
-    """Listens at an address that is no host, such as a path."""
-
-    async def open(self) -> socket.socket:
-        """Return a socket that listens. Raises OSError."""
-        ...
-
-    def name(self, client: socket.socket) -> tuple[str, str]:
-        """Return what the limits of one address apply to, and the name of a client."""
-        ...
-
-    def close(self) -> None:
-        """Remove what `open` made besides the socket."""
-        ...
 
 
 class TcpServer:
@@ -53,7 +40,7 @@ class TcpServer:
     Args:
         service: the service that answers.
         security: for TLS; else None.
-        listener: listens in place of the host of the endpoint; else None.
+        listener: listens at a path in place of the host of the endpoint; else None.
 
     Raises:
         ModbusConnectionError: an address cannot be bound, with errno.
@@ -65,7 +52,7 @@ class TcpServer:
         service: Service,
         peers: Peers,
         security: Security | None = None,
-        listener: StreamListener | None = None,
+        listener: UnixListener | None = None,
     ) -> None:
         self._listener = listener
         self._service = service
@@ -167,3 +154,24 @@ def _within(handshakes: Handshakes, make: MakeSession) -> MakePeerSession:
     from .tls import TlsSession
 
     return lambda peer: TlsSession(peer, handshakes, make)
+
+
+async def bound(
+    endpoint: Endpoint, kind: socket.SocketKind, make: Make
+) -> tuple[list[socket.socket], Endpoint]:
+    """
+    Return a socket for each address of an endpoint's host, and the endpoint with its port.
+
+    Raises:
+        ModbusConnectionError: the host is unknown, or an address cannot be bound.
+    """
+    try:
+        wanted = Resolve(endpoint.host, endpoint.port, kind, math.inf, socket.AI_PASSIVE)
+        sockets = bind_all(await look_up(wanted), endpoint.port, make)
+    except OSError as error:
+        raise ModbusConnectionError(
+            f"cannot listen on {endpoint}: {reason(error)}", errno=error.errno
+        ) from error
+    for each in sockets:
+        each.setblocking(False)
+    return sockets, replace(endpoint, port=sockets[0].getsockname()[1])

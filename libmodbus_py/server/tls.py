@@ -22,7 +22,7 @@ from ..security.security import Security
 from ..security.tunnel import Records, Tunnel
 from .audit import Audit
 from .limits import Limits, ServerStatistics, host_of
-from .peer import GREEDY_BYTES
+from .peer import READ_BYTES
 from .service import UNREAD, Channel, MakeSession, Session, SessionState
 
 __all__ = ["Handshakes", "TlsSession"]
@@ -360,7 +360,7 @@ class TlsSession:
         Args:
             is_one: True if the slice is one record, with nothing behind it.
         """
-        requests, left = 0, GREEDY_BYTES
+        requests, left = 0, READ_BYTES
         self._has_more = False
         try:
             while data := tunnel.receive(left):

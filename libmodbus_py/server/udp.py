@@ -1,7 +1,9 @@
 """
 A UDP endpoint of a server: a request in one datagram, its answer in another.
 
-Any source of a datagram can be forged; `Sources` decides which are answered.
+Any source of a datagram can be forged; `Sources` decides which are answered. Each is answered from
+the address that was asked: the clients of a machine with several addresses, of this package and of
+others, take datagrams only from the address to which they sent.
 """
 
 from __future__ import annotations
@@ -9,9 +11,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
+import struct
 from collections import OrderedDict
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from functools import lru_cache
+from ipaddress import IPv6Address, ip_address
+from typing import TYPE_CHECKING, Any
 
 from ..ports.endpoint import Endpoint
 from ..ports.hosts import host_and_port, is_loopback
@@ -20,10 +25,18 @@ from ..ports.trace import Trace
 from ..protocol.errors import MAX_RECEIVED
 from ..protocol.framing import Framing, pdu_of
 from ..protocol.pdu import request_length
-from .addresses import Address, Addresses, Paused
-from .limits import Allowance, Limits, ServerStatistics
+from ..system import IP_PKTINFO
+from .limits import (
+    REMEMBERED_MAX,
+    Address,
+    Addresses,
+    Allowance,
+    Limits,
+    Paused,
+    ServerStatistics,
+)
 from .service import ENDS, TURN_EVENTS, Service, Session, SessionState
-from .sockets import bound, bound_datagrams
+from .tcp import bound
 
 if TYPE_CHECKING:
     from ..security.describing import CertificateHolder
@@ -40,7 +53,6 @@ WAITING_MAX = 1024
 # than ten times a second is dropped once, which ends the circle; its port says nothing, because a
 # client may use any.
 RETURNS_PER_SECOND = 10
-RETURNS_REMEMBERED = 16_384
 
 # An answer can be seven times as long as its request, and go to a host that never asked.
 USUAL_RATE = 1000.0
@@ -200,7 +212,7 @@ class Sources:
         key = hash((source, datagram))
         allowance = self._returns.pop(key, None)
         self._returns[key] = allowance or Allowance(RETURNS_PER_SECOND, self._loop.time())
-        if len(self._returns) > RETURNS_REMEMBERED:
+        if len(self._returns) > REMEMBERED_MAX:
             self._returns.popitem(last=False)
 
     def _returns_too_often(self, datagram: bytes, source: tuple[str, int]) -> bool:
@@ -223,3 +235,76 @@ class Sources:
             return True
         address.spend(1)
         return False
+
+
+# --- sockets -----------------------------------------------------------------------------------
+
+# struct in_pktinfo: interface, the own address, the target; struct in6_pktinfo: target, interface.
+IN_PKTINFO = struct.Struct("=i4s4s")
+IN6_PKTINFO = struct.Struct("=16si")
+
+ROOM = socket.CMSG_SPACE(max(IN_PKTINFO.size, IN6_PKTINFO.size))
+
+
+class DatagramSource(tuple[Any, ...]):
+    """
+    The address that a datagram came from.
+
+    Attributes:
+        control: control data for the answer, which choose the address that was asked.
+    """
+
+    control: list[tuple[int, int, bytes]]
+
+
+class AllAddresses(socket.socket):
+    """A UDP socket that is bound to all addresses of this machine."""
+
+    def recvfrom(self, *arguments: int) -> tuple[bytes, DatagramSource]:
+        """Return a datagram, and the address for `sendto`. Raises OSError."""
+        data, control, _, address = self.recvmsg(arguments[0], ROOM)
+        source = DatagramSource(address)
+        source.control = [_choice(*each) for each in control]
+        return data, source
+
+    def sendto(self, data: Any, *arguments: Any) -> int:
+        """Send an answer to an address of `recvfrom`. Raises OSError."""
+        (source,) = arguments
+        return self.sendmsg([data], source.control, 0, source)
+
+
+@lru_cache(64)
+def _choice(level: int, kind: int, info: bytes) -> tuple[int, int, bytes]:
+    """Return the control data that answer what came with these."""
+    # Interface 0 is any. Another one overrides the routes, though the client may be elsewhere.
+    if level == socket.IPPROTO_IP:
+        _, own, target = IN_PKTINFO.unpack(info)
+        return level, kind, IN_PKTINFO.pack(0, own, target)
+    own, interface = IN6_PKTINFO.unpack(info)
+    address = IPv6Address(own)
+    if address.is_multicast:  # no address of this machine: the system chooses one
+        own = bytes(16)
+    return level, kind, IN6_PKTINFO.pack(own, interface if address.is_link_local else 0)
+
+
+def bound_datagrams(family: socket.AddressFamily, address: tuple[str, int]) -> socket.socket:
+    """
+    Return a UDP socket that is bound to an address.
+
+    Raises:
+        OSError: the address cannot be bound.
+    """
+    has_all = ip_address(address[0].partition("%")[0]).is_unspecified
+    made = (AllAddresses if has_all else socket.socket)(family, socket.SOCK_DGRAM)
+    try:
+        if family == socket.AF_INET6:
+            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+        if has_all and family == socket.AF_INET6:
+            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_RECVPKTINFO, 1)
+        elif has_all:
+            made.setsockopt(socket.IPPROTO_IP, IP_PKTINFO, 1)
+        made.bind(address)
+    except OSError:
+        made.close()
+        raise
+    return made

@@ -39,9 +39,9 @@ TURNS = -(-SENDERS // 128) + 1
 def others(attack: Attack) -> int:
     """
     How many requests of others are answered before the innocent's: what one turn reads of them,
-    256 bytes of each of up to 128 connections, and 1024 of two that send more.
+    256 bytes of each of up to 128 connections.
     """
-    return (min(attack.connections, 128) * 256 + 2 * 1024) // len(adu(b"\x63\1\2\3"))
+    return min(attack.connections, 128) * 256 // len(adu(b"\x63\1\2\3"))
 
 
 def enough(attack: Attack) -> Attack:

@@ -12,8 +12,14 @@ from libmodbus_py.ports.hosts import host_and_port
 from libmodbus_py.ports.trace import Trace
 from libmodbus_py.security.describing import CertificateHolder
 from libmodbus_py.server import tls
-from libmodbus_py.server.addresses import Addresses, Paused
-from libmodbus_py.server.limits import Limits, ServerStatistics, counted_host, host_of
+from libmodbus_py.server.limits import (
+    Addresses,
+    Limits,
+    Paused,
+    ServerStatistics,
+    counted_host,
+    host_of,
+)
 from libmodbus_py.server.service import Session
 from libmodbus_py.server.tls import Handshakes, TlsSession
 from tests.support.cases import each_case

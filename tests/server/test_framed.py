@@ -64,11 +64,11 @@ class Session(Framed):
     """Answers each request in the same way; None for not at all."""
 
     def __init__(
-        self, scheme: str = "tcp", *, answer: bytes | None = ANSWER, at_once: int | None = None
+        self, scheme: str = "tcp", *, answer: bytes | None = ANSWER, has_turns: bool = False
     ) -> None:
         self._pdu = answer
         endpoint = parse(f"{scheme}://10.0.0.1")
-        settings = SessionSettings(endpoint, ServerStatistics(), at_once)
+        settings = SessionSettings(endpoint, ServerStatistics(), has_turns=has_turns)
         self.channel: Channel
         super().__init__(settings, Channel(), lambda unit: unit == 1)
 
@@ -125,18 +125,15 @@ def test_a_frame_whose_end_is_missing_is_waited_for() -> None:
     assert session.state.value == "reading"
 
 
-def test_of_much_a_part_is_searched_at_a_time() -> None:
-    """64 bytes, and of the frames in them four: 12 bytes each."""
-    session = Session(at_once=64)
-    everything = b"".join(map(request, range(12)))
-    counts = [session.receive(everything)]
+def test_of_many_requests_four_are_answered_at_a_time() -> None:
+    session = Session(has_turns=True)
+    counts = [session.receive(b"".join(map(request, range(10))))]
     while session.state is SessionState.BEHIND:
         followed = session.channel.followed
         counts.append(session.receive(b""))
         assert session.channel.followed == followed + (session.state is SessionState.BEHIND)
-    assert counts[0] == 0
-    assert max(counts) == 4
-    assert session.channel.written == [answer(number) for number in range(12)]
+    assert counts == [4, 4, 2]
+    assert session.channel.written == [answer(number) for number in range(10)]
 
 
 def test_a_stream_that_cannot_be_understood_ends_after_its_requests() -> None:
@@ -158,12 +155,13 @@ def test_the_rest_of_what_came_is_traced_once() -> None:
         assert session.state.value == "reading"
 
 
-def test_frames_that_were_not_looked_at_are_traced_at_the_end() -> None:
-    session = Session(at_once=64)
+def test_frames_that_are_not_answered_any_more_are_traced() -> None:
+    session = Session(has_turns=True)
     session.receive(b"".join(map(request, range(6))))
     session.end()
-    assert session.channel.traced == [("received", request(number), 1) for number in range(6)]
-    assert session.channel.written == []
+    received = [adu for direction, adu, _ in session.channel.traced if direction == "received"]
+    assert received == [request(number) for number in range(6)]
+    assert session.channel.written == [answer(number) for number in range(4)]
 
 
 class TestLine:

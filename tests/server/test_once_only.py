@@ -61,7 +61,6 @@ def test_a_view_of_registers_writes_into_the_table() -> None:
 PROGRAM = """
 import gc, sys
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.server import forever
 counts = []
 def stop(running):
     counts.append(gc.get_freeze_count())

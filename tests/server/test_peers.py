@@ -12,9 +12,8 @@ import pytest
 
 from libmodbus_py.ports.hosts import host_and_port
 from libmodbus_py.protocol.errors import FrameError
-from libmodbus_py.server import peer as module
 from libmodbus_py.server.limits import Limits, ServerStatistics
-from libmodbus_py.server.peer import FAIR_BYTES, GREEDY_BYTES, Peer
+from libmodbus_py.server.peer import READ_BYTES, Peer
 from libmodbus_py.server.peers import Peers
 from libmodbus_py.server.service import SessionState
 from tests.simulation.stage import Stage, Talker
@@ -119,39 +118,18 @@ def endpoint(stage: Stage) -> Iterator[Open]:
 # --- turns ----------------------------------------------------------------------------------------
 
 
-def test_who_sends_much_is_read_in_turns_and_later_than_others(
-    stage: Stage, endpoint: Open, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(module, "GREEDY_AT_ONCE", 1)
+def test_who_sends_much_is_read_in_turns(stage: Stage, endpoint: Open) -> None:
     server = endpoint(ignore)
-    greedy = [server.talk() for _ in range(3)]
-    modest, _ = server.talk()
-    for talker, _ in greedy:
-        talker.sendall(bytes(FAIR_BYTES + 4 * GREEDY_BYTES))
+    talkers = [server.talk()[0] for _ in range(4)]
+    for talker in talkers[:3]:
+        talker.sendall(bytes(4 * READ_BYTES))
+    talkers[3].sendall(b"one")
     stage.pass_time(0.01)
     numbers = [server.sessions.index(session) for session in server.order]
-    # Once for all of them, before anybody is known to send much; then one in each turn.
-    assert [sorted(numbers[begin : begin + 3]) for begin in range(0, 15, 3)] == [[0, 1, 2]] * 5
-    for _, session in greedy:
-        assert list(map(len, session.received)) == [FAIR_BYTES, *[GREEDY_BYTES] * 4]
-
-    server.order.clear()
-    for talker, _ in greedy:
-        talker.sendall(bytes(2 * GREEDY_BYTES))
-    modest.sendall(b"one")
-    stage.pass_time(0.01)
-    assert server.order[0] is server.sessions[3]
-    # What is shorter than was asked for ends it: two of them are read together, as others are.
-    for talker, _ in greedy:
-        talker.sendall(b"short")
-    stage.pass_time(0.01)
-    server.order.clear()
-    begun = server.peers._greedy_turns
-    for talker, _ in greedy:
-        talker.sendall(b"short")
-    stage.pass_time(0.01)
-    assert server.peers._greedy_turns == begun
-    assert len(server.order) == 3
+    assert sorted(numbers[:4]) == [0, 1, 2, 3]
+    assert [sorted(numbers[begin : begin + 3]) for begin in (4, 7, 10)] == [[0, 1, 2]] * 3
+    for session in server.sessions[:3]:
+        assert list(map(len, session.received)) == [READ_BYTES] * 4
 
 
 def test_answers_are_sent_when_all_were_read(stage: Stage, endpoint: Open) -> None:
@@ -229,7 +207,7 @@ def test_a_call_that_fails_leaves_the_others(
 
 def test_who_is_behind_goes_on_without_new_bytes(stage: Stage, endpoint: Open) -> None:
     server = endpoint()
-    talkers = [server.talk() for _ in range(2 * module.BEHIND_AT_ONCE)]
+    talkers = [server.talk() for _ in range(20)]
 
     def in_steps(session: Session, data: bytes) -> int:
         is_over = len(session.received) >= 5

@@ -89,7 +89,7 @@ def test_requests_sent_at_once_wait_and_none_is_lost(stage: Stage, kind: str) ->
         assert stage.now - begun < 0.1
         expected = b"".join(adu(ANSWER_ONE, number) for number in range(count))
         assert eager.receive(len(expected)) == expected
-        at_once = 1024 // len(adu(READ_ONE))
+        at_once = 256 // len(adu(READ_ONE))
         assert (count - 100 - at_once) / 100 - 0.001 <= stage.now - begun <= (count - 100) / 100
         assert server.counts(requests=count + 50, connections=2, closed_slow=0)
 

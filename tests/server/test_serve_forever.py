@@ -23,7 +23,7 @@ import pytest
 from libmodbus_py import Device, Mapping, ModbusConnectionError, Server, TcpContext
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.serve import Running
-from libmodbus_py.server.forever import signal_handlers
+from libmodbus_py.server.running import signal_handlers
 
 HEAD = """
 import logging, signal, sys, threading

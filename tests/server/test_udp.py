@@ -15,9 +15,9 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Device, Fault, Mapping, Server, framing
-from libmodbus_py.server import addresses
+from libmodbus_py.server import limits
 from libmodbus_py.server import udp as source_module
-from libmodbus_py.server.limits import Allowance, Limits, ServerStatistics
+from libmodbus_py.server.limits import Address, Allowance, Limits, ServerStatistics
 from libmodbus_py.server.udp import Sources
 from tests.simulation.stage import Stage, Talker
 from tests.support import vectors
@@ -409,8 +409,8 @@ def test_addresses_of_other_machines_get_no_more_than_a_thousand_answers_a_secon
 def test_however_many_sources_are_forged_little_is_remembered(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(source_module, "RETURNS_REMEMBERED", 300)
-    monkeypatch.setattr(addresses, "REMEMBERED_MAX", 200)
+    monkeypatch.setattr(source_module, "REMEMBERED_MAX", 300)
+    monkeypatch.setattr(limits, "REMEMBERED_MAX", 200)
 
     def remembered(kind: type) -> int:
         gc.collect()
@@ -418,13 +418,13 @@ def test_however_many_sources_are_forged_little_is_remembered(
 
     async def flood() -> None:
         sources = Sources(Limits(), ServerStatistics())
-        before = remembered(addresses.Address), remembered(Allowance)
+        before = remembered(Address), remembered(Allowance)
         for number in range(2000):
             source = (f"10.0.{number >> 8}.{number & 255}", 40_000)
             datagram = adu(WRITE)
             assert sources.admit(datagram, source)
             sources.note_answer(datagram, datagram[7:], source)
-        assert remembered(addresses.Address) - before[0] == 200
+        assert remembered(Address) - before[0] == 200
         assert remembered(Allowance) - before[1] == 200 + 300
 
     asyncio.run(flood())

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from ...protocol.logs import HarmlessLogger
-from ...server.forever import Handler, signal_handlers
+from ...server.running import Handler, signal_handlers
 from ...services.engine.buckets import Bucket, open_bucket
 from ...services.engine.connection import connected, disconnect, parse_servers
 from ...services.engine.errors import EngineError, EngineGone, NothingThere

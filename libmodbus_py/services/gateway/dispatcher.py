@@ -26,7 +26,7 @@ from ...protocol.errors import (
 from ...protocol.framing import Frame
 from ...protocol.logs import HarmlessLogger
 from ...security.describing import CertificateHolder
-from ...server.framed import AT_ONCE, Framed, SessionSettings
+from ...server.framed import Framed, SessionSettings
 from ...server.limits import ServerStatistics, host_of
 from ...server.service import Channel, Later, MakeSession
 from .line import Forwarded, GatewayLine
@@ -95,9 +95,8 @@ class Dispatcher:
     def sessions(
         self, endpoint: Endpoint, statistics: ServerStatistics, later: Later | None = None
     ) -> MakeSession:
-        has_ids = endpoint.has_transactions
-        at_once = None if has_ids or later is None else AT_ONCE
-        settings = SessionSettings(endpoint, statistics, at_once)
+        has_turns = later is not None and not endpoint.has_transactions
+        settings = SessionSettings(endpoint, statistics, has_turns=has_turns)
         return lambda channel: ForwardingSession(self, settings, channel)
 
     def has(self, unit: int) -> bool:
