@@ -14,8 +14,6 @@ In the order in which a request goes through::
     reply          Replier: libmodbus's modbus_reply in memory, by the chunk
     mapping        Mapping: the four tables of a device, with their holes
     event_log      EventLog: counters, log and silence of one line (functions 8, 11, 12)
-    by_name        the access of a device to its values by name
-    named_values   values of named points: read, and set all or none
+    named_values   NamedValues: the access of a device to the values of named points
     state          the values of devices in a file, and back
-    ranges         ranges of addresses, joined and searched
 """

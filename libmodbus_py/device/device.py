@@ -38,12 +38,12 @@ from ..protocol.pdu import (
 from ..protocol.ranges import joined, without
 from .access import ACCESSES, Access, Touched, touched
 from .authorization import Asked, Authorization, Authorize, UnauthorizedError
-from .by_name import NamedValues
 from .caller import Caller, answer_audited, values_at
 from .event_log import EventLog
 from .functions import DEFAULT_SERVER_ID, Handlers, PythonFunctions, Records
 from .hooks import HookLike, Hooks
 from .mapping import Mapping, Table
+from .named_values import NamedValues, zeros_for
 from .reply import Answered, Watched, answer_in_c, make_tally, replier, reply
 
 if TYPE_CHECKING:
@@ -217,8 +217,6 @@ class Device(NamedValues, PythonFunctions):
             TypeError, ValueError: a value does not fit its point, or an argument is wrong.
             FileError: a ValueError: the file cannot be read, or contains a mistake.
         """
-        from .named_values import zeros_for
-
         points: Any = map
         if isinstance(map, str | os.PathLike):
             # Files are read on a floor above, which a device needs for nothing else.

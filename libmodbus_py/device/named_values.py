@@ -1,29 +1,26 @@
 """
 Values of the cells of named points: read, and set all or none.
+
+Most servers have no points: what maps have is imported when the first device has some.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping as MappingABC
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ..maps.meaning import CellChange
-from ..maps.point import Point
-from ..maps.point_plan import sources_of
-from ..maps.register_map import RegisterMap
-from ..maps.writing import check_overlaps
 from ..protocol.close_names import close_to
 from ..protocol.mistakes import WrongType, WrongValue
 from ..protocol.ranges import joined
 from ..protocol.tables import TABLES
 from .mapping import Mapping
 
-# fmt: off
-__all__ = [
-    "Written", "cells_after", "check_points", "known_point", "set_values", "source_after",
-    "zeros_for",
-]
-# fmt: on
+if TYPE_CHECKING:
+    from ..maps.meaning import CellChange
+    from ..maps.point import Point
+    from ..maps.register_map import RegisterMap
+
+__all__ = ["NamedValues", "cells_after", "known_point", "source_after", "zeros_for"]
 
 Written = MappingABC[tuple[str, int], Any]
 """Table and address -> the value that is written there."""
@@ -38,6 +35,8 @@ def check_points(mapping: Mapping, points: object) -> None:
     Raises:
         WrongType, WrongValue: it lacks cells of one, or `points` is no RegisterMap.
     """
+    from ..maps.register_map import RegisterMap
+
     if not isinstance(points, RegisterMap):
         raise WrongType("points", f"must be a RegisterMap, not {type(points).__name__}")
     for point in points.values():
@@ -54,6 +53,8 @@ def zeros_for(map: object) -> Mapping:
     Raises:
         TypeError: the argument is not a RegisterMap.
     """
+    from ..maps.register_map import RegisterMap
+
     if not isinstance(map, RegisterMap):
         raise WrongType("map", f"must be a RegisterMap or a path, not {type(map).__name__}")
     places: dict[str, list[range]] = {table: [] for table in TABLES}
@@ -106,6 +107,8 @@ def source_after(
         KeyError: there is no such point.
         ValueError: the cells will hold no value of its type.
     """
+    from ..maps.point_plan import sources_of
+
     value = None
     for source in sources_of([point], points).values():  # each scales the next one
         value = source.decode(cells_after(source, mapping, written), source=value)
@@ -121,6 +124,9 @@ def set_values(
     Raises:
         KeyError, TypeError, ValueError: as `NamedValues.update`.
     """
+    from ..maps.point_plan import sources_of
+    from ..maps.writing import check_overlaps
+
     if not isinstance(values, MappingABC):
         raise WrongType(
             "values", f"must be a mapping from names to values, not {type(values).__name__}"
@@ -141,3 +147,71 @@ def set_values(
     for point in changed.values():
         table, cells = getattr(mapping, point.table), cells_after(point, mapping, written)
         table[point.cells.start : point.cells.stop] = cells
+
+
+class NamedValues:
+    """
+    The part of a `Device` that has values by name: ``device["setpoint"] = 21.5``.
+
+    Raises:
+        TypeError: `mapping` is no Mapping, or `points` no RegisterMap.
+        ValueError: a point has cells that the mapping lacks; the message names it.
+
+    Attributes:
+        has_points: True if points were given.
+    """
+
+    def __init__(self, mapping: Mapping, points: RegisterMap | None) -> None:
+        if not isinstance(mapping, Mapping):
+            raise TypeError(f"mapping must be a Mapping, not {type(mapping).__name__}")
+        if points is not None:
+            check_points(mapping, points)
+        self.mapping = mapping
+        self.has_points: bool = points is not None
+        self._points = points
+
+    @property
+    def points(self) -> RegisterMap:
+        """The points by name; empty if none were given."""
+        if self._points is None:
+            from ..maps.register_map import RegisterMap
+
+            return RegisterMap(())
+        return self._points
+
+    def __getitem__(self, name: str) -> Any:
+        """
+        Return the value of a point, without calling `before_read`; None if it has none.
+
+        Raises:
+            KeyError: there is no such point.
+            ValueError: its cells hold no value of its type.
+        """
+        point = known_point(self.points, name)
+        with self.mapping.lock:
+            source = source_after(point, self.points, self.mapping)
+            return point.decode(cells_after(point, self.mapping), source=source)
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        """
+        Set the value of a point; no hook is called.
+
+        Raises:
+            KeyError: there is no such point.
+            TypeError, ValueError: as of `Point.encode`; the message names the point.
+        """
+        self.update({name: value})
+
+    def update(self, values: MappingABC[str, Any]) -> None:
+        """
+        Set values of points by name, all of them or none. No hook is called.
+
+        No request is answered while the values are set.
+
+        Raises:
+            KeyError: there is no such point.
+            TypeError, ValueError: a value does not fit its point, or points share cells; the
+                message names the points.
+        """
+        with self.mapping.lock:
+            set_values(self.mapping, self.points, values)

@@ -27,7 +27,7 @@ import tempfile
 from array import array
 from collections.abc import Iterable, Iterator
 from collections.abc import Mapping as MappingABC
-from itertools import pairwise
+from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from ..protocol.checks import integer, shown
@@ -54,9 +54,6 @@ KIND, VERSION = "state", 1
 
 EVERY = "every"
 """The name of the unit of a device that answers every unit."""
-
-# Cells that are compared at once: most of them are equal.
-BLOCK_CELLS = 256
 
 # The end of the name of a temporary file.
 TEMPORARY = ".new"
@@ -130,19 +127,10 @@ def _differences(
     place: TableOrFile, start: int, cells: array[int], others: array[int]
 ) -> Iterator[Access]:
     """Yield the runs of cells that differ from others."""
-    run: list[int] = []
-    for block in range(0, len(cells) + 1, BLOCK_CELLS):
-        stop = min(block + BLOCK_CELLS, len(cells))
-        if not run and cells[block:stop] == others[block:stop]:
-            continue
-        for at in range(block, stop):
-            if cells[at] != others[at]:
-                run.append(cells[at])
-            elif run:
-                yield _access(place, start + at - len(run), run)
-                run = []
-    if run:
-        yield _access(place, start + len(cells) - len(run), run)
+    changed = [at for at, pair in enumerate(zip(cells, others, strict=True)) if pair[0] != pair[1]]
+    for _, group in groupby(enumerate(changed), lambda each: each[1] - each[0]):
+        run = [at for _, at in group]
+        yield _access(place, start + run[0], cells[run[0] : run[-1] + 1])
 
 
 def _access(place: TableOrFile, address: int, values: Iterable[int]) -> Access:

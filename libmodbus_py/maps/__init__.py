@@ -12,7 +12,6 @@ The registers of a device, by name, and the requests that read and write them. N
     point_plan     the same for points, and for points that scale them: PointPlan
     holes          the items that a device refuses, found by halving
     watched        the points of a map from poll to poll: those that are due, and totals
-    attribute_names  names of points as attributes of Python classes
     typed          values of points and registers from typed text
     writing        few requests of many writes
 """

@@ -13,8 +13,8 @@ a value is never cut. A device that cannot read one piece refuses the whole requ
 4. A run asks for one hole again, the one that was asked for longest ago, if that was ten minutes
    ago or on an earlier connection, or if all pieces are holes. If it is answered, the device has
    changed: all holes are forgotten, and asked for at once. Cuts are forgotten when they are as old.
-5. While a run has no answer at all, it sends few halves, because each may take the time that a
-   gateway waits for a silent device; all pieces that were refused are holes then.
+5. While a run has no answer at all, it halves down to two pieces only, because each request may
+   take the time that a gateway waits for a silent device; all that was refused is holes then.
 6. Another failure, such as silence or a busy device, says nothing about pieces. It ends the
    search of that run.
 
@@ -54,9 +54,6 @@ __all__ = [
 
 RETRY_S = 600.0
 """Seconds after which what a device refused is tried again."""
-
-REFUSED_HALVES = 16
-"""Refused halves that end a search without an answer: 14 lead to one of 125 registers."""
 
 Result = TypeVar("Result")
 _PlanSteps = Generator[list[pdu.Request[Any]], list[Any], Result]
@@ -280,17 +277,19 @@ class _PlanRun:
 
     def _search(self, refused: list[Block]) -> _PlanSteps[None]:
         """Find the holes in what was refused."""
-        refused_halves = 0
+        refused.sort(key=len, reverse=True)
+        is_second = False  # True once a piece was refused alone
         while refused:
             block = refused.pop(0)
             if len(block) == 1:
                 self._add(block[0])
+                if is_second and not self._is_answered:
+                    for piece in self._pieces:
+                        if is_refusal(self._read[piece.span]):
+                            self._add(piece)
+                    return
+                is_second = True
                 continue
-            if refused_halves >= REFUSED_HALVES and not self._is_answered:
-                for piece in self._pieces:
-                    if is_refusal(self._read[piece.span]):
-                        self._add(piece)
-                return
             error, middle = self._read[block[0].span], len(block) // 2
             halves = block[:middle], block[middle:]
             again = yield from self._send(halves)
@@ -298,7 +297,6 @@ class _PlanRun:
                 return
             if not again:
                 self._holes.cuts[block[middle].span[:2]] = PastRefusal(error, *self._time)
-            refused_halves += len(again)
             refused = [*again, *refused]
 
     def _first_refused(self, block: Block, error: ModbusError) -> _PlanSteps[ModbusError]:

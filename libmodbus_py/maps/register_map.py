@@ -4,7 +4,10 @@ The points of a device by name: the requests that read them, and the values of t
 
 from __future__ import annotations
 
+import keyword
+import re
 import reprlib
+import unicodedata
 from collections.abc import Coroutine, Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from os import PathLike
@@ -13,12 +16,24 @@ from typing import Any, Protocol, TypeAlias, Unpack
 from ..protocol import pdu
 from ..protocol.close_names import close_to
 from ..protocol.mistakes import WrongType, WrongValue
-from .attribute_names import attribute_names
 from .plan import PlanOptions
 from .point import Point
 from .point_plan import PointPlan, scale_mistakes, sources_of
 
-__all__ = ["AnyMap", "BoundMap", "MapBinding", "RegisterMap", "close_to", "map_of"]
+# fmt: off
+__all__ = [
+    "AnyMap", "BoundMap", "MapBinding", "RegisterMap", "attribute_names", "close_to", "map_of",
+    "spelled",
+]
+# fmt: on
+
+RESERVED = frozenset(
+    {
+        *("bind", "client", "datetime", "map", "read", "self", "write"),
+        *("bool", "dict", "float", "int", "list", "property", "str", "super"),
+    }
+)
+"""Names that no attribute may have, because bound maps and their classes use them."""
 
 
 class RegisterMap(Mapping[str, Point]):
@@ -384,3 +399,48 @@ class BoundMap(MapBinding):
 
     def __dir__(self) -> list[str]:
         return sorted({*super().__dir__(), *self._names})
+
+
+# --- names of points as attributes ----------------------------------------------------------------
+
+
+def attribute_names(names: Iterable[str]) -> dict[str, str]:
+    """
+    Return the attribute for the name of each point.
+
+    A name that is an identifier of its own stays as it is. In others every run of characters that
+    no identifier has becomes one ``_``, and those at the ends are removed; "point" stands for
+    nothing, and "point_" before a digit. A name that Python or the class itself uses gets ``_``
+    behind it, and one that is taken ``_2``, ``_3`` and so on, in the order of the names.
+    """
+    given = list(names)
+    found = {name: name for name in given if _identifier(name) == name}
+    taken = set(found)
+    for name in given:
+        if name not in found:
+            found[name] = _free(_identifier(name), taken)
+            taken.add(found[name])
+    return {name: found[name] for name in given}
+
+
+def _identifier(name: str) -> str:
+    text = spelled(name).strip("_") or "point"
+    if not text.isidentifier():
+        text = f"point_{text}"
+    return f"{text}_" if keyword.iskeyword(text) or text in RESERVED else text
+
+
+def spelled(name: str) -> str:
+    """Return a name with one ``_`` for each run of characters that no identifier has."""
+    # As Python itself spells identifiers; twice, because some letters become others and a space.
+    text = unicodedata.normalize("NFKC", name)
+    text = "".join(each if f"a{each}".isidentifier() else " " for each in text)
+    return unicodedata.normalize("NFKC", re.sub(" +", "_", text))
+
+
+def _free(text: str, taken: set[str]) -> str:
+    number, found = 1, text
+    while found in taken:
+        number += 1
+        found = f"{text}_{number}"
+    return found

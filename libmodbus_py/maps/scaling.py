@@ -21,10 +21,9 @@ __all__ = ["Scaling", "exact", "number", "scaling_by"]
 # Far beyond any measured quantity, and small enough for exact arithmetic.
 LARGEST, SMALLEST = 1e30, 1e-30
 
-# A float that has as many digits, and is the quotient of 1 and a whole number up to this one, is
-# the result of that division.
+# A float that has as many digits, and is the quotient of 1 and a whole number, is the result of
+# that division.
 DIGITS_OF_DIVISION = 14
-LARGEST_DIVISOR = 1_000_000
 
 
 def number(name: str, value: object) -> int | float:
@@ -110,7 +109,7 @@ class Scaling:
         return (exact(value) * self._divisor - self._shift) / self._factor
 
 
-LARGEST_EXPONENT = 30
+LARGEST_EXPONENT = round(math.log10(LARGEST))
 """Powers of ten that a device may name: those of `LARGEST` and `SMALLEST`."""
 
 
@@ -165,7 +164,7 @@ def exact_scale(scale: float) -> Fraction:
     from fractions import Fraction
 
     written = exact(scale)
-    divisor = round(1 / scale) if abs(scale) > 1 / LARGEST_DIVISOR else 0
+    divisor = round(1 / scale)
     # No text of a person has as many digits as the nearest float of a third.
     if divisor and 1 / divisor == scale and len(str(written.numerator)) >= DIGITS_OF_DIVISION:
         return Fraction(1, divisor)

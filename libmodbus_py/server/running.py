@@ -1,5 +1,5 @@
 """
-How servers run: in a thread of their own, or until a signal.
+Servers in a thread of their own, and programs that serve until a signal.
 
 A thread ends even if Ctrl-C comes anywhere in the starting thread. Whatever that leaves undone, the
 server ends when its `Background` is forgotten, because the thread does not refer to it. All waiting

@@ -5,20 +5,22 @@ Register maps as text: in the forms that files have, and as a Python class.
 from __future__ import annotations
 
 import json
+import keyword
 import math
+import re
 import textwrap
+import unicodedata
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
 from typing import Any
 
-from ....maps.attribute_names import attribute_names, class_name
 from ....maps.point import Point
-from ....maps.register_map import RegisterMap
+from ....maps.register_map import RegisterMap, attribute_names, spelled
 from ..csv_text import csv_rows
 from ..texts import shown_key
 from .csv_form import PADDINGS
 
-__all__ = ["MARK", "class_text", "csv_text", "toml_text"]
+__all__ = ["MARK", "class_name", "class_text", "csv_text", "toml_text"]
 
 WORD_OF = {character: word for word, character in PADDINGS.items()}
 
@@ -103,6 +105,14 @@ def class_text(map: RegisterMap, stem: str) -> str:
         name += "Map"
     names = attribute_names(map)
     return "\n".join([*_head(map, names, name, stem), *_class(map, names, name)]) + "\n"
+
+
+def class_name(stem: str) -> str:
+    """Return the name of a class for a file without its ending: ``Sdm630V2`` for "sdm630-v2"."""
+    words = [each for each in re.split("_+", spelled(stem)) if each]
+    text = "".join(word[0].upper() + word[1:] for word in words) or "Meter"
+    text = unicodedata.normalize("NFKC", text)
+    return text if text.isidentifier() and not keyword.iskeyword(text) else f"Map{text}"
 
 
 def _head(map: RegisterMap, names: Mapping[str, str], name: str, stem: str) -> Iterator[str]:
