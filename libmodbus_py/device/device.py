@@ -234,7 +234,7 @@ class Device(NamedValues, PythonFunctions):
         owner only.
 
         Raises:
-            OSError: the file cannot be written.
+            OSError: the file cannot be written, or is no regular file.
         """
         from .state import replace_file, state_text  # which few programs need
 

@@ -18,6 +18,7 @@ values of the device are in the file, so that a new device file may give others 
 from __future__ import annotations
 
 import contextlib
+import errno
 import glob
 import hashlib
 import json
@@ -347,15 +348,20 @@ def replace_file(path: str | os.PathLike[str], text: str) -> None:
     keeps its permissions, and a symbolic link stays one.
 
     Raises:
-        OSError: the file cannot be written; it is unchanged, and no temporary file is left.
+        OSError: the file cannot be written, or is no regular file; it is unchanged, and no temporary
+            file is left.
     """
     target = os.path.realpath(path)
     folder, name = os.path.split(target)
+    mode = 0o600
+    with contextlib.suppress(FileNotFoundError):
+        mode = os.stat(target).st_mode
+        if not stat.S_ISREG(mode):  # such as /dev/null
+            raise OSError(errno.EINVAL, "not a regular file", os.fspath(path))
     descriptor, temporary = tempfile.mkstemp(TEMPORARY, f"{name}.", folder)
     try:
         with open(descriptor, "w", encoding="utf-8", newline="") as file:
-            with contextlib.suppress(FileNotFoundError):
-                os.fchmod(descriptor, stat.S_IMODE(os.stat(target).st_mode))
+            os.fchmod(descriptor, stat.S_IMODE(mode))
             file.write(text)
             file.flush()
             os.fsync(descriptor)

@@ -7,8 +7,14 @@ from __future__ import annotations
 import errno
 import json
 import os
+import resource
+import signal
 import stat
+import subprocess
+import sys
 import tempfile
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +132,8 @@ DAMAGED = [
     ("{" * 100_000, "not JSON: "),
     ("[" * 100_000, "not JSON: too deep"),
     (text_of({}, version=2), "version must be 1, not 2: the file was written by a newer"),
+    (text_of({}, version=0), "version must be in 1.."),
+    (text_of({}, version=None), "version must be"),
     (text_of({}, version=True), "version must be"),
     (text_of({}, version="1"), "version must be"),
     (text_of({}, more=1), "more: no such key; allowed are libmodbus-py, version, units"),
@@ -278,3 +286,115 @@ def test_what_fails_leaves_the_file_as_it_was(
     assert not list(tmp_path.glob("*.new"))
     device.save(path)
     assert path.read_bytes() != before
+
+
+@each_case("make", [os.mkfifo, os.mkdir, lambda path: path.symlink_to(path)])
+def test_what_is_no_regular_file_is_not_replaced(
+    make: Callable[[Path], object], tmp_path: Path
+) -> None:
+    path = tmp_path / getattr(make, "__name__", "link").strip("<>")
+    make(path)
+    before = os.lstat(path)
+    with pytest.raises(OSError, match=r"regular|directory|symbolic"):
+        plant().save(path)
+    after = os.lstat(path)
+    assert (after.st_ino, after.st_mode) == (before.st_ino, before.st_mode)
+    assert not list(tmp_path.glob("*.new"))
+
+
+def test_a_disk_that_is_full_in_the_middle_leaves_the_file_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "values"
+    device = plant()
+    device.save(path)
+    before = path.read_bytes()
+    device.mapping.holding_registers[1000:1600] = range(600)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            device.save(path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert path.read_bytes() == before
+    assert os.listdir(tmp_path) == ["values"]
+
+
+KILLED = """
+import os, signal, sys
+from libmodbus_py import Device, Mapping
+from libmodbus_py.device import state
+
+device = Device(Mapping(holding_registers=600))
+path, at = sys.argv[1], 0
+device.save(path)
+device.mapping.holding_registers[:] = range(600)
+while True:
+    at += 1
+    child = os.fork()
+    if not child:
+        steps = 0
+
+        def trace(frame, event, _):
+            global steps
+            if frame.f_code is state.replace_file.__code__:
+                steps += 1
+                if steps == at:
+                    os.kill(os.getpid(), signal.SIGKILL)
+                return trace
+
+        sys.settrace(trace)
+        device.save(path)
+        os._exit(0)
+    ended = os.waitpid(child, 0)[1]
+    loaded = Device(Mapping(holding_registers=600))
+    loaded.load(path)
+    assert list(loaded.mapping.holding_registers) in ([0] * 600, list(range(600))), at
+    state.remove_leftovers(path)
+    assert os.listdir(os.path.dirname(path)) == ["values"], at
+    if ended == 0:
+        break
+print(at)
+"""
+
+
+def test_a_program_that_is_killed_at_any_step_of_saving_leaves_a_whole_file(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", KILLED, tmp_path / "values"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=50)
+    assert done.stderr == ""
+    assert int(done.stdout) > 10
+
+
+def test_all_cells_come_back_whatever_is_between_them(tmp_path: Path) -> None:
+    def made() -> Device:
+        return Device(Mapping(*[65536] * 4), files={9: 10_000})
+
+    device, loaded = made(), made()
+    mapping = device.mapping
+    mapping.coils[:] = mapping.discrete_inputs[:] = [at % 3 == 0 for at in range(65536)]
+    mapping.holding_registers[::2] = [65535] * 32768
+    mapping.input_registers[65535] = 1
+    for record in range(0, 10_000, 3):
+        device.files[9][record] = record
+    device.save(tmp_path / "values")
+    loaded.load(tmp_path / "values")
+    assert contents(loaded) == contents(device)
+
+
+def test_threads_that_save_one_file_leave_that_of_one_of_them(tmp_path: Path) -> None:
+    path, devices = tmp_path / "values", [plant() for _ in range(4)]
+    for number, device in enumerate(devices):
+        device.mapping.holding_registers[1000:1600] = [number + 1] * 600
+
+    def save(device: Device) -> None:
+        for _ in range(10):
+            device.save(path)
+
+    with ThreadPoolExecutor(len(devices)) as pool:
+        for _ in pool.map(save, devices):
+            plant().load(path)
+    loaded = plant()
+    loaded.load(path)
+    assert contents(loaded) in list(map(contents, devices))
+    assert os.listdir(tmp_path) == ["values"]
