@@ -348,8 +348,8 @@ def replace_file(path: str | os.PathLike[str], text: str) -> None:
     keeps its permissions, and a symbolic link stays one.
 
     Raises:
-        OSError: the file cannot be written, or is no regular file; it is unchanged, and no temporary
-            file is left.
+        OSError: the file cannot be written, or is no regular file; it is unchanged, and no
+            temporary file is left.
     """
     target = os.path.realpath(path)
     folder, name = os.path.split(target)

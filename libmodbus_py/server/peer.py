@@ -305,6 +305,8 @@ class Peer:
             turns.statistics.closed_out_of_step += 1
             self.end()
             return 0
+        if self._descriptor < 0:  # a hook closed it
+            return requests
         if requests:
             turns.note_request(self)
         if self._is_closing or (self._is_reading and session.state is UNFINISHED):

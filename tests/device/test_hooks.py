@@ -273,3 +273,27 @@ def test_who_looks_from_inside_has_values_computed() -> None:
     assert mapping.input_registers[:] == [0, 0, 7, 0, 0, 0, 0, 0]
     assert seen == [Access("input_registers", 2, 3)]
     Device(mapping).refresh("coils", 0, 1)
+
+
+def test_a_hook_may_ask_its_own_device() -> None:
+    """In the middle of a request that libmodbus answers, and of a chunk of them."""
+    answers: list[object] = []
+
+    def ask(access: Access) -> None:
+        if access.address == 5:
+            answers.append(device.answer(b"\3\0\1\0\1"))
+            frame = bytes.fromhex("0001 0000 0006 01 03 0002 0001")
+            answers.append(device.answer_chunk(frame, 0, 1)[1][7:])
+
+    hook = Hook(ask, holding_registers=range(5, 6))
+    mapping = Mapping(holding_registers={0: range(10)})
+    device = Device(mapping, before_read=hook, before_write=hook, after_write=hook)
+    assert device.answer(b"\3\0\5\0\1") == b"\3\2\0\5"
+    assert device.answer(b"\x17\0\5\0\1\0\5\0\1\2\0\7") == b"\x17\2\0\7"
+    assert answers == [b"\3\2\0\1", b"\3\2\0\2"] * 4
+
+
+def test_a_hook_that_asks_without_end_leaves_the_mapping_free() -> None:
+    device = Device(Mapping(holding_registers=1), before_read=lambda access: device.answer(READ))
+    assert device.answer(READ) in (b"\x83\4", b"\3\2\0\0")
+    assert is_free(device)

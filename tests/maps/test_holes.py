@@ -196,6 +196,15 @@ def test_plans_of_one_unit_share_what_is_known() -> None:
     assert (count, lost(values)) == (2, [1])
 
 
+def test_clients_of_one_plan_know_the_holes_of_their_own_device() -> None:
+    plan = singles(20)
+    first, second = Polls(plan, Registers([5])), Polls(plan, Registers([9]))
+    for now in range(3):
+        assert lost(first.poll(now)[1]) == [5]
+        assert lost(second.poll(now)[1]) == [9]
+    assert (first.unreadable, second.unreadable) == ([5], [9])
+
+
 # --- many holes, or nothing else -----------------------------------------------------------------
 
 
@@ -540,6 +549,37 @@ def test_each_item_has_its_value_or_is_refused(data: st.DataObject) -> None:
         else:
             assert not missing & set(read.cells)
             assert value == read.decode(list(read.cells))
+
+
+@given(st.integers(0, 1 << 32), st.integers(0, 200))
+def test_what_can_be_read_is_read_at_last(seed: int, count: int) -> None:
+    """However wrong the first search was: it ends early while nothing is answered."""
+    missing = set(random.Random(seed).sample(range(200), count))
+    polls = Polls(singles(200), Registers(missing))
+    for now in range(200):
+        _, values = polls.poll(now)
+        if lost(values) == sorted(missing):
+            break
+    assert lost(values) == sorted(missing)
+
+
+class OfMoods(Registers):
+    """A device that refuses its holes now in this way, now in that; and is busy in between."""
+
+    chance = random.Random(1)
+
+    def __call__(self, request: Any) -> Any:
+        moods = (IllegalDataAddress, ServerDeviceBusy, IllegalDataValue, ServerDeviceFailure)
+        self.refusal = self.chance.choice(moods)
+        return super().__call__(request)
+
+
+def test_a_hole_is_found_although_its_refusal_changes() -> None:
+    for hole in range(20):
+        polls = Polls(singles(20), OfMoods([hole]))
+        found = [lost(polls.poll(now)[1]) for now in range(50)]
+        assert found[-1] == polls.unreadable == [hole]
+        assert all(hole in each for each in found)
 
 
 FAILURES = (ModbusTimeoutError, ServerDeviceBusy, InvalidResponse, IllegalDataAddress)

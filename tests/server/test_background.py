@@ -185,6 +185,20 @@ def test_the_collector_does_not_wait_for_a_forgotten_server() -> None:
     assert is_left(before)
 
 
+def test_two_threads_may_leave_the_block_at_once() -> None:
+    before = left()
+    background = Server(Device(Mapping())).background(*URLS)
+    background.__enter__()
+    threads = [threading.Thread(target=background.__exit__) for _ in range(2)]
+    for each in threads:
+        each.start()
+    background.__exit__()
+    for each in threads:
+        each.join(PATIENCE)
+        assert not each.is_alive()
+    assert is_left(before)
+
+
 @pytest.mark.parametrize("where", ["_thread.start_new_thread", "threading.Thread.start"])
 def test_a_system_without_threads_is_told(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:

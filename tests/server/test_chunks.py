@@ -733,6 +733,58 @@ def test_more_answers_than_one_call_has_room_for() -> None:
     assert end.sent == b"".join(adu(answer, number) for number in range(1000))
 
 
+TOGETHER = pytest.mark.parametrize("connections", [1, 5], ids=["a chunk", "one each"])
+
+
+def in_one_turn(devices: Any, asked: list[bytes], connections: int) -> list[bytes]:
+    """Return the answers to requests of one connection, or of several in one turn."""
+    ends = [End(devices, "chunk") for _ in range(connections)]
+    for end in ends:
+        end.share(ends[0])
+    if connections == 1:
+        ends[0].receive(b"".join(asked))
+    else:
+        for end, request in zip(ends, asked, strict=True):
+            end.receive(request, is_last=end is ends[-1])
+    return list(split(b"".join(bytes(end.sent) for end in ends)))
+
+
+@TOGETHER
+def test_a_hook_changes_what_the_next_request_of_the_turn_reads(connections: int) -> None:
+    """The third of five needs Python, between units, and with one to the server itself."""
+    first, second = made_device(), made_device()
+
+    def change(access: Access) -> None:
+        first.mapping.holding_registers[7] = second.mapping.holding_registers[7] = 99
+
+    first = made_device(before_write=Hook(change, holding_registers=range(100, 101)))
+    read, write = b"\3" + in_words(7, 1), b"\6" + in_words(100, 5)
+    bodies = [(read, 1), (read, 2), (write, 1), (read, 0), (read, 2)]
+    found = in_one_turn(
+        {0: first, 1: first, 2: second},
+        [adu(body, number, unit) for number, (body, unit) in enumerate(bodies)],
+        connections,
+    )
+    answers = [b"\3\2\0\0", b"\3\2\0\0", write, b"\3\2\0\x63", b"\3\2\0\x63"]
+    assert found == [
+        adu(answer, number, unit)
+        for number, (answer, (_, unit)) in enumerate(zip(answers, bodies, strict=True))
+    ]
+
+
+@TOGETHER
+def test_a_hook_may_give_its_device_another_mapping(connections: int) -> None:
+    def change(access: Access) -> None:
+        device.mapping = Mapping(holding_registers={0: [50, 51]})
+
+    hook = Hook(change, holding_registers=range(9, 10))
+    device = Device(Mapping(holding_registers={0: range(10)}), before_write=hook)
+    read, far, write = b"\3" + in_words(1, 1), b"\3" + in_words(5, 1), b"\6" + in_words(9, 5)
+    asked = [adu(body, number) for number, body in enumerate([read, far, write, read, far])]
+    answers = [each[7:] for each in in_one_turn({1: device}, asked, connections)]
+    assert answers == [b"\3\2\0\1", b"\3\2\0\5", b"\x86\2", b"\3\2\0\x33", b"\x83\2"]
+
+
 def test_units_take_turns_in_one_chunk() -> None:
     first, second = made_device(), made_device()
     second.mapping.holding_registers[7] = 99

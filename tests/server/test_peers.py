@@ -366,6 +366,28 @@ def test_a_closed_connection_gets_its_last_bytes(stage: Stage, endpoint: Open) -
     session.peer.catch_up()
 
 
+@pytest.mark.parametrize("state", [SessionState.READING, SessionState.UNFINISHED])
+def test_a_connection_that_is_closed_by_its_own_request_is_gone(
+    stage: Stage, endpoint: Open, state: SessionState
+) -> None:
+    def closing(session: Session, data: bytes) -> int:
+        session.peer.write(b"last")
+        session.state = state
+        session.peer.close()
+        session.peer.write(b"nothing")
+        session.peer.follow()
+        return 1
+
+    server = endpoint(closing, frame_timeout=1)
+    talker, _ = server.talk()
+    talker.send(b"ask")
+    assert talker.receive(4) == b"last"
+    assert talker.is_closed()
+    stage.pass_time(60)
+    assert len(server.peers) == 0
+    assert server.statistics.closed_slow == 0
+
+
 def test_a_reset_closes_although_nothing_is_read(stage: Stage, endpoint: Open) -> None:
     server = endpoint(ignore)
     talker, session = server.talk()
