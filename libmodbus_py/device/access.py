@@ -77,11 +77,8 @@ Find = Callable[[Any, Mapping, Who], Touched]
 
 class TouchRule(NamedTuple):
     """
-    The accesses of the requests of one class.
-
-    Attributes:
-        reads, writes: the table (`Access.table`) that they read or write; "" for none.
-        find: returns the accesses of a request, with this unit, peer and role.
+    The tables (`Access.table`, or "") that requests of a class read and write; `find` returns what
+    one touches.
     """
 
     reads: str
@@ -183,10 +180,8 @@ def touched(
     request: pdu.Request[Any] | None, who: Who = (0, "", None), mapping: Mapping | None = None
 ) -> Touched:
     """
-    Return the accesses of a request; empty for None.
-
-    Args:
-        mapping: the tables of the device, on which the result of a masked write depends.
+    Return the accesses of a request, none for None; the result of a masked write depends on the
+    mapping.
     """
     kind = ACCESSES.get(type(request))  # type: ignore[arg-type]
     return Touched() if kind is None else kind.find(request, mapping or _NOTHING, who)

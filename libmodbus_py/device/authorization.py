@@ -58,14 +58,7 @@ class UnauthorizedError(IllegalFunction):
 
 
 class Authorization:
-    """
-    Decides about each request, and logs refusals, but at most `LINES_PER_MINUTE` times a minute, so
-    that a client cannot fill the log.
-
-    Args:
-        authorize: returns True to allow a request, False to refuse it.
-        clock: returns seconds.
-    """
+    """Decides about each request, and logs few refusals, so that a client cannot fill the log."""
 
     def __init__(
         self, authorize: Authorize, *, clock: Callable[[], float] = time.monotonic

@@ -115,12 +115,8 @@ def answer_audited(
     has_rules: bool,
 ) -> bytes:
     """
-    Execute a request, and record it if it changes the device or is not allowed.
-
-    Args:
-        caller: the origin of the request, with an auditor.
-        respond: executes the request and returns the response PDU.
-        has_rules: True if exception 1 may mean that the client has no right.
+    Execute a request by `respond`, and record it if it changes the device or, with rules, is not
+    allowed.
     """
     auditor = caller.auditor
     assert auditor is not None
@@ -147,12 +143,7 @@ def changes_of(
     mapping: Mapping | None = None,
     files: MappingABC[int, RecordFile] = MappingProxyType({}),
 ) -> tuple[ValueChange, ...]:
-    """
-    Return the values that a request writes, and those before.
-
-    Args:
-        mapping, files: those of the device; None for another machine's, whose values are not known.
-    """
+    """Return the values that a request writes, and those before, if the device is here."""
     writes = touched(request, caller.who, mapping).writes
     if mapping is not None:
         return tuple(ValueChange(each, values_at(each, mapping, files)) for each in writes)

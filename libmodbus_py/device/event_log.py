@@ -142,14 +142,7 @@ class EventLog:
         self._events.appendleft(event | LISTEN_ONLY if self.listen_only else event)
 
     def note_response(self, request: bytes, response: bytes, *, silent: bool) -> None:
-        """
-        Note that a request has been processed.
-
-        Args:
-            request: the request PDU.
-            response: the response PDU; empty if the request was not executed.
-            silent: True if no response is sent.
-        """
+        """Note that a request has been processed; its response is empty if it was not executed."""
         refused = len(response) == 2 and response[0] & 0x80
         if refused:
             self._count(SubFunction.BUS_EXCEPTION_ERROR_COUNT)
@@ -164,14 +157,7 @@ class EventLog:
         self._events.appendleft(event | LISTEN_ONLY if self.listen_only else event)
 
     def note_exchanges(self, requests: int, refused: int, latest: Iterable[int]) -> None:
-        """
-        Note several requests that have been processed, with their answers sent.
-
-        Args:
-            requests: the number of requests.
-            refused: the number of those answered with an exception 1..3.
-            latest: for each of the latest requests, True if it was refused; oldest first.
-        """
+        """Note requests that C has answered; `latest`: whether each was refused, oldest first."""
         self._count(SubFunction.BUS_MESSAGE_COUNT, requests)
         self._count(SubFunction.SERVER_MESSAGE_COUNT, requests)
         self._count(SubFunction.BUS_EXCEPTION_ERROR_COUNT, refused)

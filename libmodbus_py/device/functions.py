@@ -125,11 +125,7 @@ Handlers = MappingABC[type[Request[Any]], Callable[[Any], Any]]
 
 
 class PythonFunctions:
-    """
-    The part of a `Device` that answers the functions which libmodbus lacks.
-
-    Arguments and attributes are those of `Device`.
-    """
+    """The part of a `Device` that answers the functions which libmodbus lacks."""
 
     def __init__(
         self,

@@ -110,14 +110,7 @@ Called = tuple[Hook, Callable[[Access], object]]
 
 class Hooks:
     """
-    The hooks of one device; None for no hook.
-
-    Attributes:
-        reads, writes: the addresses for which a hook is called: ``{Access.table: ranges}``.
-        is_empty: True without any hook.
-
-    Raises:
-        TypeError: a hook is neither a function nor a `Hook`.
+    The hooks of a device; `reads` and `writes` are the addresses for which one is called, by table.
     """
 
     def __init__(

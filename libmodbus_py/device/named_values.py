@@ -29,12 +29,7 @@ NOTHING: Written = {}
 
 
 def check_points(mapping: Mapping, points: object) -> None:
-    """
-    Check that a mapping has the cells of all points.
-
-    Raises:
-        WrongType, WrongValue: it lacks cells of one, or `points` is no RegisterMap.
-    """
+    """Check that a mapping has the cells of all points; raise WrongType or WrongValue."""
     from ..maps.register_map import RegisterMap
 
     if not isinstance(points, RegisterMap):
@@ -48,10 +43,7 @@ def check_points(mapping: Mapping, points: object) -> None:
 
 def zeros_for(map: object) -> Mapping:
     """
-    Return a mapping with the cells of all points of a map, all zero.
-
-    Raises:
-        TypeError: the argument is not a RegisterMap.
+    Return a mapping with the cells of all points of a map, all zero; raise TypeError if it is none.
     """
     from ..maps.register_map import RegisterMap
 
@@ -64,24 +56,14 @@ def zeros_for(map: object) -> Mapping:
 
 
 def known_point(points: MappingABC[str, Point], name: object) -> Point:
-    """
-    Return the point of a name.
-
-    Raises:
-        KeyError: there is no point of this name; the message lists similar names.
-    """
+    """Return the point of a name; raise KeyError with similar names if there is none."""
     if isinstance(name, str) and name in points:
         return points[name]
     raise KeyError(f"the device has no point {name!r}{close_to(name, points)}")
 
 
 def cells_after(point: Point, mapping: Mapping, written: Written = NOTHING) -> list[Any]:
-    """
-    Return the cells of a point, as they will be after a write.
-
-    Raises:
-        IndexError: the mapping lacks some of them.
-    """
+    """Return the cells of a point, as they will be after a write."""
     table, cells = point.table, point.cells
     found: list[Any] = getattr(mapping, table)[cells.start : cells.stop]
     if not written:
@@ -94,18 +76,8 @@ def source_after(
     point: Point, points: MappingABC[str, Point], mapping: Mapping, written: Written = NOTHING
 ) -> Any:
     """
-    Return the value of the point that `scale_from` names, as it will be after a write.
-
-    Args:
-        points: all points of the device, by name.
-
-    Returns:
-        The value; None for no value, or without `scale_from`.
-
-    Raises:
-        IndexError: the mapping lacks cells of it.
-        KeyError: there is no such point.
-        ValueError: the cells will hold no value of its type.
+    Return the value of the point that `scale_from` names, as it will be after a write; None for no
+    value.
     """
     from ..maps.point_plan import sources_of
 
@@ -118,12 +90,7 @@ def source_after(
 def set_values(
     mapping: Mapping, points: MappingABC[str, Point], values: MappingABC[str, Any]
 ) -> None:
-    """
-    Set values of points by name, all of them or none. Hold the mapping's lock.
-
-    Raises:
-        KeyError, TypeError, ValueError: as `NamedValues.update`.
-    """
+    """Set values of points by name, all of them or none. Hold the mapping's lock."""
     from ..maps.point_plan import sources_of
     from ..maps.writing import check_overlaps
 

@@ -25,15 +25,7 @@ Ranges = tuple[range, ...]
 
 
 class RuledCells(NamedTuple):
-    """
-    Cells with one rule.
-
-    Attributes:
-        place: their table, or "file", and the number of the file.
-        cells: their addresses.
-        access: "read", "write" or "read_write"; None if only the bounds of the point count.
-        point: the point whose values they hold.
-    """
+    """The cells of a point in a table or file; `access` is None if only its bounds count."""
 
     place: TableOrFile
     cells: range

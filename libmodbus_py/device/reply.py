@@ -38,12 +38,7 @@ def make_tally() -> Any:
 
 class Watched:
     """
-    The requests that the replier leaves to Python.
-
-    Args:
-        functions: the codes, 1..31, that the replier answers.
-        reads, writes: the addresses, ``{table: ranges}``, of which it answers no reads or
-            writes; ranges in order, none empty.
+    The requests that the replier leaves to Python: other functions, and ranges that are watched.
     """
 
     def __init__(
@@ -126,13 +121,8 @@ def answer_in_c(
     own: Replier, mapping: Mapping, watched: Watched, tally: Any, unit: int, data: bytes, start: int
 ) -> Answered:
     """
-    Answer the requests of Modbus/TCP from ``data[start]`` on, up to the first that
-    is not for libmodbus, watched, not for this unit or not complete.
-
-    Hold the mapping's lock.
-
-    Args:
-        own: the replier of this thread.
+    Answer the requests of Modbus/TCP from ``data[start]`` on, up to the first that is not for
+    libmodbus, watched, not for this unit or not complete. Hold the mapping's lock.
     """
     struct = own.struct
     end = lib.answer_chunk(

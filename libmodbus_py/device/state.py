@@ -209,14 +209,7 @@ def _meaning(point: Point) -> list[Any]:
 
 def load_state(file: str, text: str, devices: Devices) -> None:
     """
-    Set the values of devices to those of a text, either all of them or none.
-
-    Args:
-        file: the name of the file, for errors.
-
-    Raises:
-        ValueError: the text is cut off or damaged, of a newer version or of other devices; the
-            message names the file and the key.
+    Set the values of devices to those of a text, or raise ValueError with the file and the key.
     """
     try:
         units = _checked_units(_parsed(text), devices)
@@ -323,13 +316,7 @@ def _number(path: Path, key: str) -> int:
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """
-    Return the text of a file.
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: it is not a regular file, or not UTF-8.
-    """
+    """Return the text of a file; raise OSError, or ValueError if it is not regular or not UTF-8."""
     if not stat.S_ISREG(os.stat(path).st_mode):  # a named pipe would wait for a writer
         raise ValueError(f"{os.fspath(path)}: not a regular file")
     with open(path, "rb") as file:

@@ -142,11 +142,7 @@ class PastRefusal(NamedTuple):
 @dataclass(slots=True)
 class Holes:
     """
-    The refusals of one unit, as one client knows them.
-
-    Attributes:
-        refused: the pieces that were refused alone.
-        cuts: the table and address at which a request must begin.
+    The refusals of one unit, as one client knows them: pieces, and addresses where requests begin.
     """
 
     refused: dict[Span, PastRefusal] = field(default_factory=dict)
@@ -161,13 +157,7 @@ class Holes:
 
 
 class PartialAnswer(list[Any]):
-    """
-    The cells of an answer, with None for those that were not read.
-
-    Attributes:
-        lost: the names of the items that could not be read.
-        errors: why the cells from one index to another could not be read.
-    """
+    """The cells of an answer, None where not read; the names that are lost, and errors of parts."""
 
     def __init__(self, size: int) -> None:
         super().__init__([None] * size)
@@ -360,16 +350,11 @@ def reading(
     Read the blocks of a plan: yield requests, take their outcomes, and return the answers.
 
     Args:
-        blocks: the blocks of the plan.
         holes: what is known of the unit, to which is added what is found.
-        now: the time in seconds, of any steady clock.
-        connects: how many connections the client has made.
+        now: the time in seconds, of any steady clock; `connects`: how many connections there were.
         is_strict: True to ask for everything until one request fails: the last answer is its error
             then, with the names of the first piece that is refused alone.
         tell: is called with a sentence about each hole that was found, or holes side by side.
-
-    Returns:
-        The answers to the requests of the plan, as `Plan.results` takes them.
     """
     run = _PlanRun(blocks, holes, now, connects)
     try:

@@ -79,15 +79,7 @@ _SPAN = re.compile(r"\s*([0-9]{1,3})\s*(?:\.\.\s*([0-9]{1,3})\s*)?", re.ASCII)
 
 
 class Part(NamedTuple):
-    """
-    Some adjacent bits of a value. Its text is what `part_of` takes.
-
-    Attributes:
-        shift: the number of the lowest bit; 0 is the lowest of the value.
-        width: how many bits.
-        is_flag: True if the value is True or False, not a number.
-        is_signed: True if the highest bit of the part is a sign.
-    """
+    """Adjacent bits of a value, from `shift` on: True or False for a flag, else a number."""
 
     shift: int
     width: int
@@ -120,10 +112,7 @@ class Part(NamedTuple):
 
     def put(self, name: str | Path, value: object) -> int:
         """
-        Return the bits of a value, with all other bits 0.
-
-        Raises:
-            TypeError, ValueError: the part cannot hold the value.
+        Return the bits of a value, all others 0; raise TypeError or ValueError if it does not fit.
         """
         if self.is_flag and isinstance(value, bool):
             value = int(value)
@@ -132,13 +121,7 @@ class Part(NamedTuple):
 
 def part_of(path: str | Path, given: object, bits: int, *, is_signed: bool = False) -> Part:
     """
-    Return the part that a number such as 3, or a text such as "4..7", names.
-
-    Args:
-        bits: of the type.
-
-    Raises:
-        TypeError, ValueError: it names no bits, or bits that the type does not have.
+    Return the part that a number such as 3, or a text such as "4..7", names; or raise an error.
     """
     if isinstance(given, int) and not isinstance(given, bool):
         return Part(integer(path, given, 0, bits - 1), 1, is_flag=True)
@@ -184,21 +167,8 @@ class Meaning:
     """
     Turns the cells of a point into values or `NoValue`, and values into cells.
 
-    Args:
-        name: of the point.
-        kind: of its registers; None for a table of bits.
-        missing: raw values that mean no value.
-        span: the lowest and the highest plausible value.
-        part: the bits of the registers that are the raw value; None for all of them.
-        states: raw number -> name; empty for numbers.
-        bits: name -> bits; empty unless the value is a dict.
-
-    Attributes:
-        part, bits: as given.
-        from_bytes: returns the raw value of the bytes of one value; raises ValueError if they
-            hold none.
-        has_numbers: True if the values are numbers.
-        is_plain: True if every raw number is a value, but for nan.
+    `from_bytes` returns the raw value of the bytes of one value; `is_plain`: every raw number is a
+    value, but for nan.
     """
 
     __slots__ = (
@@ -255,26 +225,14 @@ class Meaning:
 
     def values_in(self, cells: Sequence[Any], scaling: Scaling | None) -> list[Any]:
         """
-        Return the values that cells hold; a `NoValue` stands for no value.
-
-        Args:
-            cells: of one value or several.
-            scaling: converts raw numbers; None if they are the values.
-
-        Raises:
-            TypeError, ValueError: the cells hold no values of this type.
+        Return the values that cells of one value or several hold; a `NoValue` stands for none.
         """
         scale = None if scaling is None else scaling.to_value
         raws = self.raws_in(cells)
         return [raw if isinstance(raw, NoValue) else self.judge(raw, scale) for raw in raws]
 
     def raws_in(self, cells: Sequence[Any]) -> list[Any]:
-        """
-        Return the raw values that cells hold; a `NoValue` stands for a time that is none.
-
-        Raises:
-            TypeError, ValueError: as `values_in`.
-        """
+        """Return the raw values that cells hold; a `NoValue` stands for a time that is none."""
         if (kind := self._kind) is None:
             return list(cells)
         size = kind.registers
@@ -293,12 +251,7 @@ class Meaning:
         return found
 
     def judge(self, raw: Any, scale: Callable[[Any], Any] | None) -> Any:
-        """
-        Return the value of a raw value, or a `NoValue`.
-
-        Args:
-            scale: converts raw numbers to scaled ones; None if they are the same.
-        """
+        """Return the value of a raw value, or a `NoValue`; `scale` converts numbers."""
         key = sum(bit << at for at, bit in enumerate(raw)) if self._is_list else raw
         if key in self._missing:
             return self._missed(key)
@@ -321,12 +274,7 @@ class Meaning:
     # --- write -----------------------------------------------------------------------------
 
     def change(self, value: Any, scaling: Scaling | None) -> CellChange:
-        """
-        Return what a value changes.
-
-        Raises:
-            TypeError, ValueError: it does not fit; the message begins with "value".
-        """
+        """Return what a value changes; errors begin with "value"."""
         kind, raw = self._kind, self._raw_of(value, scaling)
         if kind is None:
             return CellChange([checked_bit("value", raw)], None)

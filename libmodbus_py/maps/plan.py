@@ -306,9 +306,8 @@ class Plan:
 
     def _merge(self, table: str, limit: int) -> None:
         """
-        Cover the items of a table with the fewest requests, from the lowest cell on.
-
-        No request begins before it must: at the lowest cell that is in none yet.
+        Cover the items of a table with the fewest requests: none begins before the lowest cell that
+        is in none yet.
         """
         items = [(name, read) for name, read in self._reads.items() if read.table == table]
         pieces = [
@@ -342,12 +341,7 @@ class Plan:
 
 
 def planned(items: Plan | Items, options: PlanOptions) -> Plan:
-    """
-    Return the plan itself, or a new plan made of the items.
-
-    Raises:
-        TypeError, ValueError: as `Plan`; or options were passed beside a plan, which has its own.
-    """
+    """Return the plan itself, or a new plan made of the items."""
     if not isinstance(items, Plan):
         return Plan(items, **options)
     if options:

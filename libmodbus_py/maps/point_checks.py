@@ -74,12 +74,7 @@ SUNSPEC_MISSING = {
 
 
 def check_point(point: Point) -> None:
-    """
-    Check the arguments of a point; store each in one spelling, and what is made of them.
-
-    Raises:
-        TypeError, ValueError: as `Point`.
-    """
+    """Check the arguments of a point; store each in one spelling, and what is made of them."""
     for name, (least, most) in TEXTS.items():
         _check_text(name, getattr(point, name), least, most)
     for name in ("encoding", "padding"):

@@ -81,33 +81,14 @@ class _Scale(NamedTuple):
 
 
 class _Scales(NamedTuple):
-    """
-    The scales that some answers tell.
-
-    Attributes:
-        values: the values of the points that scale others, by name, or the reason why there is
-            none.
-        functions: those that scale raw numbers, by the number of the scale in the plan; without
-            those whose point has no fit value.
-    """
+    """The values of points that scale others, by name, and the functions that they stand for."""
 
     values: dict[str, Any]
     functions: dict[int, Callable[[Any], Any]]
 
 
 class _Quick(NamedTuple):
-    """
-    A point with one value in registers of one answer.
-
-    Attributes:
-        name: the name.
-        data: the index of the answer in what `PointPlan._data` returns.
-        start: the index of its first byte; of its register, without `from_bytes`.
-        stop: the index behind its last byte.
-        from_bytes: the decoder; None for a number of 16 bits, which needs none.
-        to_value, judge: as of `Point` and of its `Meaning`.
-        scale: the number of its scale, if another point tells that.
-    """
+    """A point with one value in registers of one answer, and how it is decoded without detours."""
 
     name: str
     data: int
@@ -123,16 +104,7 @@ class PointPlan(Plan):
     """
     A `Plan` for points of a map, whose results are their values by name.
 
-    ``plc.read_many(plan)`` returns the same dict.
-
-    Args:
-        points: the points of the results.
-        sources: the points that scale them, or each other, by name, which are read, too; each
-            stands before those that it scales.
-        options: as for `Plan`.
-
-    Raises:
-        ValueError: a point that scales another is not in `sources`; or as `Plan`.
+    The points that scale them are read, too; in `sources` each stands before those that it scales.
     """
 
     def __init__(
@@ -252,10 +224,7 @@ class PointPlan(Plan):
 
     def _value(self, name: str, answers: list[Any], scales: _Scales) -> Any:
         """
-        Return the value of a point, a `NoValue`, or the error of its request.
-
-        Raises:
-            ValueError: its registers hold no value of its type.
+        Return the value of a point, a `NoValue`, or the error of its request; or raise ValueError.
         """
         point, cells = self._all[name], self._values(name, answers)
         source = scales.values.get(point.scale_from or "")

@@ -318,23 +318,14 @@ class MapBinding:
 
     def _value(self, name: str) -> Any:
         """
-        Return the value of a point, None for no value.
-
-        Raises:
-            AttributeError: it has not been read.
+        Return the value of a point, None for no value; raise AttributeError if it was not read.
         """
         if name not in self._values:
             raise AttributeError(f"{self._attributes[name]} has not been read: call read()")
         return self._values[name]
 
     def _certain(self, name: str) -> Any:
-        """
-        Return the value of a point for which the map knows no values that mean none.
-
-        Raises:
-            AttributeError: it has not been read.
-            ValueError: there is no value all the same, such as for a nan.
-        """
+        """Return a value that cannot be missing; raise ValueError if it is, such as for a nan."""
         value = self._value(name)
         if value is None:
             raise ValueError(f"{name} has no value")

@@ -27,13 +27,7 @@ DIGITS_OF_DIVISION = 14
 
 
 def number(name: str, value: object) -> int | float:
-    """
-    Check a number of a map.
-
-    Raises:
-        TypeError: the value is not an int or float; True and False do not count as such.
-        ValueError: the value is not in -1e30..1e30.
-    """
+    """Check a number of a map: an int or float in -1e30..1e30, not True or False."""
     found = checks.number(name, value, -LARGEST, LARGEST)
     return int(found) if isinstance(found, int) else float(found)
 
@@ -42,17 +36,8 @@ class Scaling:
     """
     value = raw * scale * factor + offset, computed exactly and rounded once, to the nearest float.
 
-    Scale and offset are taken as they are written: 0.1 is a tenth. Where all are whole,
-    integers give integers.
-
-    Args:
-        scale: -1e30..1e30, not nearer to 0 than 1e-30.
-        offset: -1e30..1e30.
-        factor: another factor, which is exact; not 0.
-
-    Raises:
-        TypeError, ValueError: an argument is of the wrong type or range; the message begins with
-            its name.
+    Scale and offset are taken as they are written: 0.1 is a tenth. Where all are whole, integers
+    give integers. The scale is not nearer to 0 than 1e-30.
     """
 
     __slots__ = ("_divisor", "_factor", "_shift")
@@ -83,21 +68,11 @@ class Scaling:
             return math.inf if scaled > 0 else -math.inf  # too large for copysign, too
 
     def to_whole(self, value: object) -> int:
-        """
-        Return the nearest raw number; of two equally near ones, the even one.
-
-        Raises:
-            TypeError, ValueError: no number, or not a finite one.
-        """
+        """Return the nearest raw number; of two equally near ones, the even one."""
         return round(self._to_raw(value))
 
     def to_float(self, value: object) -> float:
-        """
-        Return the raw number as a float; infinity and nan stay what they are.
-
-        Raises:
-            TypeError: no number.
-        """
+        """Return the raw number as a float; infinity and nan stay what they are."""
         if isinstance(value, float) and not math.isfinite(value):
             return value * self._factor
         try:
@@ -116,13 +91,7 @@ LARGEST_EXPONENT = round(math.log10(LARGEST))
 @lru_cache(maxsize=1024)
 def scaling_by(scale: float, offset: float, how: str, source: float) -> Scaling:
     """
-    Return the scaling with a factor that the device tells.
-
-    Args:
-        how: "exponent" if `source` is a power of ten, "factor" if it is the factor.
-
-    Raises:
-        ValueError: `source` is not a whole number in -30..30, or no factor in 1e-30..1e30.
+    Return the scaling with a power of ten, or a factor, that the device tells; or raise ValueError.
     """
     from fractions import Fraction
 
@@ -138,9 +107,6 @@ def scaling_by(scale: float, offset: float, how: str, source: float) -> Scaling:
 def exact(value: Any) -> Fraction:
     """
     Return a number as it is written; of a float, the shortest text that Python reads as that float.
-
-    Raises:
-        TypeError, ValueError: no number, or not a finite one.
     """
     from fractions import Fraction
 
@@ -155,12 +121,7 @@ def exact(value: Any) -> Fraction:
 
 
 def exact_scale(scale: float) -> Fraction:
-    """
-    Return a scale as it is written, and 1/n where a file has the divisor n, such as 3.
-
-    Raises:
-        TypeError, ValueError: as `exact`.
-    """
+    """Return a scale as it is written, and 1/n where a file has the divisor n, such as 3."""
     from fractions import Fraction
 
     written = exact(scale)

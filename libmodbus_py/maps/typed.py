@@ -97,12 +97,7 @@ def _named_bits(text: str) -> dict[str, int]:
 
 
 def json_value(point: Point, value: Any) -> Any:
-    """
-    Return a value of JSON as `Point.encode` takes it: times are text (ISO 8601).
-
-    Raises:
-        ValueError: a text is not a time; the message begins with "value".
-    """
+    """Return a value of JSON as `Point.encode` takes it: times are text (ISO 8601)."""
     kind = point.read.kind
     if kind is None or not kind.is_time:
         return value
@@ -125,12 +120,7 @@ def _json(text: str, kind: type[Each], name: str) -> Each:
 
 
 def typed_register(text: str) -> int:
-    """
-    Return one register, 0..65535; -1 is 65535, because both are the same 16 bits.
-
-    Raises:
-        ValueError: the text is not a number in -32768..65535; the message begins with "value".
-    """
+    """Return one register; -1 is 65535, because both are the same 16 bits. Raises ValueError."""
     value = number_of("value", text)
     if not -0x8000 <= value <= 0xFFFF:
         raise ValueError(f"value must be in -32768..65535, not {shown(value)}")

@@ -36,13 +36,6 @@ class PointIntervals:
     Polls come at the shortest interval. A point with a longer one is read at the first poll that is
     due when its interval is over, and never sooner. The times at which polls are due count, not
     those at which they begin, so that no poll is left out because the one before began late.
-
-    Args:
-        own: the interval of each point; None for one without its own.
-        usual: the interval of points without their own, in seconds.
-
-    Attributes:
-        interval: seconds from one poll to the next.
     """
 
     __slots__ = ("_again", "_at", "_due", "_indexes", "_last", "interval")
@@ -61,10 +54,7 @@ class PointIntervals:
 
     def due(self, at: float) -> tuple[int, ...] | None:
         """
-        Return the indexes of the points that are read at a poll; None if all are.
-
-        Args:
-            at: when the poll is due.
+        Return the indexes of the points that are read at a poll that is due now; None if all are.
         """
         self._at = at
         over = at + self.interval * TOLERANCE
@@ -79,13 +69,10 @@ class PointIntervals:
 
     def done(self, unanswered: Collection[int] = ()) -> None:
         """
-        Note that what was due is read.
+        Note that what was due is read, but for the unanswered.
 
         Points without an answer are read again at the next poll, once; if there was no answer at
         all, until there is one.
-
-        Args:
-            unanswered: the indexes of the points that the device did not answer for.
         """
         missing = set(unanswered)
         if missing and all(missing.issuperset(self._indexes[each]) for each in self._due):
@@ -100,11 +87,7 @@ class PointIntervals:
 
 class Falls(NamedTuple):
     """
-    The totals of a poll that are smaller than before.
-
-    Attributes:
-        doubtful: the indexes of those that must be read again before they are believed.
-        fell: the indexes of those that were read again, and are still smaller.
+    The indexes of totals that are smaller than before: doubtful at first, fell when read again.
     """
 
     doubtful: frozenset[int]
@@ -112,12 +95,7 @@ class Falls(NamedTuple):
 
 
 class Totals:
-    """
-    Remembers the totals of one device from poll to poll. No clock.
-
-    Args:
-        indexes: those of the points with `never_falls`, among the values of a poll.
-    """
+    """Remembers the totals of one device from poll to poll. No clock."""
 
     __slots__ = ("_doubtful", "_last")
 
@@ -126,12 +104,7 @@ class Totals:
         self._doubtful: frozenset[int] = frozenset()
 
     def take(self, values: Sequence[Any]) -> Falls:
-        """
-        Return which totals of a poll are smaller than before.
-
-        Args:
-            values: all values of the poll; what is not a number is left out.
-        """
+        """Return which totals of a poll are smaller than before."""
         if not self._last:
             return NO_FALLS
         smaller = {
@@ -172,17 +145,7 @@ class WatchedPoints:
     """
     Decides what is read at each poll of a map, and keeps the values of points that are not due.
 
-    Args:
-        map: the map.
-        names: of its points; None for all that can be read.
-        every: seconds between two reads of points without an interval.
-        options: of `Plan`.
-
-    Attributes:
-        interval: seconds from one poll to the next: `every`, or the shortest interval.
-
-    Raises:
-        TypeError, ValueError: as `RegisterMap.plan`.
+    Points without an interval are read `every` seconds; `interval` is the shortest of all.
     """
 
     def __init__(
@@ -204,12 +167,7 @@ class WatchedPoints:
         self.interval: float = self._pace.interval
 
     def poll(self, at: float) -> Generator[PointPlan, dict[str, Any], PolledValues]:
-        """
-        Yield the plans of a poll, take their results, and return all values.
-
-        Args:
-            at: when the poll is due, in seconds of any steady clock.
-        """
+        """Yield the plans of a poll that is due now, take their results, and return all values."""
         found = yield self._plan(self._pace.due(at))
         fell: frozenset[int] = frozenset()
         doubtful = self._totals.take(self._all(found)).doubtful

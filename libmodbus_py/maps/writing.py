@@ -66,17 +66,10 @@ def write_requests(
     changes: Iterable[tuple[Point, Any, Any]], multiple: bool
 ) -> list[pdu.Request[None]]:
     """
-    Return the requests that write values to points, in their order.
+    Return the requests that write values to points, in their order; all values are checked.
 
     Points that lie directly behind each other are written with one request; those that are parts
     of one register with one request of function 22, in the place of the first of them.
-
-    Args:
-        changes: points, their values, and the values of the points that scale them, or None.
-
-    Raises:
-        TypeError, ValueError: a value does not fit its point or a request, or points share cells.
-            The message names the points.
     """
     runs: list[_Run | _Masked] = []
     masked: dict[int, _Masked] = {}
@@ -122,12 +115,7 @@ def _pieces(point: Point, cells: list[Any]) -> Iterator[_Run]:
 
 
 def check_overlaps(changes: Iterable[tuple[Point, CellChange]]) -> None:
-    """
-    Check that no two changes of points share cells.
-
-    Raises:
-        ValueError: two points share cells, or bits of them; the message names both.
-    """
+    """Raise ValueError, with both names, if two changes of points share cells or bits of them."""
     ordered = sorted(changes, key=lambda change: (change[0].table, change[0].address))
     # Bits that are taken in the cells of the table, and the point that takes them first.
     taken: dict[tuple[str, int], tuple[int, str]] = {}
@@ -147,13 +135,6 @@ def check_cells(point: Point, cells: Sequence[Any], *, source: Any = None) -> No
     Check the values in the cells of a point, which someone else has encoded, against its bounds.
 
     The nearest value to a bound that the type has is within it: 0.1 as a float32 is not above 0.1.
-
-    Args:
-        source: the value of the point that scales this one.
-
-    Raises:
-        ValueError: a value is outside, is not a number, or the cells hold none; the message names
-            the point and the bounds. Or `source` is not a scale.
     """
     if not point.has_bounds:
         return

@@ -213,12 +213,7 @@ def _result(response: bytes, *, is_broadcast: bool) -> str:
 
 
 def audit_of(given: Audit | OnAudited) -> Audit:
-    """
-    Return an audit; a function becomes one.
-
-    Raises:
-        TypeError: it is not a function.
-    """
+    """Return an audit; a function becomes one. Raises TypeError."""
     return given if isinstance(given, Audit) else Audit(given)
 
 

@@ -27,14 +27,7 @@ FOUND_AT_ONCE = 4
 
 
 class SessionSettings:
-    """
-    The properties that the sessions of one endpoint share: framing, counters, limits, local echo.
-
-    Args:
-        endpoint: the endpoint, with the setting `echo`.
-        statistics: the counters of requests.
-        has_turns: True if others wait while one connection is answered.
-    """
+    """Settings of the sessions of an endpoint; `has_turns` if others wait while one is answered."""
 
     def __init__(
         self, endpoint: Endpoint, statistics: ServerStatistics, *, has_turns: bool = False
@@ -64,13 +57,7 @@ class SessionSettings:
 
 class Framed(ABC):
     """
-    Finds the frames in what a channel receives, and writes the answers to it.
-
-    Args:
-        settings: those of the endpoint.
-        channel: channel of the client.
-        is_ours: returns True if requests to a unit are answered here; others on the line may
-            answer all other units.
+    Finds the frames for units that are ours in what a channel receives, and writes the answers.
     """
 
     def __init__(
@@ -266,9 +253,7 @@ class Framed(ABC):
 
     def _reply(self, answer: Frame) -> None:
         """
-        Send an answer; without transaction ids, only if no other request waits behind this one.
-
-        Its client would take it for the answer to that one.
+        Send an answer; without transaction ids, only if no other request waits that would take it.
         """
         adu = self.framer.encode(answer)
         if self.framer.has_broadcast:

@@ -211,12 +211,8 @@ Connection = TypeVar("Connection")
 
 class Idle(Generic[Connection]):
     """
-    Connections in the order in which they are closed to make room: those that never
-    sent a request, then the others; the longest idle first in each group.
-
-    Attributes:
-        strangers: connections without a request -> the time at which they came.
-        known: the others -> the time of their last request.
+    Connections in the order in which they are closed to make room: strangers, which never sent a
+    request, then the known ones; the longest idle first in each group.
     """
 
     __slots__ = ("known", "strangers")
@@ -269,16 +265,7 @@ Each = TypeVar("Each", bound=Paused)
 
 
 class Address(Generic[Each]):
-    """
-    One address, and all its connections.
-
-    Args:
-        rate: the number of requests that are answered in a second.
-
-    Attributes:
-        host: the address, as `counted_host` returns it.
-        idle: the connections of the address, in the order in which they became idle.
-    """
+    """One address, as `counted_host` returns it, and all its connections."""
 
     __slots__ = ("_allowance", "_loop", "_paused", "_rate", "_timer", "host", "idle")
 
@@ -326,12 +313,7 @@ class Address(Generic[Each]):
 
 
 class Addresses(Generic[Each]):
-    """
-    The connected addresses, and those that were connected most recently.
-
-    Args:
-        rate: the number of requests of each that are answered in a second; may be infinite.
-    """
+    """The addresses that are connected, and those that were most recently."""
 
     def __init__(self, rate: float = math.inf) -> None:
         self._rate = rate

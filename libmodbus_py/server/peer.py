@@ -46,12 +46,7 @@ MakePeerSession = Callable[["Peer"], Session]
 
 
 class Turns(ABC):
-    """
-    The turns of all connections, and the times at which they were last active.
-
-    Args:
-        poller: waits for all connections; it is closed if the loop does not take it.
-    """
+    """The turns of all connections, and the times at which they were last active."""
 
     def __init__(
         self, limits: Limits, statistics: ServerStatistics, poller: DescriptorPoller
@@ -283,8 +278,8 @@ class Peer:
 
     def _take(self, data: bytes | None = None) -> int:
         """
-        Read bytes and pass them on, or pass b"" to continue earlier work; return the number
-        of requests. One function only, because every request passes through it.
+        Read bytes, or go on with b""; return the number of requests. Every request passes through
+        it.
         """
         if data is None:
             try:

@@ -36,15 +36,7 @@ ROOM_AT_MOST = 16_384
 
 
 class Peers(Turns):
-    """
-    The connections of all TCP endpoints, within the limits.
-
-    Args:
-        end: closes all endpoints of the server when a hook ends the program; None to close
-            only the connections.
-        make_poller: returns what waits for all connections.
-        auditor: told of connections from networks that are not served.
-    """
+    """The connections of all TCP endpoints, within the limits; `end` closes all endpoints."""
 
     def __init__(
         self,
@@ -76,11 +68,8 @@ class Peers(Turns):
 
     def admit(self, client: socket.socket, host: str, name: str, make: MakePeerSession) -> None:
         """
-        Take charge of a new connection, or close it.
-
-        Args:
-            host: what the limits of one address apply to.
-            name: of the client, as `Channel.address`.
+        Take charge of a new connection, or close it; `host`: what the limits of one address apply
+        to.
         """
         if not self.limits.allows(host):
             self.statistics.disallowed += 1

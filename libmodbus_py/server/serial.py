@@ -34,18 +34,8 @@ MAX_UNSENT = 4096
 
 class SerialServer:
     """
-    Answers on one port, which is opened again when it was unplugged and comes back.
-
-    Args:
-        service: the service that answers.
-        end: closes all endpoints of the server, when a hook ends the program; None for this one.
-
-    Attributes:
-        address, role, trace: for its session; this object is the channel of the session.
-
-    Raises:
-        TypeError, ValueError: an option of the endpoint is wrong.
-        ModbusConnectionError: the port cannot be opened, with errno.
+    Answers on one port, which is opened again when it was unplugged and comes back. It is the
+    channel of its session.
     """
 
     def __init__(

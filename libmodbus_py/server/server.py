@@ -53,12 +53,7 @@ class DeviceServer(Serving):
         self._answering_now: list[tuple[asyncio.AbstractEventLoop, Devices]] = []
 
     def units_of(self, devices: Device | Mapping[int, Device]) -> Units:
-        """
-        Return devices as the units of this server.
-
-        Raises:
-            TypeError, ValueError: they cannot be, for example without the device of `own_unit`.
-        """
+        """Return devices as the units of this server, or raise TypeError or ValueError."""
         return Units(
             devices, self._unknown_unit, self._own_unit, self._note_unauthorized, self._auditor
         )

@@ -135,11 +135,8 @@ class Service(Protocol):
         self, endpoint: Endpoint, statistics: ServerStatistics, later: Later | None = None
     ) -> MakeSession:
         """
-        Return a function that makes the session of each connection, datagram or port.
-
-        Args:
-            statistics: the counters of requests.
-                later: for an endpoint whose connections are read together; else None.
+        Return a function that makes the session of each connection, datagram or port; `later` is
+        for connections that are read together.
         """
         ...
 
@@ -157,13 +154,7 @@ class Interceptor(Protocol):
 
 
 class Intercepted(Protocol):
-    """
-    A session, as its interception uses it.
-
-    Attributes:
-        framer, channel, trace, statistics: those of the session.
-        interceptor: the present one; None if there is none any more.
-    """
+    """A session, as its interception uses it."""
 
     framer: Framer
     channel: Channel
@@ -179,9 +170,7 @@ class Intercepted(Protocol):
 
     def answer(self, request: Frame, code: int = 0) -> Frame | None:
         """
-        Execute a request, or refuse it with the exception `code`; return the answer.
-
-        The answer is neither counted nor traced yet.
+        Execute a request, or refuse it with an exception; the answer is not counted or traced yet.
         """
         ...
 

@@ -251,15 +251,7 @@ class Serving(ABC):
 
 class Shared(NamedTuple):
     """
-    The parts that all endpoints of a server share.
-
-    Attributes:
-        peers: the TCP connections of all endpoints.
-        sources: the known clients of all UDP endpoints.
-        statistics: of the server.
-        security: of the server; None if it has none.
-        secured: the endpoints that use it.
-        end: closes all endpoints.
+    The parts that all endpoints of a server share; `secured`: those that use its certificates.
     """
 
     peers: Peers
@@ -324,12 +316,7 @@ def _checked(trace: OnTraced) -> OnTraced:
 
 
 class Traces:
-    """
-    The functions that are called with ADUs; they can change, in any thread.
-
-    Args:
-        first: called with a `Traced`; or None.
-    """
+    """The functions that are called with ADUs; they can change, in any thread."""
 
     def __init__(self, first: OnTraced | None) -> None:
         self._all: tuple[Harmless, ...] = () if first is None else (Harmless(first),)
@@ -353,11 +340,7 @@ class Traces:
 
 
 class TracedService:
-    """
-    A wrapper of a service whose sessions report their ADUs to a trace. See `Service`.
-
-    Whether tracing is on is checked when a session is made.
-    """
+    """A service whose sessions report their ADUs, if tracing is on when they are made."""
 
     def __init__(self, service: Service, traces: Traces) -> None:
         self._service = service

@@ -35,13 +35,7 @@ _request = itemgetter(1)
 
 
 class ByFrame(Framed):
-    """
-    A session of any framing, which answers frame by frame.
-
-    Args:
-        units: the devices.
-        settings, channel: as for `Framed`.
-    """
+    """A session of any framing, which answers frame by frame."""
 
     def __init__(
         self, settings: SessionSettings, units: TcpUnits | SerialUnits, channel: Channel
@@ -104,15 +98,7 @@ class ByFrame(Framed):
 
 
 class ByChunk(ByFrame):
-    """
-    A session of Modbus/TCP, whose requests are answered in C where possible.
-
-    Requests that C leaves are answered one by one.
-
-    Args:
-        settings, units, channel: as for `ByFrame`.
-        singles: takes requests that come alone.
-    """
+    """A session of Modbus/TCP: C answers what it can, and the rest is answered one by one."""
 
     def __init__(
         self, settings: SessionSettings, units: TcpUnits, channel: Channel, singles: Singles
@@ -205,13 +191,7 @@ class ByChunk(ByFrame):
 
 
 class Singles:
-    """
-    The single requests of several connections, answered together like one chunk.
-
-    Args:
-        units: the units that answer.
-        later: calls a function when all connections have been read.
-    """
+    """The single requests of several connections, answered together like one chunk."""
 
     def __init__(self, units: TcpUnits, statistics: ServerStatistics, later: Later) -> None:
         self._units = units

@@ -34,17 +34,7 @@ RETRY_AFTER = 0.1
 
 
 class TcpServer:
-    """
-    Listens on all addresses of a host, or at another address, for connections.
-
-    Args:
-        service: the service that answers.
-        security: for TLS; else None.
-        listener: listens at a path in place of the host of the endpoint; else None.
-
-    Raises:
-        ModbusConnectionError: an address cannot be bound, with errno.
-    """
+    """Listens on all addresses of a host, or at a path, for connections; with `security` in TLS."""
 
     def __init__(
         self,
@@ -91,10 +81,7 @@ class TcpServer:
 
     def use(self, security: Security) -> None:
         """
-        Use other certificates for new connections.
-
-        Raises:
-            ValueError: they cannot be a server's.
+        Use other certificates for new connections; raise ValueError if they cannot be a server's.
         """
         assert self._handshakes is not None
         security.check_server()
@@ -159,12 +146,7 @@ def _within(handshakes: Handshakes, make: MakeSession) -> MakePeerSession:
 async def bound(
     endpoint: Endpoint, kind: socket.SocketKind, make: Make
 ) -> tuple[list[socket.socket], Endpoint]:
-    """
-    Return a socket for each address of an endpoint's host, and the endpoint with its port.
-
-    Raises:
-        ModbusConnectionError: the host is unknown, or an address cannot be bound.
-    """
+    """Return a socket for each address of an endpoint's host, and the endpoint with its port."""
     try:
         wanted = Resolve(endpoint.host, endpoint.port, kind, math.inf, socket.AI_PASSIVE)
         sockets = bind_all(await look_up(wanted), endpoint.port, make)

@@ -42,14 +42,7 @@ class Wire(Channel, Protocol):
 
 
 class Handshakes:
-    """
-    The handshakes of a server.
-
-    Args:
-        security: the certificates of the server and of trusted clients.
-        auditor: told of handshakes that fail.
-        limits: `handshake_timeout`, and `certificate_interval` of established connections.
-    """
+    """The handshakes of a server, and the checks of the certificates of open connections."""
 
     def __init__(
         self,
@@ -164,15 +157,8 @@ def _removed(places: dict[str, dict[TlsSession, None]], session: TlsSession) -> 
 
 class TlsSession:
     """
-    A session within TLS: decrypts for the session inside, and encrypts its answers.
-
-    Args:
-        wire: the connection.
-        handshakes: the handshakes of the server.
-        make: makes the session inside, when the client is known.
-
-    Attributes:
-        address, role: those of the client, for the session inside.
+    A session within TLS: decrypts for the session inside, whose channel it is, and encrypts
+    answers.
     """
 
     # fmt: off
@@ -355,10 +341,7 @@ class TlsSession:
 
     def _take(self, tunnel: Tunnel, inner: Session, *, is_one: bool) -> int:
         """
-        Pass a slice of the received bytes to the session inside.
-
-        Args:
-            is_one: True if the slice is one record, with nothing behind it.
+        Pass a slice of the received bytes on; `is_one`: it is one record, with nothing behind it.
         """
         requests, left = 0, READ_BYTES
         self._has_more = False

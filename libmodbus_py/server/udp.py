@@ -59,17 +59,7 @@ USUAL_RATE = 1000.0
 
 
 class UdpServer:
-    """
-    Answers the datagrams to one address.
-
-    Args:
-        service: the service that answers.
-        sources: the known clients of all UDP endpoints.
-        end: closes all endpoints of the server, when a hook ends the program.
-
-    Raises:
-        ModbusConnectionError: the address cannot be bound, with errno.
-    """
+    """Answers the datagrams to one address."""
 
     def __init__(
         self,
@@ -248,10 +238,7 @@ ROOM = socket.CMSG_SPACE(max(IN_PKTINFO.size, IN6_PKTINFO.size))
 
 class DatagramSource(tuple[Any, ...]):
     """
-    The address that a datagram came from.
-
-    Attributes:
-        control: control data for the answer, which choose the address that was asked.
+    The address that a datagram came from, and control data that choose the address it was sent to.
     """
 
     control: list[tuple[int, int, bytes]]
@@ -288,12 +275,7 @@ def _choice(level: int, kind: int, info: bytes) -> tuple[int, int, bytes]:
 
 
 def bound_datagrams(family: socket.AddressFamily, address: tuple[str, int]) -> socket.socket:
-    """
-    Return a UDP socket that is bound to an address.
-
-    Raises:
-        OSError: the address cannot be bound.
-    """
+    """Return a UDP socket that is bound to an address, or raise OSError."""
     has_all = ip_address(address[0].partition("%")[0]).is_unspecified
     made = (AllAddresses if has_all else socket.socket)(family, socket.SOCK_DGRAM)
     try:

@@ -40,15 +40,8 @@ class Units:
     """
     The devices, by unit.
 
-    Args:
-        own_unit: the unit whose device answers `SERVER_ITSELF`, unless these have their own.
-        on_unauthorized: called for each request that a device does not allow.
-        auditor: told of each change.
-
-    Attributes:
-        aliases: further units that a device answers on TCP and UDP, and the unit that it has.
-        interceptor: answers the requests to some units in place of their devices; None if nothing
-            does.
+    `aliases` are further units that a device answers on TCP and UDP; the `interceptor` answers the
+    requests to some units in place of their devices.
     """
 
     def __init__(
@@ -94,10 +87,7 @@ class Units:
 
 class TcpUnits:
     """
-    The units of an endpoint with MBAP headers.
-
-    Attributes:
-        in_c: unit -> its device, if C may answer requests to it; else None.
+    The units of an endpoint with MBAP headers; `in_c` has the devices whose requests C may answer.
     """
 
     delimiter = None
