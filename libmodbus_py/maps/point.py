@@ -228,13 +228,8 @@ class Point:
 
     def scaling_for(self, source: object) -> Scaling | None:
         """
-        Return the scaling of the point; None if raw values are the values.
-
-        Args:
-            source: the value of the point that `scale_from` names; None if it has none.
-
-        Raises:
-            NoValue: it is not a scale.
+        Return the scaling, None if raw values are the values; raise NoValue if `source` is no
+        scale.
         """
         if self.scale_from is None:
             return self._scaling
@@ -248,15 +243,7 @@ class Point:
 
     def values_in(self, cells: Sequence[Any], scaling: Scaling | None = None) -> list[Any]:
         """
-        Return the values that the cells of some values of the point hold.
-
-        None stands for no value.
-
-        Args:
-            scaling: that of `scaling_for`; None for the scale and offset of the point.
-
-        Raises:
-            TypeError, ValueError: the cells hold no values of this type.
+        Return the values that the cells of some values of the point hold; None stands for none.
         """
         found = self.meaning.values_in(cells, scaling or self._scaling)
         return [None if isinstance(each, NoValue) else each for each in found]
@@ -302,33 +289,16 @@ class Point:
 
     def cells_of(self, value: Any, scaling: Scaling | None = None) -> list[Any]:
         """
-        Return the cells of a value, as `encode` does.
-
-        Args:
-            scaling: that of `scaling_for`; None for the scale and offset of the point.
-
-        Raises:
-            TypeError, ValueError: as `encode`; the message begins with "value", not with the
-                name of the point.
+        Return the cells of a value, as `encode` does; errors begin with "value", not with the name.
         """
         return self._change(value, scaling).cells
 
     def cells_of_one(self, value: Any, scaling: Scaling | None = None) -> list[Any]:
-        """
-        Return the cells of one of the values of the point.
-
-        Raises:
-            TypeError, ValueError: as `cells_of`.
-        """
+        """Return the cells of one of the values of the point; errors as of `cells_of`."""
         return self._change_of_one(value, scaling).cells
 
     def cells_for(self, values: Iterable[Any]) -> list[Any]:
-        """
-        Return the cells of some of the values; `minimum` and `maximum` are not checked.
-
-        Raises:
-            TypeError, ValueError: a value does not fit the type; the message begins with "value".
-        """
+        """Return the cells of some of the values; `minimum` and `maximum` are not checked."""
         changes = [self.meaning.change(each, self._scaling) for each in values]
         return [cell for each in changes for cell in each.cells]
 
@@ -354,15 +324,7 @@ class Point:
         return change
 
     def check_bounds(self, value: Any, given: Any = None) -> None:
-        """
-        Check a value against `minimum` and `maximum`.
-
-        Args:
-            given: the value as it was passed, if it was rounded to this one.
-
-        Raises:
-            ValueError: it is outside, or not a number; the message begins with "value".
-        """
+        """Check a value, that was rounded from the one given, against `minimum` and `maximum`."""
         low, high = self.minimum, self.maximum
         if not _is_within(value, low, high):
             span = f"{'' if low is None else low}..{'' if high is None else high}"

@@ -164,22 +164,15 @@ class PointPlan(Plan):
         self, answers: Iterable[Sequence[Any] | ModbusError], *, return_exceptions: bool = False
     ) -> dict[str, Any]:
         """
-        Return the values of the points.
+        Return the values of the points by name, None for no value.
 
-        Args:
-            answers: the answer to each of `requests`, in their order: a list
-                    of cells, or a ModbusError.
-            return_exceptions: True to return a ValueError in place of a value that the
-                    registers do not hold, such as a bcd16 with the digit F, and a `NoValue` in
-                    place of None; False to raise the former.
+        Args:     answers: the answer to each of `requests`, in their order: a list of cells, or a
+        ModbusError,         which is the result of its points, too.     return_exceptions: True to
+        return a ValueError in place of a value that the registers do not         hold, such as a
+        bcd16 with the digit F, and a `NoValue` in place of None.
 
-        Returns:
-            Values by name, None for no value. A point that was part of a failed request has the
-            ModbusError instead.
-
-        Raises:
-            ValueError: answers that are not to these requests; registers that hold no such
-                value, by the name of the point.
+        Raises:     ValueError: answers that are not to these requests; registers that hold no such
+        value.
         """
         given = self._checked_answers(list(answers))
         data = self._data(given)

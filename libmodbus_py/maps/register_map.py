@@ -212,16 +212,7 @@ AnyMap: TypeAlias = RegisterMap | str | PathLike[str]
 
 
 def map_of(given: AnyMap, name: str = "map") -> RegisterMap:
-    """
-    Return a register map, or load that of a file.
-
-    Args:
-        name: that of the argument, for errors.
-
-    Raises:
-        TypeError: it is neither a map nor a path.
-        MapError: the file cannot be read, or contains a mistake.
-    """
+    """Return a register map, or load that of a file; `name` is that of the argument, for errors."""
     if isinstance(given, RegisterMap):
         return given
     if not isinstance(given, str | PathLike):
@@ -399,10 +390,10 @@ def attribute_names(names: Iterable[str]) -> dict[str, str]:
     """
     Return the attribute for the name of each point.
 
-    A name that is an identifier of its own stays as it is. In others every run of characters that
-    no identifier has becomes one ``_``, and those at the ends are removed; "point" stands for
-    nothing, and "point_" before a digit. A name that Python or the class itself uses gets ``_``
-    behind it, and one that is taken ``_2``, ``_3`` and so on, in the order of the names.
+    A name that is an identifier stays as it is. In others every run of characters that no
+    identifier has becomes one ``_``, and those at the ends are removed; "point" stands for nothing,
+    and "point_" before a digit. A name that is used already gets ``_`` behind it, and one that is
+    taken ``_2`` and so on.
     """
     given = list(names)
     found = {name: name for name in given if _identifier(name) == name}

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import lru_cache
 from ipaddress import IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
@@ -27,12 +27,10 @@ __all__ = [
     "Address",
     "Addresses",
     "Allowance",
-    "Idle",
     "Limits",
     "Paused",
     "ServerStatistics",
     "counted_host",
-    "due",
     "host_of",
 ]
 
@@ -154,10 +152,9 @@ def _plain_host(host: str) -> str:
 @lru_cache(4096)
 def counted_host(host: str) -> str:
     """
-    Return what counts as one address: an IPv4 address, or the /64 network of an IPv6 address.
-
-    One machine may use all addresses of its /64 (RFC 4291, 2.5.4; RFC 8981), but the machines of a
-    link share the /64 of their link-local addresses.
+    Return what counts as one address: an IPv4 address, or the /64 of an IPv6 address, all of which
+    a machine may use (RFC 4291, 2.5.4). The machines of a link share the /64 of link-local
+    addresses.
     """
     host = _plain_host(host)
     try:
@@ -206,55 +203,6 @@ class Allowance:
         self._left -= requests
 
 
-Connection = TypeVar("Connection")
-
-
-class Idle(Generic[Connection]):
-    """
-    Connections in the order in which they are closed to make room: strangers, which never sent a
-    request, then the known ones; the longest idle first in each group.
-    """
-
-    __slots__ = ("known", "strangers")
-
-    def __init__(self) -> None:
-        self.strangers: dict[Connection, float] = {}
-        self.known: dict[Connection, float] = {}
-
-    def __len__(self) -> int:
-        return len(self.strangers) + len(self.known)
-
-    def __iter__(self) -> Iterator[Connection]:
-        yield from self.strangers
-        yield from self.known
-
-    def add(self, each: Connection, now: float) -> None:
-        self.strangers[each] = now
-
-    def note_request(self, each: Connection, now: float) -> None:
-        """Make a connection the latest of all."""
-        self.remove(each)
-        self.known[each] = now
-
-    def remove(self, each: Connection) -> None:
-        self.strangers.pop(each, None)
-        self.known.pop(each, None)
-
-    def due(self, until: float) -> list[Connection]:
-        """Return the connections that have been idle since a time, or longer."""
-        return [*due(self.strangers, until), *due(self.known, until)]
-
-
-def due(times: dict[Connection, float], until: float) -> list[Connection]:
-    """Return the first ones up to a time; the times are in order."""
-    found = []
-    for each, time in times.items():
-        if time > until:
-            break
-        found.append(each)
-    return found
-
-
 class Paused(Protocol):
     """A connection that is not read while its address exceeds its limit of requests."""
 
@@ -267,11 +215,11 @@ Each = TypeVar("Each", bound=Paused)
 class Address(Generic[Each]):
     """One address, as `counted_host` returns it, and all its connections."""
 
-    __slots__ = ("_allowance", "_loop", "_paused", "_rate", "_timer", "host", "idle")
+    __slots__ = ("_allowance", "_loop", "_paused", "_rate", "_timer", "connections", "host")
 
     def __init__(self, host: str, rate: float, loop: asyncio.AbstractEventLoop) -> None:
         self.host: str = host
-        self.idle: Idle[Each] = Idle()
+        self.connections: dict[Each, None] = {}
         self._rate = rate
         self._loop = loop
         self._allowance = Allowance(rate, loop.time())
@@ -292,7 +240,7 @@ class Address(Generic[Each]):
             self._release_after(self._allowance.wait(self._loop.time()))
 
     def forget(self, connection: Each) -> None:
-        self.idle.remove(connection)
+        self.connections.pop(connection, None)
         self._paused.pop(connection, None)
         if not self._paused and self._timer is not None:
             self._timer.cancel()
@@ -329,7 +277,7 @@ class Addresses(Generic[Each]):
 
     def keep(self, address: Address[Each]) -> None:
         """Remember an address while it has connections or is one of the latest."""
-        if address.idle:
+        if address.connections:
             self._connected[address.host] = address
             self._others.pop(address.host, None)
             return

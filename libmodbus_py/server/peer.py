@@ -22,7 +22,7 @@ from ..ports.trace import Trace
 from ..protocol.errors import FrameError
 from ..protocol.logs import HarmlessLogger
 from ..system import DescriptorPoller
-from .limits import Address, Idle, Limits, ServerStatistics
+from .limits import Address, Limits, ServerStatistics
 from .service import ENDS, TURN_EVENTS, UNREAD, Session, SessionState
 
 if TYPE_CHECKING:
@@ -35,10 +35,6 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 READ_BYTES = 256
 """Read from one client in a turn, during which the others wait: 16 requests in flight fit."""
 
-# The resolution of idle times: noting the time of each request would cost more than reading
-# the request.
-RESOLUTION = 0.05
-
 UNFINISHED = SessionState.UNFINISHED
 
 MakePeerSession = Callable[["Peer"], Session]
@@ -46,7 +42,7 @@ MakePeerSession = Callable[["Peer"], Session]
 
 
 class Turns(ABC):
-    """The turns of all connections, and the times at which they were last active."""
+    """The turns of all connections, and the deadlines of their frames."""
 
     def __init__(
         self, limits: Limits, statistics: ServerStatistics, poller: DescriptorPoller
@@ -54,8 +50,6 @@ class Turns(ABC):
         self.limits = limits
         self.statistics = statistics
         self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
-        self.idle: Idle[Peer] = Idle()
-        self._known = self.idle.known
         # Connections with a deadline -> the time of the deadline.
         self.deadlines: dict[Peer, float] = {}
         # Connections that have something to send when all have been read.
@@ -67,7 +61,7 @@ class Turns(ABC):
         self._next_turn: asyncio.Handle | None = None
         self._ending: BaseException | None = None  # raised by a hook to end the program
         self._in_turn = False
-        self._now = 0.0  # the time of this turn
+        self.now = 0.0  # the time of this turn
         self._poller = poller
         self._by_descriptor: dict[int, Peer] = {}
         try:
@@ -139,7 +133,7 @@ class Turns(ABC):
             self._next_turn.cancel()
             self._next_turn = None
         self._in_turn = True
-        self._now = self.loop.time()
+        self.now = self.loop.time()
         for descriptor, events in self._poller.poll(0, TURN_EVENTS):
             # The turn of another connection may have closed this one.
             if peer := self._by_descriptor.get(descriptor):
@@ -176,14 +170,7 @@ class Turns(ABC):
         for peer in sending:
             peer.send()
 
-    # --- idle times and deadlines --------------------------------------------------------
-
-    def note_request(self, peer: Peer) -> None:
-        """Make a peer the latest of all, with no frame begun."""
-        self.deadlines.pop(peer, None)
-        if self._now - self._known.get(peer, 0.0) > RESOLUTION:
-            self.idle.note_request(peer, self._now)
-            peer.shared.idle.note_request(peer, self._now)
+    # --- deadlines -----------------------------------------------------------------------
 
     def set_deadline(self, peer: Peer) -> None:
         """Set the deadline of a peer, unless it has one already."""
@@ -199,8 +186,8 @@ class Peer:
     # fmt: off
     __slots__ = (
         "_descriptor", "_is_behind", "_is_closing", "_is_full", "_is_reading", "_is_sending",
-        "_is_throttled", "_session", "_socket", "_turns", "_unsent", "address", "holder", "role",
-        "shared", "trace",
+        "_is_throttled", "_session", "_socket", "_turns", "_unsent", "address", "has_asked",
+        "holder", "idle_since", "role", "shared", "trace",
     )
     # fmt: on
 
@@ -218,6 +205,8 @@ class Peer:
         self.role: str | None = None
         self.holder: CertificateHolder | None = None
         self.shared: Address[Peer] = shared  # shared with all other connections of its host
+        self.has_asked: bool = False
+        self.idle_since: float = turns.loop.time()  # of its last request, or since it came
         self._turns = turns
         self._socket = client
         self._descriptor = client.fileno()
@@ -303,7 +292,9 @@ class Peer:
         if self._descriptor < 0:  # a hook closed it
             return requests
         if requests:
-            turns.note_request(self)
+            self.has_asked = True
+            self.idle_since = turns.now
+            turns.drop_deadline(self)
         if self._is_closing or (self._is_reading and session.state is UNFINISHED):
             turns.set_deadline(self)
         elif not requests:

@@ -8,21 +8,13 @@ import asyncio
 import contextlib
 import math
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from select import POLLIN
 from typing import TYPE_CHECKING
 
 from ..ports.port import abandoned_in_children
 from ..system import DescriptorPoller, make_poller, reserve_descriptors
-from .limits import (
-    SPARE_DESCRIPTORS,
-    Address,
-    Addresses,
-    Idle,
-    Limits,
-    ServerStatistics,
-    due,
-)
+from .limits import SPARE_DESCRIPTORS, Address, Addresses, Limits, ServerStatistics
 from .peer import MakePeerSession, Peer, Turns
 from .service import SessionState
 
@@ -53,6 +45,7 @@ class Peers(Turns):
         self.auditor = auditor
         self._end = end or self.close
         self._most_of_address = limits.connections_of_address()
+        self._connections: dict[Peer, None] = {}
         self._addresses: Addresses[Peer] = Addresses(limits.requests_per_second or math.inf)
         self._make_peer = Peer if limits.requests_per_second is None else LimitedPeer
         self._sweeping: asyncio.TimerHandle | None = None
@@ -61,7 +54,7 @@ class Peers(Turns):
         abandoned_in_children(self)
 
     def __len__(self) -> int:
-        return len(self.idle)
+        return len(self._connections)
 
     def end(self) -> None:
         self._end()
@@ -78,10 +71,12 @@ class Peers(Turns):
             client.close()
             return
         shared = self._addresses.get(host)
-        if len(shared.idle) >= self._most_of_address and not self._make_room(shared.idle):
+        if len(shared.connections) >= self._most_of_address and not self._make_room(
+            shared.connections
+        ):
             self.statistics.refused_address += 1
             client.close()
-        elif len(self) >= self._most and not self._make_room(self.idle):
+        elif len(self) >= self._most and not self._make_room(self._connections):
             self.statistics.refused_full += 1
             client.close()
         else:
@@ -89,7 +84,7 @@ class Peers(Turns):
 
     def close(self) -> None:
         """Close all connections; may be called any number of times."""
-        for peer in list(self.idle):
+        for peer in list(self._connections):
             peer.close()
         if self._sweeping is not None:
             self._sweeping.cancel()
@@ -104,23 +99,22 @@ class Peers(Turns):
         self.statistics.accepted += 1
         self.statistics.connections += 1
         peer = self._make_peer(self, client, address, shared, make)
-        now = self.loop.time()
-        self.idle.add(peer, now)
-        shared.idle.add(peer, now)
+        self._connections[peer] = shared.connections[peer] = None
         self._addresses.keep(shared)
         if self._sweeping is None:
             self._sweeping = self.loop.call_later(self._sweep_every, self._sweep)
 
-    def _make_room(self, idle: Idle[Peer]) -> bool:
+    def _make_room(self, among: Iterable[Peer]) -> bool:
+        """Close one that never asked if there is any, otherwise the one that asked first."""
         if self.limits.when_full == "refuse":
             return False
         self.statistics.closed_for_others += 1
-        next(iter(idle)).close()
+        min(among, key=lambda peer: (peer.has_asked, peer.idle_since)).close()
         return True
 
     def remove(self, peer: Peer) -> None:
         self.statistics.connections -= 1
-        self.idle.remove(peer)
+        self._connections.pop(peer, None)
         self.deadlines.pop(peer, None)
         peer.shared.forget(peer)
         self._addresses.keep(peer.shared)
@@ -128,11 +122,12 @@ class Peers(Turns):
     def _sweep(self) -> None:
         self._sweeping = None
         now = self.loop.time()
-        for peer in due(self.deadlines, now):
+        for peer in [each for each, at in self.deadlines.items() if at <= now]:
             self.statistics.closed_slow += 1
             peer.close()
         if self.limits.idle_timeout is not None:
-            for peer in self.idle.due(now - self.limits.idle_timeout):
+            since = now - self.limits.idle_timeout
+            for peer in [each for each in self._connections if each.idle_since <= since]:
                 self.statistics.closed_idle += 1
                 peer.close()
         if len(self):

@@ -58,7 +58,7 @@ def test_an_address_with_a_connection_is_remembered_whatever_comes(
         addresses: Addresses[Client] = Addresses(1.0)
         connected = addresses.get("192.0.2.1")
         client = Client(connected)
-        connected.idle.add(client, 0.0)
+        connected.connections[client] = None
         connected.spend(1000)
         addresses.keep(connected)
         for last in range(2, 9):
@@ -79,7 +79,7 @@ def test_without_a_limit_only_connected_addresses_are_remembered() -> None:
         address = addresses.get("192.0.2.1")
         addresses.keep(address)
         assert addresses.get("192.0.2.1") is not address
-        address.idle.add(Client(address), 0.0)
+        address.connections[Client(address)] = None
         addresses.keep(address)
         assert addresses.get("192.0.2.1") is address
 
