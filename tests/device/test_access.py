@@ -236,36 +236,6 @@ class TestHooks:
         assert device.answer(request.encode()) == b"\x95\x08"
         assert contents(device) == before
 
-    @pytest.mark.parametrize("code", [0, -1, 256, 1000])
-    def test_code_that_no_answer_can_carry_is_a_failure(
-        self, code: int, caplog: pytest.LogCaptureFixture
-    ) -> None:
-        def refuse(access: Access) -> None:
-            raise errors.ExceptionResponse(code=code)
-
-        device = hooked_device(before_write=refuse)
-        for _ in range(2):
-            assert device.answer(b"\6" + words(100, 1)) == b"\x86\4"
-        assert len(caplog.records) == 1
-
-    @pytest.mark.parametrize("hook", ["before_write", "before_read", "after_write"])
-    def test_bug_of_a_hook_is_answered_4_and_logged_once(
-        self, hook: str, caplog: pytest.LogCaptureFixture
-    ) -> None:
-        def fail(access: Access) -> None:
-            raise ZeroDivisionError("a bug of the application")
-
-        device = hooked_device(**{hook: fail})
-        before = contents(device)
-        request = (READS if hook == "before_read" else WRITES)[0].encode()
-        for _ in range(3):
-            assert device.answer(request) == bytes([request[0] | 0x80, 4])
-        assert len(caplog.records) == 1
-        assert caplog.records[0].exc_info
-        assert caplog.records[0].exc_info[0] is ZeroDivisionError
-        assert (contents(device) == before) == (hook != "after_write")
-        assert device.answer(b"\x07") == b"\x07\0"  # and the mapping is free
-
     def test_before_read_refreshes_what_is_read(self) -> None:
         turn = 0
 

@@ -5,8 +5,6 @@ Authorisation of every request: MB-TCP-Security-v36, R-24 to R-31.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -124,94 +122,30 @@ def test_all_128_codes_are_asked_about() -> None:
         assert len(seen) == 1
 
 
-@dataclass(frozen=True, slots=True)
-class Own(pdu.Request[bytes]):
-    """A function of the user's own."""
-
-    data: bytes = b""
-    function = 100
-    request_length = response_length = pdu.unknown_length
-
-    def encode(self) -> bytes:
-        return bytes([100]) + self.data
-
-    @classmethod
-    def decode(cls, pdu: bytes) -> Own:
-        return cls(pdu[1:])
-
-    def encode_response(self, result: bytes) -> bytes:
-        return bytes([100]) + result
-
-
-@pytest.fixture
-def own() -> Iterator[type[Own]]:
-    yield pdu.register(Own)
-    del pdu.REQUESTS[100]
-
-
-def test_functions_of_ones_own_are_asked_about(own: type[Own]) -> None:
-    done: list[object] = []
-
-    def handle(request: Own) -> bytes:
-        done.append(request)
-        return request.data
-
-    for allowed in (False, True):
-        device = Device(Mapping(1), handlers={own: handle}, authorize=lambda asked, it=allowed: it)
-        assert device.answer(b"\x64abc") == (b"\x64abc" if allowed else b"\xe4\x01")
-        assert len(done) == allowed
-
-
 # --- what is asked ---------------------------------------------------------------------------
 
 
-@each_case(
-    ("request_", "writes", "reads"),
-    [
-        (pdu.ReadCoils(3, 5), [], [("coils", 3, 5)]),
-        (pdu.ReadDiscreteInputs(3, 5), [], [("discrete_inputs", 3, 5)]),
-        (pdu.ReadHoldingRegisters(3, 5), [], [("holding_registers", 3, 5)]),
-        (pdu.ReadInputRegisters(3, 5), [], [("input_registers", 3, 5)]),
-        (pdu.WriteCoil(9, True), [("coils", 9, 1)], []),
-        (pdu.WriteRegister(9, 1), [("holding_registers", 9, 1)], []),
-        (pdu.WriteCoils(9, (True, False)), [("coils", 9, 2)], []),
-        (pdu.WriteRegisters(9, (1, 2)), [("holding_registers", 9, 2)], []),
-        (pdu.MaskWriteRegister(9, 1, 2), [("holding_registers", 9, 1)], []),
-        (
-            pdu.ReadWriteRegisters(1, 2, 3, (4, 5, 6)),
-            [("holding_registers", 3, 3)],
-            [("holding_registers", 1, 2)],
-        ),
-        (pdu.ReadFileRecords(((4, 1, 2), (3, 9, 1))), [], [("file", 1, 2, 4), ("file", 9, 1, 3)]),
-        (pdu.WriteFileRecords(((4, 7, (1, 2)),)), [("file", 7, 2, 4)], []),
-        (pdu.ReadFifoQueue(5), [], [("fifo", 5, 1)]),
-        (pdu.ReportServerId(), [], []),
-        (pdu.EncapsulatedTransport(13, b"x"), [], []),
-    ],
-    ids=lambda value: type(value).__name__ if isinstance(value, pdu.Request) else "",
-)
-def test_it_is_told_what_a_request_touches(
-    request_: pdu.Request[Any], writes: list[Any], reads: list[Any]
-) -> None:
+def test_it_is_told_what_a_request_touches_as_hooks_are() -> None:
     seen: list[Asked] = []
     caller = Caller(7, "here", role="Operator")
-    Tables(denying(seen)).device.answer(request_.encode(), caller)
-
-    def outline(accesses: tuple[Access, ...]) -> list[Any]:
-        assert {(each.unit, each.peer, each.role) for each in accesses} <= {(7, "here", "Operator")}
-        return [
-            (each.table, each.address, each.count, *([each.file] if each.file else []))
-            for each in accesses
-        ]
-
-    (asked,) = seen
-    assert (outline(asked.writes), outline(asked.reads)) == (writes, reads)
+    Tables(denying(seen)).device.answer(pdu.ReadWriteRegisters(1, 2, 3, (4, 5)).encode(), caller)
+    who = 0, 7, "here", "Operator"
+    assert seen[0].writes == (Access("holding_registers", 3, 2, (4, 5), *who),)
+    assert seen[0].reads == (Access("holding_registers", 1, 2, (), *who),)
 
 
-def test_it_knows_the_values() -> None:
-    seen: list[Asked] = []
-    Tables(denying(seen)).device.answer(pdu.WriteRegisters(9, (1, 2)).encode())
-    assert seen[0].writes[0].values == (1, 2)
+def test_handlers_are_asked_about() -> None:
+    done: list[object] = []
+
+    def handle(request: pdu.ReadCoils) -> list[bool]:
+        done.append(request)
+        return [True]
+
+    for allowed in (False, True):
+        guard = {"authorize": lambda asked, it=allowed: it}
+        device = Device(Mapping(1), handlers={pdu.ReadCoils: handle}, **guard)  # type: ignore[arg-type]
+        assert device.answer(b"\1\0\0\0\1") == (b"\1\1\1" if allowed else b"\x81\1")
+        assert len(done) == allowed
 
 
 def test_it_is_asked_each_time() -> None:

@@ -245,12 +245,3 @@ class TestTwoDevices:
         third.fifos[1] = [1]
         third.files[1] = RecordFile([1])
         assert (fourth.fifos, fourth.files) == ({}, {})
-
-    def test_hooks(self) -> None:
-        seen: list[Access] = []
-        first = Device(Mapping(coils=1), before_read=seen.append)
-        second = Device(Mapping(coils=1))
-        second.answer(b"\1" + words(0, 1))
-        assert seen == []
-        first.answer(b"\1" + words(0, 1))
-        assert len(seen) == 1

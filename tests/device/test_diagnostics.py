@@ -218,13 +218,3 @@ class TestDiagnostics:
         assert diagnose(device, 2, b"\0\0", caller) == b"\x08\0\2\xbe\xef"
         assert diagnose(device, 0x0A, b"\0\0", caller) == b"\x08\0\x0a\0\0"
         assert diagnose(device, 2, b"\0\0", caller) == b"\x08\0\2\0\0"
-
-    def test_refusals_are_counted_and_cleared(self) -> None:
-        device, caller = new_device(), on_a_line()
-        for _ in range(3):
-            device.answer(b"\x03" + words(0, 1), caller)
-        assert diagnose(device, 0x0D, b"\0\0", caller) == b"\x08\0\x0d\0\3"
-        diagnose(device, 0x14, b"\0\0", caller)
-        assert diagnose(device, 0x0D, b"\0\0", caller) == b"\x08\0\x0d\0\3"
-        diagnose(device, 0x0A, b"\0\0", caller)
-        assert diagnose(device, 0x0D, b"\0\0", caller) == b"\x08\0\x0d\0\0"

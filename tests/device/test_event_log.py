@@ -14,8 +14,6 @@ from libmodbus_py import (
     Context,
     Device,
     IllegalDataAddress,
-    IllegalDataValue,
-    IllegalFunction,
     Mapping,
     ModbusTimeoutError,
     NegativeAcknowledge,
@@ -23,7 +21,6 @@ from libmodbus_py import (
     Server,
     ServerDeviceBusy,
     ServerDeviceFailure,
-    TcpContext,
     framing,
     pdu,
 )
@@ -31,7 +28,6 @@ from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.protocol.pdu import SubFunction
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.stage import LineEnd, Stage
-from tests.support.cases import each_case
 
 DEVICE = "/dev/ttyS0"
 CONTEXTS: dict[str, type[RtuContext | AsciiContext]] = {"rtu": RtuContext, "ascii": AsciiContext}
@@ -148,19 +144,6 @@ def test_units_on_one_line_count_for_themselves(line: Context) -> None:
     assert line.diagnostics(SubFunction.BUS_MESSAGE_COUNT) == 9
 
 
-def test_event_counter_counts_what_was_completed(line: Context) -> None:
-    line.diagnostics(SubFunction.CLEAR_COUNTERS)
-    before = line.read_comm_event_counter()
-    line.read_coils(0, 1)
-    with pytest.raises(IllegalDataAddress):
-        line.read_coils(8, 1)
-    line.for_unit(0).write_coil(0, True)
-    line.for_unit(0)
-    after = line.read_comm_event_counter()
-    assert (before.status, after.status) == (0, 0)
-    assert after.event_count - before.event_count == 2
-
-
 def test_event_log_has_send_and_receive_events_newest_first(line: Context) -> None:
     line.diagnostics(SubFunction.RESTART_COMMUNICATIONS, 0xFF00)
     line.read_coils(0, 1)
@@ -250,37 +233,6 @@ def test_clearing_the_overrun_counter_leaves_the_others(ascii_line: Context) -> 
     assert ascii_line.diagnostics(SubFunction.BUS_COMMUNICATION_ERROR_COUNT) == 1
 
 
-@each_case(
-    ("sub_function", "data", "error"),
-    [
-        (SubFunction.RESTART_COMMUNICATIONS, 1, IllegalDataValue),
-        (SubFunction.RESTART_COMMUNICATIONS, 0xFF01, IllegalDataValue),
-        (SubFunction.FORCE_LISTEN_ONLY + 1, 0, IllegalFunction),
-        (SubFunction.CLEAR_COUNTERS, 1, IllegalDataValue),
-        (SubFunction.BUS_MESSAGE_COUNT, 1, IllegalDataValue),
-        (0x13, 0, IllegalFunction),
-        (0x15, 0, IllegalFunction),
-        (0xFFFF, 0, IllegalFunction),
-        (SubFunction.CHANGE_ASCII_DELIMITER, 0x8000, IllegalDataValue),
-        (SubFunction.CHANGE_ASCII_DELIMITER, 0x3A00, IllegalDataValue),
-        (SubFunction.CHANGE_ASCII_DELIMITER, 0x4100, IllegalDataValue),
-        (SubFunction.CHANGE_ASCII_DELIMITER, 0x2101, IllegalDataValue),
-    ],
-)
-def test_diagnostics_are_refused(
-    line: Context, sub_function: int, data: int, error: type[Exception]
-) -> None:
-    with pytest.raises(error):
-        line.diagnostics(sub_function, data)
-
-
-def test_query_data_come_back(line: Context) -> None:
-    assert line.diagnostics(SubFunction.RETURN_QUERY_DATA, 0xA537) == 0xA537
-    for size in (2, 4, 100, 250):
-        data = bytes(range(size))
-        assert line.execute(pdu.Diagnostics(0, data)) == data
-
-
 def test_ascii_delimiter_changes_after_the_echo_both_ways(
     stage: Stage, ascii_line: Context
 ) -> None:
@@ -311,17 +263,3 @@ def test_counters_and_log_on_real_ports(kind: str, devices: dict[int, Device]) -
         log = context.read_comm_event_log()
         assert log.events[::-1] == bytes.fromhex("00 8041 80")
         assert (log.event_count, log.message_count) == (0, 2)
-
-
-def test_tcp_cannot_silence_the_device(devices: dict[int, Device]) -> None:
-    with (
-        Server(devices).background("tcp://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0]) as context,
-    ):
-        assert isinstance(context, TcpContext)
-        with pytest.raises(IllegalFunction):
-            context.diagnostics(SubFunction.RESTART_COMMUNICATIONS)
-        with pytest.raises(IllegalFunction):
-            context.execute(pdu.RawRequest(8, b"\0\4\0\0"))
-        assert context.diagnostics(SubFunction.RETURN_QUERY_DATA, 5) == 5
-        assert context.read_coils(0, 1) == [False]

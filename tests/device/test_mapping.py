@@ -80,10 +80,6 @@ class TestArguments:
         with pytest.raises(error, match=f"^{name} must be "):
             table(name, bad)
 
-    def test_without_arguments_there_is_nothing(self) -> None:
-        mapping = Mapping()
-        assert [len(getattr(mapping, name)) for name in TABLES] == [0] * 4
-
     def test_tables_are_apart(self) -> None:
         mapping = Mapping(8, 8, 8, 8)
         for value, name in enumerate(TABLES):
@@ -284,14 +280,6 @@ class TestAccess:
         assert made[:] == [0] * 10
 
     @each_table
-    def test_iteration_gives_the_values_in_order(self, name: str) -> None:
-        made = table(name, range(5, 9))
-        made[:] = [1, 0, 0, 1]
-        assert list(made) == [1, 0, 0, 1]
-        assert 1 in made
-        assert 2 not in made
-
-    @each_table
     def test_values_of_any_iterable_are_taken(self, name: str) -> None:
         made = table(name, 4)
         made[:] = (value for value in (1, 0, 1, 1))
@@ -477,13 +465,6 @@ class TestViews:
         assert made.view.format == ("B" if name in BITS else "H")
         assert made.view.itemsize == (1 if name in BITS else 2)
 
-    @each_table
-    def test_view_shows_what_is_written_later(self, name: str) -> None:
-        made = table(name, 4)
-        view = made.view
-        made[2] = 1
-        assert view.tolist() == [0, 0, 1, 0]
-
     @each_register_table
     def test_register_view_writes_into_the_table(self, name: str) -> None:
         made = table(name, range(10, 14))
@@ -498,10 +479,6 @@ class TestViews:
         assert view.readonly
         with pytest.raises(TypeError):
             view[0] = 1
-
-    @each_table
-    def test_empty_table_has_an_empty_view(self, name: str) -> None:
-        assert table(name, 0).view.tolist() == []
 
     def test_views_are_what_clients_read_and_write(self) -> None:
         mapping = Mapping(coils=8, holding_registers=8)
@@ -579,11 +556,6 @@ class TestLock:
         with pytest.raises(IndexError), mapping:
             mapping.coils[4]
         assert runs_in_thread(lambda: mapping.coils[0]).wait(10)
-
-    def test_mappings_do_not_wait_for_each_other(self) -> None:
-        other = Mapping(4)
-        with Mapping(4):
-            assert runs_in_thread(lambda: other.coils[0]).wait(10)
 
 
 MEASURE = """

@@ -797,17 +797,6 @@ def test_units_take_turns_in_one_chunk() -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("unknown", "answer"),
-    [("refuse", b"\x83\x0b"), ("silent", None)],
-)
-def test_unknown_unit(unknown: str, answer: bytes | None) -> None:
-    for kind in ("chunk", "frames"):
-        end = End({1: made_device()}, kind, unknown)
-        end.receive(adu(b"\x03\0\x07\0\x01", 1, 77))
-        assert end.sent == (b"" if answer is None else adu(answer, 1, 77))
-
-
 def test_handlers_of_tables_are_asked() -> None:
     handlers = {pdu.ReadHoldingRegisters: lambda request: [request.address] * request.count}
     end = End({1: made_device(handlers=handlers)}, "chunk")

@@ -198,13 +198,6 @@ class TestLine:
 # --- requests that arrive glued together or cut in pieces ---------------------------------
 
 
-def test_sixteen_requests_in_one_segment_are_answered_in_order(port: int) -> None:
-    with connect(port) as connection:
-        connection.sendall(b"".join(adu(READ, number) for number in range(16)))
-        expected = b"".join(adu(READ_ANSWER, number) for number in range(16))
-        assert receive(connection, len(expected)) == expected
-
-
 def test_who_only_listens_any_more_gets_all_answers(device: Device) -> None:
     """More than the system buffers, so that they wait for the client to take them."""
     body = pdu.ReadHoldingRegisters(100, 125).encode()

@@ -4,17 +4,15 @@ Clients that lie, flood, fall silent or vanish: they change nothing, and cost ot
 
 from __future__ import annotations
 
-import os
 import random
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from libmodbus_py import Context, Device, Server, TcpContext, framing, pdu
+from libmodbus_py import Context, Device, Server, TcpContext, framing
 from tests.server.raw_requests import READ, READ_ANSWER, adu, connect, receive
 from tests.simulation.stage import Stage
-from tests.support.peers import until
 
 LYING = [
     b"\x10\x00\x64\x00\x02\xff\x00\x01\x00\x02",  # byte count beyond the data
@@ -94,40 +92,6 @@ def test_random_bytes_change_nothing(stage: Stage, scheme: str, device: Device) 
             flood.close()
         stage.pass_time(60)
         assert contents(device) == before
-
-
-def test_clients_that_are_silent_half_way_or_never_read_block_nobody(port: int) -> None:
-    with (
-        connect(port) as silent,
-        connect(port) as half_way,
-        connect(port) as deaf,
-        TcpContext("127.0.0.1", port, unit=17) as innocent,
-    ):
-        assert silent.fileno() >= 0
-        half_way.sendall(adu(READ)[:9])
-        deaf.setblocking(False)
-        big = b"".join(adu(pdu.ReadHoldingRegisters(100, 125).encode()) for _ in range(100))
-        sent = 0
-        try:
-            for _ in range(20_000):
-                sent += deaf.send(big)
-        except BlockingIOError:
-            pass  # it is not read any more: backpressure has reached the client
-        else:
-            pytest.fail(f"{sent} bytes of requests taken, though no answer was read")
-        for _ in range(100):
-            assert innocent.read_holding_registers(100, 2) == [1000, 1001]
-
-
-def test_connections_that_come_and_go_leave_nothing(port: int) -> None:
-    with TcpContext("127.0.0.1", port, unit=17) as innocent:
-        innocent.read_coils(10, 1)
-        before = len(os.listdir("/proc/self/fd"))
-        for _ in range(200):
-            with connect(port) as connection:
-                connection.sendall(adu(READ)[:5])
-        assert innocent.read_holding_registers(100, 1) == [1000]
-        until(lambda: len(os.listdir("/proc/self/fd")) <= before)
 
 
 @settings(

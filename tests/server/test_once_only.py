@@ -51,13 +51,6 @@ def test_a_view_in_a_with_statement_closes_a_copy(name: str) -> None:
     assert (table[3], table[4], table.view[4]) == (1, 1, 1)
 
 
-def test_a_view_of_registers_writes_into_the_table() -> None:
-    mapping = Mapping(holding_registers=10)
-    with mapping.holding_registers.view as view:
-        view[2] = 77
-    assert mapping.holding_registers[2] == 77
-
-
 PROGRAM = """
 import gc, sys
 from libmodbus_py import Device, Mapping, Server

@@ -18,11 +18,9 @@ from libmodbus_py import (
     Context,
     Device,
     Fault,
-    GatewayTargetFailedToRespond,
     Mapping,
     ModbusTimeoutError,
     Server,
-    TcpContext,
     pdu,
 )
 from libmodbus_py.protocol import errors
@@ -233,24 +231,6 @@ def test_a_message_that_cannot_be_answered_is_one(scheme: str) -> None:
 # --- which units are answered -------------------------------------------------------------
 
 
-def test_unknown_unit_is_answered_with_exception_11_on_tcp(port: int) -> None:
-    for native in (True, False):
-        with TcpContext("127.0.0.1", port, unit=18, native=native) as context:
-            for _ in range(2):
-                with pytest.raises(GatewayTargetFailedToRespond):
-                    context.read_coils(0, 1)
-
-
-def test_one_device_answers_every_unit_on_tcp(device: Device) -> None:
-    with (
-        Server(device).background("tcp://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0]) as context,
-    ):
-        for unit in (0, 1, 2, 247, 248, 254, 255):
-            for _ in range(2):
-                assert context.for_unit(unit).read_holding_registers(100, 1) == [1000]
-
-
 @pytest.mark.parametrize("kind", ["rtu", "ascii"])
 def test_several_units_on_one_port_and_silence_for_others(stage: Stage, kind: str) -> None:
     devices = {unit: Device(Mapping(holding_registers=10, coils=8)) for unit in (1, 2)}
@@ -294,11 +274,6 @@ def test_other_units_are_refused(unit: int) -> None:
         Server({1: device}, {unit: [Fault("no_answer")]})
     with pytest.raises(ValueError, match="own_unit"):
         Server({1: device, 2: device}, own_unit=unit)
-
-
-def test_one_device_for_all_units_is_none_of_them() -> None:
-    with pytest.raises(ValueError, match="own_unit cannot be given"):
-        Server(Device(Mapping(1, 1, 1, 1)), own_unit=0)
 
 
 def test_a_fault_that_cannot_happen_leaves_others_their_turn() -> None:

@@ -402,61 +402,6 @@ def test_a_reset_closes_although_nothing_is_read(stage: Stage, endpoint: Open) -
 # --- slow clients ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("timeout", "sweep"), [(0.4, 0.1), (2.0, 0.5), (8.0, 1.0)])
-def test_a_frame_has_its_time_however_many_bytes_come(
-    stage: Stage, endpoint: Open, timeout: float, sweep: float
-) -> None:
-    def unfinished(session: Session, data: bytes) -> int:
-        session.state = SessionState.UNFINISHED
-        return 0
-
-    server = endpoint(unfinished, frame_timeout=timeout, idle_timeout=None)
-    talker, session = server.talk()
-    begun = stage.now
-    while not session.is_closed:
-        talker.send(b"x")
-        stage.pass_time(timeout / 64)
-    assert timeout <= stage.now - begun <= timeout + sweep + timeout / 32
-    assert server.statistics.closed_slow == 1
-    assert server.statistics.closed_idle == 0
-
-
-def test_each_frame_has_its_own_time(stage: Stage, endpoint: Open) -> None:
-    def in_halves(session: Session, data: bytes) -> int:
-        session.state = SessionState.UNFINISHED if data == b"<" else SessionState.READING
-        return int(data == b">")
-
-    server = endpoint(in_halves, frame_timeout=1.0, idle_timeout=None)
-    talker, session = server.talk()
-    for piece in (b"<", b">", b"<", b"?", b"<", b">"):
-        talker.send(piece)
-        stage.pass_time(0.7)
-        assert not session.is_closed, piece
-    stage.pass_time(100)
-    assert not session.is_closed
-    talker.send(b"<")
-    stage.pass_time(1.3)
-    assert session.is_closed
-
-
-@pytest.mark.parametrize("asks", [True, False])
-def test_the_idle_are_closed_after_their_time(stage: Stage, endpoint: Open, asks: bool) -> None:
-    server = endpoint(echo, idle_timeout=2.0, frame_timeout=60)
-    for _ in range(2):  # looking after the idle stops and begins again
-        talker, session = server.talk()
-        if asks:
-            stage.pass_time(1)
-            talker.send(b"x")
-            assert talker.recv(1) == b"x"
-        begun = stage.now
-        assert talker.is_closed()
-        assert 1.99 <= stage.now - begun <= 2.51
-        assert session.is_closed
-        stage.pass_time(10)
-    assert server.statistics.closed_idle == 2
-    assert server.statistics.closed_slow == 0
-
-
 def test_who_takes_no_answers_is_paused_once_and_read_again(stage: Stage, endpoint: Open) -> None:
     server = endpoint(ignore, max_unsent=1000)
     talker, session = server.talk()
@@ -505,38 +450,3 @@ def test_the_time_of_a_frame_stands_still_while_nothing_is_read(
 
 
 # --- rates ----------------------------------------------------------------------------------------
-
-
-def test_requests_of_an_address_count_for_all_its_connections(stage: Stage, endpoint: Open) -> None:
-    def all_bytes(session: Session, data: bytes) -> int:
-        session.peer.write(data)
-        return len(data)
-
-    server = endpoint(all_bytes, requests_per_second=10)
-    (first, _), (second, _) = server.talk(), server.talk()
-    first.send(b"x" * 15)
-    assert first.receive(15) == b"x" * 15
-    begun = stage.now
-    second.send(b"y")
-    assert second.recv(1) == b"y"
-    assert stage.now - begun == pytest.approx(0.5, abs=0.01)  # 5 too many at 10 a second
-    assert server.statistics.throttled == 1
-
-
-def test_a_handshake_goes_on_although_its_address_asked_too_much(
-    stage: Stage, endpoint: Open
-) -> None:
-    server = endpoint(echo, requests_per_second=1)
-    (first, _), (second, session) = server.talk(), server.talk()
-    session.state = SessionState.HANDSHAKE
-    for _ in range(3):
-        first.send(b"x")
-        stage.pass_time(0.001)
-    begun = stage.now
-    second.send(b"hello")
-    assert second.receive(5) == b"hello"
-    assert stage.now - begun < 0.01
-    session.state = SessionState.READING
-    second.send(b"request")
-    assert second.receive(7) == b"request"
-    assert stage.now - begun > 1

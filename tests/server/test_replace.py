@@ -133,21 +133,6 @@ def test_the_servers_own_unit_is_that_of_the_new_devices() -> None:
             client.for_unit(1).read_holding_registers(0, 1)
 
 
-def test_faults_that_stay_go_on_counting() -> None:
-    third, other = Fault("exception", code=6, every=3), Fault("delay", seconds=0.001)
-    server = Server(holding(1), {1: [third]})
-    with (
-        server.background("tcp://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0], unit=1) as client,
-    ):
-        seen = []
-        for _ in range(9):
-            seen.append(refuses(client))
-            server.replace(holding(1), {1: [third, other]})
-            until(lambda: len(server.faults[1]) == 2)
-    assert seen == [False, False, True] * 3
-
-
 def test_a_broadcast_goes_to_the_new_devices(stage: Stage) -> None:
     server = Server({1: holding(1), 2: holding(1)})
     line = "rtu:///dev/line"

@@ -104,13 +104,6 @@ def test_connections_of_the_system_are_closed_for_others_and_at_the_end() -> Non
 # --- connections_per_address -------------------------------------------------------------
 
 
-def test_an_address_may_have_a_tenth_of_all_but_eight_at_least() -> None:
-    for most, of_one in ((1000, 100), (200, 20), (80, 8), (5, 8), (1, 8)):
-        assert Limits(max_connections=most).connections_of_address() == of_one, most
-        made = Limits(max_connections=most, connections_per_address=3)
-        assert made.connections_of_address() == 3, most
-
-
 @KIND
 def test_an_address_with_too_many_makes_room_among_its_own(stage: Stage, kind: str) -> None:
     with served(stage, kind, max_connections=6, connections_per_address=3) as server:

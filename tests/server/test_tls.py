@@ -333,7 +333,7 @@ def test_bad_ones_are_counted_but_cost_the_good_ones_nothing(
     stage: Stage, papers: Papers, served: tuple[Server, int]
 ) -> None:
     server, port = served
-    with TlsClient(port, context(papers, certificates.client()), stage=stage).handshake() as good:
+    with connect(stage, papers, port) as good:
         for identity, *_ in BAD.values():
             told = context(papers, identity(), VERSIONS["1.2"])
             with TlsClient(port, told, stage=stage) as bad, contextlib.suppress(ssl.SSLError):
@@ -418,7 +418,7 @@ def test_what_a_pinned_one_has_signed_is_not_pinned(
     with (
         caplog.at_level(logging.INFO, LOGGER),
         serving(papers, device, security=security) as (server, port),
-        TlsClient(port, context(papers, certificates.client()), stage=stage).handshake() as client,
+        connect(stage, papers, port) as client,
     ):
         assert client.ask(ONE, 1) == b""
         assert (server.statistics.handshakes, server.statistics.handshakes_refused) == (0, 1)
@@ -528,9 +528,7 @@ def test_records_may_cut_requests_anywhere(
     sent = requests(50)
     with (
         serving(papers, make_device(), **options) as (server, port),
-        TlsClient(
-            port, context(papers, certificates.client(), version), stage=stage
-        ).handshake() as client,
+        connect(stage, papers, port, version) as client,
     ):
         if cut == "a record":
             client.send(sent)
@@ -557,9 +555,7 @@ def test_a_record_full_of_requests_is_answered_in_order(
     count = 16_384 // 12
     with (
         serving(papers, make_device(), **options) as (server, port),
-        TlsClient(
-            port, context(papers, certificates.client(), version), stage=stage
-        ).handshake() as client,
+        connect(stage, papers, port, version) as client,
     ):
         for _ in range(3):
             client.send(requests(count))
@@ -603,11 +599,10 @@ def test_a_record_full_of_requests_is_answered_in_slices(stage: Stage, papers: P
         Mapping(10, 10, 1000, 1000), before_read=lambda access: turns.append(access.peer)
     )
     count = 16_384 // 12
-    told = context(papers, certificates.client())
     with (
         serving(papers, device) as (_, port),
-        TlsClient(port, told, stage=stage).handshake() as greedy,
-        TlsClient(port, told, stage=stage).handshake() as modest,
+        connect(stage, papers, port) as greedy,
+        connect(stage, papers, port) as modest,
     ):
         *begin, end = (greedy.encrypt(requests(count)) for _ in range(1))
         assert not begin
@@ -651,10 +646,9 @@ def test_who_says_goodbye_behind_a_request_gets_the_answer_and_a_goodbye(
 ) -> None:
     make_device, options = KINDS[kind]
     with serving(papers, make_device(), **options) as (server, port):
-        told = context(papers, certificates.client(), version)
-        with TlsClient(port, told, stage=stage).handshake() as other:
+        with connect(stage, papers, port, version) as other:
             for count in (1, 2, 1365):
-                with TlsClient(port, told, stage=stage).handshake() as client:
+                with connect(stage, papers, port, version) as client:
                     sent = client.encrypt(requests(count))
                     # In one segment, if it is short: both are received in one turn.
                     client.socket.sendall(sent + client.goodbye())
@@ -717,8 +711,7 @@ def test_a_header_that_makes_no_sense_closes_after_what_came_before(
     stage: Stage, papers: Papers, device: Device
 ) -> None:
     with serving(papers, device) as (server, port):
-        told = context(papers, certificates.client())
-        with TlsClient(port, told, stage=stage).handshake() as client:
+        with connect(stage, papers, port) as client:
             client.send(ONE, b"\0\1\0\0\xff\xff\1\3")
             assert client.receive(len(ONE_ANSWER)) == ONE_ANSWER
             assert client.read() == b""  # with a goodbye
@@ -760,10 +753,9 @@ def test_who_does_not_read_gets_all_when_he_does(
     stage: Stage, papers: Papers, device: Device
 ) -> None:
     count, limits = 1365, Limits(max_unsent=1000)
-    told = context(papers, certificates.client())
     with (
         serving(papers, device, limits=limits) as (server, port),
-        TlsClient(port, told, stage=stage).handshake() as client,
+        connect(stage, papers, port) as client,
     ):
         block = b"".join(adu(READ_MOST, number) for number in range(count))
         for _ in range(2):  # more answers than the network in memory carries
@@ -781,10 +773,9 @@ def test_who_says_goodbye_and_does_not_read_is_not_waited_for(
 ) -> None:
     limits = Limits(frame_timeout=50, max_unsent=2**30)
     block = b"".join(adu(READ_MOST, number) for number in range(1365))
-    told = context(papers, certificates.client())
     with (
         serving(papers, device, limits=limits) as (server, port),
-        TlsClient(port, told, stage=stage).handshake() as client,
+        connect(stage, papers, port) as client,
     ):
         sent = client.encrypt(*[block] * 2)  # 700 kB of answers
         client.socket.sendall(sent + client.goodbye())
@@ -799,10 +790,9 @@ def test_who_says_goodbye_and_does_not_read_is_not_waited_for(
 def test_requests_per_second_hold_within_a_record(stage: Stage, papers: Papers, kind: str) -> None:
     make_device, options = KINDS[kind]
     limits = Limits(requests_per_second=200)
-    told = context(papers, certificates.client())
     with (
         serving(papers, make_device(), limits=limits, **options) as (server, port),
-        TlsClient(port, told, stage=stage).handshake() as client,
+        connect(stage, papers, port) as client,
     ):
         begin = stage.now
         client.send(requests(800))
@@ -818,10 +808,9 @@ def test_who_is_idle_after_the_handshake_stays(
 ) -> None:
     """Only a frame, or a record, that has begun must end in time."""
     limits = Limits(frame_timeout=0.2, handshake_timeout=5)
-    told = context(papers, certificates.client(), version)
     with (
         serving(papers, device, limits=limits) as (server, port),
-        TlsClient(port, told, stage=stage).handshake() as client,
+        connect(stage, papers, port, version) as client,
     ):
         for _ in range(2):
             stage.pass_time(30)
@@ -895,9 +884,8 @@ def records(stream: bytes) -> Iterator[tuple[int, int]]:
 def test_the_server_says_goodbye_when_it_ends(
     stage: Stage, papers: Papers, device: Device, version: ssl.TLSVersion
 ) -> None:
-    told = context(papers, certificates.client(), version)
     with serving(papers, device) as (_, port):
-        client = TlsClient(port, told, stage=stage).handshake()
+        client = connect(stage, papers, port, version)
         assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
     with client:
         assert client.read() == b""
@@ -906,13 +894,12 @@ def test_the_server_says_goodbye_when_it_ends(
 def test_the_server_says_goodbye_to_whom_it_closes_for_others(
     stage: Stage, papers: Papers, device: Device
 ) -> None:
-    told = context(papers, certificates.client())
     with (
         serving(papers, device, limits=Limits(max_connections=1)) as (server, port),
-        TlsClient(port, told, stage=stage).handshake() as first,
+        connect(stage, papers, port) as first,
     ):
         assert first.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
-        with TlsClient(port, told, stage=stage).handshake() as second:
+        with connect(stage, papers, port) as second:
             assert first.read() == b""
             assert second.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
         assert server.statistics.closed_for_others == 1

@@ -43,8 +43,6 @@ from tests.support.talk import ascii_frame, rtu
 
 READ = bytes.fromhex("0001 0000 0006 11 03 0000 0002")
 ANSWER = bytes.fromhex("0001 0000 0007 11 03 04 0007 0008")
-REFUSED = bytes.fromhex("0001 0000 0003 11 83 02")
-BEYOND = bytes.fromhex("0001 0000 0006 11 03 FFFF 0001")
 
 
 def made_device(**options: Any) -> Device:
@@ -310,13 +308,6 @@ def test_others_come_and_go() -> None:
     assert said(second) == [("received", READ), ("sent", ANSWER)]
     with pytest.raises(TypeError, match="trace must be a function, not NoneType"):
         server.tracing(None)  # type: ignore[arg-type]
-
-
-def test_a_trace_must_be_a_function() -> None:
-    with pytest.raises(TypeError, match="trace must be a function, not int"):
-        Server(made_device(), trace=1)  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match="trace must be a function, not str"):
-        Gateway([Route("tcp://127.0.0.1:1")], trace="x")  # type: ignore[arg-type]
 
 
 # --- attacks ----------------------------------------------------------------------------------

@@ -5,7 +5,6 @@ What a role may not do, over every transport: exception 1, counted, and nothing 
 from __future__ import annotations
 
 import contextlib
-import logging
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -111,48 +110,6 @@ def test_neither_alone_nor_in_a_chunk(many: int) -> None:
     assert not any(closed.mapping.holding_registers)
 
 
-def test_one_rule_closes_the_rest() -> None:
-    rules = Rules({None: Allow(read=["input_registers"]), "Engineer": Allow("all", "all", "all")})
-    with (
-        Server(guarded(rules)).background("tcp://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0]) as plc,
-    ):
-        assert plc.read_input_registers(0, 1) == [0]
-        for ask in (lambda: plc.read_coils(0, 1), lambda: plc.write_register(0, 1)):
-            with pytest.raises(IllegalFunction):
-                ask()
-
-
-def test_broadcasts_are_counted_for_each_device() -> None:
-    devices = {unit: guarded(lambda asked, at=unit: at == 2) for unit in (1, 2, 3)}
-    server = Server(devices)
-    with (
-        SerialWire() as wire,
-        server.background(f"rtu://{wire.server}?baudrate=115200"),
-        Context.from_url(f"rtu://{wire.client}?baudrate=115200") as line,
-    ):
-        line.for_unit(0).write_register(0, 5)
-        assert line.for_unit(2).read_holding_registers(0, 1) == [5]
-    values = [device.mapping.holding_registers[0] for device in devices.values()]
-    assert values == [0, 5, 0]
-    assert server.statistics.unauthorized == 2
-
-
-def test_a_client_cannot_fill_the_log(caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.WARNING)
-    with Server(guarded(Rules({}))).background("tcp://127.0.0.1:0") as running:
-        for _ in range(5):
-            with Context.from_url(running.urls[0]) as plc:
-                for _ in range(20):
-                    with pytest.raises(IllegalFunction):
-                        plc.execute(pdu.ReadCoils(0, 1))
-    (record,) = caplog.records
-    assert record.message.startswith("127.0.0.1:")
-    assert record.message.endswith(
-        ", without a role, may not use function 1 of unit 1, read coils 0..0"
-    )
-
-
 def test_faults_refuse_without_asking() -> None:
     """A fault answers instead of the device: nothing is done, so nothing needs to be allowed."""
     seen: list[Asked] = []
@@ -240,21 +197,6 @@ def test_a_refusal_over_tls_names_the_role(tmp_path: Path, role: str | None, sai
             with pytest.raises(IllegalFunction) as caught:
                 client.write_register(0, 1)
             assert str(caught.value).endswith(f"illegal function (exception 1){end}")
-
-
-def test_one_device_on_two_endpoints_asks_about_both(tmp_path: Path) -> None:
-    """Who comes without TLS has no role, whoever else is there."""
-    papers = Papers(tmp_path)
-    server = Server(Device(Mapping(holding_registers=1), authorize=RULES), security=papers.server())
-    with server.background("tls://127.0.0.1:0", "tcp://127.0.0.1:0") as running:
-        secure, plain = running.urls
-        with (
-            Context.from_url(secure, security=papers.client("Engineer")) as engineer,
-            Context.from_url(plain) as anybody,
-        ):
-            for _ in range(3):
-                assert allowed(engineer.execute) == [True] * 4
-                assert allowed(anybody.execute) == [False, False, True, False]
 
 
 def test_roles_of_one_turn_are_kept_apart(tmp_path: Path) -> None:
