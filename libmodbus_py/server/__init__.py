@@ -4,8 +4,8 @@ Answers clients: bytes in, bytes out, on any number of endpoints in one asyncio 
 In the order in which a request goes through::
 
     server       DeviceServer: devices at any number of endpoints
-    serving      Serving: opens endpoints, and serves in a loop, in a thread, or for ever;
-                 `ENDPOINTS` has the endpoint of each transport, from the file of its name
+    serving      Serving: opens endpoints, and serves in a loop, in a thread, or for ever, with
+                 callbacks for every ADU
     running      a server in a thread of its own; signals and garbage of programs that only serve
     tcp          takes connections and hands them to `peers`; udp answers datagrams, serial a port
     peers        Peers: TCP connections within their limits; limits chooses which of them are

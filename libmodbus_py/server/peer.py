@@ -32,8 +32,8 @@ __all__ = ["READ_BYTES", "MakePeerSession", "Peer", "Turns"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-READ_BYTES = 256
-"""Read from one client in a turn, during which the others wait: 16 requests in flight fit."""
+READ_BYTES = 512
+"""Read from one client in a turn, during which the others wait: 42 requests for registers."""
 
 UNFINISHED = SessionState.UNFINISHED
 

@@ -14,11 +14,10 @@ from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from ..device.hooks import timed
 from ..ports.endpoint import Endpoint, parse_to_listen
-from ..ports.schemes import Transport
 from ..ports.trace import OnTraced, Trace, Traced, is_traced
 from ..protocol.callbacks import checked_callback
 from ..protocol.logs import HarmlessLogger
@@ -153,10 +152,7 @@ class Serving(ABC):
                 stack.callback(peers.close)
                 opened = []
                 for endpoint in endpoints:
-                    shared = Shared(
-                        peers, sources, self.statistics, self._security, self._secured, stack.close
-                    )
-                    server = ENDPOINTS[endpoint.transport](endpoint, service, shared)
+                    server = self._made(endpoint, service, peers, sources, stack.close)
                     stack.callback(server.close)
                     with explained(f"cannot listen on {endpoint}"):
                         opened.append(await server.open())
@@ -168,6 +164,35 @@ class Serving(ABC):
                         auditor.note_own("start", url)
                         stack.callback(auditor.note_own, "stop", url)
                 yield running
+
+    def _made(
+        self,
+        endpoint: Endpoint,
+        service: Service,
+        peers: Peers,
+        sources: Sources,
+        end: Callable[[], None],
+    ) -> TcpServer | UdpServer | SerialServer:
+        """Return the endpoint of a transport; each imports what only it needs."""
+        if endpoint.transport == "serial":
+            from .serial import SerialServer  # which not every system has
+
+            return SerialServer(endpoint, service, self.statistics, end)
+        if endpoint.transport == "udp":
+            return UdpServer(endpoint, service, sources, self.statistics, end)
+        if endpoint.transport == "unix":
+            from ..ports.unix import UnixListener
+
+            return TcpServer(endpoint, service, peers, listener=UnixListener(endpoint.path))
+        if endpoint.transport == "tls":
+            from ..ports.tls import security_of
+
+            security = security_of(endpoint, self._security)
+            server = TcpServer(endpoint, service, peers, security)
+            if security is self._security:
+                self._secured.add(server)
+            return server
+        return TcpServer(endpoint, service, peers)
 
     def background(self, *urls: str) -> Background[Running]:
         """
@@ -247,58 +272,6 @@ class Serving(ABC):
     @abstractmethod
     def _answering(self, endpoints: list[Endpoint]) -> AbstractAsyncContextManager[Service]:
         """Return a context manager with the service that answers at these endpoints."""
-
-
-class Shared(NamedTuple):
-    """
-    The parts that all endpoints of a server share; `secured`: those that use its certificates.
-    """
-
-    peers: Peers
-    sources: Sources
-    statistics: ServerStatistics
-    security: Security | None
-    secured: weakref.WeakSet[TcpServer]
-    end: Callable[[], None]
-
-
-# Each imports what only its transport needs.
-
-
-def _tls_server(endpoint: Endpoint, service: Service, shared: Shared) -> TcpServer:
-    from ..ports.tls import security_of
-
-    security = security_of(endpoint, shared.security)
-    server = TcpServer(endpoint, service, shared.peers, security)
-    if security is shared.security:
-        shared.secured.add(server)
-    return server
-
-
-def _unix_server(endpoint: Endpoint, service: Service, shared: Shared) -> TcpServer:
-    from ..ports.unix import UnixListener
-
-    return TcpServer(endpoint, service, shared.peers, listener=UnixListener(endpoint.path))
-
-
-def _serial_server(endpoint: Endpoint, service: Service, shared: Shared) -> SerialServer:
-    from .serial import SerialServer  # which not every system has
-
-    return SerialServer(endpoint, service, shared.statistics, shared.end)
-
-
-ENDPOINTS: dict[
-    Transport, Callable[[Endpoint, Service, Shared], TcpServer | UdpServer | SerialServer]
-] = {
-    "tcp": lambda endpoint, service, shared: TcpServer(endpoint, service, shared.peers),
-    "udp": lambda endpoint, service, shared: UdpServer(
-        endpoint, service, shared.sources, shared.statistics, shared.end
-    ),
-    "tls": _tls_server,
-    "unix": _unix_server,
-    "serial": _serial_server,
-}
-"""Transport -> function that makes the endpoint of a server."""
 
 
 def _check_security(security: object) -> None:

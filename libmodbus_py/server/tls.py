@@ -163,20 +163,8 @@ class TlsSession:
 
     # fmt: off
     __slots__ = (
-        "_acceptance",
-        "_handshakes",
-        "_has_more",
-        "_inner",
-        "_make",
-        "_records",
-        "_timer",
-        "_tunnel",
-        "_wire",
-        "address",
-        "holder",
-        "host",
-        "role",
-        "trace",
+        "_acceptance", "_handshakes", "_has_more", "_inner", "_make", "_records", "_timer",
+        "_tunnel", "_wire", "address", "holder", "host", "role", "trace",
     )
     # fmt: on
 

@@ -30,7 +30,6 @@ from libmodbus_py.ports.schemes import (
     Transport,
     shape_of,
 )
-from libmodbus_py.server.serving import ENDPOINTS
 from tests.support.certificates import Papers
 from tests.support.urls import rules_of, url_for
 
@@ -56,7 +55,7 @@ PROPERTIES = ["has_path", "has_transactions", "is_datagram", "is_secure", "is_se
 
 
 def test_each_transport_has_a_port_an_endpoint_and_a_scheme() -> None:
-    assert set(TRANSPORTS) == set(ENDPOINTS) == set(get_args(Transport))
+    assert set(TRANSPORTS) == set(get_args(Transport))
     assert {transport for _, transport in SCHEMES.values()} == set(TRANSPORTS)
     assert set(SCHEMES) == set(get_args(Scheme))
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Device, Limits, Mapping, Server
+from libmodbus_py.server.peer import READ_BYTES
 from tests.simulation.attackers import Attackers, Innocent
 from tests.simulation.stage import Stage
 from tests.support import attacks
@@ -39,9 +40,9 @@ TURNS = -(-SENDERS // 128) + 1
 def others(attack: Attack) -> int:
     """
     How many requests of others are answered before the innocent's: what one turn reads of them,
-    256 bytes of each of up to 128 connections.
+    `READ_BYTES` of each of up to 128 connections.
     """
-    return min(attack.connections, 128) * 256 // len(adu(b"\x63\1\2\3"))
+    return min(attack.connections, 128) * READ_BYTES // len(adu(b"\x63\1\2\3"))
 
 
 def enough(attack: Attack) -> Attack:

@@ -11,7 +11,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.server.limits import Allowance, Limits
-from libmodbus_py.server.peer import Peer
+from libmodbus_py.server.peer import READ_BYTES, Peer
 from tests.simulation.stage import Stage
 from tests.support.attacks import connect, receive
 from tests.support.served import (
@@ -89,7 +89,7 @@ def test_requests_sent_at_once_wait_and_none_is_lost(stage: Stage, kind: str) ->
         assert stage.now - begun < 0.1
         expected = b"".join(adu(ANSWER_ONE, number) for number in range(count))
         assert eager.receive(len(expected)) == expected
-        at_once = 256 // len(adu(READ_ONE))
+        at_once = READ_BYTES // len(adu(READ_ONE))
         assert (count - 100 - at_once) / 100 - 0.001 <= stage.now - begun <= (count - 100) / 100
         assert server.counts(requests=count + 50, connections=2, closed_slow=0)
 
@@ -140,7 +140,7 @@ def test_connections_of_an_address_share_what_it_may_ask(stage: Stage, kind: str
             stage.pass_time(0.05)
         answered = server.statistics.requests
         # Ten are free, ten come in each second, and one read may overdraw.
-        at_once = 256 // len(adu(READ_ONE))
+        at_once = READ_BYTES // len(adu(READ_ONE))
         assert 10 * 11 - 1 <= answered <= 10 * 11 + at_once
         asked = stage.now
         ask(server.connect(OTHER))
@@ -233,7 +233,7 @@ def test_frames_that_silence_completes_count_as_requests(stage: Stage) -> None:
         seconds = stage.now - begun
         assert server.statistics.throttled >= 1
         # Its whole allowance, what one read may overdraw, and what it gets meanwhile.
-        assert 2 * seconds <= server.statistics.requests <= 2 + 256 // 15 + 2 * seconds
+        assert 2 * seconds <= server.statistics.requests <= 2 + READ_BYTES // 15 + 2 * seconds
         assert idle.is_closed()
 
 
