@@ -40,8 +40,8 @@ SPARE_DESCRIPTORS = 64
 # The least number of connections per address, even if there are few in all.
 LEAST_OF_ADDRESS = 8
 
-# The number of addresses without a connection that are remembered, so that they cannot evade
-# their limit. It is bounded because a sender of datagrams can forge any number of addresses.
+# Addresses without a connection that are remembered, so that they cannot evade their limit; on UDP
+# as many answers that may come back, and delayed ones. A sender of datagrams can forge any number.
 REMEMBERED_MAX = 4096
 
 FULL_POLICIES = ("close-idle", "refuse")

@@ -44,10 +44,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Sources", "UdpServer"]
 
-# The number of delayed answers; further requests are dropped.
-WAITING_MAX = 1024
-
-
 # An answer may be a valid request, as for function 8; so a forged source lets two servers, or one
 # and itself, answer each other for ever. An answer that comes back from where it was sent more
 # than ten times a second is dropped once, which ends the circle; its port says nothing, because a
@@ -108,7 +104,7 @@ class UdpServer:
                 data, address = local.recvfrom(MAX_RECEIVED)
             except OSError:  # nothing more, or a client that has gone away
                 return
-            if data and self._sources.admit(data, address) and len(self._waiting) < WAITING_MAX:
+            if data and self._sources.admit(data, address) and len(self._waiting) < REMEMBERED_MAX:
                 try:
                     self._answer(data, local, address)
                 except ENDS:

@@ -4,6 +4,7 @@ Scaled points: bounds hold for what is written, after rounding, and thirds are e
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -76,3 +77,16 @@ def test_decimals_are_taken_as_they_are_written(scale: float) -> None:
     from fractions import Fraction
 
     assert Fraction(str(point(scale=scale).decode([1]))) == Fraction(str(scale))
+
+
+# --- too large -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("raw", [1e300, -1e300])
+@pytest.mark.parametrize(
+    ("keys", "source"), [({"scale": 1e30}, None), ({"scale_from": "exponent"}, 30)]
+)
+def test_too_large_a_value_is_infinite(raw, keys, source):
+    point = Point("energy", "holding_registers", 0, type="float64", **keys)
+    cells = struct.unpack(">4H", struct.pack(">d", raw))
+    assert point.decode(cells, source=source) == raw * 1e300

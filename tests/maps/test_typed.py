@@ -135,3 +135,23 @@ def test_named_bits_may_be_a_json_object() -> None:
     assert flags.encode(typed_value(flags, ' {"door": true, "mode": 5}')) == [0x51]
     with pytest.raises(ValueError, match="value must be a JSON object"):
         typed_value(flags, "{door}")
+
+
+# --- bits ----------------------------------------------------------------------------------------
+
+
+FLAGS = Point("flags", "holding_registers", 0, bits={0: "door", "4..7": "mode"})
+
+
+@each_case(
+    "text",
+    ["door=1, door=0", "door=1,mode=3, door=1", '{"door": 1, "door": 0}', '{"mode":1,"mode":1}'],
+)
+def test_a_bit_that_is_named_twice_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=r"^value\.(door|mode): occurs twice$"):
+        typed_value(FLAGS, text)
+
+
+def test_bits_that_are_named_once_are_taken() -> None:
+    assert typed_value(FLAGS, "door=1, mode=3") == {"door": True, "mode": 3}
+    assert typed_value(FLAGS, '{"mode": 3, "door": true}') == {"mode": 3, "door": True}

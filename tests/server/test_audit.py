@@ -12,6 +12,7 @@ import ssl
 import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,7 @@ from libmodbus_py import (
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.serve import Allow, Audit, AuditEvent, AuditFile
 from tests.support import certificates
+from tests.support.cases import each_case
 from tests.support.certificates import Identity, Papers
 from tests.support.events import Events
 from tests.support.peers import until
@@ -415,3 +417,58 @@ def test_what_comes_from_a_peer_stays_on_its_line(tmp_path: Path) -> None:
     assert path.read_bytes().count(b"\n") == 1
     assert path.read_bytes().isascii()
     assert lines(path)[0]["result"] == "a\nb\x1b[2J\u2028\ud800"
+
+
+# --- files ---------------------------------------------------------------------------------------
+
+
+WRITTEN = AuditEvent(datetime(2026, 1, 1, tzinfo=UTC), "write", "192.0.2.1:1", "ok")
+
+
+@each_case("text", ["[[device]]\n", "-----BEGIN PRIVATE KEY-----\n", "\0\0", "time,device\n"])
+def test_another_file_is_not_appended_to(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "file"
+    path.write_text(text)
+    with pytest.raises(ValueError, match="is not an audit trail"):
+        AuditFile(path)
+    assert path.read_text() == text
+
+
+@each_case("text", ["", '{"event": "write"}\n', '{"event": "wri', '\n{"event": "write"}\n'])
+def test_an_audit_trail_goes_on(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "audit.jsonl"
+    path.write_text(text)
+    file = AuditFile(path)
+    file(WRITTEN)
+    file.close()
+    assert path.read_text() == f"{text}{WRITTEN.json()}\n"
+
+
+def test_a_named_pipe_without_a_reader_is_refused_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    with pytest.raises(OSError, match="No such device"):
+        AuditFile(path)
+
+
+def fill(file: AuditFile) -> None:
+    for _ in range(10_000):
+        file(WRITTEN)
+
+
+def test_a_named_pipe_holds_up_nobody(tmp_path: Path) -> None:
+    """Its reader is slow, and then gone, also when the file is opened again."""
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    file = AuditFile(path)
+    file(WRITTEN)
+    assert os.read(reader, 1000) == WRITTEN.json().encode() + b"\n"
+    with pytest.raises(BlockingIOError):
+        fill(file)
+    os.close(reader)
+    with pytest.raises(BrokenPipeError):
+        file(WRITTEN)
+    with pytest.raises(OSError, match="No such device"):
+        file.reopen()
+    file.close()

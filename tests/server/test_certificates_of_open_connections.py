@@ -4,6 +4,7 @@ Certificates that expire, are revoked, or are renewed while connections are open
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,6 +28,9 @@ from libmodbus_py import (
 )
 from libmodbus_py.ports import tls
 from libmodbus_py.security import loaded
+from libmodbus_py.server.limits import ServerStatistics
+from libmodbus_py.server.tls import Handshakes
+from tests.simulation.network import Network
 from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.clients import Connect, connecting
@@ -191,3 +195,32 @@ def test_a_client_leaves_a_server_whose_certificate_has_expired(
         monkeypatch.setattr(loaded, "time", now)
         plc.read_holding_registers(0, 1)
         assert server.statistics.accepted == 2
+
+
+# --- the end of the checks -----------------------------------------------------------------------
+
+
+PLACE = "tls://10.0.0.1:802"
+INTERVAL = 10.0
+
+
+def test_a_closed_endpoint_looks_at_no_certificate_any_more(papers: Papers) -> None:
+    statistics = ServerStatistics()
+
+    async def main() -> None:
+        limits = Limits(certificate_interval=INTERVAL)
+        handshakes = Handshakes(papers.server(), limits, statistics)
+        handshakes.open(PLACE)
+        for _ in range(3):
+            assert statistics.certificate_ends.pop(PLACE) > 0
+            await asyncio.sleep(INTERVAL - 0.5)
+            assert statistics.certificate_ends == {}
+            await asyncio.sleep(0.5 + 0.001)
+        assert PLACE in statistics.certificate_ends
+        for _ in range(2):
+            handshakes.close()
+            assert statistics.certificate_ends == {}
+            await asyncio.sleep(5 * INTERVAL)
+            assert statistics.certificate_ends == {}
+
+    Network().run(main)

@@ -18,7 +18,7 @@ MOST = 3
 def test_answers_make_room_for_further_datagrams(
     stage: Stage, front: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(udp, "WAITING_MAX", MOST)
+    monkeypatch.setattr(udp, "REMEMBERED_MAX", MOST)
     with (
         passage(front, "rtu", {1: small()}, stage=stage) as through,
         through.context(1) as client,
