@@ -53,8 +53,7 @@ BUILD = Path("build/mutants")
 # The files that decide about requests, turns, time and bytes.
 DECIDING = [
     *("client", "services/gateway", "services/fleet", "services/workers", "protocol"),
-    *(f"server/{name}.py" for name in ("addresses", "framed")),
-    *(f"server/{name}.py" for name in ("limits", "peer", "peers", "sessions")),
+    *(f"server/{name}.py" for name in ("framed", "limits", "peer", "peers", "sessions")),
     "tools/faults/server.py",
 ]
 

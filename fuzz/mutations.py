@@ -116,7 +116,7 @@ TUNING: dict[str, frozenset[str]] = {
     "of memory that only floods and failures reach": frozenset(
         {
             *("LARGEST_WAL_BYTES", "MARGIN", "MAX_ABANDONED", "MAX_KEPT", "MAX_RECEIVED"),
-            *("MAX_UNASKED_BYTES", "MAX_WAITING", "MOST_ASKING", "MOST_ERRORS", "MOST_IN_MEMORY"),
+            *("MAX_UNASKED_BYTES", "MOST_ASKING", "MOST_ERRORS", "MOST_IN_MEMORY"),
             *("MOST_MESSAGES", "OVERHEAD"),
             *("REMEMBERED", "ROOM_AT_MOST", "SPARE_DESCRIPTORS"),
         }
@@ -126,7 +126,7 @@ TUNING: dict[str, frozenset[str]] = {
             *("COARSEST_S", "EXACTNESS", "FADING", "FIRST_PAUSE_S", "FORCED_S"),
             *("GATHERED_S", "LAST_WAIT_S", "LEAVING", "LONGEST_PAUSE_S", "LOOK"),
             *("MOST_DOUBLINGS", "MOST_TRIES", "PAUSE", "QUICK_S"),
-            *("RESOLUTION", "SAMPLED", "SHORTEST_TRIAL_S", "SLEPT_S"),
+            *("SAMPLED", "SHORTEST_TRIAL_S", "SLEPT_S"),
         }
     ),
 }
