@@ -73,6 +73,15 @@ def test_a_length_that_cannot_be_closes_the_connection(port: int, length: int) -
         assert innocent.read_holding_registers(100, 1) == [1000]
 
 
+def test_who_is_closed_is_not_reset_although_more_had_come(port: int) -> None:
+    """A reset could take the answers that were sent before from the client."""
+    for _ in range(5):
+        with connect(port) as liar:
+            liar.sendall(adu(READ, 1) + adu(READ, 2, length=65535) + bytes(5000))
+            assert receive(liar, 13) == adu(READ_ANSWER, 1)
+            assert liar.recv(1) == b""
+
+
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp"])
 def test_random_bytes_change_nothing(stage: Stage, scheme: str, device: Device) -> None:
     """Whoever is out of step is closed, and comes back with the next bytes."""
