@@ -233,6 +233,9 @@ PLACES: dict[str, Make] = {
     "rtu:///dev/ttyUSB0?baudrate=19200&data_bits=8&parity=E&stop_bits=1": lambda: (
         theirs.ModbusSerialParams(device="/dev/ttyUSB0", baudrate=19200, parity="E")
     ),
+    "rtu:///dev/tty%3F1?baudrate=9600&data_bits=8&parity=N&stop_bits=1": lambda: (
+        theirs.ModbusSerialParams(device="/dev/tty?1")
+    ),
 }
 
 
@@ -253,7 +256,6 @@ NOWHERE: dict[str, tuple[Make, str]] = {
     "relative": (lambda: theirs.ModbusSerialParams(device="ttyUSB0"), "must be a path"),
     "portless": (lambda: theirs.ModbusSerialParams(device="socket://plc"), "socket://HOST:PORT"),
     "other": (lambda: theirs.ModbusSerialParams(device="rfc2217://plc:1"), "socket://HOST:PORT"),
-    "question mark": (lambda: theirs.ModbusSerialParams(device="/dev/tty?1"), "device '/dev/tty"),
 }
 
 

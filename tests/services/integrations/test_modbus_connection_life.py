@@ -130,21 +130,22 @@ def test_a_late_answer_is_not_the_next_ones() -> None:
 
 
 def test_a_late_answer_on_a_line_is_not_the_next_ones() -> None:
-    def frame(value: int) -> bytes:
-        return make_framer("rtu", "server").encode(Frame(1, bytes([3, 2, 0, value])))
+    def frame(value: int) -> list[bytes]:
+        return [make_framer("rtu", "server").encode(Frame(1, bytes([3, 2, 0, value])))]
 
     async def go() -> None:
         params = theirs.ModbusSerialParams(device=line.path)
         connection = backend.ModbusConnection(params, timeout=SHORT)
+        assert await read(connection, 9) == [9]
         with pytest.raises(theirs.ModbusTimeoutError):
             await read(connection, 1)
         asking = asyncio.create_task(read(connection, 2))
         await asyncio.sleep(SHORT / 4)
-        line.write(frame(1))
+        line.write(*frame(1))
         assert await asking == [2]
         await connection.close()
 
-    with FakeUnit(lambda request: [], lambda request: [frame(2)]) as line:
+    with FakeUnit(lambda _: frame(9), lambda _: [], lambda _: frame(2)) as line:
         run(go())
 
 

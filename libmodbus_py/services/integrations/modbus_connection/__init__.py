@@ -12,37 +12,37 @@ A backend of Home Assistant's modbus-connection: connections and units built on 
 
 Files::
 
-    connection   ClientConnection: connects, closes, and sends one request at a time
     units        ConnectionUnit: the 19 operations of a unit
-    places       converts parameters to URLs; the supported framings
-    causes       converts errors of this package to those of modbus-connection
+    converting   parameters to URLs, errors to those of modbus-connection
 
 It needs Python 3.13 or newer, and modbus-connection, which libmodbus-py[homeassistant] installs.
 """
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import ssl
-from typing import Literal, TypedDict, Unpack
+from collections.abc import Awaitable, Callable, Coroutine
+from typing import Literal, TypedDict, TypeVar, Unpack
 
 from ....protocol.extras import how_to_add
 
 try:
-    from modbus_connection import (
-        ModbusSerialParams,
-        ModbusTcpParams,
-        ModbusTlsParams,
-        ModbusUdpParams,
-    )
+    import modbus_connection as theirs
 except ImportError as error:
     raise ImportError(
         "the backend of modbus-connection needs modbus-connection and Python 3.13 or newer: "
         + how_to_add("homeassistant")
     ) from error
 
-from ....protocol.checks import integer
-from .connection import ClientConnection
-from .places import SUPPORTED_FRAMINGS, Params
+from ....client.asynchronous import AsyncClient
+from ....client.reconnecting import State
+from ....client.statistics import Statistics
+from ....protocol.checks import integer, seconds
+from ....protocol.errors import ModbusConnectionError, ModbusError
+from ....security.security import GivenContext
+from .converting import SUPPORTED_FRAMINGS, Params, converted, not_connected, url_of
 from .units import ConnectionUnit
 
 # fmt: off
@@ -52,8 +52,18 @@ __all__ = [
 ]
 # fmt: on
 
+Result = TypeVar("Result")
 
-class ModbusConnection(ClientConnection):
+# The times of `AsyncClient`; units may require any, even 0.
+SHORTEST_S, LONGEST_S = 0.001, 86_400.0
+
+# The number of consecutive timeouts that closes the connection: more than ever occur.
+NEVER = 1_000_000
+
+FILES = ("verify", "client_cert", "client_key")
+
+
+class ModbusConnection(theirs.ModbusConnection):
     """
     A connection to a Modbus network, as defined by ``modbus_connection.ModbusConnection``.
 
@@ -84,6 +94,30 @@ class ModbusConnection(ClientConnection):
             invalid time.
     """
 
+    _client: AsyncClient | None
+
+    def __init__(
+        self,
+        params: Params,
+        *,
+        timeout: float | None = None,
+        message_spacing: float | None = None,
+        connect_delay: float | None = None,
+    ) -> None:
+        self.url: str = url_of(params)
+        self.statistics: Statistics = Statistics()
+        self.last_error: str = ""
+        times = {
+            "timeout": timeout,
+            "message_spacing": message_spacing,
+            "connect_delay": connect_delay,
+        }
+        for name, value in times.items():
+            if value is not None:
+                seconds(name, value, low=0)
+        super().__init__(params, **times)
+        self._later: set[asyncio.Task[None]] = set()
+
     def for_unit(self, unit_id: int) -> ConnectionUnit:
         """
         Return a handle for a unit, 0..255. On serial lines unit 0 is a broadcast: writes only.
@@ -92,6 +126,105 @@ class ModbusConnection(ClientConnection):
             TypeError, ValueError: `unit_id` has the wrong type, or is out of range.
         """
         return ConnectionUnit(self, integer("unit_id", unit_id, 0, 255))
+
+    async def carry_out(
+        self, unit: int, operation: str, ask: Callable[[], Awaitable[Result]]
+    ) -> Result:
+        """
+        Connect, wait until no other request is under way, and send a request.
+
+        Args:
+            unit: the unit that is asked.
+            operation: the name of the request in error messages.
+            ask: sends the request and returns its result.
+
+        Raises:
+            modbus_connection.ModbusError: the request failed.
+            TypeError, ValueError: an argument of the request is invalid.
+        """
+        try:
+            await self.connect()
+            async with self._pacer.paced(unit):
+                await self.connect()  # again, if the connection was lost meanwhile
+                return await self._ask(ask)
+        except (ModbusError, theirs.ModbusError, RuntimeError) as error:
+            made = converted(error, operation)
+            self.last_error = str(made)
+            raise made from error
+
+    async def _ask(self, ask: Callable[[], Awaitable[Result]]) -> Result:
+        try:
+            return await ask()
+        except ModbusError as error:
+            if error.answers_another and self._client is not None:
+                # Before another request is sent over this connection.
+                client, self._client = self._client, None
+                with contextlib.suppress(theirs.ModbusConnectionError):
+                    await self._close_client(client)
+            raise
+
+    def handle(self, unit: int) -> AsyncClient:
+        """
+        Return a handle of the current client for a unit.
+
+        Raises:
+            modbus_connection.ModbusConnectionError: there is no connection.
+        """
+        if self._client is None:
+            raise theirs.ModbusConnectionError("the connection was lost before the request")
+        return self._client.for_unit(unit)
+
+    # --- what the base class calls: it decides when to connect, to wait and to close ----------
+
+    async def _connect_client(self) -> AsyncClient:
+        client = AsyncClient(
+            self.url,
+            timeout=min(max(self._timeout, SHORTEST_S), LONGEST_S),
+            timeouts_before_reconnect=NEVER,
+            security=await self._security(),
+            statistics=self.statistics,
+            on_state=self._note_state,
+        )
+        try:
+            return await client.__aenter__()  # closes the client if connecting fails
+        except (ModbusConnectionError, RuntimeError) as error:
+            made = not_connected(error)
+            self.last_error = str(made)
+            raise made from error
+
+    async def _close_client(self, client: AsyncClient) -> None:
+        try:
+            await client.close()
+        except RuntimeError as error:
+            raise theirs.ModbusConnectionError(f"closing: {error}") from error
+
+    async def _security(self) -> GivenContext | None:
+        params = self._params
+        if not isinstance(params, theirs.ModbusTlsParams):
+            return None
+        try:
+            return GivenContext(await params.create_ssl_context())
+        except OSError as error:  # SSLError is an OSError
+            shown = ", ".join(f"{name}={getattr(params, name)!r}" for name in FILES)
+            raise ValueError(f"cannot use {shown} for TLS: {error.strerror or error}") from None
+
+    def _note_state(self, state: State, error: ModbusError | None) -> None:
+        # States of earlier clients, and of a client that is still connecting, are ignored.
+        client = self._client
+        if state is not State.DISCONNECTED or client is None or client.state is not state:
+            return
+        if not self._closed:
+            self._client = None
+            self.last_error = f"connection lost: {error}"
+            # The client is closed because it would connect again for requests that wait.
+            self._run_later(client.close())
+            # Called by the event loop, so that it handles the exceptions of callbacks.
+            asyncio.get_running_loop().call_soon(self._lost_callbacks.fire)
+
+    def _run_later(self, closing: Coroutine[object, object, None]) -> None:
+        task = asyncio.get_running_loop().create_task(closing)
+        self._later.add(task)
+        task.add_done_callback(self._later.discard)
 
 
 class Timings(TypedDict, total=False):
@@ -121,7 +254,7 @@ async def connect_tcp(
         modbus_connection.ModbusConnectionError: the connection could not be established.
         modbus_connection.ModbusTimeoutError: it was not established in time.
     """
-    return await _connected(ModbusTcpParams(host=host, port=port, framer=framer), times)
+    return await _connected(theirs.ModbusTcpParams(host=host, port=port, framer=framer), times)
 
 
 async def connect_udp(
@@ -132,7 +265,7 @@ async def connect_udp(
     **times: Unpack[Timings],
 ) -> ModbusConnection:
     """Connect over UDP, like `connect_tcp`; `framer` must not be "ascii"."""
-    return await _connected(ModbusUdpParams(host=host, port=port, framer=framer), times)
+    return await _connected(theirs.ModbusUdpParams(host=host, port=port, framer=framer), times)
 
 
 async def connect_tls(
@@ -148,7 +281,7 @@ async def connect_tls(
     **times: Unpack[Timings],
 ) -> ModbusConnection:
     """Connect over TLS, like `connect_tcp`; other arguments are as for ``ModbusTlsParams``."""
-    params = ModbusTlsParams(
+    params = theirs.ModbusTlsParams(
         host=host,
         port=port,
         verify=verify,
@@ -175,7 +308,7 @@ async def connect_serial(
     Connect to a serial port, or to a serial server at ``socket://HOST:PORT``. Errors are as for
     `connect_tcp`.
     """
-    params = ModbusSerialParams(
+    params = theirs.ModbusSerialParams(
         device=port,
         baudrate=baudrate,
         bytesize=bytesize,
@@ -191,6 +324,7 @@ async def _connected(params: Params, times: Timings) -> ModbusConnection:
     try:
         await connection.connect()
     except BaseException:  # the caller gets no connection to close
-        connection.close_later()
+        connection._closed = True
+        connection._run_later(connection.close())
         raise
     return connection

@@ -7,11 +7,13 @@ from __future__ import annotations
 import functools
 import reprlib
 from collections.abc import Callable, Coroutine
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 from ....client.asynchronous import AsyncClient
 from ....protocol.pdu import ReportServerId, ServerId
-from .connection import ClientConnection
+
+if TYPE_CHECKING:
+    from . import ModbusConnection
 
 __all__ = ["ConnectionUnit"]
 
@@ -24,18 +26,16 @@ def in_turn(ask: Operation[Arguments, Result]) -> Operation[Arguments, Result]:
     """Decorate an operation: connect, wait for its turn, and raise errors of modbus-connection."""
 
     @functools.wraps(ask)
-    async def asking(
+    async def waiting(
         self: ConnectionUnit, /, *given: Arguments.args, **named: Arguments.kwargs
     ) -> Result:
         shown = [*map(reprlib.repr, given)]
         shown += [f"{name}={reprlib.repr(value)}" for name, value in named.items()]
-        return await self.link.carry_out(
-            self.unit_id,
-            f"{ask.__name__}({', '.join(shown)})",
-            functools.partial(ask, self, *given, **named),
-        )
+        operation = f"{ask.__name__}({', '.join(shown)})"
+        asking = functools.partial(ask, self, *given, **named)
+        return await self.link.carry_out(self.unit_id, operation, asking)
 
-    return asking
+    return waiting
 
 
 class WholeServerId(ReportServerId):
@@ -67,7 +67,7 @@ class ConnectionUnit:
         unit_id: the unit, 0..255.
     """
 
-    def __init__(self, link: ClientConnection, unit_id: int) -> None:
+    def __init__(self, link: ModbusConnection, unit_id: int) -> None:
         self.link = link
         self.unit_id = unit_id
 
@@ -84,15 +84,15 @@ class ConnectionUnit:
 
     def set_message_spacing(self, seconds: float) -> None:
         """Set the seconds without traffic before and after requests to this unit."""
-        self.link.set_spacing(self.unit_id, seconds)
+        self.link._pacer.set_unit_spacing(self.unit_id, seconds)
 
     def require_timeout(self, seconds: float | None) -> None:
         """Require a timeout of at least this many seconds; None for no requirement."""
-        self.link.require_timeout(self.unit_id, seconds)
+        self.link._require_timeout(self.unit_id, seconds)
 
     def require_connect_delay(self, seconds: float | None) -> None:
         """Require at least this many seconds between connecting and requests; None for any."""
-        self.link.require_connect_delay(self.unit_id, seconds)
+        self.link._require_connect_delay(self.unit_id, seconds)
 
     def on_connection_lost(self, callback: Callable[[], None]) -> Callable[[], None]:
         """Call a function whenever the connection is lost; return a function that stops this."""
