@@ -43,8 +43,8 @@ class RequestBytes(pdu.Request[bytes]):
 
     # fmt: off
     __slots__ = (
-        "_usual", "changes", "expects_response", "function", "is_read", "known",
-        "may_be_broadcast", "pdu", "repeatable",
+        "changes", "expects_response", "function", "is_read", "known", "may_be_broadcast", "pdu",
+        "repeatable",
     )
     # fmt: on
 
@@ -58,8 +58,6 @@ class RequestBytes(pdu.Request[bytes]):
         self.repeatable: bool = known is not None and known.repeatable  # type: ignore[misc]
         self.changes: bool = known is None or known.changes
         self.expects_response: bool = known is None or known.expects_response
-        # Length and start of a valid response to a read: with these, any values are valid.
-        self._usual: tuple[int, bytes] | None = None
 
     def touches(self, who: Who) -> Touched:
         """Return the addresses in tables that the request writes and reads."""
@@ -69,12 +67,8 @@ class RequestBytes(pdu.Request[bytes]):
         return self.pdu
 
     def decode_response(self, pdu: bytes) -> bytes:
-        if (len(pdu), pdu[:2]) == self._usual:
-            return pdu
         if self.known is not None:
             self.known.decode_response(pdu)
-            if type(self.known) in READS:  # a class of a user may judge the values, too
-                self._usual = len(pdu), pdu[:2]
         elif not pdu or pdu[0] != self.function:
             raise self._refusal(pdu)
         return pdu

@@ -6,9 +6,10 @@ from __future__ import annotations
 
 import pytest
 
-from libmodbus_py import IllegalDataValue, IllegalFunction, InvalidResponse, pdu
+from libmodbus_py import ExceptionResponse, IllegalDataValue, IllegalFunction, InvalidResponse, pdu
 from libmodbus_py.services.gateway.raw_request import request_of
 from tests.support import vectors
+from tests.support.cases import each_case
 
 WORKED = [vector.values[0] for vector in vectors.rows(vectors.REQUESTS)]
 
@@ -67,12 +68,26 @@ def test_the_answer_of_an_unknown_function_begins_with_its_code() -> None:
             request.decode_response(answer)
 
 
-def test_the_answer_of_a_known_function_must_be_valid() -> None:
-    request = request_of(b"\3\0\0\0\1")
-    assert request.decode_response(b"\3\2\0\7") == b"\3\2\0\7"
-    for answer in (b"", b"\3\4\0\7\0\7", b"\3\2\0", b"\4\2\0\7"):
+# Requests of the application protocol, sections 6.1 to 6.4, with responses.
+RESPONSES = [
+    ("01 0013 0013", "01 03 CD6B05"),
+    ("02 00C4 0016", "02 03 ACDB35"),
+    ("03 006B 0003", "03 06 022B00000064"),
+    ("04 0008 0001", "04 02 000A"),
+]
+
+
+@each_case("request, response", RESPONSES)
+def test_a_response_to_a_read_is_passed_on_if_its_length_fits(request: str, response: str) -> None:
+    asked, good = request_of(bytes.fromhex(request)), bytes.fromhex(response)
+    assert asked.decode_response(good) == good
+    bad = [b"", good[:-1], good + b"\0", bytes([good[0] ^ 7]) + good[1:], good[:2]]
+    bad += [good[:1] + bytes([good[1] - 1]) + rest for rest in (good[2:], good[2:-1])]
+    for response_pdu in bad:
         with pytest.raises(InvalidResponse):
-            request.decode_response(answer)
+            asked.decode_response(response_pdu)
+    with pytest.raises(ExceptionResponse):
+        asked.decode_response(bytes([good[0] | 0x80, 2]))
 
 
 def test_a_broadcast_is_answered_as_if_one_unit_had() -> None:
@@ -81,3 +96,27 @@ def test_a_broadcast_is_answered_as_if_one_unit_had() -> None:
     assert request_of(bytes.fromhex("06 0001 0007")).response_to_broadcast() == (
         bytes.fromhex("06 0001 0007")
     )
+
+
+def test_the_echo_of_a_write_must_be_that_of_this_write() -> None:
+    asked = request_of(bytes.fromhex("06 0001 0003"))
+    assert asked.decode_response(asked.pdu) == asked.pdu
+    with pytest.raises(InvalidResponse):
+        asked.decode_response(bytes.fromhex("06 0001 0004"))
+
+
+@each_case(
+    "request, changes",
+    [
+        ("03 006B 0003", False),
+        ("06 0001 0003", True),
+        ("17 0003 0006 000E 0001 02 00FF", True),
+        ("08 0000 A537", False),
+        ("08 000A 0000", True),
+        ("2B 0D 00", True),
+        ("2B 0E 01 00", False),
+        ("64 00", True),  # nobody knows what it does
+    ],
+)
+def test_what_may_change_a_device_is_known_before_it_is_sent(request: str, changes: bool) -> None:
+    assert request_of(bytes.fromhex(request)).changes is changes
