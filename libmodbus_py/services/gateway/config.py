@@ -13,7 +13,6 @@ Gateway files: a gateway, described in TOML.
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,17 +20,14 @@ from os import PathLike
 from typing import Any
 
 from ...ports.endpoint import parse_to_listen
-from ...protocol.mistakes import Path, WrongType, WrongValue, inside, item
+from ...protocol.mistakes import Path, WrongValue, inside, item
 from ...server.limits import Limits
-from ...tools.files.schema import Key, Keys, keys_of, parts_of_tables, roles
+from ...tools.files.schema import Key, Keys, a_list, keys_of, parts_of_tables, roles, tables
 from ...tools.files.texts import FileError, load_file, read_toml
 from .gateway import Gateway
 from .routes import GatewayOptions, Route, check_line, check_routes
 
 __all__ = ["FILE", "ROUTE", "GatewayFile", "GatewayFileError", "load", "parse"]
-
-# There are 256 units, and each has one route.
-MOST_ROUTES = 256
 
 
 class GatewayFileError(FileError):
@@ -93,7 +89,7 @@ def _parse(text: str, known: Iterable[Route]) -> GatewayFile:
     for at, route in enumerate(routes):
         if route.endpoint.url not in there:
             check_line(("route", at, "to"), route.endpoint, map(parse_to_listen, listen))
-    GatewayOptions(**{key.name: given.get(key.name, key.default) for key in OPTIONS.values()})
+    GatewayOptions(**{name: given[name] for name in OPTIONS if name in given})
     if "roles" in given:
         given["authorize"] = given.pop("roles")
     return GatewayFile(listen, routes, given)
@@ -103,20 +99,14 @@ def _parse(text: str, known: Iterable[Route]) -> GatewayFile:
 
 
 def _listen(path: Path, given: object) -> tuple[str, ...]:
-    if not isinstance(given, list):
-        raise WrongType(path, f"must be a list of URLs, not {reprlib.repr(given)}")
-    for at, url in enumerate(given):
+    for at, url in enumerate(a_list(path, given)):
         with inside(*item(path, at)):
             parse_to_listen(url)
-    return tuple(given)
+    return tuple(a_list(path, given))
 
 
 def _routes(path: Path, given: object) -> list[Route]:
-    if not isinstance(given, list) or not given:
-        raise WrongValue(path, "must hold at least one table: [[route]]")
-    if len(given) > MOST_ROUTES:
-        raise WrongValue(path, f"must hold at most {MOST_ROUTES} tables, not {len(given)}")
-    return [ROUTE.read(item(path, at), each) for at, each in enumerate(given)]
+    return [ROUTE.read(item(path, at), each) for at, each in enumerate(tables(path, given))]
 
 
 OPTIONS = keys_of(Gateway).only(*keys_of(GatewayOptions))

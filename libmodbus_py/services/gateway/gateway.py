@@ -21,9 +21,8 @@ from ...server.service import Service
 from ...server.serving import Serving
 from .dispatcher import Dispatcher, ResolvedRoute
 from .line import GatewayLine
-from .own_device import own_device
 from .routes import GatewayOptions, Route, check_line, check_routes
-from .statistics import GatewayStatistics, UnitStatistics
+from .statistics import GatewayStatistics, UnitStatistics, own_device
 
 __all__ = ["Gateway"]
 

@@ -4,8 +4,8 @@ A gateway as a page shows it: its lines, the units behind them, its clients, and
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from ...ports.hosts import host_of_peer
 from ...ports.trace import Traced
@@ -89,12 +89,12 @@ class ShownGateway:
     def _lines(self) -> list[LineStatistics]:
         return list(self._gateway.traffic.lines.copy().values())
 
-    def _behind(self) -> Iterator[LineRow | UnitRow]:
+    def _behind(self) -> Iterator[Row]:
         """Yield each line, and then its units by their numbers."""
         for line in self._lines():
-            yield LineRow(line, self._history)
+            yield _line_row(line, self._history)
             for number, unit in sorted(line.units.copy().items()):
-                yield UnitRow(line.url, number, unit, self._history)
+                yield _unit_row(line.url, number, unit, self._history)
 
     def _counts(self) -> Iterator[tuple[Name, Counts]]:
         return ((each.name, each.counts) for each in self._behind())
@@ -106,140 +106,82 @@ class ShownGateway:
         return self._history.series(name, column)
 
 
-class LineRow:
-    """See `PageRow`: a line, its queue and its state."""
+class Row(NamedTuple):
+    """See `PageRow`; `make` makes its cells when a page shows the row."""
 
-    def __init__(self, line: LineStatistics, history: RowHistory) -> None:
-        self._line = line
-        self._history = history
-        self.name: Name = ("", cell_text(line.url))
-
-    @property
-    def words(self) -> str:
-        return self._line.url.lower()
-
-    @property
-    def is_problem(self) -> bool:
-        return bool(self._line.trouble)
-
-    @property
-    def counts(self) -> Counts:
-        return Counts(self._line.connection.requests, waiting=self._line.waiting)
+    name: Name
+    words: str
+    is_problem: bool
+    counts: Counts
+    make: Callable[[], list[Any]]
 
     def cells(self) -> list[Any]:
-        line, history = self._line, self._history
+        return self.make()
+
+
+def _line_row(line: LineStatistics, history: RowHistory) -> Row:
+    name = "", cell_text(line.url)
+
+    def cells() -> list[Any]:
         word = "down" if line.trouble else "open" if line.connection.connects else "new"
-        numbers = {"waiting": line.waiting, "in flight": line.in_flight, "refused": line.full}
         return [
-            [*self.name],
+            [*name],
             [word, problem_text(line.trouble) if line.trouble else "", round(line.since, 1)],
             line.connection.requests,
             line.connection.responses,
-            history.spark(self.name, "rate"),
+            history.spark(name, "rate"),
             None,
-            history.spark(self.name, "queue"),
-            _listed(numbers),
+            history.spark(name, "queue"),
+            _listed(waiting=line.waiting, in_flight=line.in_flight, refused=line.full),
             0,
         ]
 
+    counts = Counts(line.connection.requests, waiting=line.waiting)
+    return Row(name, line.url.lower(), bool(line.trouble), counts, cells)
 
-class UnitRow:
-    """See `PageRow`: a unit that requests were sent to, and whether it answers."""
 
-    def __init__(self, url: str, number: int, unit: UnitStatistics, history: RowHistory) -> None:
-        self._unit = unit
-        self._history = history
-        self.name: Name = (cell_text(url), f"unit {number}")
+def _unit_row(url: str, number: int, unit: UnitStatistics, history: RowHistory) -> Row:
+    name = cell_text(url), f"unit {number}"
 
-    @property
-    def words(self) -> str:
-        return " ".join(self.name).lower()
-
-    @property
-    def is_problem(self) -> bool:
-        return self._unit.is_silent
-
-    @property
-    def counts(self) -> Counts:
-        return Counts(self._unit.requests, self._unit.answers, self._unit.seconds)
-
-    def cells(self) -> list[Any]:
-        unit, history = self._unit, self._history
+    def cells() -> list[Any]:
         word = "silent" if unit.is_silent else "answers" if unit.answers else "new"
         reason = f"{unit.resting} requests refused meanwhile" if unit.is_silent else ""
-        numbers = {
-            "exceptions": unit.exceptions,
-            "timeouts": unit.timeouts,
-            "invalid": unit.invalid,
-            "refused": unit.resting,
-            "cached": unit.cached,
-        }
         mean = f"mean {unit.seconds / unit.answers * 1000:.1f} ms" if unit.answers else ""
+        numbers = _listed(
+            exceptions=unit.exceptions,
+            timeouts=unit.timeouts,
+            invalid=unit.invalid,
+            refused=unit.resting,
+            cached=unit.cached,
+        )
         return [
-            [*self.name],
+            [*name],
             [word, reason, 0],
             unit.requests,
             unit.answers,
-            history.spark(self.name, "rate"),
-            history.spark(self.name, "time"),
+            history.spark(name, "rate"),
+            history.spark(name, "time"),
             None,
-            ", ".join(filter(None, [mean, _listed(numbers)])),
+            ", ".join(filter(None, [mean, numbers])),
             0,
         ]
 
+    counts = Counts(unit.requests, unit.answers, unit.seconds)
+    return Row(name, " ".join(name).lower(), unit.is_silent, counts, cells)
 
-def _listed(numbers: Mapping[str, int]) -> str:
+
+def _listed(**numbers: int) -> str:
     """Return the numbers that are not 0 with their names."""
-    return ", ".join(f"{name} {count}" for name, count in numbers.items() if count)
-
-
-class ClientRow:
-    """
-    See `PageRow`: the requests of one client with one function to one unit.
-
-    Attributes:
-        requests, exceptions: their number, and that of exceptions among the responses.
-        time: of the last request, in seconds since the epoch.
-    """
-
-    __slots__ = ("exceptions", "key", "requests", "time")
-
-    def __init__(self, key: tuple[str, int, int]) -> None:
-        self.key: tuple[str, int, int] = key
-        self.requests: int = 0
-        self.exceptions: int = 0
-        self.time: float = 0.0
-
-    @property
-    def words(self) -> str:
-        host, unit, function = self.key
-        return f"{host} unit {unit} function {function} {_function(function)}".lower()
-
-    @property
-    def is_problem(self) -> bool:
-        return self.exceptions > 0
-
-    def cells(self) -> list[Any]:
-        host, unit, function = self.key
-        details = _listed({"exceptions": self.exceptions})
-        return [
-            [cell_text(host), f"unit {unit}, {function} {_function(function)}".rstrip()],
-            ["client", details, 0],
-            self.requests,
-            "",
-            None,
-            None,
-            None,
-            "",
-            round(self.time, 1),
-        ]
+    named = ((name.replace("_", " "), count) for name, count in numbers.items())
+    return ", ".join(f"{name} {count}" for name, count in named if count)
 
 
 class Clients:
     """Counts which client asks which unit with which function."""
 
     def __init__(self) -> None:
-        self._asking: dict[tuple[str, int, int], ClientRow] = {}
+        # Host, unit and function -> requests, exceptions, and the time of the last request.
+        self._asking: dict[tuple[str, int, int], tuple[int, int, float]] = {}
 
     def note(self, traced: Traced) -> None:
         """Count a request or a response."""
@@ -247,23 +189,30 @@ class Clients:
             return
         key = host_of_peer(traced.peer or ""), traced.unit, traced.function & 0x7F
         found = self._asking.get(key)
-        if traced.direction == "sent":
-            if found is not None and traced.function & 0x80:
-                found.exceptions += 1
-            return
-        if found is None:
-            if len(self._asking) >= MOST_ASKING:
+        if traced.direction == "received":
+            if found is None and len(self._asking) >= MOST_ASKING:
                 self._asking.pop(next(iter(self._asking)), None)
-            found = self._asking[key] = ClientRow(key)
-        found.requests += 1
-        found.time = traced.time
+            requests, exceptions, _ = found or (0, 0, 0.0)
+            self._asking[key] = requests + 1, exceptions, traced.time
+        elif found is not None and traced.function & 0x80:
+            requests, exceptions, time = found
+            self._asking[key] = requests, exceptions + 1, time
 
-    def rows(self) -> list[ClientRow]:
+    def rows(self) -> list[Row]:
         """Return the clients in the order of their addresses, units and functions."""
-        return [row for _, row in sorted(self._asking.copy().items())]
+        return [_client_row(*each) for each in sorted(self._asking.copy().items())]
 
 
-def _function(number: int) -> str:
-    """Return the name of a function, such as "read holding registers"."""
-    known = REQUESTS.get(number)
-    return "" if known is None else request_name(known)
+def _client_row(key: tuple[str, int, int], counted: tuple[int, int, float]) -> Row:
+    host, unit, function = key
+    requests, exceptions, time = counted
+    known = REQUESTS.get(function)
+    called = f"{function} {'' if known is None else request_name(known)}".rstrip()
+    name = cell_text(host), f"unit {unit}, {called}"
+
+    def cells() -> list[Any]:
+        state = ["client", _listed(exceptions=exceptions), 0]
+        return [[*name], state, requests, "", None, None, None, "", round(time, 1)]
+
+    words = f"{host} unit {unit} function {called}".lower()
+    return Row(name, words, exceptions > 0, Counts(requests), cells)

@@ -13,11 +13,11 @@ import pytest
 from libmodbus_py import pdu
 from libmodbus_py.client.statistics import Statistics
 from libmodbus_py.server.limits import ServerStatistics
-from libmodbus_py.services.gateway.own_device import own_device
 from libmodbus_py.services.gateway.statistics import (
     GatewayStatistics,
     LineStatistics,
     UnitStatistics,
+    own_device,
 )
 
 

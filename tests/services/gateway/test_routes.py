@@ -12,7 +12,6 @@ import pytest
 from libmodbus_py import Route
 from libmodbus_py.ports import hosts
 from libmodbus_py.ports.endpoint import Endpoint, parse
-from libmodbus_py.services.gateway.config import MOST_ROUTES
 from libmodbus_py.services.gateway.config import parse as parse_file
 from libmodbus_py.services.gateway.routes import GatewayOptions, check_line, check_routes
 
@@ -111,15 +110,14 @@ def test_what_may_be_written_is_as_it_was_given() -> None:
     assert "7" not in map(str, some.writable or ())
 
 
-@pytest.mark.parametrize("count", [1, MOST_ROUTES])
-def test_a_file_has_as_many_routes_as_there_can_be_units(count: int) -> None:
-    routes = [f'[[route]]\nto = "{TCP}"\nunits = [{unit}]\n' for unit in range(count)]
-    assert len(parse_file("".join(routes)).routes) == count
+def test_each_unit_may_have_a_route_of_its_own() -> None:
+    routes = [f'[[route]]\nto = "{TCP}"\nunits = [{unit}]\n' for unit in range(256)]
+    assert len(parse_file("".join(routes)).routes) == 256
 
 
-@pytest.mark.parametrize("text", ["", "route = []", "route = 1", "[[route]]\n" * 257])
-def test_a_file_has_routes_and_not_too_many(text: str) -> None:
-    with pytest.raises(ValueError, match="route must hold at"):
+@pytest.mark.parametrize("text", ["", "route = []", "route = 1", "route = [1]"])
+def test_a_file_has_routes(text: str) -> None:
+    with pytest.raises(ValueError, match="route"):
         parse_file(text)
 
 

@@ -167,7 +167,7 @@ def test_the_client_that_came_first_is_dropped_for_one_too_many(
     clients = Clients()
     for last in (1, 2, 1, 3):
         clients.note(traced("received", 3, f"192.0.2.{last}:1"))
-    assert [row.key[0] for row in clients.rows()] == ["192.0.2.2", "192.0.2.3"]
+    assert [row.name[0] for row in clients.rows()] == ["192.0.2.2", "192.0.2.3"]
 
 
 # --- a gateway that runs --------------------------------------------------------------------------
