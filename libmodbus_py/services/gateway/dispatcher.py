@@ -124,10 +124,10 @@ class Dispatcher:
             request = request_of(pdu)
         except ExceptionResponse as refusal:
             self.statistics.malformed += 1
-            return self._exception(session, pdu, refusal.code)
+            return _exception(pdu, refusal.code)
         auditor = self.auditor
         if auditor is not None and request.changes and not auditor.may_change():
-            response: bytes | None = self._exception(session, pdu, ServerDeviceFailure.code)
+            response: bytes | None = _exception(pdu, ServerDeviceFailure.code)
         elif way is None:
             response = self._broadcast(session, frame, request)
         else:
@@ -145,31 +145,28 @@ class Dispatcher:
         if (self._guard or route.allow) and (
             code := self._check(session, unit, request, route.allow)
         ):
-            return self._exception(session, pdu, code)
+            return _exception(pdu, code)
         now = self.now()
         age = route.cache if request.is_read else 0.0
         if age and (answer := line.cached(device_unit, request, age, now)):
             return answer
         if len(session.asked) >= self._most_of_session:
             line.statistics.full += 1
-            return self._exception(session, pdu, ServerDeviceBusy.code)
+            return _exception(pdu, ServerDeviceBusy.code)
         forwarded = Forwarded(session, number, unit, device_unit, request, now, age)
         session.asked[forwarded] = line
         code = line.put(forwarded, merge=route.merge and request.is_read)
         if not code:
             return None
         session.asked.pop(forwarded, None)
-        return self._exception(session, pdu, code)
-
-    def _exception(self, session: ForwardingSession, pdu: bytes, code: int) -> bytes:
-        return bytes([pdu[0] | 0x80, code])
+        return _exception(pdu, code)
 
     def _refuse_route(self, session: ForwardingSession, pdu: bytes) -> bytes | None:
         """Refuse a unit without a route, except on a serial line, where the unit may be itself."""
         self.statistics.no_route += 1
         if session.is_line:
             return None
-        return self._exception(session, pdu, GatewayPathUnavailable.code)
+        return _exception(pdu, GatewayPathUnavailable.code)
 
     def _check(
         self, session: ForwardingSession, unit: int, request: RequestBytes, allow: Allow | None
@@ -194,7 +191,8 @@ class Dispatcher:
                 self._has_failed = True
                 logger.exception("authorize failed; answered with exception 4")
             return ServerDeviceFailure.code
-        if allow is not None and not _allows(allow, asked):
+        # A request that cannot be decoded may access anything.
+        if allow is not None and (asked.request is None or not allow.allows(asked)):
             self.statistics.refused += 1
             return IllegalFunction.code
         return 0
@@ -218,10 +216,10 @@ class Dispatcher:
         # A unit of each route would carry it out. `Allow` has no hash.
         for allow in {id(way.route.allow): way.route.allow for way in ways}.values():
             if code := self._check(session, 0, request, allow):
-                return self._exception(session, frame.pdu, code)
+                return _exception(frame.pdu, code)
         now = self.now()
         if self._may_have_come_back(session, request, now):
-            return self._exception(session, frame.pdu, ServerDeviceBusy.code)
+            return _exception(frame.pdu, ServerDeviceBusy.code)
         self.statistics.broadcasts += 1
         broadcast = self._broadcasts[request.pdu] = Broadcast(session, frame, request, now)
         broadcast.ask(lines)
@@ -242,9 +240,8 @@ class Dispatcher:
         return True
 
 
-def _allows(allow: Allow, asked: Asked) -> bool:
-    """Return True if an access is allowed; a request that cannot be decoded is not."""
-    return asked.request is not None and allow.allows(asked)
+def _exception(pdu: bytes, code: int) -> bytes:
+    return bytes([pdu[0] | 0x80, code])
 
 
 class Broadcast:
@@ -360,9 +357,7 @@ class ForwardingSession(Framed):
         if response is not None:
             answer = Frame(forwarded.from_unit, response, forwarded.number)
             self._send(answer, self.framer.encode(answer))
-        if (
-            self._settings.endpoint.is_datagram and not self.asked
-        ):  # no other channel waits for that
+        if self._settings.endpoint.is_datagram and not self.asked:
             self.channel.follow()
 
     def end(self) -> None:

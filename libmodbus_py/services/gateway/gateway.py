@@ -113,9 +113,10 @@ class Gateway(Serving):
         """
         checked = _checked(routes)
         before = {route.endpoint.url for route in self._routes}
-        new = [route for route in checked if route.endpoint.url not in before]
         if self._loop is not None:
-            self._check_lines(new, self._listening)
+            for at, route in enumerate(checked):
+                if route.endpoint.url not in before:
+                    check_line(("routes", at, "to"), route.endpoint, self._listening)
         self._routes = checked
         if self._loop is not None:
             self._loop.call_soon_threadsafe(self._change_lines)
@@ -124,7 +125,8 @@ class Gateway(Serving):
     async def _answering(self, endpoints: list[Endpoint]) -> AsyncIterator[Service]:
         if self._dispatcher is not None:
             raise RuntimeError("this gateway is already serving; make another one")
-        self._check_lines(self._routes, endpoints)
+        for at, route in enumerate(self._routes):
+            check_line(("routes", at, "to"), route.endpoint, endpoints)
         own = own_device(self.traffic, self.statistics, self._unit_statistics, self._authorize)
         # As many requests as may wait, and as many as may be in flight.
         most = 2 * self._options.queue + 16
@@ -137,16 +139,11 @@ class Gateway(Serving):
             yield dispatcher
         finally:
             self._loop = self._dispatcher = None
-            async with (
-                contextlib.AsyncExitStack() as stack
-            ):  # close each, even if another one fails
+            # Each is closed, even if another one fails.
+            async with contextlib.AsyncExitStack() as stack:
                 stack.push_async_callback(_all, list(self._closing))
                 for line in dispatcher.lines:
                     stack.push_async_callback(line.close)
-
-    def _check_lines(self, routes: Iterable[Route], listening: list[Endpoint]) -> None:
-        for at, route in enumerate(routes):
-            check_line(("routes", at, "to"), route.endpoint, listening)
 
     def _change_lines(self) -> None:
         dispatcher = self._dispatcher

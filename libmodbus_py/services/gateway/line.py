@@ -268,9 +268,8 @@ class GatewayLine(SharedLine[Forwarded]):
 
     def _forget_joinable(self, each: Forwarded) -> None:
         """Let no later read join a request that does not wait any more."""
-        key = each.unit, each.request.pdu
-        if self._joinable.get(key) is each:
-            del self._joinable[key]
+        if self._joinable.get((each.unit, each.request.pdu)) is each:
+            del self._joinable[each.unit, each.request.pdu]
 
     def _note_write(self, unit: int, now: float) -> None:
         """Forget what was read before a write, and have no later read join an earlier one."""
@@ -370,14 +369,12 @@ class GatewayLine(SharedLine[Forwarded]):
 
     def _note_state(self, state: State, error: ModbusError | None) -> None:
         if error is not None:
-            self._set_trouble(str(error))
             self._outage.begin(error)
         elif state is State.CONNECTED:
-            self._set_trouble("")
             self._open_since = self._loop.time()
             self._outage.end()
-
-    def _set_trouble(self, trouble: str) -> None:
-        if bool(trouble) != bool(self.statistics.trouble) or not self.statistics.since:
+        else:
+            return
+        if (error is None) is bool(self.statistics.trouble) or not self.statistics.since:
             self.statistics.since = time.time()
-        self.statistics.trouble = trouble
+        self.statistics.trouble = "" if error is None else str(error)
