@@ -89,7 +89,7 @@ class ShownGateway:
     def _lines(self) -> list[LineStatistics]:
         return list(self._gateway.traffic.lines.copy().values())
 
-    def _behind(self) -> Iterator[Row]:
+    def _behind(self) -> Iterator[GatewayRow]:
         """Yield each line, and then its units by their numbers."""
         for line in self._lines():
             yield _line_row(line, self._history)
@@ -106,7 +106,7 @@ class ShownGateway:
         return self._history.series(name, column)
 
 
-class Row(NamedTuple):
+class GatewayRow(NamedTuple):
     """See `PageRow`; `make` makes its cells when a page shows the row."""
 
     name: Name
@@ -119,7 +119,7 @@ class Row(NamedTuple):
         return self.make()
 
 
-def _line_row(line: LineStatistics, history: RowHistory) -> Row:
+def _line_row(line: LineStatistics, history: RowHistory) -> GatewayRow:
     name = "", cell_text(line.url)
 
     def cells() -> list[Any]:
@@ -137,10 +137,10 @@ def _line_row(line: LineStatistics, history: RowHistory) -> Row:
         ]
 
     counts = Counts(line.connection.requests, waiting=line.waiting)
-    return Row(name, line.url.lower(), bool(line.trouble), counts, cells)
+    return GatewayRow(name, line.url.lower(), bool(line.trouble), counts, cells)
 
 
-def _unit_row(url: str, number: int, unit: UnitStatistics, history: RowHistory) -> Row:
+def _unit_row(url: str, number: int, unit: UnitStatistics, history: RowHistory) -> GatewayRow:
     name = cell_text(url), f"unit {number}"
 
     def cells() -> list[Any]:
@@ -167,7 +167,7 @@ def _unit_row(url: str, number: int, unit: UnitStatistics, history: RowHistory) 
         ]
 
     counts = Counts(unit.requests, unit.answers, unit.seconds)
-    return Row(name, " ".join(name).lower(), unit.is_silent, counts, cells)
+    return GatewayRow(name, " ".join(name).lower(), unit.is_silent, counts, cells)
 
 
 def _listed(**numbers: int) -> str:
@@ -198,12 +198,12 @@ class Clients:
             requests, exceptions, time = found
             self._asking[key] = requests, exceptions + 1, time
 
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[GatewayRow]:
         """Return the clients in the order of their addresses, units and functions."""
         return [_client_row(*each) for each in sorted(self._asking.copy().items())]
 
 
-def _client_row(key: tuple[str, int, int], counted: tuple[int, int, float]) -> Row:
+def _client_row(key: tuple[str, int, int], counted: tuple[int, int, float]) -> GatewayRow:
     host, unit, function = key
     requests, exceptions, time = counted
     known = REQUESTS.get(function)
@@ -215,4 +215,4 @@ def _client_row(key: tuple[str, int, int], counted: tuple[int, int, float]) -> R
         return [[*name], state, requests, "", None, None, None, "", round(time, 1)]
 
     words = f"{host} unit {unit} function {called}".lower()
-    return Row(name, words, exceptions > 0, Counts(requests), cells)
+    return GatewayRow(name, words, exceptions > 0, Counts(requests), cells)
