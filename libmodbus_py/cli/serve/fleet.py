@@ -121,7 +121,7 @@ def poll(
         hangup: noted since the command started.
     """
     servers = parse_servers(options.engine)
-    settings = FleetSettings.of_file(file.engine)
+    settings = FleetSettings(**file.engine)
     connections = connections_of(file.devices, settings.lease)
     for zone in options.zone:
         in_key(zone)

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import os
 import re
 import secrets
 import socket
@@ -88,9 +87,9 @@ class Polling:
         self._bucket = bucket
         self._name = re.sub(r"[^A-Za-z0-9_-]", "-", name or socket.gethostname())[:60]
         self.worker: Worker = Worker(self._new_id, {"", *zones})
-        results = Stream(client, settings.results)
+        limits = {"max_age": settings.max_age, "max_bytes": settings.max_bytes}
         self.fleet: Fleet = Fleet(
-            outputs=[results, *outputs], journal=journal, may_ask=self._may_ask
+            outputs=[Stream(client, limits), *outputs], journal=journal, may_ask=self._may_ask
         )
         self._locations = Locations(self.worker)
         self.fleet.commands.refusal = self._refusal
@@ -330,19 +329,12 @@ class Polling:
         if now - at >= 1.0:
             self._rate = (statistics.polls - polls) / (now - at)
             self._polls = statistics.polls, now
-        outputs = {
-            name: {"waiting": each.waiting, "dropped": each.dropped}
-            for name, each in statistics.outputs.items()
-        }
         return {
             "connections": len(self._active),
             "devices": statistics.devices,
             "up": statistics.up,
             "down": statistics.down,
             "polls": round(self._rate, 1),
-            "host": socket.gethostname(),
-            "process": os.getpid(),
-            "outputs": outputs,
         }
 
     # --- log ------------------------------------------------------------------------------------

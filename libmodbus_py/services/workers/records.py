@@ -21,7 +21,8 @@ from typing import Any, Literal, NamedTuple, get_args
 
 from ...protocol.checks import number
 from ...protocol.json_text import SORTED_JSON, json_text
-from ..fleet.engine_table import LONGEST_LEASE, SHORTEST_LEASE, OnLoss
+from ...tools.files.schema import one_of
+from ..fleet.engine_table import ENGINE, LONGEST_LEASE, SHORTEST_LEASE, OnLoss
 
 __all__ = [
     "BUCKET",
@@ -48,9 +49,6 @@ FORMAT = 1
 """The version of the format of all records. A bucket with another version is refused."""
 
 SETTINGS = "settings"
-
-LIMITS = ("max_age", "max_bytes")
-"""The limits of the stream of readings."""
 
 State = Literal["here", "ended"]
 
@@ -85,22 +83,14 @@ class FleetSettings:
         lease: the length of a lease in seconds, 0.5..60.
         on_engine_loss: "stop" or "continue" polling when the lease has expired.
         commands: True if points may be written through NATS.
-        results: the limits of the stream of readings, by name.
+        max_age, max_bytes: the limits of the stream of readings; the age is in seconds.
     """
 
     lease: float = 10.0
     on_engine_loss: OnLoss = "stop"
     commands: bool = False
-    results: Mapping[str, Any] = field(default_factory=dict)
-
-    @classmethod
-    def of_file(cls, engine: Mapping[str, Any]) -> FleetSettings:
-        """Return the settings in a checked table ``[engine]`` of a fleet file."""
-        results = {name: engine[name] for name in LIMITS if name in engine}
-        return cls(
-            **{name: value for name, value in engine.items() if name not in LIMITS},
-            results=results,
-        )
+    max_age: float = 86_400.0
+    max_bytes: int = 1 << 30
 
     def encode(self) -> bytes:
         return _encode(format=FORMAT, **asdict(self))
@@ -161,10 +151,6 @@ class Member:
     @property
     def bucket_key(self) -> str:
         return f"worker.{self.id}"
-
-    @property
-    def name(self) -> str:
-        return self.id.partition(".")[0]
 
     def is_as(self, other: Member) -> bool:
         """Return True if another record has the same state, zones and length of the lease."""
@@ -243,16 +229,9 @@ def decode(key: str, value: bytes) -> Record:
 
 
 def _settings(_rest: list[str], given: dict[str, Any]) -> FleetSettings:
-    if given["format"] != FORMAT:
-        raise ValueError(
-            f"format {given['format']!r} is not supported; this version reads format {FORMAT}"
-        )
-    return FleetSettings(
-        _lease(given["lease"]),
-        _one_of(get_args(OnLoss), given["on_engine_loss"]),
-        given["commands"] is True,
-        _typed(dict, given.get("results", {})),
-    )
+    if (found := given.pop("format")) != FORMAT:
+        raise ValueError(f"format {found!r} is not supported; this version reads format {FORMAT}")
+    return FleetSettings(**ENGINE.read((), given))
 
 
 def _connection(rest: list[str], given: dict[str, Any]) -> Connection:
@@ -276,7 +255,7 @@ def _member(rest: list[str], given: dict[str, Any]) -> Member:
     zones = [_typed(str, zone) for zone in _typed(list, given["zones"])]
     return Member(
         ".".join(rest),
-        _one_of(get_args(State), given["state"]),
+        one_of(*get_args(State))(("state",), given["state"]),
         tuple(sorted({zone for zone in zones if in_key(zone)})),
         _lease(given["lease"]),
         _typed(int, given["beat"]),
@@ -310,9 +289,3 @@ def _typed(kind: type, given: object) -> Any:
 
 def _lease(given: object) -> float:
     return float(number("lease", given, SHORTEST_LEASE, LONGEST_LEASE))
-
-
-def _one_of(allowed: tuple[Any, ...], given: object) -> Any:
-    if given not in allowed:
-        raise ValueError(f"{str(given)[:60]!r} is not one of {', '.join(allowed)}")
-    return given

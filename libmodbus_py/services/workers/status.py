@@ -5,8 +5,9 @@ The status of a fleet: its workers, their slots, and the parts that no worker po
 from __future__ import annotations
 
 import asyncio
-from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator
+import math
+from collections import Counter
+from collections.abc import Iterable
 from typing import Any
 
 from ..engine.buckets import Bucket
@@ -21,8 +22,8 @@ __all__ = ["fleet_status", "is_polled", "tables"]
 # its lease twice in this time.
 LOOK = 0.25
 
-# The numbers in the reports of workers that are added up.
-SUMS = ("connections", "devices", "up", "down", "polls")
+# The numbers in the reports of workers.
+NUMBERS = ("connections", "devices", "up", "down", "polls")
 
 
 async def fleet_status(bucket: Bucket) -> dict[str, Any]:
@@ -48,87 +49,64 @@ def is_polled(status: dict[str, Any]) -> bool:
 
 def _document(before: BucketView, view: BucketView) -> dict[str, Any]:
     slots = Counter(view.holders[slot] for slot in view.used_slots if slot in view.holders)
-    workers = [
-        _worker(member, _state(member, before, view), slots[member.id])
-        for member in sorted(view.members.values(), key=lambda each: each.id)
+    workers: list[dict[str, Any]] = [
+        {
+            "id": member.id,
+            "state": _state(member, before, view),
+            "zones": [zone for zone in member.zones if zone],
+            "slots": slots[member.id],
+            **{name: _number(member.report.get(name)) for name in NUMBERS},
+        }
+        for _, member in sorted(view.members.items())
     ]
-    here = [each for each in workers if each["state"] == "here"]
-    invalid = dict(_invalid(view))
-    reports = [each["report"] for each in here]
-    return {
-        "lease": view.settings.lease if view.settings else None,
-        "on_engine_loss": view.settings.on_engine_loss if view.settings else None,
-        "totals": {key: round(sum(_number(each, key) for each in reports), 1) for key in SUMS},
-        "workers": workers,
-        "zones": _zones(view, {each["id"] for each in here}, invalid),
-        "unreadable": sorted([*view.unreadable.values(), *invalid.values()]),
-    }
-
-
-def _state(member: Member, before: BucketView, view: BucketView) -> str:
-    """Return "ended"; else "here" if the lease was renewed between the reads, or "silent"."""
-    known = before.seen.get(member.bucket_key)
-    is_new = known is None or known.revision < view.seen[member.bucket_key].revision
-    return member.state if member.state == "ended" or is_new else "silent"
-
-
-def _worker(member: Member, state: str, slots: int) -> dict[str, Any]:
-    return {
-        "id": member.id,
-        "name": member.name,
-        "state": state,
-        "zones": [zone for zone in member.zones if zone],
-        "slots": slots,
-        "report": dict(member.report),
-    }
-
-
-def _invalid(view: BucketView) -> Iterator[tuple[str, str]]:
-    """Yield the keys of connections whose devices no worker can read, and the reasons."""
+    unreadable = dict(view.unreadable)
     for connection in view.connections:
         try:
             devices_of(connection)
         except ValueError as error:
-            yield connection.bucket_key, str(error)
+            unreadable[connection.bucket_key] = str(error)
+    here = [view.members[each["id"]] for each in workers if each["state"] == "here"]
+    zones = _zones(view, here, unreadable)
+    return {"workers": workers, "zones": zones, "unreadable": sorted(unreadable.values())}
 
 
-def _zones(view: BucketView, here: set[str], invalid: Iterable[str]) -> dict[str, Any]:
+def _state(member: Member, before: BucketView, view: BucketView) -> str:
+    """Return "ended"; else "here" if the lease was renewed between the reads, or "silent"."""
+    known = before.seen_at(member.bucket_key).revision
+    is_new = known < view.seen_at(member.bucket_key).revision
+    return member.state if member.state == "ended" or is_new else "silent"
+
+
+def _zones(view: BucketView, here: list[Member], unreadable: Iterable[str]) -> dict[str, Any]:
     """
     Return numbers by zone; the zone of devices without a zone is "".
 
     Args:
-        here: the ids of the workers that poll.
-        invalid: the keys of connections whose devices no worker can read.
+        here: the workers that poll.
+        unreadable: keys whose values no worker can read.
     """
-    unreadable = Counter[str]()
-    for key in (*view.unreadable, *invalid):
-        kind, _, rest = key.partition(".")
-        if kind == "connection":
-            unreadable[zone_of(rest.partition(".")[0])] += 1
+    parts = (key.split(".") for key in unreadable)
+    invalid = Counter(zone_of(part[1]) for part in parts if part[0] == "connection")
     connections = Counter(each.zone for each in view.connections)
-    used, served = Counter[str](), Counter[str]()
-    for slot in view.used_slots:
-        used[slot.zone] += 1
-        served[slot.zone] += view.holders.get(slot) in here
-    workers: defaultdict[str, int] = defaultdict(int)
-    for member in view.members.values():
-        for zone in member.zones:
-            workers[zone] += member.id in here
+    slots = Counter(slot.zone for slot in view.used_slots)
+    ids = {each.id for each in here}
+    served = Counter(slot.zone for slot in view.used_slots if view.holders.get(slot) in ids)
+    workers = Counter(zone for each in here for zone in each.zones)
     return {
         zone: {
             "connections": connections[zone],
-            "slots": used[zone],
+            "slots": slots[zone],
             "served_slots": served[zone],
             "workers": workers[zone],
-            "unreadable": unreadable[zone],
+            "unreadable": invalid[zone],
         }
-        for zone in sorted({*used, *unreadable})
+        for zone in sorted({*slots, *invalid})
     }
 
 
-def _number(report: dict[str, Any], key: str) -> float:
-    value = report.get(key, 0)
-    return value if isinstance(value, int | float) and value == value else 0
+def _number(value: object) -> float:
+    """Return a number of a report, which any program may have written; 0 for anything else."""
+    return value if isinstance(value, int | float) and math.isfinite(value) else 0
 
 
 WORKERS = "{:<28} {:<7} {:>5} {:>11} {:>7} {:>6} {:>6} {:>8}  {}"
@@ -138,17 +116,12 @@ ZONES = "{:<28} {:>7} {:>11} {:>5} {:>6}  {}"
 
 def tables(status: dict[str, Any]) -> str:
     """Format a status as tables."""
-    lines = [
-        WORKERS.format(
-            "worker", "state", "slots", "connections", "devices", "up", "down", "polls/s", "zones"
-        )
-    ]
+    heads = ("connections", "devices", "up", "down", "polls/s", "zones")
+    lines = [WORKERS.format("worker", "state", "slots", *heads)]
     for each in status["workers"]:
-        numbers = [f"{_number(each['report'], key):g}" for key in SUMS]
-        zones = ", ".join(each["zones"])
-        lines.append(
-            WORKERS.format(each["id"][:28], each["state"], each["slots"], *numbers, zones).rstrip()
-        )
+        numbers = [f"{each[name]:g}" for name in NUMBERS]
+        cells = each["id"][:28], each["state"], each["slots"], *numbers, ", ".join(each["zones"])
+        lines.append(WORKERS.format(*cells).rstrip())
     lines += ["", ZONES.format("zone", "workers", "connections", "slots", "served", "").rstrip()]
     for name, each in status["zones"].items():
         numbers = [each[key] for key in ("workers", "connections", "slots", "served_slots")]

@@ -26,7 +26,7 @@ from ..fleet.readings import Reading
 if TYPE_CHECKING:
     from nats.aio.client import Client
 
-__all__ = ["LIMITS", "WRITE", "Stream", "asked_about", "written"]
+__all__ = ["WRITE", "Stream", "asked_about", "written"]
 
 STREAM = "modbus-readings"
 
@@ -36,10 +36,6 @@ WRITTEN = "modbus.written"
 
 # Characters that have a meaning in subjects or topics, or are not allowed there.
 _LEVELS = Levels(r"[\s.*>%/+#$\0]")
-
-LIMITS: dict[str, Any] = {"max_age": 86_400.0, "max_bytes": 1 << 30}
-"""Limits of the stream unless the fleet file sets them, in seconds and bytes."""
-
 
 OVERHEAD = 200
 """More than the bytes of a message beside the names of its device, its point and its subject."""
@@ -54,13 +50,13 @@ class Stream:
 
     Args:
         client: a connected client.
-        limits: the limits of the stream; missing ones are taken from `LIMITS`.
+        limits: the limits of the stream, as for `keep_stream`.
     """
 
     def __init__(self, client: Client, limits: Mapping[str, Any]) -> None:
         self.name: str = "nats"
         self._client = client
-        self._limits = {**LIMITS, **limits}
+        self._limits = dict(limits)
 
     async def open(self) -> None:
         try:

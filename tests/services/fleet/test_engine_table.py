@@ -27,11 +27,11 @@ address = 0
 
 
 def settings(given: dict[str, Any]) -> FleetSettings:
-    return FleetSettings.of_file(ENGINE.read(("engine",), given))
+    return FleetSettings(**ENGINE.read(("engine",), given))
 
 
 def test_usual_settings() -> None:
-    assert settings({}) == FleetSettings(10.0, "stop", False, {})
+    assert settings({}) == FleetSettings(10.0, "stop", False, 86_400.0, 1 << 30)
 
 
 def test_all_of_them(tmp_path: Path) -> None:
@@ -40,8 +40,8 @@ def test_all_of_them(tmp_path: Path) -> None:
         "[engine]\nlease = 0.5\non_engine_loss = 'continue'\ncommands = true\n"
         f"max_age = 60\nmax_bytes = 65536\n{DEVICE}"
     )
-    limits = {"max_age": 60, "max_bytes": 1 << 16}
-    assert FleetSettings.of_file(load(path).engine) == FleetSettings(0.5, "continue", True, limits)
+    made = FleetSettings(**load(path).engine)
+    assert made == FleetSettings(0.5, "continue", True, 60.0, 1 << 16)
 
 
 @each_case("lease", [0.5, 60])

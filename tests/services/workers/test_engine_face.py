@@ -235,9 +235,9 @@ def test_results_commands_and_status(tmp_path):
             command = ("fleet", "status", "--engine", server.urls)
             status = json.loads(run(*command, "--json").out)
             assert len(status["unreadable"]) == 1
-            here = {each["name"] for each in status["workers"] if each["state"] == "here"}
-            assert here == {"a"}
-            assert status["totals"]["devices"] == UNITS
+            (here,) = (each for each in status["workers"] if each["state"] == "here")
+            assert here["id"].startswith("a.")
+            assert here["devices"] == UNITS
 
             # A zone that nobody serves.
             fleet_file(tmp_path, urls, interval=0.2, engine=engine, zone="north")

