@@ -234,7 +234,7 @@ class Dispatcher:
                 break
             del self._broadcasts[pdu]
         before = self._broadcasts.pop(request.pdu, None)
-        if before is None or before.session.peer == session.peer:
+        if before is None or before.session.is_same_client(session):
             return False
         self._broadcasts[request.pdu] = before
         return True
@@ -338,6 +338,11 @@ class ForwardingSession(Framed):
         machine nothing tells clients from devices.
         """
         return line.host == self._peer_host and not is_loopback(self._peer_host)
+
+    def is_same_client(self, other: ForwardingSession) -> bool:
+        """Return True for itself, and for another datagram of the same address."""
+        is_datagram = self._settings.endpoint.is_datagram
+        return self is other or (is_datagram and self.peer == other.peer)
 
     def record(
         self, unit: int, request: RequestBytes, response: bytes, *, is_change: bool = True

@@ -263,6 +263,7 @@ class GatewayLine(SharedLine[Forwarded]):
             return False
         first.others.append(each)
         each.first = first
+        first.waits_since = each.waits_since  # it must not be refused before the last is
         self.statistics.unit(each.unit).merged += 1
         return True
 

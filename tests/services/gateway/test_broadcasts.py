@@ -5,6 +5,7 @@ Broadcasts through a gateway: to every line, and done when all lines have sent t
 from __future__ import annotations
 
 import contextlib
+from pathlib import Path
 
 import pytest
 
@@ -21,6 +22,7 @@ from tests.services.gateway.gates import LINE, gateway, small
 from tests.simulation.scripted import Scripted
 from tests.simulation.stage import Stage
 from tests.support.gateways import passage
+from tests.support.peers import until
 
 
 @pytest.mark.parametrize("front", ["tcp", "udp", "rtu+tcp"])
@@ -167,6 +169,51 @@ def test_a_broadcast_does_not_go_round_between_gateways_that_lead_to_each_other(
             assert device.mapping.holding_registers[0] == value
         stage.pass_time(60)
         assert (first.traffic.broadcasts, second.traffic.broadcasts) == (3, 3)
+
+
+def test_a_broadcast_does_not_go_round_between_gateways_of_one_process_on_unix_sockets(
+    tmp_path: Path,
+) -> None:
+    """All their clients have one name: that of the socket, the user and the process."""
+    device, ends = small(), [f"unix://{tmp_path}/{name}" for name in "abc"]
+    with (
+        Server({1: device}).background(ends[0]) as server,
+        gateway([Route(ends[0], "1")], ends[1]) as (first, url),
+        gateway([Route(url, "2")], ends[2]) as (second, other),
+        Context.from_url(url, unit=1, timeout=20) as context,
+    ):
+        first.change_routes([Route(ends[0], "1"), Route(other, "2")])
+        until(lambda: len(first.traffic.lines) == 2)
+        context.write_register(3, 4)
+        assert context.read_holding_registers(3, 1) == [4]
+        assert server.urls == [ends[0]]
+        with pytest.raises(GatewayTargetFailedToRespond):  # the other one did not pass it on
+            context.for_unit(0).write_register(0, 7)
+        assert device.mapping.holding_registers[0] == 7
+        assert (first.traffic.broadcasts, second.traffic.broadcasts) == (1, 1)
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu+tcp"])
+def test_a_request_does_not_go_round_between_gateways_that_lead_to_each_other(
+    stage: Stage, scheme: str
+) -> None:
+    start = f"{scheme}://127.0.0.1:0"
+    with (
+        Server({1: small()}).background(LINE),
+        gateway([Route(LINE, "1")], start) as (first, url),
+        gateway([Route(url, "2")], start) as (second, other),
+        Context.from_url(url, unit=2, timeout=20) as context,
+    ):
+        first.change_routes([Route(LINE, "1"), Route(other, "2")])
+        for _ in range(3):
+            with pytest.raises(GatewayTargetFailedToRespond):
+                context.read_holding_registers(0, 1)
+            stage.pass_time(5)
+            before = first.traffic.requests, second.traffic.requests
+            stage.pass_time(100)
+            assert (first.traffic.requests, second.traffic.requests) == before
+            assert max(before) < 20
+        assert context.for_unit(1).read_holding_registers(0, 1) == [0]
 
 
 def test_a_broadcast_may_be_repeated_by_its_client_and_by_others_after_a_second(
