@@ -79,6 +79,19 @@ def test_one_client_fills_its_own_queue_only_and_all_have_a_bound() -> None:
     assert order(queue) == "a0 b0 a2"
 
 
+def test_of_a_thousand_clients_none_is_asked_twice_before_each_was_asked_once() -> None:
+    """A host with one client has every second turn, however many clients the other one has."""
+    queue: FairQueue[LineRequest] = FairQueue()
+    many = [LineRequest(1, READ, host="many", client=at % 999) for at in range(2 * 999)]
+    alone = [LineRequest(1, READ, host="alone", client="x") for _ in range(5)]
+    assert all(map(queue.put, [*many, *alone]))
+    picked = [queue.pick(any_of) for _ in range(2003)]
+    hosts = [each.host for each in picked if each is not None]
+    assert hosts == ["many", "alone"] * 5 + ["many"] * 1993
+    assert [each for each in picked if each in alone] == alone
+    assert [each for each in picked if each not in alone] == many
+
+
 def test_what_is_held_waits_and_nobody_behind_it() -> None:
     queue: FairQueue[LineRequest] = FairQueue()
     assert all(map(queue.put, requests("a5 a1 b5")))

@@ -162,7 +162,10 @@ class Gateway(Serving):
                 ways[unit] = ResolvedRoute(lines[key], device_unit, route)
         dispatcher.lines, dispatcher.routes = list(lines.values()), ways
         self.traffic.lines = {line.url: line.statistics for line in lines.values()}
+        places = {line.place: line for line in lines.values()}
         for line in before.values():
+            if line.place in places:
+                places[line.place].replaces(line)
             closing = asyncio.get_running_loop().create_task(line.close())
             self._closing.add(closing)
             closing.add_done_callback(self._closing.discard)

@@ -172,6 +172,10 @@ class GatewayLine(SharedLine[Forwarded]):
         endpoint: of the connection, with the options of its client.
         options: how requests wait.
 
+    Attributes:
+        key, place: the URL, and what is the same for all URLs of the same port.
+        quiet_until: nothing is sent before this time of the loop.
+
     Raises:
         TypeError, ValueError: an option that such a client cannot have.
     """
@@ -185,6 +189,8 @@ class GatewayLine(SharedLine[Forwarded]):
         )
         self.url: str = str(endpoint)
         self.key: str = endpoint.url
+        self.place: tuple[str, str] = endpoint.key
+        self.quiet_until: float = 0.0
         self.host: str = endpoint.host
         self.has_broadcast: bool = not self.client.has_ids
         self.statistics: LineStatistics = LineStatistics(self.url, self.client.statistics)
@@ -195,6 +201,11 @@ class GatewayLine(SharedLine[Forwarded]):
         self._joinable: dict[tuple[int, bytes], Forwarded] = {}
         self._outage = Outage(logger, self.url)
         self._open_since = 0.0
+
+    def replaces(self, before: GatewayLine) -> None:
+        """Let late answers to the requests of another line to the same place pass."""
+        if before.in_flight and not self.client.has_ids:
+            self.quiet_until = self._loop.time() + before.client.timeout
 
     # --- requests -----------------------------------------------------------------------------
 
@@ -277,6 +288,9 @@ class GatewayLine(SharedLine[Forwarded]):
         self._cache.forget(unit, now)
         for key in [key for key in self._joinable if unit in (0, key[0])]:
             del self._joinable[key]
+
+    def _ready_at(self, each: Forwarded) -> float:
+        return max(self.quiet_until, super()._ready_at(each))
 
     def _send(self, each: Forwarded, now: float) -> None:
         self._forget_joinable(each)

@@ -35,6 +35,7 @@ class Gate:
         self.asked: list[int] = []
         self.kinds: list[str] = []
         self._device = Device(Mapping(10, 10, 10, 10))
+        self._device.mapping.holding_registers[7] = 7
         self._framer = framing.make_framer("rtu", "server")
         self._is_open = False
         self._held: list[tuple[bytes, Write]] = []
@@ -66,13 +67,14 @@ def gated(stage: Stage, route: dict[str, Any] | None = None, **options: Any) -> 
     made = Gateway([Route(f"{LINE}?timeout=1000", **(route or {}))], longest_wait=5000, **options)
     with made.background("tcp://10.0.0.1:0") as running:
         (line,) = made.traffic.lines.values()
-        yield Gated(gate, line, running.urls[0])
+        yield Gated(gate, line, running.urls[0], made)
 
 
 class Gated(NamedTuple):
     gate: Gate
     line: LineStatistics
     url: str
+    made: Gateway
 
 
 def numbered(number: int) -> Device:

@@ -4,8 +4,12 @@ Answers that a gateway gives again while they are fresh.
 
 from __future__ import annotations
 
+import asyncio
+
 from libmodbus_py import Device, Mapping
 from libmodbus_py.services.gateway.line import MOST_CACHED, Cache
+from libmodbus_py.services.gateway.raw_request import request_of
+from tests.services.gateway.test_line import READ, WRITE, Asker, Plant
 from tests.simulation.stage import Stage
 from tests.support.gateways import passage
 
@@ -29,6 +33,28 @@ def test_answers_are_given_again_until_they_are_old_or_something_is_written(stag
         assert len(reads) == 2
         assert context.read_exception_status() == 0  # may change what it likes
         assert context.read_holding_registers(2, 2) == [0, 9]
+
+
+def test_a_write_whose_client_goes_while_it_is_sent_makes_what_was_read_before_old() -> None:
+    plant = Plant()
+
+    async def main() -> None:
+        def is_kept() -> bool:
+            read, now = request_of(bytes.fromhex(READ)), asyncio.get_running_loop().time()
+            return plant.line.cached(1, read, 60, now) is not None
+
+        plant.ask(1, Asker(), age=60)
+        await asyncio.sleep(1)
+        assert is_kept()
+        write = plant.ask(1, Asker(), WRITE)
+        await asyncio.sleep(0.01)
+        plant.line.leave(write)
+        assert plant.asked == [1, 1]
+        assert not is_kept()
+        await asyncio.sleep(1)
+        assert not is_kept()
+
+    plant.run(main)
 
 
 def test_an_answer_that_is_too_old_is_not_given_again(stage: Stage) -> None:

@@ -177,7 +177,7 @@ def test_a_rule_that_ends_the_program_ends_it(stage: Stage, error: type[BaseExce
 @pytest.mark.parametrize(("writes_first", "place"), [(True, 1), (False, 6)])
 def test_writes_overtake_reads_where_they_may(stage: Stage, writes_first: bool, place: int) -> None:
     with (
-        gated(stage, writes_first=writes_first) as (gate, line, url),
+        gated(stage, writes_first=writes_first) as (gate, line, url, _),
         stage.talk(url) as client,
     ):
         client.sendall(adu(READ_ONE) * 6 + adu(bytes.fromhex("06 0000 0001"), 9))

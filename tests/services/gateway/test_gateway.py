@@ -26,11 +26,13 @@ from libmodbus_py import (
 )
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.tools.testing.wires import SerialWire
-from tests.services.gateway.gates import READ_ONE, adu, gated, gateway, numbered, small
+from tests.services.gateway.gates import LINE, READ_ONE, adu, gated, gateway, numbered, small
 from tests.simulation.network import Network
 from tests.simulation.stage import Stage
 from tests.support.gateways import passage
 from tests.support.peers import until
+
+ONE, SEVEN = bytes.fromhex("03 02 0000"), bytes.fromhex("03 02 0007")
 
 
 @contextlib.contextmanager
@@ -126,9 +128,39 @@ def test_routes_change_and_connections_stay(stage: Stage) -> None:
         assert context.statistics.connects == 1
 
 
+@pytest.mark.parametrize("stays", [True, False])
+def test_requests_are_answered_if_their_line_stays_and_refused_at_once_if_not(
+    stage: Stage, stays: bool
+) -> None:
+    """A line stays if its URL does, whatever else of its routes changes."""
+    with (
+        gated(stage) as (gate, _, url, made),
+        stage.talk(url) as client,
+        stage.talk(url) as other,
+    ):
+        client.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2))
+        assert stage.until(lambda: gate.asked)
+        to = f"{LINE}?timeout={1000 if stays else 999}"
+        made.change_routes([Route(to, "5", "1", cache=1, merge=True)])
+        stage.pass_time(1)
+        if stays:
+            gate.open()
+            assert client.receive(22) == adu(ONE, 1) + adu(ONE, 2)
+        else:
+            answers = client.receive(18)
+            refused = {adu(b"\x83\x0b", number) for number in (1, 2)}
+            assert {answers[:9], answers[9:]} == refused
+        other.sendall(adu(READ_ONE, 3, unit=1) + adu(pdu.ReadHoldingRegisters(7, 1).encode(), 4, 5))
+        assert other.receive(9) == adu(b"\x83\x0a", 3)
+        stage.pass_time(1)
+        gate.open()  # the answer of a line that was replaced comes late
+        assert other.receive(11) == adu(SEVEN, 4, unit=5)
+        assert gate.asked == ([0, 0, 7] if stays else [0, 7])
+
+
 @pytest.mark.parametrize("resets", [False, True])
 def test_who_closes_with_requests_waiting_costs_nothing(stage: Stage, resets: bool) -> None:
-    with gated(stage) as (gate, line, url):
+    with gated(stage) as (gate, line, url, _):
         client = stage.talk(url)
         requests = [pdu.ReadHoldingRegisters(at, 1).encode() for at in range(8)]
         client.sendall(b"".join(adu(each) for each in requests))

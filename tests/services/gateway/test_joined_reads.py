@@ -22,7 +22,7 @@ def test_an_answer_is_unwanted_by_whoever_left_while_it_was_on_its_way(
 ) -> None:
     same = pdu.ReadHoldingRegisters(5, 1).encode()
     with (
-        gated(stage, {"merge": True}) as (gate, line, url),
+        gated(stage, {"merge": True}) as (gate, line, url, _),
         stage.talk(url) as one,
         stage.talk(url) as other,
     ):
@@ -45,7 +45,7 @@ def test_a_read_after_one_that_was_given_up_is_asked_for_itself(stage: Stage) ->
     """A read that no client waits for any more cannot be joined."""
     same = pdu.ReadHoldingRegisters(5, 1).encode()
     with (
-        gated(stage, {"merge": True}) as (gate, line, url),
+        gated(stage, {"merge": True}) as (gate, line, url, _),
         stage.talk(url) as blocker,
         stage.talk(url) as gone,
         stage.talk(url) as later,

@@ -93,7 +93,7 @@ def test_reads_are_recorded_that_a_rule_refuses_and_no_others(stage: Stage, even
 
 def test_a_write_whose_client_is_gone_is_recorded_once(stage: Stage, events: Events) -> None:
     """While it waits, and after it was sent."""
-    with gated(stage, audit=events.append) as (gate, _, url):
+    with gated(stage, audit=events.append) as (gate, _, url, _):
         with stage.talk(url) as first, stage.talk(url) as second:
             first.sendall(adu(WRITE))
             assert stage.until(lambda: gate.asked)

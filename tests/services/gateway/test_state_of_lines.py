@@ -134,7 +134,7 @@ def test_a_unit_that_had_most_of_the_timeout_is_silent(monkeypatch: pytest.Monke
 
 def test_a_client_that_is_gone_has_its_broadcast_recorded_once(stage: Stage) -> None:
     events = Events()
-    with gated(stage, audit=events.append) as (gate, _, url):
+    with gated(stage, audit=events.append) as (gate, _, url, _):
         with stage.talk(url) as other, stage.talk(url) as client:
             other.sendall(adu(bytes.fromhex("03 0000 0001")))
             assert stage.until(lambda: gate.asked)
