@@ -5,13 +5,16 @@ Buckets on a simulated server of NATS.
 from __future__ import annotations
 
 import asyncio
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from libmodbus_py.services.engine.buckets import Change
+from libmodbus_py.services.engine.buckets import Change, Watch
 from libmodbus_py.services.engine.errors import EngineGone
 from tests.simulation.engine import Engine
 from tests.simulation.network import Network
+from tests.support.cases import each_case
 
 
 def test_a_watch_that_could_not_begin_is_told_nothing_more(
@@ -32,6 +35,65 @@ def test_a_watch_that_could_not_begin_is_told_nothing_more(
         engine.write("settings", b"2")
         await asyncio.sleep(1.0)
         assert told == []
+        await client.close()
+
+    network.run(main)
+
+
+def message(number: int, revision: int, pending: int = 0, value: bytes = b"1") -> Any:
+    """Return a change of key "a" as the server delivers it, with the number of its delivery."""
+    sequence = SimpleNamespace(consumer=number, stream=revision)
+    metadata = SimpleNamespace(sequence=sequence, num_pending=pending)
+    headers = {} if value else {"KV-Operation": "DEL"}
+    return SimpleNamespace(subject="$KV.b.a", data=value, headers=headers, metadata=metadata)
+
+
+@each_case(
+    ("messages", "told", "gaps"),
+    [
+        ([message(1, 5), message(2, 6, value=b"")], [(b"1", 5), None, (None, 6)], 0),
+        ([message(1, 5, pending=1), message(2, 3)], [(b"1", 5), (b"1", 3), None], 0),
+        ([message(1, 5), message(1, 5), message(2, 6)], [(b"1", 5), None], 1),  # twice
+        ([message(1, 5), message(3, 7), message(2, 6)], [(b"1", 5), None], 1),  # late
+        ([message(2, 5)], [], 1),  # the first one was lost
+        ([message(1, 5), message(2, 4), message(2, 4)], [(b"1", 5), None, (b"1", 4)], 1),
+    ],
+)
+def test_a_change_that_comes_twice_or_too_late_is_a_gap_and_ends_the_watch(
+    messages: list[Any], told: list[Any], gaps: int
+) -> None:
+    changes: list[Change | None] = []
+    missed: list[None] = []
+    watch = Watch("b", changes.append, lambda: missed.append(None))
+
+    async def main() -> None:
+        for each in messages:
+            await watch._receive(each)
+
+    asyncio.run(main())
+    assert [each and (each.value, each.revision) for each in changes] == told
+    assert (len(missed), watch.is_broken) == (gaps, bool(gaps))
+
+
+def test_a_write_that_was_answered_too_late_is_not_done_again() -> None:
+    network = Network()
+    engine = Engine(network)
+
+    async def main() -> None:
+        client = engine.client()
+        bucket = engine.bucket(client)
+        revision = await bucket.put("a", b"1", 0)
+        for last in (0, revision + 7):  # no such key, or another revision
+            assert await bucket.put("a", b"9", last) == 0
+        engine.delay, usual = (1.5, 1.5), engine.delay
+        with pytest.raises(EngineGone, match="no answer"):
+            await bucket.put("a", b"2", revision)
+        engine.delay = usual
+        await asyncio.sleep(5)
+        for value in (b"2", None):
+            assert await bucket.put("a", value, revision) == 0
+        assert engine.latest is not None
+        assert engine.latest["a"].value == b"2"
         await client.close()
 
     network.run(main)

@@ -320,6 +320,41 @@ class TestLeaseOfItsOwn:
         assert len(lease._sent) == LEASE
 
 
+class TestBucketThatLies:
+    """Values that any program with the rights of a worker may have written."""
+
+    @pytest.mark.parametrize("beat", [-1, 0, 1, 12, 10**30])
+    def test_a_value_of_its_own_key_that_it_did_not_write_extends_no_lease(self, beat: int) -> None:
+        one = at_work(LINE)
+        assert one.worker.lease.until == 21.0
+        record = Member(one.me, "here", ("",), 60.0, beat, 10**30)
+        one.write(record.bucket_key, record.encode(), 20.5)
+        assert one.worker.lease.until == 21.0
+        assert not one.worker.may_ask(LINE.key, 20.5)
+
+    def test_a_worker_that_claims_to_have_seen_all_speaks_for_itself_only(self) -> None:
+        one = OneWorker(LINE)
+        one.member("b.1", seen=10**30)
+        one.member("c.1", seen=0)
+        one.hold(LINE, "m.1", by="m.1")
+        one.step(0.0)
+        assert one.polled() == set()
+
+    def test_of_two_claims_to_one_slot_the_last_counts_when_all_have_seen_it(self) -> None:
+        one = at_work(LINE)
+        one.member("b.1", 12.0)
+        for holder in ("b.1", "m.1", "b.1"):
+            one.hold(LINE, holder, 12.1)
+        one.step(12.1)
+        assert one.polled() == set()
+        one.hold(LINE, "m.1", 12.2)  # taken from a worker that is still there
+        one.step(12.2)
+        assert one.polled() == set()
+        one.member("b.1", 12.3)
+        one.step(12.3)
+        assert one.polled() == {LINE.key}
+
+
 class TestBlindness:
     def blind(self, one: OneWorker, at: float) -> bool:
         one.decided(at)
