@@ -35,7 +35,7 @@ import re
 import threading
 import time
 import weakref
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields
 from itertools import accumulate
 from operator import add
@@ -47,7 +47,6 @@ from ...server.limits import ServerStatistics
 from ...tools.timed_server import TimedServer
 from ..fleet.config import label_name
 from ..fleet.outputs.last_values import KeptReadings
-from ..fleet.readings import Reading
 from ..fleet.statistics import (
     LATENESS_BOUNDS,
     FleetStatistics,
@@ -96,7 +95,7 @@ class Sample(NamedTuple):
     labels: Labels
 
 
-Values = dict[Sample, float]
+Values = Iterable[tuple[Sample, float]]
 
 
 class MetricKind(NamedTuple):
@@ -105,12 +104,12 @@ class MetricKind(NamedTuple):
 
     Attributes:
         families: the metrics.
-        read: returns the values of statistics.
+        read: returns the values of statistics, with the labels given as its second argument.
         label: the label with the name that an object was given; empty if there is none.
     """
 
     families: list[Family]
-    read: Callable[[Any], Values]
+    read: Callable[[Any, Labels], Values]
     label: str = ""
 
 
@@ -191,88 +190,68 @@ JOURNAL = _counters("modbus_fleet_journal", JournalStatistics, ("trouble",), ("b
 VALUE = Family("modbus_fleet_value", "gauge", "The last value of a point.", max)
 
 
-def _attributes(families: dict[str, Family], statistics: Any) -> Values:
-    return {
-        Sample(family, "" if family.type == "gauge" else "_total", ()): getattr(statistics, name)
-        for name, family in families.items()
-    }
+def _attributes(families: dict[str, Family], statistics: Any, labels: Labels) -> Values:
+    for name, family in families.items():
+        suffix = "" if family.type == "gauge" else "_total"
+        yield Sample(family, suffix, labels), getattr(statistics, name)
 
 
-def _of_server(statistics: ServerStatistics) -> Values:
-    values = _attributes(SERVER, statistics)
+def _of_server(statistics: ServerStatistics, labels: Labels) -> Values:
+    yield from _attributes(SERVER, statistics, labels)
     for endpoint, end in statistics.certificate_ends.copy().items():
-        values[Sample(CERTIFICATE, "", (("endpoint", endpoint),))] = end
-    return values
+        yield Sample(CERTIFICATE, "", (*labels, ("endpoint", endpoint))), end
 
 
-def _of_client(statistics: Statistics) -> Values:
-    values = _attributes(CLIENT, statistics)
+def _of_client(statistics: Statistics, labels: Labels) -> Values:
+    yield from _attributes(CLIENT, statistics, labels)
     # Copies, because another thread may count at the same time.
     for (function, result), count in statistics.results.copy().items():
-        labels = (("function", str(function)), ("result", result))
-        values[Sample(REQUESTS, "_total", labels)] = count
+        outcome = (("function", str(function)), ("result", result))
+        yield Sample(REQUESTS, "_total", labels + outcome), count
     times, seconds = statistics.answer_times, statistics.answer_seconds
-    values |= _histogram(DURATION, TIME_BOUNDS, times, seconds)
+    yield from _histogram(DURATION, TIME_BOUNDS, times, seconds, labels)
     if (last := statistics.last_success) is not None:
-        values[Sample(LAST_SUCCESS, "", ())] = time.time() - (time.monotonic() - last)
-    return values
+        yield Sample(LAST_SUCCESS, "", labels), time.time() - (time.monotonic() - last)
 
 
 def _histogram(
-    family: Family, bounds: Iterable[float], counts: list[int], seconds: float
+    family: Family, bounds: Iterable[float], counts: list[int], seconds: float, labels: Labels
 ) -> Values:
     sums = list(accumulate(counts.copy()))
-    buckets = zip([*map(str, bounds), "+Inf"], sums, strict=True)
-    values = {Sample(family, "_bucket", (("le", bound),)): float(sum_) for bound, sum_ in buckets}
-    values[Sample(family, "_count", ())] = sums[-1]
-    values[Sample(family, "_sum", ())] = seconds
-    return values
+    for bound, below in zip([*map(str, bounds), "+Inf"], sums, strict=True):
+        yield Sample(family, "_bucket", (*labels, ("le", bound))), below
+    yield Sample(family, "_count", labels), sums[-1]
+    yield Sample(family, "_sum", labels), seconds
 
 
-def _of_fleet(statistics: FleetStatistics) -> Values:
-    values = _attributes(FLEET, statistics)
-    values |= _histogram(LATENESS, LATENESS_BOUNDS, statistics.lateness, statistics.late_seconds)
+def _of_fleet(statistics: FleetStatistics, labels: Labels) -> Values:
+    yield from _attributes(FLEET, statistics, labels)
+    lateness, seconds = statistics.lateness, statistics.late_seconds
+    yield from _histogram(LATENESS, LATENESS_BOUNDS, lateness, seconds, labels)
     for name, output in statistics.outputs.copy().items():
-        _label(values, _attributes(OUTPUT, output), ("output", name))
+        yield from _attributes(OUTPUT, output, (*labels, ("output", name)))
     if statistics.journal is not None:
-        values |= _attributes(JOURNAL, statistics.journal)
-    return values
+        yield from _attributes(JOURNAL, statistics.journal, labels)
 
 
-def _of_readings(kept: KeptReadings) -> Values:
-    return {
-        Sample(VALUE, "", _labels_of(each, kept.labels)): float(each.value)
-        for each in kept.by_name.copy().values()
-        if isinstance(each.value, int | float)
-    }
+def _of_readings(kept: KeptReadings, labels: Labels) -> Values:
+    for each in kept.by_name.copy().values():
+        if isinstance(each.value, int | float):
+            given = kept.labels.get(each.device, {})
+            own = {label_name(key): value for key, value in given.items()}
+            own |= {"device": each.device, "name": each.name, "unit": each.unit}
+            yield Sample(VALUE, "", (*labels, *own.items())), float(each.value)
 
 
-def _labels_of(reading: Reading, labels: Mapping[str, Mapping[str, str]]) -> Labels:
-    own = {"device": reading.device, "name": reading.name, "unit": reading.unit}
-    others = {label_name(key): value for key, value in labels.get(reading.device, {}).items()}
-    return tuple({**others, **own}.items())
-
-
-def _of_gateway(statistics: GatewayStatistics) -> Values:
-    values = _attributes(GATEWAY, statistics)
+def _of_gateway(statistics: GatewayStatistics, labels: Labels) -> Values:
+    yield from _attributes(GATEWAY, statistics, labels)
     for url, line in statistics.lines.copy().items():
         place = url.partition("?")[0]
-        _label(values, _attributes(LINE, line), ("line", place))
-        _label(values, _of_client(line.connection), ("endpoint", place))
+        of_line = (*labels, ("line", place))
+        yield from _attributes(LINE, line, of_line)
+        yield from _of_client(line.connection, (*labels, ("endpoint", place)))
         for number, unit in line.units.copy().items():
-            _label(values, _attributes(UNIT, unit), ("line", place), ("unit", str(number)))
-    return values
-
-
-def _label(values: Values, more: Values, *labels: tuple[str, str]) -> None:
-    """Add values, with labels before their own."""
-    _add(values, _labelled(more, labels))
-
-
-def _labelled(values: Values, labels: Labels) -> Values:
-    return {
-        sample._replace(labels=labels + sample.labels): value for sample, value in values.items()
-    }
+            yield from _attributes(UNIT, unit, (*of_line, ("unit", str(number))))
 
 
 KINDS: dict[type, MetricKind] = {
@@ -298,20 +277,19 @@ class _Watched:
     def __init__(self, statistics: Any, labels: Labels) -> None:
         self.statistics = weakref.ref(statistics)
         self.labels = labels
-        self.values: Values = {}
+        self.values: dict[Sample, float] = {}
 
     def look(self) -> None:
         """Read the values. Those of statistics that were deleted do not change any more."""
         statistics = self.statistics()
         if statistics is not None:
-            self.values = _labelled(KINDS[type(statistics)].read(statistics), self.labels)
+            self.values = dict(KINDS[type(statistics)].read(statistics, self.labels))
 
 
 def _labels_for(counted: Any, statistics: Any, name: str) -> Labels:
     """Return the labels of all values of an object."""
     if isinstance(statistics, Statistics):
-        # The endpoint without the settings of its serial port.
-        return (("endpoint", counted.url.partition("?")[0]),)
+        return (("endpoint", counted.url.partition("?")[0]),)  # without settings of a serial port
     label = KINDS[type(statistics)].label
     return ((label, name),) if label and name else ()
 
@@ -329,7 +307,7 @@ class Collector(_Collector):
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._watched: list[_Watched] = []
-        self._past: dict[Labels, Values] = {}
+        self._past: dict[Labels, dict[Sample, float]] = {}
 
     def add(self, *objects: Counted, name: str = "") -> None:
         """
@@ -380,11 +358,11 @@ class Collector(_Collector):
             metrics[family].add_sample(family.name + suffix, dict(labels), value)
         yield from metrics.values()
 
-    def _values(self) -> Values:
+    def _values(self) -> dict[Sample, float]:
         for each in self._watched:
             each.look()
         self._forget_gone()
-        values: Values = {}
+        values: dict[Sample, float] = {}
         for some in [*self._past.values(), *(each.values for each in self._watched)]:
             _add(values, some)
         return values
@@ -400,11 +378,10 @@ class Collector(_Collector):
         self._past = {labels: past for labels, past in self._past.items() if labels in present}
 
 
-def _add(values: Values, more: Values) -> None:
+def _add(values: dict[Sample, float], more: dict[Sample, float]) -> None:
     for sample, value in more.items():
-        values[sample] = (
-            sample.family.together(values[sample], value) if sample in values else value
-        )
+        known = values.get(sample)
+        values[sample] = value if known is None else sample.family.together(known, value)
 
 
 _collectors: weakref.WeakKeyDictionary[CollectorRegistry, Collector] = weakref.WeakKeyDictionary()
