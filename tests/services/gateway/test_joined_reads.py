@@ -6,65 +6,9 @@ from __future__ import annotations
 
 import asyncio
 
-import pytest
-
-from libmodbus_py import pdu
 from libmodbus_py.services.gateway.line import BUSY, NO_ANSWER, Forwarded
-from tests.services.gateway.gates import READ_ONE, adu, gated
 from tests.services.gateway.test_line import WRITE, Asker, Plant, answer_of
-from tests.simulation.stage import Stage
 from tests.support.cases import each_case
-
-
-@pytest.mark.parametrize("leaving", ["one", "other"])
-def test_an_answer_is_unwanted_by_whoever_left_while_it_was_on_its_way(
-    stage: Stage, leaving: str
-) -> None:
-    same = pdu.ReadHoldingRegisters(5, 1).encode()
-    with (
-        gated(stage, {"merge": True}) as (gate, line, url, _),
-        stage.talk(url) as one,
-        stage.talk(url) as other,
-    ):
-        one.sendall(adu(READ_ONE, 1) + adu(same, 2))
-        stage.pass_time(1)
-        other.sendall(adu(same, 3))
-        stage.pass_time(1)
-        assert line.units[1].merged == 1
-        {"one": one, "other": other}[leaving].reset()
-        stage.pass_time(1)
-        gate.open()
-        left, answers = (other, 11) if leaving == "one" else (one, 22)
-        assert len(left.receive(answers)) == answers
-        assert gate.asked == [0, 5]
-        # Who left wanted the first one, too.
-        assert line.unwanted == (2 if leaving == "one" else 1)
-
-
-def test_a_read_after_one_that_was_given_up_is_asked_for_itself(stage: Stage) -> None:
-    """A read that no client waits for any more cannot be joined."""
-    same = pdu.ReadHoldingRegisters(5, 1).encode()
-    with (
-        gated(stage, {"merge": True}) as (gate, line, url, _),
-        stage.talk(url) as blocker,
-        stage.talk(url) as gone,
-        stage.talk(url) as later,
-    ):
-        blocker.sendall(adu(READ_ONE, 1))
-        stage.pass_time(1)
-        gone.sendall(adu(same, 2))
-        stage.pass_time(1)
-        gone.close()
-        stage.pass_time(1)
-        later.sendall(adu(same, 3))
-        stage.pass_time(1)
-        gate.open()
-        assert later.receive(11)[:2] == b"\0\3"
-        assert gate.asked == [0, 5]
-        assert line.units[1].merged == 0
-
-
-# --- three who ask the same -------------------------------------------------------------------
 
 
 @each_case(
@@ -111,6 +55,14 @@ def test_who_leaves_takes_only_his_own_answer_with_him(
         assert plant.line.statistics.unwanted == unwanted
         for name, asker in askers.items():
             assert asker.answers == ([] if name in leaving else [answer_of(2, 2)])
+        # Nothing holds requests together that are over.
+        assert [each.asker for each in waiting.values()] == [None] * 3
+        assert asked == [1] or [each.first for each in waiting.values()] == [None] * 3
+        # A read that no client waits for any more cannot be joined.
+        later = Asker()
+        plant.ask(2, later, merge=True)
+        await asyncio.sleep(1)
+        assert later.answers == [answer_of(2, len(asked) + 1)]
 
     plant.run(main)
 

@@ -153,39 +153,6 @@ class TestWhoIsGone:
 
         plant.run(main)
 
-    def test_others_who_wait_for_the_same_are_still_answered(self) -> None:
-        plant = Plant()
-
-        async def main() -> None:
-            first, second, third = Asker(), Asker(), Asker()
-            plant.ask(1, first)
-            shared = plant.ask(2, second, merge=True)
-            joined = plant.ask(2, third, merge=True)
-            assert plant.unit(2).merged == 1
-            plant.line.leave(shared)
-            await asyncio.sleep(1)
-            assert plant.asked == [1, 2]
-            assert (second.answers, third.answers) == ([], [answer_of(2, 2)])
-            assert plant.line.statistics.unwanted == 1
-            assert joined.asker is None
-            assert joined.first is None  # nothing holds requests together that were answered
-
-        plant.run(main)
-
-    def test_the_last_who_waits_for_the_same_takes_it_with_it(self) -> None:
-        plant = Plant()
-
-        async def main() -> None:
-            plant.ask(1, Asker())
-            shared = plant.ask(2, Asker(), merge=True)
-            joined = plant.ask(2, Asker(), merge=True)
-            plant.line.leave(joined)
-            plant.line.leave(shared)
-            await asyncio.sleep(1)
-            assert plant.asked == [1]
-
-        plant.run(main)
-
     def test_a_trial_that_nobody_wants_any_more_leaves_the_unit_due(self) -> None:
         plant = Plant()
 
@@ -424,20 +391,6 @@ class TestSilentUnits:
 
 
 class TestTurns:
-    def test_a_request_that_waits_too_long_is_answered_busy(self) -> None:
-        plant = Plant(longest_wait=0.12)
-
-        async def main() -> None:
-            askers = [Asker() for _ in range(5)]
-            for unit, asker in enumerate(askers, 1):
-                plant.ask(unit, asker)
-            await asyncio.sleep(2)
-            assert [each.answers[0] for each in askers[3:]] == [f"83{BUSY:02x}"] * 2
-            assert plant.line.statistics.full == 2
-            assert plant.asked == [1, 2, 3]
-
-        plant.run(main)
-
     def test_a_client_that_leaves_when_it_is_told_so_takes_its_other_requests_with_it(
         self,
     ) -> None:
@@ -461,20 +414,6 @@ class TestTurns:
 
         plant.run(main)
 
-    def test_a_full_queue_is_answered_busy_at_once(self) -> None:
-        plant = Plant(queue=2)
-
-        async def main() -> None:
-            asker = Asker()
-            for unit in (1, 2, 3, 4):
-                plant.ask(unit, asker)
-            assert asker.answers == [f"code {BUSY}"]
-            assert plant.line.statistics.full == 1
-            await asyncio.sleep(1)
-            assert plant.asked == [1, 2, 3]
-
-        plant.run(main)
-
     def test_all_clients_together_have_a_bound(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(gateway_line, "MOST_WAITING", 3)
         plant = Plant()
@@ -484,18 +423,6 @@ class TestTurns:
             for asker in askers:
                 plant.ask(1, asker)
             assert [each.answers for each in askers[4:]] == [[f"code {BUSY}"]] * 2
-
-        plant.run(main)
-
-    def test_writes_come_first_if_they_may(self) -> None:
-        plant = Plant(writes_first=True)
-
-        async def main() -> None:
-            plant.ask(1, Asker())
-            plant.ask(2, Asker())
-            plant.ask(3, Asker(), WRITE)
-            await asyncio.sleep(1)
-            assert plant.asked == [1, 3, 2]
 
         plant.run(main)
 
@@ -545,33 +472,6 @@ class TestAnswers:
             plant.ask(2, other, merge=True)
             await asyncio.sleep(1)
             assert (alone.answers, other.answers) == ([answer_of(2, 2)], [answer_of(2, 3)])
-
-        plant.run(main)
-
-    @pytest.mark.parametrize("unit", [0, 2])
-    def test_a_read_behind_a_write_joins_none_before_it(self, unit: int) -> None:
-        plant = Plant()
-
-        async def main() -> None:
-            plant.ask(1, Asker())
-            plant.ask(2, Asker(), merge=True)
-            plant.ask(unit, Asker(), WRITE)
-            plant.ask(2, Asker(), merge=True)
-            await asyncio.sleep(3)
-            assert plant.asked == [1, 2, unit, 2]
-
-        plant.run(main)
-
-    def test_a_read_joins_across_a_write_to_another_unit(self) -> None:
-        plant = Plant()
-
-        async def main() -> None:
-            plant.ask(1, Asker())
-            plant.ask(2, Asker(), merge=True)
-            plant.ask(3, Asker(), WRITE)
-            plant.ask(2, Asker(), merge=True)
-            await asyncio.sleep(3)
-            assert plant.asked == [1, 2, 3]
 
         plant.run(main)
 
@@ -637,21 +537,6 @@ class TestAnswers:
             assert read.answers == [answer_of(2, 2)]
             await asyncio.sleep(0.5)
             assert plant.line.cached(2, request, 9, plant.network.events.now) is None
-
-        plant.run(main)
-
-    def test_a_refusal_is_passed_on_and_counted(self) -> None:
-        plant = Plant()
-
-        async def main() -> None:
-            plant.refusing.add(4)
-            asker = Asker()
-            plant.ask(4, asker)
-            await asyncio.sleep(0.5)
-            assert asker.answers == ["8302"]
-            unit = plant.unit(4)
-            assert (unit.requests, unit.answers, unit.exceptions) == (1, 1, 1)
-            assert unit.seconds == pytest.approx(0.05, abs=0.02)
 
         plant.run(main)
 
