@@ -27,8 +27,7 @@ from fuzz.asked_devices import UNITS, Asked, Workers, asked_devices, fleet_file,
 from fuzz.command import numbers
 from fuzz.nats_servers import NatsServers, Way
 from libmodbus_py.services.engine.buckets import open_bucket
-from libmodbus_py.services.engine.connection import connected
-from libmodbus_py.services.engine.errors import EngineGone
+from libmodbus_py.services.engine.connection import EngineGone, connected
 from libmodbus_py.services.workers.records import BUCKET
 from libmodbus_py.services.workers.status import fleet_status
 

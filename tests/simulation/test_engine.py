@@ -13,7 +13,7 @@ from libmodbus_py import Device, Mapping, Point, RegisterMap, Server
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.ports.trace import Traced
 from libmodbus_py.services.engine.buckets import Change
-from libmodbus_py.services.engine.errors import EngineError
+from libmodbus_py.services.engine.connection import EngineError
 from libmodbus_py.services.workers.records import FleetSettings
 
 from .engine import Engine

@@ -17,8 +17,14 @@ from typing import Any, TypeVar
 from ...protocol.logs import HarmlessLogger
 from ...server.running import Handler, signal_handlers
 from ...services.engine.buckets import Bucket, open_bucket
-from ...services.engine.connection import connected, disconnect, parse_servers
-from ...services.engine.errors import EngineError, EngineGone, NothingThere
+from ...services.engine.connection import (
+    EngineError,
+    EngineGone,
+    NothingThere,
+    connected,
+    disconnect,
+    parse_servers,
+)
 from ...services.fleet.files import FleetFile
 from ...services.fleet.fleet import Fleet
 from ...services.fleet.journal.errors import JournalError

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..tasks import finish
-from .errors import EngineError, explained
+from .connection import EngineError, explained
 
 if TYPE_CHECKING:
     from nats.aio.client import Client

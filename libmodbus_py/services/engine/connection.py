@@ -1,5 +1,5 @@
 """
-A connection to NATS. Needs nats-py (the extra ``nats``).
+A connection to NATS, and its errors in one line each. Needs nats-py (the extra ``nats``).
 
 Credentials come from environment variables, as for the tools of NATS; other users of the machine
 cannot read them: NATS_USER, NATS_PASSWORD, NATS_TOKEN; NATS_CREDS and NATS_NKEY, files; NATS_CA,
@@ -9,24 +9,30 @@ NATS_CERT and NATS_KEY, files for TLS. The files are read again for each connect
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import ssl
 from collections import UserString
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from ...protocol.extras import what_is_missing
+from ...security.describing import in_words
 from ...security.renewed import Renewed
 from ..server_url import server_url
 from ..tasks import finish
-from .errors import EngineError, EngineGone, what
 
 if TYPE_CHECKING:
     from nats.aio.client import Client
 
-__all__ = ["FileText", "connected", "disconnect", "parse_servers", "shown"]
+# fmt: off
+__all__ = [
+    "EngineError", "EngineGone", "FileText", "NothingThere", "connected", "disconnect", "explained",
+    "parse_servers", "shown", "what",
+]
+# fmt: on
 
 # The oldest version of nats-server with the features that watches need.
 OLDEST = (2, 9)
@@ -252,3 +258,99 @@ def _context(ca: str | None, cert: str | None, key: str | None) -> ssl.SSLContex
         files = ", ".join(filter(None, (ca, cert, key)))
         raise ValueError(f"NATS_CA, NATS_CERT, NATS_KEY: {files}: {what(error)}") from None
     return context
+
+
+# --- errors ----------------------------------------------------------------------------------
+
+# The errors of JetStream by number: temporary ones, while there is no leader or servers are not up,
+# and lasting ones.
+TRANSIENT = {
+    10005: "too few servers are up to store three copies",
+    10008: "JetStream has no leader now; are most of the servers up?",
+    10009: "",
+    10023: "JetStream has too little room or too few servers",
+}
+LASTING = {
+    10039: "JetStream is off for this account",
+    10047: "JetStream has no room left on its disk",
+    10076: "JetStream is off; nats-server needs -js",
+}
+
+
+class EngineError(Exception):
+    """NATS cannot be used. The message begins with the URL or the name of the bucket."""
+
+
+class NothingThere(EngineError):
+    """The bucket does not exist."""
+
+
+class EngineGone(EngineError):
+    """NATS does not respond now, but may do so later."""
+
+
+@contextlib.contextmanager
+def explained(where: str) -> Iterator[None]:
+    """
+    Raise an `EngineError` in place of the exceptions of nats-py.
+
+    Args:
+        where: the beginning of the message: a URL or the name of a bucket.
+    """
+    import nats.errors
+
+    try:
+        yield
+    except EngineError:
+        raise
+    except (nats.errors.Error, OSError) as error:
+        raise _kind(error)(f"{where}: {what(error)}") from None
+
+
+def _kind(error: Exception) -> type[EngineError]:
+    import nats.errors
+    import nats.js.errors as js
+
+    if isinstance(error, js.BucketNotFoundError):
+        return NothingThere
+    is_lasting = isinstance(error, js.APIError) and error.err_code not in TRANSIENT
+    if is_lasting or isinstance(error, js.NoStreamResponseError | nats.errors.NoRespondersError):
+        return EngineError
+    return EngineGone
+
+
+def what(error: BaseException) -> str:
+    """Return the explanation of an exception of nats-py."""
+    import nats.errors as basic
+    import nats.js.errors as js
+
+    match error:
+        case js.BucketNotFoundError():
+            return "there is no fleet yet; put it there with --push"
+        case js.APIError(err_code=code, description=text):
+            known = TRANSIENT.get(code or 0) or LASTING.get(code or 0)
+            return known or text or "JetStream is off or not ready"
+        case js.NoStreamResponseError() | basic.NoRespondersError():
+            return "JetStream is off, or the stream was deleted; nats-server needs -js"
+        case ssl.SSLCertVerificationError():
+            return f"the certificate is not trusted: {in_words(error)}; see NATS_CA"
+        case ssl.SSLError():
+            return f"TLS failed: {in_words(error)}"
+        case TimeoutError():
+            return "no answer; are most of the servers up?"
+        case ConnectionError(args=()):
+            return "the connection was lost"
+        case (
+            basic.NoServersError()
+            | basic.OutboundBufferLimitError()
+            | basic.ConnectionClosedError()
+            | basic.ConnectionReconnectingError()
+            | basic.StaleConnectionError()
+        ):
+            return "no server responds"
+        case OSError(errno=int(number)) if number:
+            # asyncio puts the address in place of the reason.
+            return os.strerror(number) if number > 0 else str(error.strerror)
+    if "authorization violation" in str(error).lower():
+        return "the server refuses the credentials; see NATS_USER, NATS_PASSWORD, NATS_CREDS"
+    return str(error).removeprefix("nats: ").strip("'\" ") or type(error).__name__

@@ -15,7 +15,7 @@ import re
 from collections.abc import AsyncIterator, Callable, Iterator
 from typing import TYPE_CHECKING
 
-from ..engine.errors import what
+from ..engine.connection import what
 from ..fleet.commands import Commands, encoded, wanted_of
 from ..tasks import end_tasks, finish
 from .records import Connection

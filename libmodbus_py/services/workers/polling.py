@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from ...protocol.logs import HarmlessLogger
 from ...system import boot_time
 from ..engine.buckets import Bucket, Change
-from ..engine.errors import EngineError
+from ..engine.connection import EngineError
 from ..fleet.config import DeviceConfig
 from ..fleet.fleet import Fleet
 from ..fleet.journal.journal import Journal

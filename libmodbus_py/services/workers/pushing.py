@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ...client.options import CheckedOptions
 from ..engine.buckets import Bucket
-from ..engine.errors import EngineError, EngineGone
+from ..engine.connection import EngineError, EngineGone
 from ..fleet.config import (
     DeviceConfig,
     by_connection,

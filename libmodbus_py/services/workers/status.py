@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from ..engine.buckets import Bucket
-from ..engine.errors import EngineError
+from ..engine.connection import EngineError
 from .pushing import devices_of, seen_now
 from .records import Member, zone_of
 from .view import BucketView

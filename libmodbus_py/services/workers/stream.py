@@ -18,7 +18,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 from ..engine.buckets import TIMEOUT, keep_stream
-from ..engine.errors import EngineError, explained
+from ..engine.connection import EngineError, explained
 from ..fleet.levels import Levels
 from ..fleet.outputs.poll_messages import poll_messages
 from ..fleet.readings import Reading

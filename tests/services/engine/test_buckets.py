@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py.services.engine.buckets import Change, Watch
-from libmodbus_py.services.engine.errors import EngineGone
+from libmodbus_py.services.engine.connection import EngineGone
 from tests.simulation.engine import Engine
 from tests.simulation.network import Network
 from tests.support.cases import each_case

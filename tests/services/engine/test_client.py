@@ -15,8 +15,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py.services.engine.connection import connected, disconnect
-from libmodbus_py.services.engine.errors import EngineError
+from libmodbus_py.services.engine.connection import EngineError, connected, disconnect
 from tests.services.fleet.fleets import LONGEST, until
 from tests.support import certificates
 from tests.support.certificates import authority, save

@@ -20,11 +20,12 @@ from libmodbus_py.services.engine import connection
 from libmodbus_py.services.engine.connection import (
     MOST_SERVERS,
     TIMES,
+    EngineError,
+    EngineGone,
     connected,
     parse_servers,
     shown,
 )
-from libmodbus_py.services.engine.errors import EngineError, EngineGone
 from tests.support.certificates import authority, make, save
 
 SERVERS = ["nats://192.0.2.1"]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from libmodbus_py.services.engine.buckets import Change
-from libmodbus_py.services.engine.errors import EngineError
+from libmodbus_py.services.engine.connection import EngineError
 from tests.simulation.network import Network
 
 Result = TypeVar("Result")

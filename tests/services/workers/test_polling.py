@@ -19,7 +19,7 @@ import pytest
 
 from libmodbus_py import Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig
-from libmodbus_py.services.engine.errors import EngineError, EngineGone
+from libmodbus_py.services.engine.connection import EngineError, EngineGone
 from libmodbus_py.services.fleet.commands import Commands
 from libmodbus_py.services.fleet.config import checked, devices_to_json
 from libmodbus_py.services.fleet.outputs.output import OutputError

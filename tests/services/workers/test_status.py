@@ -11,7 +11,7 @@ from typing import Any, cast
 import pytest
 
 from libmodbus_py.services.engine.buckets import Bucket
-from libmodbus_py.services.engine.errors import EngineError
+from libmodbus_py.services.engine.connection import EngineError
 from libmodbus_py.services.fleet.config import devices_to_json
 from libmodbus_py.services.workers.records import (
     SETTINGS,
