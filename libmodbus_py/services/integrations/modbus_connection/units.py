@@ -38,6 +38,17 @@ def in_turn(ask: Operation[Arguments, Result]) -> Operation[Arguments, Result]:
     return waiting
 
 
+def same_as(method: Callable[..., Coroutine[Any, Any, Any]]) -> Operation[..., Any]:
+    """Return the operation that calls a method of the client with the same arguments."""
+
+    @in_turn
+    @functools.wraps(method)
+    async def ask(self: ConnectionUnit, *given: Any, **named: Any) -> Any:
+        return await method(self._client, *given, **named)
+
+    return ask
+
+
 class WholeServerId(ReportServerId):
     """
     A request for the server id. The identifier in its response ends before the first byte that can
@@ -102,52 +113,20 @@ class ConnectionUnit:
         """Close the connection; the next request connects again."""
         await self.link.disconnect()
 
-    # --- registers and bits ---------------------------------------------------------------------
+    # --- operations ---------------------------------------------------------------------------
 
-    @in_turn
-    async def read_holding_registers(self, address: int, count: int) -> list[int]:
-        """Read holding registers (function 3)."""
-        return await self._client.read_holding_registers(address, count)
-
-    @in_turn
-    async def read_input_registers(self, address: int, count: int) -> list[int]:
-        """Read input registers (function 4)."""
-        return await self._client.read_input_registers(address, count)
-
-    @in_turn
-    async def write_register(self, address: int, value: int) -> None:
-        """Write a register (function 6)."""
-        await self._client.write_register(address, value)
-
-    @in_turn
-    async def write_registers(self, address: int, values: list[int]) -> None:
-        """Write several registers (function 16)."""
-        await self._client.write_registers(address, values)
-
-    @in_turn
-    async def read_coils(self, address: int, count: int) -> list[bool]:
-        """Read coils (function 1)."""
-        return await self._client.read_coils(address, count)
-
-    @in_turn
-    async def read_discrete_inputs(self, address: int, count: int) -> list[bool]:
-        """Read discrete inputs (function 2)."""
-        return await self._client.read_discrete_inputs(address, count)
-
-    @in_turn
-    async def write_coil(self, address: int, value: bool) -> None:
-        """Write a coil (function 5)."""
-        await self._client.write_coil(address, value)
-
-    @in_turn
-    async def write_coils(self, address: int, values: list[bool]) -> None:
-        """Write several coils (function 15)."""
-        await self._client.write_coils(address, values)
-
-    @in_turn
-    async def mask_write_register(self, address: int, and_mask: int, or_mask: int) -> None:
-        """Change bits of a register (function 22)."""
-        await self._client.mask_write_register(address, and_mask, or_mask)
+    read_coils = same_as(AsyncClient.read_coils)
+    read_discrete_inputs = same_as(AsyncClient.read_discrete_inputs)
+    read_holding_registers = same_as(AsyncClient.read_holding_registers)
+    read_input_registers = same_as(AsyncClient.read_input_registers)
+    write_coil = same_as(AsyncClient.write_coil)
+    write_coils = same_as(AsyncClient.write_coils)
+    write_register = same_as(AsyncClient.write_register)
+    write_registers = same_as(AsyncClient.write_registers)
+    mask_write_register = same_as(AsyncClient.mask_write_register)
+    read_fifo_queue = same_as(AsyncClient.read_fifo_queue)
+    read_exception_status = same_as(AsyncClient.read_exception_status)
+    diagnostics = same_as(AsyncClient.diagnostics)
 
     @in_turn
     async def read_write_registers(
@@ -157,18 +136,6 @@ class ConnectionUnit:
         return await self._client.read_write_registers(
             read_address, read_count, write_address, write_values
         )
-
-    # --- others ---------------------------------------------------------------------------------
-
-    @in_turn
-    async def read_exception_status(self) -> int:
-        """Read the exception status (function 7)."""
-        return await self._client.read_exception_status()
-
-    @in_turn
-    async def diagnostics(self, sub_function: int, data: int = 0) -> int:
-        """Run a diagnostic sub-function (function 8); return the data of the response."""
-        return await self._client.diagnostics(sub_function, data)
 
     @in_turn
     async def get_comm_event_counter(self) -> tuple[bool, int]:
@@ -196,11 +163,6 @@ class ConnectionUnit:
     async def write_file_record(self, file: int, record: int, values: list[int]) -> None:
         """Write one record of a file (function 21)."""
         await self._client.write_file_records([(file, record, values)])
-
-    @in_turn
-    async def read_fifo_queue(self, address: int) -> list[int]:
-        """Read a FIFO queue (function 24)."""
-        return await self._client.read_fifo_queue(address)
 
     @in_turn
     async def read_device_identification(self) -> dict[int, bytes]:
