@@ -12,6 +12,7 @@ import pytest
 
 from libmodbus_py.services.workers.records import FleetSettings
 from tests.services.workers.trial import INTERVAL, LEASE, UNITS, Trial, tried
+from tests.simulation import network
 from tests.simulation.workers import push_fleet
 
 # A dead worker's lease is over for others after 1.05 of it; writing, and asking, come then.
@@ -189,6 +190,23 @@ async def test_clocks_may_go_wrong(trial: Trial) -> None:
         await asyncio.sleep(3 * LEASE)
         trial.engine.mend(trial.workers[name].client)
         await trial.settle()
+
+
+@tried(4)
+async def test_the_time_of_day_may_be_set_to_any_time(
+    trial: Trial, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Leases do not end or grow, and no reading is taken for one that was sent before."""
+    await trial.start("a", "b")
+    await trial.settle()
+    for hours in (-1, 2):
+        monkeypatch.setattr(network, "EPOCH", network.EPOCH + 3600 * hours)
+        trial.engine.stream.clear()
+        await asyncio.sleep(2 * LEASE)
+        assert trial.asked.gap < 1.5 * INTERVAL
+        assert len(trial.engine.stream) >= trial.count * (2 * LEASE / INTERVAL - 1)
+    trial.kill("a")
+    assert await trial.all_asked(60) < LEASE + INTERVAL + 1.5
 
 
 @tried(6)
