@@ -31,6 +31,7 @@ __all__ = [
     "FleetSettings",
     "Holding",
     "Member",
+    "Record",
     "RecordError",
     "Slot",
     "State",
@@ -38,7 +39,6 @@ __all__ = [
     "digest_of",
     "encode_holder",
     "in_key",
-    "slot_of",
     "zone_of",
 ]
 
@@ -119,7 +119,7 @@ class Connection:
 
     @cached_property
     def slot(self) -> Slot:
-        return slot_of(self.zone, digest_of(self.key))
+        return Slot(self.zone, int(digest_of(self.key)[:2], 16))
 
     def encode(self) -> bytes:
         return _encode(connection=self.key, timeout=self.timeout, devices=json.loads(self.devices))
@@ -165,10 +165,6 @@ class Member:
 def digest_of(connection: str) -> str:
     """Return the digest that represents a connection in keys."""
     return hashlib.sha256(connection.encode()).hexdigest()[:32]
-
-
-def slot_of(zone: str, digest: str) -> Slot:
-    return Slot(zone, int(digest[:2], 16))
 
 
 class Holding(NamedTuple):
@@ -272,13 +268,13 @@ _READERS: dict[tuple[str, int], Callable[[list[str], dict[str, Any]], Record]] =
 }
 
 
-def _encode(**values: Any) -> bytes:
-    return SORTED_JSON.encode(values).encode()
-
-
 def _zone(token: str) -> str:
     in_key(token)
     return zone_of(token)
+
+
+def _encode(**values: Any) -> bytes:
+    return SORTED_JSON.encode(values).encode()
 
 
 def _typed(kind: type, given: object) -> Any:

@@ -14,13 +14,13 @@ from ..engine.buckets import Change
 from .records import (
     Connection,
     FleetSettings,
+    Holding,
     Member,
+    Record,
     RecordError,
     Slot,
     decode,
     digest_of,
-    slot_of,
-    zone_of,
 )
 
 __all__ = ["HEARD_PART", "BucketView"]
@@ -68,6 +68,7 @@ class BucketView:
         self.vanished: dict[str, float] = {}
         self.unreadable: dict[str, str] = {}
         self.uncertain: dict[str, int] = {}
+        self._records: dict[str, Record] = {}
         # By digest and zone, with their revisions; a digest has nearly always one zone.
         self._zones: dict[str, dict[str, tuple[int, Connection]]] = {}
         # By digest: of two zones, the newer one.
@@ -140,7 +141,7 @@ class BucketView:
     @property
     def all_connections(self) -> Iterator[Connection]:
         """Yield the connections; one that is in two zones is yielded twice."""
-        return (pair[1] for zones in self._zones.values() for pair in zones.values())
+        return (each for each in self._records.values() if isinstance(each, Connection))
 
     def touched_at(self, connection: Connection) -> int:
         """Return the revision that other workers must acknowledge before a connection is polled."""
@@ -162,22 +163,19 @@ class BucketView:
     def _forget(self, change: Change, at: float) -> str:
         """Forget the value of a key. Return the previous holder if the key is a slot's, else ""."""
         self.unreadable.pop(change.key, None)
-        kind, _, rest = change.key.partition(".")
-        if kind == "worker":
-            member = self.members.pop(rest, None)
-            if member is not None and member.state != "ended":
-                self.vanished[rest] = at
-        elif kind == "slot":
-            zone, _, number = rest.partition(".")
-            if number.isdecimal() and len(number) <= 3:
-                return self.holders.pop(Slot(zone_of(zone), int(number)), "")
-        elif kind == "connection":
-            self._touch(change.key, change.revision)
-            token, _, digest = rest.partition(".")
-            zone = zone_of(token)
-            if self._zones.get(digest, {}).pop(zone, None):
-                self._in_slot[slot_of(zone, digest)] -= 1
-                self._choose(digest)
+        self._touch(change.key, change.revision)
+        record = self._records.pop(change.key, None)
+        if isinstance(record, Member):
+            del self.members[record.id]
+            if record.state != "ended":
+                self.vanished[record.id] = at
+        elif isinstance(record, Holding):
+            return self.holders.pop(record.slot)
+        elif isinstance(record, Connection):
+            digest = digest_of(record.key)
+            del self._zones[digest][record.zone]
+            self._in_slot[record.slot] -= 1
+            self._choose(digest)
         return ""
 
     def _choose(self, digest: str) -> None:
@@ -189,9 +187,8 @@ class BucketView:
             del self._zones[digest], self._connections[digest]
 
     def _touch(self, key: str, revision: int) -> None:
-        kind, _, rest = key.partition(".")
-        if kind == "connection":
-            self._touched[rest.rpartition(".")[2]] = revision
+        if key.startswith("connection."):
+            self._touched[key.rpartition(".")[2]] = revision
             self.last_touched = max(self.last_touched, revision)
 
     def _learn(self, key: str, value: bytes, revision: int, before: str) -> None:
@@ -200,6 +197,7 @@ class BucketView:
         except RecordError as error:
             self.unreadable[key] = str(error)
             return
+        self._records[key] = record
         if isinstance(record, FleetSettings):
             self.settings = record
             self.longest_lease = max(self.longest_lease, record.lease)
@@ -208,7 +206,7 @@ class BucketView:
             self.longest_lease = max(self.longest_lease, record.lease)
             self.vanished.pop(record.id, None)
         elif isinstance(record, Connection):
-            digest = key.rpartition(".")[2]
+            digest = digest_of(record.key)
             self._zones.setdefault(digest, {})[record.zone] = (revision, record)
             self._in_slot[record.slot] += 1
             self._choose(digest)

@@ -237,8 +237,6 @@ def test_a_server_without_tls_is_sent_nothing_when_the_connection_is_made_again(
 # --- with a nats-server ------------------------------------------------------------------------
 
 
-pytest.importorskip("nats")
-
 MALFORMED = [
     b"PUB modbus.write.a\x0bb.level 1\r\n1\r\n",
     b"PUB modbus.write.\xff.level 1\r\n2\r\n",

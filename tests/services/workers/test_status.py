@@ -20,7 +20,6 @@ from libmodbus_py.services.workers.records import (
     Member,
     digest_of,
     encode_holder,
-    slot_of,
 )
 from libmodbus_py.services.workers.status import fleet_status, is_polled, tables
 from tests.services.workers.memory_engine import MemoryBucket, now, run
@@ -53,7 +52,7 @@ def plant() -> MemoryBucket:
     ):
         bucket.write(each.bucket_key, each.encode())
     for zone, host, worker in (("", 1, "alive.1"), ("north", 2, "silent.2")):
-        slot = slot_of(zone, digest_of(connection(zone, host).key))
+        slot = connection(zone, host).slot
         bucket.write(slot.key, encode_holder(worker, worker))
     bucket.write("worker.odd.4", b"{}")
     return bucket
@@ -106,7 +105,7 @@ def test_what_no_worker_can_read_is_a_part_that_is_not_polled(
     bucket.write(first.bucket_key, first.encode())
     bucket.write(first.slot.key, encode_holder("alive.1", "alive.1"))
     if value:
-        slot = slot_of(zone, digest_of(KEY))
+        slot = Connection(zone, KEY, 1.0, "{}").slot
         bucket.write(f"connection.{zone or '_'}.{digest_of(KEY)}", json.dumps(value).encode())
         bucket.write(slot.key, encode_holder("alive.1", "alive.1"))
     status, _ = run(seen(bucket))
