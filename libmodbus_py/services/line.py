@@ -402,7 +402,8 @@ class SharedLine(ABC, Generic[Each]):
         done, self._done = self._done, []
         now = self._loop.time()
         for each in done:
-            assert each.submitted is not None
+            if each.submitted is None:  # withdrawn because of what was concluded before
+                continue
             outcome: Any = each.submitted.outcome
             self._end(each)
             if isinstance(outcome, ExceptionResponse) or not (

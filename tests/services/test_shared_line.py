@@ -295,6 +295,26 @@ async def test_what_is_dropped_or_withdrawn_is_not_sent_or_not_concluded() -> No
 
 
 @simulated
+async def test_what_was_answered_in_one_turn_may_be_withdrawn_by_the_first_of_them() -> None:
+    """A device may be removed because of what another one answered."""
+
+    class Removing(Line):
+        def conclude(self, each: LineRequest, outcome: Any, now: float) -> None:
+            super().conclude(each, outcome, now)
+            if each is first:
+                self.withdraw(second)
+
+    line = Removing(room=2)
+    first, second, _ = line.put(1, 2, 3)
+    for each in (first, second):
+        flight = cast(Flight, each.submitted)
+        flight.outcome = b""
+        flight.on_done()
+    await asyncio.sleep(0)
+    assert (line.over, line.in_flight, line.log) == ([(1, b"")], 1, [1, 2, 3])
+
+
+@simulated
 async def test_a_line_that_is_closed_sends_nothing() -> None:
     line = Line()
     first, *_ = line.put(1, 2)
