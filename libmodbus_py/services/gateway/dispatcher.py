@@ -337,7 +337,7 @@ class ForwardingSession(Framed):
         A broadcast that goes back to it would be sent from one to the other for ever. On this
         machine nothing tells clients from devices.
         """
-        return line.host == self._peer_host and not is_loopback(self._peer_host)
+        return line.endpoint.host == self._peer_host and not is_loopback(self._peer_host)
 
     def is_same_client(self, other: ForwardingSession) -> bool:
         """Return True for itself, and for another datagram of the same address."""

@@ -149,7 +149,7 @@ class Gateway(Serving):
         dispatcher = self._dispatcher
         if dispatcher is None:
             return
-        before = {line.key: line for line in dispatcher.lines}
+        before = {line.endpoint.url: line for line in dispatcher.lines}
         lines: dict[str, GatewayLine] = {}
         ways: dict[int, ResolvedRoute] = {}
         for route in self._routes:
@@ -162,10 +162,10 @@ class Gateway(Serving):
                 ways[unit] = ResolvedRoute(lines[key], device_unit, route)
         dispatcher.lines, dispatcher.routes = list(lines.values()), ways
         self.traffic.lines = {line.url: line.statistics for line in lines.values()}
-        places = {line.place: line for line in lines.values()}
+        ports = {line.endpoint.key: line for line in lines.values()}
         for line in before.values():
-            if line.place in places:
-                places[line.place].replaces(line)
+            if line.endpoint.key in ports:
+                ports[line.endpoint.key].replaces(line)
             closing = asyncio.get_running_loop().create_task(line.close())
             self._closing.add(closing)
             closing.add_done_callback(self._closing.discard)

@@ -173,7 +173,7 @@ class GatewayLine(SharedLine[Forwarded]):
         options: how requests wait.
 
     Attributes:
-        key, place: the URL, and what is the same for all URLs of the same port.
+        endpoint: as given.
         quiet_until: nothing is sent before this time of the loop.
 
     Raises:
@@ -188,10 +188,8 @@ class GatewayLine(SharedLine[Forwarded]):
             longest_wait=options.longest_wait,
         )
         self.url: str = str(endpoint)
-        self.key: str = endpoint.url
-        self.place: tuple[str, str] = endpoint.key
+        self.endpoint: Endpoint = endpoint
         self.quiet_until: float = 0.0
-        self.host: str = endpoint.host
         self.has_broadcast: bool = not self.client.has_ids
         self.statistics: LineStatistics = LineStatistics(self.url, self.client.statistics)
         self._writes_first = options.writes_first
@@ -204,7 +202,7 @@ class GatewayLine(SharedLine[Forwarded]):
 
     def replaces(self, before: GatewayLine) -> None:
         """Let late answers to the requests of another line to the same place pass."""
-        if before.in_flight and not self.client.has_ids:
+        if not self.client.has_ids:
             self.quiet_until = self._loop.time() + before.client.timeout
 
     # --- requests -----------------------------------------------------------------------------

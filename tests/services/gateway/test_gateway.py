@@ -158,6 +158,19 @@ def test_requests_are_answered_if_their_line_stays_and_refused_at_once_if_not(
         assert gate.asked == ([0, 0, 7] if stays else [0, 7])
 
 
+def test_an_answer_that_is_still_awaited_is_no_answer_over_the_next_line(stage: Stage) -> None:
+    """Its request has failed, and then the options of the line changed."""
+    with gated(stage) as (gate, _, url, made), stage.talk(url) as client:
+        client.sendall(adu(READ_ONE, 1))
+        stage.pass_time(1001)
+        assert client.receive(9) == adu(b"\x83\x0b", 1)
+        made.change_routes([Route(f"{LINE}?timeout=999", "1")])
+        client.sendall(adu(pdu.ReadHoldingRegisters(7, 1).encode(), 2))
+        stage.pass_time(1)
+        gate.open()
+        assert client.receive(11) == adu(SEVEN, 2)
+
+
 @pytest.mark.parametrize("resets", [False, True])
 def test_who_closes_with_requests_waiting_costs_nothing(stage: Stage, resets: bool) -> None:
     with gated(stage) as (gate, line, url, _):
