@@ -57,24 +57,6 @@ def test_a_write_whose_client_goes_while_it_is_sent_makes_what_was_read_before_o
     plant.run(main)
 
 
-def test_an_answer_that_is_too_old_is_not_given_again(stage: Stage) -> None:
-    reads: list[int] = []
-    device = Device(
-        Mapping(10, 10, 10, 10), before_read=lambda access: reads.append(access.address)
-    )
-    with (
-        passage("tcp", "rtu", {1: device}, route={"cache": 30}, stage=stage) as through,
-        through.context(1) as context,
-    ):
-        context.read_holding_registers(2, 2)
-        stage.pass_time(29.9)
-        context.read_holding_registers(2, 2)
-        assert len(reads) == 1
-        stage.pass_time(0.1)
-        context.read_holding_registers(2, 2)
-        assert len(reads) == 2
-
-
 def test_the_answer_that_was_kept_first_is_dropped_for_one_too_many() -> None:
     cache = Cache()
     for number in range(MOST_CACHED):

@@ -475,20 +475,6 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("impatient")
-def test_whoever_asks_nothing_does_not_keep_others_for_long(registry: CollectorRegistry) -> None:
-    server = Server(DEVICE)
-    collect(server, registry=registry)
-    with exposing("127.0.0.1", 0, registry) as url:
-        port = int(url.split(":")[2].partition("/")[0])
-        with socket.create_connection(("127.0.0.1", port)) as idle:
-            idle.sendall(b"GET ")
-            assert of(fetched(url), "modbus_server_connections") == 0
-        with socket.create_connection(("127.0.0.1", port)) as rude:
-            rude.sendall(b"\0\1\2 nonsense\r\n\r\n" * 100)
-        assert of(fetched(url), "modbus_server_connections") == 0
-
-
-@pytest.mark.usefixtures("impatient")
 def test_whoever_asks_slowly_does_not_keep_others_for_long(registry: CollectorRegistry) -> None:
     """A byte now and then is not a reason to wait for the next one; nor is it when all ends."""
     server = Server(DEVICE)

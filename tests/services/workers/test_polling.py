@@ -456,16 +456,6 @@ class TestReport:
 
 
 class TestCommands:
-    @pytest.mark.parametrize("commands", [True, False])
-    @simulated
-    async def test_devices_are_written_to_if_the_fleet_says_so(self, commands: bool) -> None:
-        settings = FleetSettings(LEASE, commands=commands)
-        bucket = filled(connection("pump"), commands=commands)
-        async with at_work(bucket, settings=settings) as worker:
-            await until(lambda: names(worker))
-            wanted = [True, "there is no device 'valve'"] if commands else []
-            assert await replies(bucket, "pump", "valve") == wanted
-
     @pytest.mark.parametrize(("on_engine_loss", "is_lost"), [("stop", True), ("continue", False)])
     @simulated
     async def test_who_has_lost_its_lease_answers_nothing_and_takes_its_devices_back(
