@@ -89,6 +89,22 @@ def test_a_loss_at_rest_is_told_without_a_request() -> None:
     run(go())
 
 
+def test_the_hook_that_their_tests_call_ends_a_connection_for_the_next_request() -> None:
+    async def go() -> None:
+        async with Scripted(echo).serving() as server:
+            connection = tcp(server)
+            connection._on_connection_lost(None)  # there is none
+            await read(connection)
+            connection._on_connection_lost(None)
+            assert not connection.connected
+            assert await read(connection) == [7]
+            assert server.connections == 2
+            await connection.close()
+            connection._on_connection_lost(None)
+
+    run(go())
+
+
 def test_a_callback_that_raises_harms_nobody() -> None:
     complaints: list[Any] = []
 

@@ -211,15 +211,19 @@ class ModbusConnection(theirs.ModbusConnection):
     def _note_state(self, state: State, error: ModbusError | None) -> None:
         # States of earlier clients, and of a client that is still connecting, are ignored.
         client = self._client
-        if state is not State.DISCONNECTED or client is None or client.state is not state:
+        if state is State.DISCONNECTED and client is not None and client.state is state:
+            self._on_connection_lost(error)
+
+    # The tests of modbus-connection call it, too.
+    def _on_connection_lost(self, error: Exception | None) -> None:
+        if self._closed or self._client is None:
             return
-        if not self._closed:
-            self._client = None
-            self.last_error = f"connection lost: {error}"
-            # The client is closed because it would connect again for requests that wait.
-            self._run_later(client.close())
-            # Called by the event loop, so that it handles the exceptions of callbacks.
-            asyncio.get_running_loop().call_soon(self._lost_callbacks.fire)
+        client, self._client = self._client, None
+        self.last_error = f"connection lost: {error}"
+        # The client is closed because it would connect again for requests that wait.
+        self._run_later(client.close())
+        # Called by the event loop, so that it handles the exceptions of callbacks.
+        asyncio.get_running_loop().call_soon(self._lost_callbacks.fire)
 
     def _run_later(self, closing: Coroutine[object, object, None]) -> None:
         task = asyncio.get_running_loop().create_task(closing)
