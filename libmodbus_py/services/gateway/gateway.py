@@ -165,7 +165,7 @@ class Gateway(Serving):
         ports = {line.endpoint.key: line for line in lines.values()}
         for line in before.values():
             if line.endpoint.key in ports:
-                ports[line.endpoint.key].replaces(line)
+                ports[line.endpoint.key].replaces(line.client)
             closing = asyncio.get_running_loop().create_task(line.close())
             self._closing.add(closing)
             closing.add_done_callback(self._closing.discard)

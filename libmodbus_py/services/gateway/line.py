@@ -174,7 +174,6 @@ class GatewayLine(SharedLine[Forwarded]):
 
     Attributes:
         endpoint: as given.
-        quiet_until: nothing is sent before this time of the loop.
 
     Raises:
         TypeError, ValueError: an option that such a client cannot have.
@@ -189,7 +188,6 @@ class GatewayLine(SharedLine[Forwarded]):
         )
         self.url: str = str(endpoint)
         self.endpoint: Endpoint = endpoint
-        self.quiet_until: float = 0.0
         self.has_broadcast: bool = not self.client.has_ids
         self.statistics: LineStatistics = LineStatistics(self.url, self.client.statistics)
         self._writes_first = options.writes_first
@@ -199,11 +197,6 @@ class GatewayLine(SharedLine[Forwarded]):
         self._joinable: dict[tuple[int, bytes], Forwarded] = {}
         self._outage = Outage(logger, self.url)
         self._open_since = 0.0
-
-    def replaces(self, before: GatewayLine) -> None:
-        """Let late answers to the requests of another line to the same place pass."""
-        if not self.client.has_ids:
-            self.quiet_until = self._loop.time() + before.client.timeout
 
     # --- requests -----------------------------------------------------------------------------
 
@@ -286,9 +279,6 @@ class GatewayLine(SharedLine[Forwarded]):
         self._cache.forget(unit, now)
         for key in [key for key in self._joinable if unit in (0, key[0])]:
             del self._joinable[key]
-
-    def _ready_at(self, each: Forwarded) -> float:
-        return max(self.quiet_until, super()._ready_at(each))
 
     def _send(self, each: Forwarded, now: float) -> None:
         self._forget_joinable(each)
