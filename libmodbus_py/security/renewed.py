@@ -4,13 +4,16 @@ Values read from files, and read again: certificates, keys and passwords.
 
 from __future__ import annotations
 
+import errno
+import os
+import stat
 import weakref
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
 from ..protocol.logs import HarmlessLogger
 
-__all__ = ["Renewed", "keep_renewed", "reload_all"]
+__all__ = ["Renewed", "keep_renewed", "read_secret", "reload_all"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -18,6 +21,26 @@ T = TypeVar("T")
 
 # The exceptions for a mistake in a file, and for a file that cannot be read.
 MISTAKES = (ImportError, OSError, TypeError, ValueError)
+
+
+# The most bytes of a secret: a file that was named by mistake has more.
+LONGEST_SECRET_BYTES = 1 << 16
+
+
+def read_secret(path: str | os.PathLike[str]) -> str:
+    """
+    Return the text of a file with a password, a token or a seed, in UTF-8, up to 64 KiB.
+
+    Raises:
+        OSError: the file cannot be read; PermissionError, too, if group or others can read it.
+        UnicodeDecodeError: it is not UTF-8.
+    """
+    with open(path, "rb") as file:
+        mode = os.fstat(file.fileno()).st_mode
+        if os.name == "posix" and mode & (stat.S_IRGRP | stat.S_IROTH):
+            reason = "group or others can read this secret; run chmod 600 on the file"
+            raise PermissionError(errno.EACCES, reason, os.fspath(path))
+        return file.read(LONGEST_SECRET_BYTES).decode()
 
 
 class _Reloadable(Protocol):

@@ -19,6 +19,7 @@ from libmodbus_py.services.fleet.outputs.credentials import SecretFile, text_of
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from tests.support import certificates
 from tests.support.certificates import Papers
+from tests.support.secret_files import write_secret
 
 CREDENTIALS = """\
 -----BEGIN NATS USER JWT-----
@@ -72,7 +73,7 @@ def test_a_value_is_the_former_until_the_file_is_good_again(
 
 def test_what_is_not_used_any_more_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "password"
-    path.write_text("secret")
+    write_secret(path, "secret")
     kept, gone = SecretFile(path), SecretFile(path)
     assert kept == gone
     del gone
@@ -87,7 +88,7 @@ def test_what_is_not_used_any_more_is_not_read(tmp_path: Path) -> None:
 
 def test_a_password_file_of_mqtt_is_read_again(tmp_path: Path) -> None:
     (tmp_path / "map.csv").write_text("name,table,address,type\npower,holding,0,uint16\n")
-    (tmp_path / "secret").write_text("first\n")
+    write_secret(tmp_path / "secret", "first\n")
     (tmp_path / "fleet.toml").write_text(
         "[output.mqtt]\nurl = 'mqtt://192.0.2.1'\nuser = 'u'\npassword_file = 'secret'\n"
         "[[device]]\nname = 'a'\nurl = 'tcp://192.0.2.2'\nmap = 'map.csv'\n"
@@ -141,7 +142,7 @@ def test_credentials_of_nats_are_read_again(
 
     monkeypatch.setattr(connection, "find_spec", lambda name: name)
     path = tmp_path / "user.creds"
-    path.write_text(CREDENTIALS.format("first"))
+    write_secret(path, CREDENTIALS.format("first"))
     given = _identity({"NATS_CREDS": str(path)})["user_credentials"]
     client = SteadyClient()
     assert client._read_creds_user_jwt(given) == b"first"
@@ -161,13 +162,11 @@ def test_a_file_without_credentials_is_refused_at_the_start(
     from libmodbus_py.services.engine import connection
 
     monkeypatch.setattr(connection, "find_spec", lambda name: name)
-    path = tmp_path / "empty"
-    path.write_text("")
+    path = write_secret(tmp_path / "empty", "")
     with pytest.raises(EngineError, match=f"^{name}: .*empty: contains no "):
         _identity({name: str(path)})
 
 
 def test_a_seed_can_be_stripped_and_encoded_as_nats_py_does(tmp_path: Path) -> None:
-    path = tmp_path / "seed"
-    path.write_text("SUAOY\n")
+    path = write_secret(tmp_path / "seed", "SUAOY\n")
     assert bytearray(FileText("NATS_NKEY", str(path), "SU").strip().encode()) == b"SUAOY"

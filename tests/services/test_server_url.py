@@ -1,76 +1,96 @@
 """
-URLs of brokers, databases and NATS servers: one rule for all that take one.
+URLs of brokers, databases and NATS servers, and the files with their secrets: one rule for all.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from libmodbus_py.services.engine.connection import parse_servers
+from libmodbus_py.services.engine.connection import FileText, parse_servers
+from libmodbus_py.services.fleet.files import load
+from libmodbus_py.services.fleet.outputs.credentials import SecretFile
 from libmodbus_py.services.fleet.outputs.exclusive import shared
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.server_url import ServerUrl, server_url
 from tests.support.cases import each_case
+from tests.support.commands import run
+from tests.support.secret_files import write_secret
 
 PORTS = {"mqtt": 1883, "mqtts": 8883}
+
+FLEET = """\
+{output}
+[[device]]
+name = "a"
+url = "tcp://127.0.0.1:9"
+[[device.point]]
+name = "p"
+table = "holding_registers"
+address = 0
+"""
 
 
 def influx(url: str) -> Influx:
     return Influx(url=url, database="d")
 
 
-TAKEN: list[tuple[str, Callable[[str], Any]]] = [
-    ("mqtt", Mqtt),
-    ("http", influx),
-    ("nats", parse_servers),
+TAKEN: list[tuple[str, Callable[[str], Any], str]] = [
+    ("mqtt", Mqtt, "password_file"),
+    ("http", influx, "token_file"),
+    ("nats", parse_servers, "NATS_CREDS"),
 ]
-"""A scheme, and what takes a URL with it."""
+"""A scheme, what takes a URL with it, and the setting that names a file with the secret."""
+
+
+def read(text: str, *, may_have_path: bool = False) -> ServerUrl:
+    return server_url(
+        "url", text, PORTS, example="mqtt://h", login="password_file", may_have_path=may_have_path
+    )
 
 
 @each_case(
     ("text", "expected"),
     [
-        ("mqtt://192.0.2.1", ServerUrl("mqtt", "192.0.2.1", 1883, False)),
-        ("MQTTS://Broker.Example/", ServerUrl("mqtts", "broker.example", 8883, False)),
-        ("mqtt://[2001:DB8::1]:7", ServerUrl("mqtt", "2001:db8::1", 7, False)),
-        ("mqtt://me:secret@h", ServerUrl("mqtt", "h", 1883, True)),
-        ("mqtt://h:0", ServerUrl("mqtt", "h", 0, False)),
-        ("mqtt://h:65536", ServerUrl("mqtt", "h", 0, False)),
-        ("mqtt://h:x", ServerUrl("mqtt", "h", 0, False)),
-        ("http://h", None),
-        ("mqtt://", None),
-        ("mqtt:h", None),
-        ("mqtt://h/path", None),
-        ("mqtt://h?client_id=x", None),
-        ("mqtt://h#x", None),
-        ("mqtt://a b", None),
-        ("mqtt://h\n", None),
-        ("mqtt://bücher.example", None),
-        ("mqtt://[::1", None),
+        ("mqtt://192.0.2.1", ServerUrl("mqtt", "192.0.2.1", 1883)),
+        ("MQTTS://Broker.Example/", ServerUrl("mqtts", "broker.example", 8883)),
+        ("mqtt://[2001:DB8::1]:7", ServerUrl("mqtt", "2001:db8::1", 7)),
     ],
 )
-def test_a_url_is_read(text: str, expected: ServerUrl | None) -> None:
-    assert server_url(text, PORTS) == expected
+def test_a_url_is_read(text: str, expected: ServerUrl) -> None:
+    assert read(text) == expected
+
+
+@each_case(
+    "text",
+    [
+        *("http://h", "mqtt://", "mqtt:h", "mqtt://h/path", "mqtt://h?client_id=x", "mqtt://h#x"),
+        *("mqtt://a b", "mqtt://h\n", "mqtt://bücher.example", "mqtt://[::1"),
+        *("mqtt://h:0", "mqtt://h:65536", "mqtt://h:x"),
+    ],
+)
+def test_a_wrong_url_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=r"url must be a URL such as|the port must be in 1..65535"):
+        read(text)
 
 
 def test_a_path_is_taken_where_it_may_be() -> None:
-    found = server_url("mqtt://h/path", PORTS, may_have_path=True)
-    assert found == ServerUrl("mqtt", "h", 1883, False)
+    assert read("mqtt://h/path", may_have_path=True) == ServerUrl("mqtt", "h", 1883)
 
 
 def test_the_place_of_an_ipv6_address_has_brackets() -> None:
-    assert ServerUrl("mqtt", "::1", 1883, False).place == "[::1]:1883"
-    assert ServerUrl("mqtt", "h", 1883, False).place == "h:1883"
+    assert ServerUrl("mqtt", "::1", 1883).place == "[::1]:1883"
+    assert ServerUrl("mqtt", "h", 1883).place == "h:1883"
 
 
-@each_case(("scheme", "take"), TAKEN)
+@each_case(("scheme", "take", "setting"), TAKEN)
 @each_case("rest", ["h:0", "h:99999", "h?x=1", "h#x", "a b", "[::1", "h:x"])
 def test_a_wrong_url_is_refused_before_anything_is_sent(
-    scheme: str, take: Callable[[str], Any], rest: str
+    scheme: str, take: Callable[[str], Any], setting: str, rest: str
 ) -> None:
     with pytest.raises(ValueError, match=r"must be|port"):
         take(f"{scheme}://{rest}")
@@ -85,14 +105,126 @@ def test_two_spellings_of_a_host_are_one_server(
     assert shared([make(f"{scheme}://{one}"), make(f"{scheme}://{other}")]) is not None
 
 
+# --- logins ---------------------------------------------------------------------------------
+
+
+@each_case(("scheme", "take", "setting"), TAKEN)
 @each_case(
     "text",
     [
-        *("http://me:secret@h:0x", "http:/me:secret@h", "x://me:p@secret@h"),
-        *("http://me:secret@h:x", "x://me:secret://p@h", "me:secret@h"),
+        *("{}://me:secret@h", "{}://secret@h", "{}://:secret@h:1", "{}://me:secret@h:0x"),
+        *("{}://me:s,secret@h", "{}://h,{}://me:secret@h", "{}://me:p@secret@h", "{}:/me:secret@h"),
+        *("x://me:secret@h", "me:secret@h", "{}://me:secret@[::1", "{}://me:se cret@h#secret"),
     ],
 )
-def test_a_wrong_url_is_not_shown_with_its_login(text: str) -> None:
-    with pytest.raises(ValueError, match="must") as caught:
-        influx(text)
+def test_a_login_in_a_url_is_refused_and_not_shown(
+    scheme: str, take: Callable[[str], Any], setting: str, text: str
+) -> None:
+    with pytest.raises(ValueError, match="must not contain a user or password: use ") as caught:
+        take(text.format(scheme, scheme))
+    assert setting in str(caught.value)
     assert "secret" not in str(caught.value)
+
+
+@each_case(("scheme", "take", "setting"), TAKEN)
+def test_a_token_in_a_query_is_refused_and_not_shown(
+    scheme: str, take: Callable[[str], Any], setting: str
+) -> None:
+    with pytest.raises(ValueError, match="must be a URL") as caught:
+        take(f"{scheme}://h/?token=secret")
+    assert "secret" not in str(caught.value)
+
+
+@each_case(
+    ("output", "setting"),
+    [
+        ('[output.mqtt]\nurl = "mqtt://me:secret@h"', "password_file"),
+        ('[output.influx]\nurl = "http://me:secret@h"\ndatabase = "d"', "token_file"),
+        ('[output.influx]\nurl = "https://secret@h/influx"\nbucket = "b"', "token_file"),
+    ],
+)
+def test_a_login_in_a_fleet_file(tmp_path: Path, output: str, setting: str) -> None:
+    file = tmp_path / "fleet.toml"
+    file.write_text(FLEET.format(output=output))
+    done = run("poll", file, "--once")
+    said = done.out + done.err
+    assert done.code == 2
+    assert "url must not contain a user or password" in said
+    assert setting in said
+    assert "secret" not in said
+
+
+@each_case("command", [("poll", "FILE", "--engine"), ("fleet", "status", "--engine")])
+@each_case("url", ["nats://me:secret@h", "tls://h,nats://me:s,ecret@h", "nats://secret@h"])
+def test_a_login_on_the_command_line(tmp_path: Path, command: tuple[str, ...], url: str) -> None:
+    file = tmp_path / "fleet.toml"
+    file.write_text(FLEET.format(output=""))
+    words = [str(file) if each == "FILE" else each for each in command]
+    done = run(*words, url)
+    said = done.out + done.err
+    assert done.code == 2
+    assert "engine must not contain a user or password" in said
+    assert "NATS_CREDS" in said
+    assert "ecret" not in said
+
+
+# --- files with secrets ---------------------------------------------------------------------
+
+
+SECRETS: list[Callable[[Path], Any]] = [SecretFile, lambda path: FileText("NATS_CREDS", str(path))]
+"""What reads a file with a secret."""
+
+
+@each_case("read_file", SECRETS)
+@each_case("mode", [0o640, 0o604, 0o644, 0o444])
+def test_a_secret_that_others_can_read_is_refused(
+    tmp_path: Path, read_file: Callable[[Path], Any], mode: int
+) -> None:
+    path = write_secret(tmp_path / "secret", "sesame")
+    path.chmod(mode)
+    with pytest.raises(ValueError, match="group or others can read this secret") as caught:
+        read_file(path)
+    assert str(path) in str(caught.value)
+    assert "sesame" not in str(caught.value)
+
+
+@each_case("read_file", SECRETS)
+@each_case("mode", [0o600, 0o400])
+def test_a_secret_that_only_its_owner_can_read_is_taken(
+    tmp_path: Path, read_file: Callable[[Path], Any], mode: int
+) -> None:
+    path = write_secret(tmp_path / "secret", "sesame")
+    path.chmod(mode)
+    read_file(path)
+
+
+@each_case("key", ["password_file", "token_file"])
+def test_a_secret_that_others_can_read_is_named_in_the_fleet_file(tmp_path: Path, key: str) -> None:
+    (tmp_path / "secret").write_text("sesame")
+    (tmp_path / "secret").chmod(0o644)
+    keys = {
+        "password_file": '[output.mqtt]\nurl = "mqtt://h"\nuser = "u"\npassword_file = "secret"',
+        "token_file": '[output.influx]\nurl = "http://h"\nbucket = "b"\ntoken_file = "secret"',
+    }
+    file = tmp_path / "fleet.toml"
+    file.write_text(FLEET.format(output=keys[key]))
+    with pytest.raises(ValueError, match=f"{key}: .*secret.*group or others can read"):
+        load(file)
+
+
+def test_a_secret_is_the_former_when_others_can_read_the_new_one(tmp_path: Path) -> None:
+    path = write_secret(tmp_path / "secret", "first\n")
+    secret = SecretFile(path)
+    write_secret(path, "second\n")
+    assert secret.text == "second"
+    path.write_text("third\n")
+    path.chmod(0o644)
+    assert secret.text == "second"
+
+
+def test_secrets_of_one_file_are_equal(tmp_path: Path) -> None:
+    one, other = (write_secret(tmp_path / name, "the same\n") for name in ("one", "other"))
+    assert SecretFile(one) == SecretFile(str(one))
+    assert hash(SecretFile(one)) == hash(SecretFile(str(one)))
+    assert SecretFile(one) != SecretFile(other)
+    assert SecretFile(one) != str(one)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...protocol.extras import what_is_missing
 from ...security.describing import in_words
-from ...security.renewed import Renewed
+from ...security.renewed import Renewed, read_secret
 from ..server_url import server_url
 from ..tasks import finish
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 # fmt: off
 __all__ = [
     "EngineError", "EngineGone", "FileText", "NothingThere", "connected", "disconnect", "explained",
-    "parse_servers", "shown", "what",
+    "parse_servers", "what",
 ]
 # fmt: on
 
@@ -44,6 +44,9 @@ PORTS = {"nats": 4222, "tls": 4222}
 TIMEOUT = 3.0
 PAUSE = 0.25
 
+# What a login is written in.
+LOGIN = "the variables NATS_USER and NATS_PASSWORD, or NATS_CREDS, which names a file"
+
 # Options of nats-py, whose types want whole seconds.
 TIMES: dict[str, Any] = {
     "connect_timeout": TIMEOUT,
@@ -55,9 +58,8 @@ TIMES: dict[str, Any] = {
     "pending_size": -1,
 }
 
-# The most URLs, and the most characters of a file with credentials: a mistake has more.
+# The most URLs: a mistake has more.
 MOST_SERVERS = 32
-LONGEST_FILE = 1 << 16
 
 # Variable that names a file -> the option of nats-py, and what the file must contain.
 FILES: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -89,8 +91,7 @@ class FileText(UserString):
 
     def _read(self) -> str:
         try:
-            with open(self._path, encoding="utf-8") as file:
-                text = file.read(LONGEST_FILE)
+            text = read_secret(self._path)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             raise ValueError(f"{self._name}: {self._path}: {reason}") from None
@@ -114,34 +115,16 @@ def parse_servers(text: str) -> list[str]:
     Parse the URLs of NATS servers, separated by commas: ``nats://HOST[:4222]`` or ``tls://``.
 
     Raises:
-        ValueError: a URL is invalid, or there are none or more than 32.
+        ValueError: a URL is invalid or contains a login, or there are none or more than 32.
     """
-    servers = [part.strip() for part in text.split(",") if part.strip()]
+    # A password may contain a comma: a text with a login is not split.
+    parts = [text] if "@" in text else text.split(",")
+    servers = [part.strip() for part in parts if part.strip()]
     if not 1 <= len(servers) <= MOST_SERVERS:
         raise ValueError(f"engine: 1..{MOST_SERVERS} URLs such as nats://192.0.2.1, not {text!r}")
     for server in servers:
-        _check(server)
+        server_url("engine", server, PORTS, example="nats://192.0.2.1:4222", login=LOGIN)
     return servers
-
-
-def _check(server: str) -> None:
-    found = server_url(server, PORTS)
-    if found is None:
-        raise ValueError(
-            f"engine: {_bare(server)!r} must be nats://HOST[:PORT] or tls://HOST[:PORT]"
-        )
-    if not found.port:
-        raise ValueError(f"engine: {_bare(server)!r}: the port must be in 1..65535")
-
-
-def shown(servers: list[str]) -> str:
-    """Return the URLs of servers without passwords."""
-    return ",".join(_bare(server) for server in servers)
-
-
-def _bare(server: str) -> str:
-    scheme, mark, rest = server.partition("://")
-    return f"{scheme}{mark}{rest.rpartition('@')[2]}"
 
 
 async def connected(
@@ -178,7 +161,7 @@ async def connected(
         wanted = ".".join(map(str, OLDEST))
         known = f"{version.major}.{version.minor}.{version.patch}"
         raise EngineError(
-            f"{shown(servers)}: nats-server {known} is too old; {wanted} or newer is needed"
+            f"{','.join(servers)}: nats-server {known} is too old; {wanted} or newer is needed"
         )
     return client
 
@@ -207,7 +190,7 @@ async def _connect(
         if not isinstance(error, Exception):
             raise
         reasons = [each for each in (*failures, error) if not _is_empty(each)] or [error]
-        raise EngineGone(f"{shown(servers)}: {what(reasons[0])}") from None
+        raise EngineGone(f"{','.join(servers)}: {what(reasons[0])}") from None
 
 
 async def disconnect(client: Client) -> None:

@@ -9,6 +9,7 @@ import signal
 from pathlib import Path
 
 from tests.support.commands import Started
+from tests.support.secret_files import write_secret
 
 FLEET = """\
 [output.mqtt]
@@ -44,7 +45,7 @@ def test_a_new_password_is_used_and_one_that_cannot_be_read_is_told(tmp_path: Pa
         async with await asyncio.start_server(broker.accept, "127.0.0.1", 0) as server:
             port = server.sockets[0].getsockname()[1]
             (tmp_path / "map.csv").write_text("name,table,address,type\npower,holding,0,uint16\n")
-            (tmp_path / "secret").write_text("first\n")
+            write_secret(tmp_path / "secret", "first\n")
             (tmp_path / "fleet.toml").write_text(FLEET.format(port=port))
             with Started("poll", str(tmp_path / "fleet.toml"), "--json") as process:
                 assert await broker.passwords.get() == "first"

@@ -90,8 +90,6 @@ def test_what_is_wrong_with_an_engine_is_told_in_one_line(file, tmp_path, monkey
         assert "nats-server 2.8.4 is too old; 2.9 or newer is needed" in said(url)
     locked = 'authorization { user: u, password: "right" }\njetstream {}'
     with NatsServers(config=lambda _: locked) as server:
-        wrong = server.urls.replace("nats://", "nats://u:secret@")
-        assert "the server refuses the credentials" in said(wrong)
         assert "the server refuses the credentials" in said(
             server.urls, NATS_USER="u", NATS_PASSWORD="secret"
         )
@@ -155,8 +153,8 @@ def test_what_is_wrong_in_the_file_is_told_before_anything_is_sent(tmp_path, eng
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--engine", "http://x"], "'http://x' must be nats://HOST[:PORT] or tls://HOST[:PORT]"),
-        (["--engine", "nats://u:secret@h:0"], "'nats://h:0': the port must be in 1..65535"),
+        (["--engine", "http://x"], "not 'http://x'"),
+        (["--engine", "nats://h:0"], "the port must be in 1..65535: 'nats://h:0'"),
         (["--engine", ","], "engine: 1..32 URLs"),
         (["--push"], "--push needs --engine"),
         (["--engine", "nats://h", "--once"], "--once cannot be used with --engine"),

@@ -8,13 +8,12 @@ from __future__ import annotations
 import asyncio
 import os
 import ssl
-from functools import partial
 from os import PathLike
 from pathlib import Path
 
 from ....security.describing import in_words
-from ....security.renewed import Renewed
-from ....tools.files.texts import FileError, read_text
+from ....security.renewed import Renewed, read_secret
+from ....tools.files.texts import FileError, FilePlace
 
 __all__ = ["SecretFile", "Trust", "text_of"]
 
@@ -28,12 +27,13 @@ class SecretFile:
         kind: the class of errors.
 
     Raises:
-        FileError: of `kind`: the file cannot be read.
+        FileError: of `kind`: the file cannot be read, or group or others can read it, too.
     """
 
     def __init__(self, path: str | PathLike[str], kind: type[FileError] = FileError) -> None:
         self.path: str = os.fspath(path)
-        self._content = Renewed(partial(read_text, self.path, kind))
+        self._kind = kind
+        self._content = Renewed(self._read)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, SecretFile) and self.path == other.path
@@ -43,6 +43,13 @@ class SecretFile:
 
     def __repr__(self) -> str:
         return f"SecretFile({self.path!r})"
+
+    def _read(self) -> str:
+        try:
+            return read_secret(self.path)
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or "it is not UTF-8"
+            raise self._kind((), f"cannot read {FilePlace(self.path)}: {reason}") from None
 
     @property
     def text(self) -> str:

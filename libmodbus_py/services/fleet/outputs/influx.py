@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from ....protocol.extras import what_is_missing
 from ....protocol.mistakes import WrongType, WrongValue
 from ....protocol.plain import without_controls
-from ...server_url import url_without_login
+from ...server_url import server_url
 from ...tasks import finish
 from ..buffer import MOST_KEPT
 from ..config import DeviceConfig
@@ -33,6 +33,9 @@ __all__ = ["Influx"]
 
 # Scheme -> port of a URL without one.
 PORTS = {"http": 80, "https": 443}
+
+# What a login is written in.
+LOGIN = "user and password_file, or token_file"
 
 # Seconds for a server to take a batch, whatever it does meanwhile.
 TIMEOUT_S = 30.0
@@ -145,7 +148,9 @@ class _Server:
         secret: str | SecretFile | None,
         ca: str | None,
     ) -> None:
-        server = url_without_login(url, PORTS, "http://192.0.2.1:8086", may_have_path=True)
+        server = server_url(
+            "url", url, PORTS, example="http://192.0.2.1:8086", login=LOGIN, may_have_path=True
+        )
         if ca is not None and server.scheme != "https":
             raise WrongValue("ca", "can only be used with https://")
         self.name: str = f"influx {server.place}"

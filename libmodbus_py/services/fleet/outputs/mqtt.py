@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from ....protocol.checks import integer
 from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType, WrongValue
-from ...server_url import url_without_login
+from ...server_url import server_url
 from ..buffer import MOST_KEPT
 from ..commands import Commands
 from ..config import DeviceConfig
@@ -30,6 +30,9 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Scheme -> port of a URL without one.
 PORTS = {"mqtt": 1883, "mqtts": 8883}
+
+# What a login is written in.
+LOGIN = "user and password_file"
 
 LARGEST_BYTES = 268_435_000
 """The size of a message that MQTT can carry, with a long topic."""
@@ -95,7 +98,7 @@ class Mqtt:
         max_message: int | None = None,
         buffer: int = MOST_KEPT,
     ) -> None:
-        server = url_without_login(url, PORTS, "mqtt://192.0.2.1:1883")
+        server = server_url("url", url, PORTS, example="mqtt://192.0.2.1:1883", login=LOGIN)
         self.name: str = f"mqtt {server.place}"
         self.buffer: int = buffer
         if password is not None and user is None:

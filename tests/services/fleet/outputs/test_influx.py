@@ -32,6 +32,7 @@ from tests.services.fleet.outputs.http_server import (
 )
 from tests.support import outputs
 from tests.support.cases import each_case
+from tests.support.secret_files import write_secret
 
 READING = Reading(1_700_000_000.0, "north", "level", 7, "m", "good")
 LINE = b"modbus,device=north level=7 1700000000000000000\n"
@@ -69,7 +70,7 @@ def test_influxdb_1() -> None:
 
 
 def test_influxdb_2(tmp_path: Path) -> None:
-    (tmp_path / "token").write_text("a secret\n")
+    write_secret(tmp_path / "token", "a secret\n")
     token = SecretFile(tmp_path / "token")
     keys = {"database": None, "bucket": "a b", "organization": "plant"}
     (received,) = write(token=token, **keys).received
@@ -190,7 +191,7 @@ def test_a_demanded_pause_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"url": "http://"}, "url must be a URL such as"),
         ({"url": "http://192.0.2.1:99999", "database": "d"}, "url: the port must be in"),
         ({"url": "http://192.0.2.1/?db=x", "database": "d"}, "url must be a URL such as"),
-        ({"url": "http://me:pw@192.0.2.1", "database": "d"}, "write them as separate keys"),
+        ({"url": "http://me:pw@192.0.2.1", "database": "d"}, "must not contain a user or password"),
         ({"url": "http://192.0.2.1"}, "either database"),
         ({"url": "http://192.0.2.1", "database": "d", "bucket": "b"}, "either database"),
         ({"url": "http://192.0.2.1", "database": "d", "organization": "o"}, "organization"),
@@ -216,7 +217,7 @@ def test_a_token_stands_in_no_fleet_file(tmp_path: Path) -> None:
     with pytest.raises(FleetFileError, match="token must not be written in the file"):
         load(file)
     file.write_text(file.read_text().replace('token = "x"', 'token_file = "token"'))
-    (tmp_path / "token").write_text("x")
+    write_secret(tmp_path / "token", "x")
     assert load(file).made_outputs()[0].name == "influx 127.0.0.1:80"
 
 
