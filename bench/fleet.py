@@ -31,7 +31,7 @@ from bench.children import resident_memory
 from bench.memory import raise_descriptor_limit
 from libmodbus_py import Device, Fleet, Limits, Mapping, Point, RegisterMap, Server
 from libmodbus_py.fleet import DeviceConfig, Journal
-from libmodbus_py.services.fleet.outputs.file_outputs import JsonOutput
+from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.statistics import LATENESS_BOUNDS
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Fleet, Point, RegisterMap
-from libmodbus_py.services.fleet.outputs.file_outputs import JsonOutput
+from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from libmodbus_py.services.fleet.poller import DeviceState
 from tests.faults.injecting import Scenario, Trial, tried
 from tests.faults.test_clients import each_echoed, on_line

@@ -16,7 +16,7 @@ import pytest
 
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.engine.buckets import Watch
-from libmodbus_py.services.fleet.outputs.file_outputs import JsonOutput
+from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.services.tasks import AGAIN, end_tasks, finish, finishing
 from tests.services.fleet.outputs.test_unwritable_readings import Picky, reading

@@ -8,9 +8,9 @@ from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.buffer import MOST_KEPT
 from libmodbus_py.services.fleet.outputs.output import Output
 from libmodbus_py.services.fleet.outputs.pump import Pump
+from libmodbus_py.services.fleet.readings import MOST_KEPT
 
 __all__ = ["pumping", "write"]
 

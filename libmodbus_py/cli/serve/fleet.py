@@ -27,8 +27,8 @@ from ...services.engine.connection import (
 )
 from ...services.fleet.files import FleetFile
 from ...services.fleet.fleet import Fleet
-from ...services.fleet.journal.errors import JournalError
 from ...services.fleet.journal.journal import Journal
+from ...services.fleet.journal.schema import JournalError
 from ...services.fleet.outputs.output import Output, OutputError
 from ...services.workers.polling import Polling
 from ...services.workers.pushing import Pushed, changes, connections_of, push, seen_now

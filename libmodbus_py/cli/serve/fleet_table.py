@@ -8,8 +8,8 @@ from collections.abc import Iterator
 
 from ...protocol.plain import clock_text
 from ...services.fleet.fleet import Fleet
-from ...services.fleet.outputs.last_values import KeptReadings
 from ...services.fleet.poller import DeviceState
+from ...services.fleet.statistics import KeptReadings
 
 __all__ = ["fleet_lines"]
 

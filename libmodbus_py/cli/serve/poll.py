@@ -20,12 +20,10 @@ from ...server.running import Handler, frozen_garbage, signal_handlers
 from ...services.fleet.config import DeviceConfig
 from ...services.fleet.files import FleetFile, load
 from ...services.fleet.fleet import Fleet
-from ...services.fleet.journal.errors import JournalError
-from ...services.fleet.outputs.exclusive import check_exclusive
-from ...services.fleet.outputs.kinds import KINDS, made
-from ...services.fleet.outputs.last_values import LastValues
-from ...services.fleet.outputs.output import Output, OutputError
+from ...services.fleet.journal.schema import JournalError
+from ...services.fleet.outputs.output import KINDS, Output, OutputError, check_exclusive, made
 from ...services.fleet.outputs.writer_thread import WriterThread
+from ...services.fleet.statistics import LastValues
 from ...services.fleet.trial import Tried, overloads, trying
 from ...system import allow_all_descriptors
 from ...tools.files.texts import compared, reread

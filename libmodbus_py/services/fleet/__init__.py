@@ -5,19 +5,17 @@ From the fleet file to the wire, and back::
 
     files          fleet files in TOML
       devices_csv  ... and devices in CSV, for thousands
-    config         the options of a device: DeviceConfig; also as JSON
+    config         the options of a device: DeviceConfig; also as JSON; and the table [engine]
     fleet          polls devices and passes readings to outputs: Fleet
       schedule     the times of polls; no clock
       line         one connection: the order in which its devices are polled
         poller     ... one device: its polls, its state, and what was reported of it
       receivers    passes readings to the journal, to outputs, and to iterators
-    readings       values of devices, and the choice of those that are reported: Reading
-    buffer         readings that wait for an output; the oldest are dropped if there are too many
+    readings       values of devices, the choice of those that are reported, and those that wait
     journal        readings on the disk, a folder of its own
     outputs        the destinations of readings, a folder of its own
     commands       writes to named points that are received over an output
-    levels         names of devices and points as levels of subjects and topics
-    statistics     counters
+    statistics     counters, and the last readings, for metrics
     shown_fleet    values and devices as the live page shows them
     trial          checks before polling: the devices that answer, and overloaded serial lines
 """

@@ -1,5 +1,6 @@
 """
-The devices of a fleet, as frozen values, and as JSON that can be stored.
+The devices of a fleet, as frozen values, and as JSON that can be stored; and the table ``[engine]``
+of fleet files, which is checked wherever the file is read, on one machine too.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal, get_args
 
 from ...client.options import CheckedOptions
 from ...maps.point import Point
@@ -23,15 +24,14 @@ from ...protocol.checks import integer, number, seconds
 from ...protocol.close_names import named_arguments
 from ...protocol.json_text import json_text
 from ...protocol.mistakes import Path, WrongType, WrongValue, inside
+from ...tools.files.schema import Key, Keys, flag, one_of, whole
 
+# fmt: off
 __all__ = [
-    "DeviceConfig",
-    "by_connection",
-    "checked",
-    "devices_from_json",
-    "devices_to_json",
-    "label_name",
+    "ENGINE", "LONGEST_LEASE", "SHORTEST_LEASE", "DeviceConfig", "OnLoss", "by_connection",
+    "checked", "devices_from_json", "devices_to_json", "label_name",
 ]
+# fmt: on
 
 
 LONGEST_NAME = 100
@@ -344,3 +344,30 @@ def _changed(value: object, of: Iterable[Any]) -> dict[str, Any]:
         if given != usual:
             found[each.name] = dict(given) if isinstance(given, Mapping) else given
     return found
+
+
+OnLoss = Literal["stop", "continue"]
+
+SHORTEST_LEASE, LONGEST_LEASE = 0.5, 60.0
+
+# Ten years, in seconds.
+LONGEST_AGE = 3.2e8
+
+
+def _lease(path: Path, value: object) -> float:
+    return seconds(path, value, SHORTEST_LEASE, LONGEST_LEASE)
+
+
+def _age(path: Path, value: object) -> float:
+    return seconds(path, value, high=LONGEST_AGE)
+
+
+ENGINE = Keys(
+    [
+        Key("lease", _lease, "how long a worker may poll without NATS, in seconds, 0.5..60"),
+        Key("on_engine_loss", one_of(*get_args(OnLoss)), "what workers do when NATS is lost"),
+        Key("commands", flag, "whether points may be written through NATS"),
+        Key("max_age", _age, "how long NATS keeps readings, in seconds"),
+        Key("max_bytes", whole(1 << 16, 1 << 50), "how many bytes of readings NATS keeps"),
+    ]
+)

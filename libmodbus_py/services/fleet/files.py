@@ -9,9 +9,9 @@ Fleet files: devices and outputs, described in TOML.
                                 [[device.point]] tables with the keys of `Point`
     journal, keep, journal_size
                                 as `journal.Journal`: path, keep, size
-    [engine]                    for several machines, see `engine_table`
+    [engine]                    for several machines, see `config.ENGINE`
     [output.json] [output.csv] [output.mqtt] ...
-                                as `outputs.kinds`; [[output.json]] for several of a kind;
+                                as `outputs.output.KINDS`; [[output.json]] for several of a kind;
                                 "${NAME}" stands for a variable of the environment
 """
 
@@ -42,14 +42,11 @@ from ...tools.files.maps.map_file import load_map
 from ...tools.files.schema import REQUIRED, Key, Keys, in_bytes, in_seconds, keys_of, tables
 from ...tools.files.texts import FileError, load_file, read_text, read_toml
 from ...tools.simulator.example_files import map_file
-from .config import DeviceConfig, checked
+from .config import ENGINE, DeviceConfig, checked
 from .devices_csv import DeviceRow, device_rows
-from .engine_table import ENGINE
 from .journal.journal import KEEP_BOUNDS, SIZE_BOUNDS, Journal
 from .outputs.credentials import SecretFile
-from .outputs.exclusive import file_at, shared, used
-from .outputs.kinds import KINDS, made, output_keys
-from .outputs.output import Described, Output
+from .outputs.output import KINDS, Described, Output, file_at, made, output_keys, shared, used
 
 __all__ = ["DEVICE", "FILE", "FleetFile", "FleetFileError", "load"]
 

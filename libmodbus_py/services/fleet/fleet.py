@@ -15,7 +15,6 @@ from ...maps.register_map import RegisterMap
 from ...maps.typed import json_value
 from ...protocol.close_names import named_arguments
 from ...protocol.logs import HarmlessLogger
-from .buffer import MOST_KEPT
 from .commands import Commands
 from .config import DeviceConfig, by_connection, checked
 from .files import load
@@ -23,7 +22,7 @@ from .journal.journal import Journal
 from .line import FleetLine, MayAsk
 from .outputs.output import Output
 from .poller import DeviceState, Poller, Reads, offline
-from .readings import Reading
+from .readings import MOST_KEPT, Reading
 from .receivers import Readings, Receivers
 from .schedule import Timetable, first_time, next_time
 from .statistics import FleetStatistics

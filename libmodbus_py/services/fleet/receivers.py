@@ -14,15 +14,13 @@ from collections import Counter
 from collections.abc import AsyncIterator, Collection, Iterable, Mapping, Sequence
 from typing import Any, Self
 
-from .buffer import Buffer
 from .commands import Commands
 from .config import DeviceConfig
 from .journal.journal import Journal
 from .journal.place import JournalPlace
-from .outputs.exclusive import check_exclusive
-from .outputs.output import Commanded, Described, Output
+from .outputs.output import Commanded, Described, Output, check_exclusive
 from .outputs.pump import Pump
-from .readings import Reading
+from .readings import Buffer, Reading
 from .statistics import FleetStatistics
 
 __all__ = ["Readings", "Receivers"]

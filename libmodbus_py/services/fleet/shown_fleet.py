@@ -22,10 +22,9 @@ from ...tools.page.table_source import (
 from ...tools.page.text import cell_text
 from .config import DeviceConfig
 from .fleet import Fleet
-from .outputs.last_values import LastValues
 from .poller import DeviceState, Poller
 from .readings import Reading
-from .statistics import JournalStatistics, OutputStatistics
+from .statistics import JournalStatistics, LastValues, OutputStatistics
 
 __all__ = ["PageOutput", "ShownFleet"]
 

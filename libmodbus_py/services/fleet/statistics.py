@@ -1,15 +1,23 @@
 """
-Counters of a fleet and of its outputs.
+Counters of a fleet and of its outputs, and the last reading of each point, for metrics.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from .buffer import Buffer
+from .config import DeviceConfig
+from .readings import Buffer, Reading
 
-__all__ = ["LATENESS_BOUNDS", "FleetStatistics", "JournalStatistics", "OutputStatistics"]
+# fmt: off
+__all__ = [
+    "LATENESS_BOUNDS", "FleetStatistics", "JournalStatistics", "KeptReadings", "LastValues",
+    "OutputStatistics",
+]
+# fmt: on
+
 
 LATENESS_BOUNDS: tuple[float, ...] = (*(0.001, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 5.0),)
 """Upper bounds of the classes in which polls are counted by their lateness, in seconds."""
@@ -125,3 +133,54 @@ class FleetStatistics:
         """Return the share of polls, 0..1, no later than one of the `LATENESS_BOUNDS`."""
         total = sum(self.lateness)
         return sum(self.lateness[: bisect_left(LATENESS_BOUNDS, seconds) + 1]) / (total or 1)
+
+
+@dataclass(slots=True, weakref_slot=True)
+class KeptReadings:
+    """
+    The last readings.
+
+    Attributes:
+        by_name: (device, name) -> its last reading.
+        labels: device -> its labels.
+    """
+
+    by_name: dict[tuple[str, str], Reading] = field(default_factory=dict)
+    labels: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+
+
+class LastValues:
+    """
+    Keeps the last reading of each point of a fleet.
+
+    Attributes:
+        statistics: the last readings.
+        is_live: True, because readings of earlier runs are not wanted.
+    """
+
+    name = "metrics"
+    is_live = True
+
+    def __init__(self) -> None:
+        self.statistics: KeptReadings = KeptReadings()
+
+    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
+        """Set the labels of devices, and forget the readings of all other devices."""
+        kept = self.statistics
+        kept.labels = {name: each.labels for name, each in devices.items()}
+        kept.by_name = {key: each for key, each in kept.by_name.items() if key[0] in devices}
+
+    async def open(self) -> None:
+        """Do nothing: there is no connection."""
+
+    async def write(self, readings: Sequence[Reading]) -> None:
+        kept = self.statistics
+        for each in readings:
+            # A reading may have waited while its device was removed.
+            if each.quality == "offline" or each.device not in kept.labels:
+                kept.by_name.pop((each.device, each.name), None)
+            else:
+                kept.by_name[each.device, each.name] = each
+
+    async def close(self) -> None:
+        """Do nothing: there is no connection."""

@@ -46,11 +46,11 @@ from ...protocol.extras import what_is_missing
 from ...server.limits import ServerStatistics
 from ...tools.timed_server import TimedServer
 from ..fleet.config import label_name
-from ..fleet.outputs.last_values import KeptReadings
 from ..fleet.statistics import (
     LATENESS_BOUNDS,
     FleetStatistics,
     JournalStatistics,
+    KeptReadings,
     OutputStatistics,
 )
 from ..gateway.statistics import GatewayStatistics, LineStatistics, UnitStatistics

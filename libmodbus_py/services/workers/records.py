@@ -22,7 +22,7 @@ from typing import Any, Literal, NamedTuple, get_args
 from ...protocol.checks import number
 from ...protocol.json_text import SORTED_JSON, json_text
 from ...tools.files.schema import one_of
-from ..fleet.engine_table import ENGINE, LONGEST_LEASE, SHORTEST_LEASE, OnLoss
+from ..fleet.config import ENGINE, LONGEST_LEASE, SHORTEST_LEASE, OnLoss
 
 __all__ = [
     "BUCKET",

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 from ..engine.buckets import TIMEOUT, keep_stream
 from ..engine.connection import EngineError, explained
-from ..fleet.levels import Levels
-from ..fleet.outputs.poll_messages import poll_messages
+from ..fleet.outputs.forms import poll_messages
+from ..fleet.outputs.topics import Levels
 from ..fleet.readings import Reading
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from libmodbus_py import Device, Fleet, Mapping, Server
 from libmodbus_py.cli.screen import Redrawn
 from libmodbus_py.cli.serve.fleet_table import fleet_lines
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.outputs.last_values import KeptReadings
+from libmodbus_py.services.fleet.statistics import KeptReadings
 from tests.support.cases import each_case
 from tests.support.commands import on_terminal
 

@@ -10,7 +10,7 @@ import pytest
 
 from libmodbus_py import Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig, Reading
-from libmodbus_py.services.fleet.buffer import Buffer
+from libmodbus_py.services.fleet.readings import Buffer
 from libmodbus_py.tools.files.csv_text import CELLS
 from tests.support.cases import each_case
 

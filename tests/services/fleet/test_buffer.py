@@ -9,7 +9,7 @@ import asyncio
 from collections.abc import Sequence
 
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.buffer import Buffer
+from libmodbus_py.services.fleet.readings import Buffer
 
 
 def poll(time: float, count: int = 1, device: str = "meter") -> list[Reading]:

@@ -21,9 +21,8 @@ from libmodbus_py import (
     NoValue,
 )
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.buffer import Buffer
 from libmodbus_py.services.fleet.outputs.forms import as_csv, as_json
-from libmodbus_py.services.fleet.readings import Changes, classified, is_down
+from libmodbus_py.services.fleet.readings import Buffer, Changes, classified, is_down
 
 NAN = math.nan
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py.services.fleet.engine_table import ENGINE
+from libmodbus_py.services.fleet.config import ENGINE
 from libmodbus_py.services.fleet.files import FleetFileError, load
 from libmodbus_py.services.workers.records import FleetSettings
 from tests.support.cases import each_case

@@ -14,11 +14,15 @@ import pytest
 
 from libmodbus_py import Fleet, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig
-from libmodbus_py.services.fleet.config import by_connection, devices_from_json, devices_to_json
-from libmodbus_py.services.fleet.engine_table import ENGINE
+from libmodbus_py.services.fleet.config import (
+    ENGINE,
+    by_connection,
+    devices_from_json,
+    devices_to_json,
+)
 from libmodbus_py.services.fleet.files import FILE, SECRET, TABLE, FleetFileError, load
-from libmodbus_py.services.fleet.outputs.kinds import KINDS, output_keys
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
+from libmodbus_py.services.fleet.outputs.output import KINDS, output_keys
 from tests.services.fleet.fleets import METER, meter
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "fleet.toml"

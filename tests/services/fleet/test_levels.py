@@ -4,7 +4,7 @@ Names as levels of topics and subjects: there and back, and nothing else back.
 
 from __future__ import annotations
 
-from libmodbus_py.services.fleet.levels import Levels
+from libmodbus_py.services.fleet.outputs.topics import Levels
 from tests.support.cases import each_case
 
 LEVELS = Levels(r"[\s.%/]")

@@ -7,9 +7,9 @@ from __future__ import annotations
 import pytest
 
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.buffer import Buffer
-from libmodbus_py.services.fleet.outputs import refusals as module
-from libmodbus_py.services.fleet.outputs.refusals import Refusals
+from libmodbus_py.services.fleet.outputs import pump as module
+from libmodbus_py.services.fleet.outputs.pump import Refusals
+from libmodbus_py.services.fleet.readings import Buffer
 
 
 def poll(device: str, time: float = 1.0) -> list[Reading]:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.outputs.last_values import LastValues
+from libmodbus_py.services.fleet.statistics import LastValues
 from tests.services.fleet.fleets import Peer, good, meter, polling, simulated_run, until
 
 OFFLINE = [("voltage", None, "V"), ("power", None, "W"), ("setpoint", None, "C")]

@@ -26,17 +26,14 @@ from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType
 from ....tools.files.schema import in_bytes, in_seconds
 from ...tasks import Pauses, end_tasks, finish
-from ..outputs.exclusive import file_at
+from ..outputs.output import file_at
 from ..outputs.writer_thread import WriterThread
 from ..readings import Reading
 from ..statistics import JournalStatistics
-from .errors import JournalDamaged, JournalError, JournalTrouble
 from .journal_file import Begun, JournalFile, JournalState
 from .journal_reader import HistoricalValue, JournalReader, history
-from .numbers import Unused
-from .place import LONGEST_EPISODE_S, JournalPlace
-from .polls import JournalPoll, numbered
-from .recent import RecentPolls
+from .place import LONGEST_EPISODE_S, JournalPlace, RecentPolls
+from .schema import JournalDamaged, JournalError, JournalPoll, JournalTrouble, Unused, numbered
 
 __all__ = ["KEEP_BOUNDS", "SIZE_BOUNDS", "Journal"]
 

@@ -16,10 +16,19 @@ from typing import NamedTuple
 from ....protocol.json_text import SORTED_JSON
 from ....protocol.logs import HarmlessLogger
 from ....system import lock_file
-from .errors import JournalDamaged, JournalError, raised
-from .numbers import first_id
-from .polls import JournalPoll, Points, Row, encoded
-from .schema import APPLICATION, SCHEMA, VERSION
+from .schema import (
+    APPLICATION,
+    SCHEMA,
+    VERSION,
+    JournalDamaged,
+    JournalError,
+    JournalPoll,
+    Points,
+    Row,
+    encoded,
+    first_id,
+    raised,
+)
 
 __all__ = ["Begun", "JournalFile", "JournalState"]
 

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ....protocol.checks import integer
 from ....protocol.logs import HarmlessLogger
 from ..readings import NO_LABELS
-from .errors import JournalError, raised
-from .polls import JournalPoll, Points, Row, decoded
+from .schema import JournalError, JournalPoll, Points, Row, decoded, raised
 
 if TYPE_CHECKING:
     from ....tools.page.table_source import Older

@@ -5,9 +5,9 @@ The tables of a journal.
 
     device (id, name, labels)               labels in JSON; a row for each set of labels
     point  (id, points, device, name, unit) `points` is the id of the first point of its list
-    poll   (id, readings, time, device, points, chosen, data, trouble)       see `polls.Row`
+    poll   (id, readings, time, device, points, chosen, data, trouble)       see `Row`
     place  (output, confirmed)              the last reading that each output has confirmed
-    run    (first, unused)                  see `numbers.Unused`
+    run    (first, unused)                  see `Unused`
     reading                                 a view: one row for each reading
 
 The newest list of points of a device has all points that the device ever had. A poll refers to
@@ -17,7 +17,26 @@ such as those that have changed, add no lists, also after a failed transaction o
 
 from __future__ import annotations
 
-__all__ = ["APPLICATION", "SCHEMA", "VERSION"]
+import contextlib
+import json
+import sqlite3
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import groupby
+from typing import Any, NamedTuple
+
+from ....protocol.json_text import COMPACT_JSON
+from ....protocol.plain import plain
+from ..readings import Reading
+
+# fmt: off
+__all__ = [
+    "APPLICATION", "SCHEMA", "VERSION", "JournalDamaged", "JournalError", "JournalPoll",
+    "JournalTrouble", "Points", "Row", "Unused", "decoded", "encoded", "first_id", "numbered",
+    "raised",
+]
+# fmt: on
+
 
 # In the header of the file; `file` and other programs name the kind of a database by it.
 APPLICATION = 0x4D424A31
@@ -74,3 +93,226 @@ SELECT poll.id + value.key AS id,
   JOIN point ON point.id = poll.points
        + coalesce(json_extract(poll.chosen, '$[' || value.key || ']'), value.key);
 """
+
+
+_SIMPLE = {int, float, bool, str, type(None)}
+
+
+class JournalPoll(NamedTuple):
+    """
+    The readings of one poll of a device, with ids that follow each other.
+
+    Attributes:
+        first, last: the ids of the first and the last reading.
+        readings: the readings.
+    """
+
+    first: int
+    last: int
+    readings: Sequence[Reading]
+
+
+class Points:
+    """
+    A list of points of a device, to whose positions rows refer.
+
+    Args:
+        id: the id of the first point in the table `point`; the others have the next ones.
+        device: the id of the device.
+        named: name and unit of each point.
+
+    Attributes:
+        id, device, named: as given.
+        positions: name and unit -> position.
+    """
+
+    def __init__(self, id: int, device: int, named: Sequence[tuple[str, str]]) -> None:
+        self.id: int = id
+        self.device: int = device
+        self.named: Sequence[tuple[str, str]] = named
+        self.positions: dict[tuple[str, str], int] = {each: at for at, each in enumerate(named)}
+
+
+class Row(NamedTuple):
+    """
+    A row of the table `poll`.
+
+    Attributes:
+        id: the id of the first reading.
+        readings: the number of readings.
+        time: seconds since the epoch.
+        device: the id of the device.
+        points: the id of the first of its points.
+        chosen: the positions of the points that the row contains, in JSON; None for the first
+            ones, in order.
+        data: the values, in JSON.
+        trouble: quality and reason of each reading that is not simply good, by its position in
+            the data, in JSON; None if all are good.
+    """
+
+    id: int
+    readings: int
+    time: float
+    device: int
+    points: int
+    chosen: str | None
+    data: str
+    trouble: str | None
+
+
+def numbered(readings: Iterable[Reading], first: int) -> Iterator[JournalPoll]:
+    """Yield readings as polls, with ids from `first` on; those that have them keep them."""
+    for _, group in groupby(readings, lambda each: each.poll):
+        poll = list(group)
+        if poll[0].id != first:
+            poll = [each._replace(id=first + at) for at, each in enumerate(poll)]
+        yield JournalPoll(first, first + len(poll) - 1, poll)
+        first += len(poll)
+
+
+def encoded(poll: JournalPoll, points: Points) -> Row:
+    """
+    Return a poll as a row.
+
+    Raises:
+        KeyError: a reading is of none of the points.
+        TypeError, ValueError: a value that JSON cannot contain.
+    """
+    readings = poll.readings
+    positions = [points.positions[each.name, each.unit] for each in readings]
+    values = [each.value for each in readings]
+    if not _SIMPLE.issuperset(map(type, values)):
+        values = [plain(value) for value in values]
+    trouble = {
+        str(at): [each.quality, each.reason]
+        for at, each in enumerate(readings)
+        if each.reason or each.quality != "good"
+    }
+    return Row(
+        poll.first,
+        len(readings),
+        readings[0].time,
+        points.device,
+        points.id,
+        None if positions == [*range(len(positions))] else COMPACT_JSON.encode(positions),
+        _json_of(values),
+        COMPACT_JSON.encode(trouble) if trouble else None,
+    )
+
+
+def _json_of(values: list[Any]) -> str:
+    try:
+        return COMPACT_JSON.encode(values)
+    except ValueError:  # nan or infinite
+        return COMPACT_JSON.encode(plain(values))
+
+
+def decoded(row: Row, device: str, labels: Mapping[str, str], points: Points) -> JournalPoll:
+    """
+    Return a row as a poll.
+
+    Raises:
+        AttributeError, LookupError, TypeError, ValueError: the row is damaged.
+    """
+    values = json.loads(row.data)
+    positions = range(row.readings) if row.chosen is None else json.loads(row.chosen)
+    trouble = json.loads(row.trouble) if row.trouble else {}
+    readings = [
+        Reading(row.time, device, name, value, unit, "good", "", row.id + at, labels)
+        for at, ((name, unit), value) in enumerate(
+            zip([points.named[each] for each in positions], values, strict=True)
+        )
+    ]
+    for at, (quality, reason) in trouble.items():
+        readings[int(at)] = readings[int(at)]._replace(quality=quality, reason=reason)
+    return JournalPoll(row.id, row.id + len(readings) - 1, readings)
+
+
+# More readings than can be sent to outputs, and be lost in a crash before they are on the disk.
+MARGIN = 10_000_000
+
+
+def first_id(now: float, last: int) -> int:
+    """
+    Return the first id of a run.
+
+    It is the time in microseconds: a journal that replaces a deleted one has greater ids too,
+    because a fleet has less than a million readings a second.
+
+    Args:
+        now: seconds since the epoch, by a clock that may be wrong.
+        last: the greatest id that the journal contains; 0 if it is new.
+    """
+    return max(int(now * 1e6), last + MARGIN if last else 1)
+
+
+class Unused:
+    """
+    The ids that no reading has: at the beginning of each run some are left out.
+
+    Args:
+        runs: the first id of each run, and how many before it are left out, in order.
+    """
+
+    def __init__(self, runs: Iterable[tuple[int, int]] = ()) -> None:
+        self._first: list[int] = []
+        self._unused: list[int] = []
+        self._sums: list[int] = [0]
+        for first, unused in runs:
+            self.add(first, unused)
+
+    def add(self, first: int, unused: int) -> None:
+        """Note a run."""
+        self._first.append(first)
+        self._unused.append(unused)
+        self._sums.append(self._sums[-1] + unused)
+
+    def between(self, after: int, last: int) -> int:
+        """Return the number of readings that have ids above `after`, up to `last`."""
+        return max(0, self._used(last) - self._used(after))
+
+    def _used(self, number: int) -> int:
+        at = bisect_right(self._first, number)
+        unused = self._sums[at]
+        if at < len(self._first):  # the id may be one of those left out before the next run
+            unused += max(0, number - (self._first[at] - self._unused[at]) + 1)
+        return number - unused
+
+
+_DAMAGE = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
+
+_REASONS: dict[int, str] = {
+    sqlite3.SQLITE_FULL: "the disk is full",
+    sqlite3.SQLITE_READONLY: "cannot be written to",
+    sqlite3.SQLITE_CANTOPEN: "cannot be opened; its folder must exist, and be writable",
+    sqlite3.SQLITE_PERM: "must not be opened",
+    sqlite3.SQLITE_BUSY: "another program has locked it",
+    sqlite3.SQLITE_LOCKED: "another program has locked it",
+    sqlite3.SQLITE_IOERR: "the disk reports an error",
+}
+
+
+class JournalError(Exception):
+    """A journal cannot be used: it has another version, or another program uses it."""
+
+
+class JournalDamaged(JournalError):
+    """The file of a journal is damaged, or another program has deleted or replaced it."""
+
+
+class JournalTrouble(JournalError):
+    """A journal cannot be used now; a disk is full, for example."""
+
+
+@contextlib.contextmanager
+def raised(path: str) -> Iterator[None]:
+    """Raise errors of SQLite and of the system as those of journals."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        code = (getattr(error, "sqlite_errorcode", None) or 0) & 0xFF
+        if code in _DAMAGE:
+            raise JournalDamaged(f"{path}: is damaged: {error}") from error
+        raise JournalTrouble(f"{path}: {_REASONS.get(code, str(error))}") from error
+    except OSError as error:
+        raise JournalTrouble(f"{path}: {error.strerror or error}") from error

@@ -18,9 +18,8 @@ from ....protocol.mistakes import WrongType, WrongValue
 from ....protocol.plain import without_controls
 from ...server_url import server_url
 from ...tasks import finish
-from ..buffer import MOST_KEPT
 from ..config import DeviceConfig
-from ..readings import Reading
+from ..readings import MOST_KEPT, Reading
 from .credentials import SecretFile, Trust, text_of
 from .line_file import LineFile
 from .line_protocol import LineProtocol

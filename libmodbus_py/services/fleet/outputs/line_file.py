@@ -1,6 +1,6 @@
 """
-Lines of readings in a file or on the standard output, written by a thread, so that a slow disk or
-reader delays nothing else.
+Outputs to files and to the standard output: lines of JSON, rows of CSV, or lines of another format.
+A thread writes them, so that a slow disk or reader delays nothing else.
 """
 
 from __future__ import annotations
@@ -11,18 +11,20 @@ import os
 import select
 import stat
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import BinaryIO, NamedTuple
 
 from ....protocol.mistakes import WrongType, WrongValue
 from ....protocol.plain import without_controls
+from ....tools.files.csv_text import csv_rows
 from ...tasks import finish
-from ..buffer import MOST_KEPT
-from ..readings import Reading
-from .exclusive import file_at
-from .output import OutputError
+from ..readings import MOST_KEPT, Reading
+from .forms import COLUMNS, as_csv, as_json
+from .output import OutputError, file_at
 from .writer_thread import WriterThread
 
-__all__ = ["Format", "LineFile"]
+__all__ = ["CsvOutput", "Format", "JsonOutput", "LineFile"]
+
 
 # Bytes that are read at once from a file whose last line was not ended.
 PIECE = 1 << 20
@@ -230,3 +232,55 @@ class LineFile:
 def _thing(path: str) -> str:
     """Return what an output to this path has for itself, in words."""
     return "the standard output" if path == "-" else file_at(path)
+
+
+class JsonOutput(LineFile):
+    """
+    Appends readings to a file: device, name, time (ISO 8601, UTC), value, unit, quality, and
+    the reason if there is no value, and the labels of the device if it has any.
+
+    Args:
+        path: the path of the file; "-" for the standard output. The fleet ends when the standard
+            output is closed.
+        buffer: the most readings that wait for the file; the oldest are dropped beyond.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range.
+    """
+
+    def __init__(self, path: str = "-", buffer: int = MOST_KEPT) -> None:
+        super().__init__(path, Format("json", as_json, b'{"device": '), buffer)
+
+
+class CsvOutput(LineFile):
+    """
+    Appends readings to a file; the first line of a new file contains the names of the columns.
+
+    Args:
+        path, buffer: as for `JsonOutput`.
+        labels: names of labels of devices, each of which is a column behind the others; empty
+            for devices that lack the label.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range.
+    """
+
+    def __init__(
+        self, path: str = "-", buffer: int = MOST_KEPT, labels: Sequence[str] = ()
+    ) -> None:
+        columns = _columns(labels)
+        header = csv_rows([(*COLUMNS, *columns)]).encode()
+        lines = partial(as_csv, labels=columns)
+        super().__init__(path, Format("csv", lines, header, has_header=True, quote=b'"'), buffer)
+
+
+def _columns(labels: object) -> list[str]:
+    """Return the names of the columns for labels."""
+    if isinstance(labels, str) or not isinstance(labels, Sequence):
+        raise WrongType("labels", f"must be a list of names, not {labels!r}")
+    for at, name in enumerate(labels):
+        if not isinstance(name, str) or not name:
+            raise WrongType(("labels", at), f"must be text, not {name!r}")
+        if name in COLUMNS or name in labels[:at]:
+            raise WrongValue.about(("labels", at), f"there is a column {name!r} already")
+    return [*labels]

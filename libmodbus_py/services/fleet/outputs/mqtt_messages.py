@@ -9,8 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
 
 from ..readings import Reading
-from .forms import object_text
-from .poll_messages import newest, poll_messages
+from .forms import newest, object_text, poll_messages
 from .topics import Topic
 
 __all__ = ["MOST_LOSSES", "OFFLINE", "ONLINE", "DeviceStates", "Key", "Message", "Messages"]

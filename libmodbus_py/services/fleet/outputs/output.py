@@ -1,17 +1,31 @@
 """
-The protocols that outputs implement.
+What outputs are: the protocols that they implement, the table of their kinds, and what only one may
+use: a file, the standard output, a topic.
+
+An output, or a journal, may have an attribute `exclusive`: a tuple of such things in words, such as
+"the file /tmp/readings.csv"; and a method `shares(other)`, which returns what it would share with
+another output, in words, or None.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Protocol, runtime_checkable
+import os
+from collections.abc import Container, Mapping, Sequence
+from importlib import import_module
+from itertools import combinations
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+from ....tools.files.schema import Keys, keys_of
 from ..commands import Commands
 from ..config import DeviceConfig
 from ..readings import Reading
 
-__all__ = ["Commanded", "Described", "Output", "OutputError", "ReadingsRefused"]
+# fmt: off
+__all__ = [
+    "KINDS", "Commanded", "Described", "Output", "OutputError", "ReadingsRefused",
+    "check_exclusive", "file_at", "made", "output_keys", "shared", "used",
+]
+# fmt: on
 
 
 class OutputError(Exception):
@@ -100,3 +114,102 @@ class Described(Protocol):
             ValueError: a device lacks a label that this output needs; nothing changes then.
         """
         ...
+
+
+def shared(outputs: Sequence[Output]) -> tuple[int, int, str] | None:
+    """
+    Return the first thing that two outputs would use, or None if there is none.
+
+    Returns:
+        The positions of the outputs, and the thing in words.
+    """
+    for (at, first), (second_at, second) in combinations(enumerate(outputs), 2):
+        # One task calls an output: an object that is there twice would be called by two.
+        what = f"the same {first.name}" if first is second else used(second, _exclusive(first))
+        what = what or getattr(first, "shares", _nothing)(second)
+        if what is not None:
+            return at, second_at, what
+    return None
+
+
+def check_exclusive(
+    outputs: Sequence[Output], journal: object = None, sources: Container[str] = ()
+) -> None:
+    """
+    Check that nothing is used twice.
+
+    Args:
+        journal: the journal of the fleet; None if it has none.
+        sources: the files that the fleet is read from, as `file_at` calls them.
+
+    Raises:
+        ValueError: two outputs, an output and the journal, or an output and a source would use the
+            same thing.
+    """
+    if (found := shared(outputs)) is not None:
+        raise ValueError(f"two outputs use {found[2]}")
+    for output in outputs:
+        if (both := used(output, _exclusive(journal))) is not None:
+            raise ValueError(f"the journal and {output.name} use {both}")
+        if (both := used(output, sources)) is not None:
+            raise ValueError(f"{output.name} uses {both}, which the fleet is read from")
+
+
+def used(output: Output, others: Container[str]) -> str | None:
+    """Return the first thing of an output that is among those of others, or None."""
+    return next((each for each in _exclusive(output) if each in others), None)
+
+
+def file_at(path: str) -> str:
+    """Return the words for a file, the same for all paths that lead to it."""
+    return f"the file {os.path.realpath(path)}"
+
+
+def _exclusive(thing: object) -> tuple[str, ...]:
+    return getattr(thing, "exclusive", ())
+
+
+def _nothing(_: object) -> None:
+    """An output shares nothing unless it has a method for this."""
+
+
+class OutputKind(NamedTuple):
+    """
+    One kind of outputs.
+
+    Attributes:
+        module: its file in this folder, imported when an output is made.
+        name: its class. The arguments of the class are the keys in fleet files.
+        form: what it appends to a file, for the help of an option of the command line; empty if
+            it needs more than a path.
+    """
+
+    module: str
+    name: str
+    form: str = ""
+
+
+KINDS: dict[str, OutputKind] = {
+    "json": OutputKind("line_file", "JsonOutput", "lines of JSON"),
+    "csv": OutputKind("line_file", "CsvOutput", "CSV"),
+    "influx": OutputKind("influx", "Influx", "line protocol of InfluxDB"),
+    "mqtt": OutputKind("mqtt", "Mqtt"),
+}
+"""Name in fleet files and of options -> the kind."""
+
+
+def output_keys(kind: str) -> Keys:
+    """Return the keys that a kind of outputs has in a fleet file."""
+    row = KINDS[kind]
+    return keys_of(getattr(import_module(f".{row.module}", __package__), row.name))
+
+
+def made(kind: str, keys: dict[str, Any]) -> Output:
+    """
+    Make an output.
+
+    Raises:
+        TypeError, ValueError: a key of the wrong name, type or range.
+    """
+    output: Output = output_keys(kind).read((), keys)
+    return output

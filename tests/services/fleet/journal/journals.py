@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.journal.polls import JournalPoll, numbered
+from libmodbus_py.services.fleet.journal.schema import JournalPoll, numbered
 
 
 class Inline:

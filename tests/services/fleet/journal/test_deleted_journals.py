@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Fleet
-from libmodbus_py.services.fleet.journal.errors import JournalDamaged, JournalError
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.journal_reader import JournalReader, past_in
+from libmodbus_py.services.fleet.journal.schema import JournalDamaged, JournalError
 from tests.services.fleet.fleets import until
 from tests.services.fleet.journal.journals import polls
 from tests.services.fleet.journal.test_journal import Broker, in_journal, run_for

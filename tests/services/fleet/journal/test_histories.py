@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py.services.fleet.journal.errors import JournalError
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.journal_reader import (
     HistoricalValue,
@@ -19,7 +18,7 @@ from libmodbus_py.services.fleet.journal.journal_reader import (
     past_in,
     thinned,
 )
-from libmodbus_py.services.fleet.journal.polls import numbered
+from libmodbus_py.services.fleet.journal.schema import JournalError, numbered
 from tests.services.fleet.journal.journals import readings
 
 SINCE = 1_700_000_000.0

@@ -18,12 +18,12 @@ import pytest
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import Journal, JournalError, Reading
 from libmodbus_py.services.fleet.journal import journal as journal_module
-from libmodbus_py.services.fleet.journal import recent
-from libmodbus_py.services.fleet.journal.errors import JournalDamaged, JournalTrouble
+from libmodbus_py.services.fleet.journal import place as recent
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.journal_reader import JournalReader
+from libmodbus_py.services.fleet.journal.schema import JournalDamaged, JournalTrouble
 from libmodbus_py.services.fleet.outputs import pump as pumps
-from libmodbus_py.services.fleet.outputs.file_outputs import JsonOutput
+from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from tests.services.fleet.fleets import LONGEST, Peer, meter, simulated_run, until
 from tests.services.fleet.journal.journals import Inline, readings
 from tests.simulation.network import Network

@@ -19,15 +19,16 @@ import pytest
 
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.journal import journal_file
-from libmodbus_py.services.fleet.journal.errors import (
-    JournalDamaged,
-    JournalError,
-    JournalTrouble,
-)
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.journal_reader import JournalReader, history
-from libmodbus_py.services.fleet.journal.numbers import MARGIN
-from libmodbus_py.services.fleet.journal.polls import JournalPoll, numbered
+from libmodbus_py.services.fleet.journal.schema import (
+    MARGIN,
+    JournalDamaged,
+    JournalError,
+    JournalPoll,
+    JournalTrouble,
+    numbered,
+)
 from tests.services.fleet.journal.journals import polls, readings
 
 DAY = 86_400.0

@@ -10,7 +10,7 @@ import time
 
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.journal_reader import JournalReader, history
-from libmodbus_py.services.fleet.journal.polls import JournalPoll, numbered
+from libmodbus_py.services.fleet.journal.schema import JournalPoll, numbered
 from tests.services.fleet.journal.journals import readings
 
 KEEP = 1000.0

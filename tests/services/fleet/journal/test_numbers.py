@@ -4,7 +4,7 @@ The ids of readings: above all that were given before, and with holes that no re
 
 from __future__ import annotations
 
-from libmodbus_py.services.fleet.journal.numbers import MARGIN, Unused, first_id
+from libmodbus_py.services.fleet.journal.schema import MARGIN, Unused, first_id
 
 
 def test_the_first_id_is_above_all_that_may_have_been_given() -> None:

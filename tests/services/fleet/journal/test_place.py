@@ -9,7 +9,7 @@ import asyncio
 import pytest
 
 from libmodbus_py.services.fleet.journal.place import JournalPlace
-from libmodbus_py.services.fleet.journal.polls import JournalPoll
+from libmodbus_py.services.fleet.journal.schema import JournalPoll
 from tests.services.fleet.fleets import simulated_run
 from tests.services.fleet.journal.journals import polls
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import pytest
 
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.journal.polls import Points, decoded, encoded, numbered
+from libmodbus_py.services.fleet.journal.schema import Points, decoded, encoded, numbered
 from tests.services.fleet.journal.journals import readings
 from tests.support.cases import each_case
 

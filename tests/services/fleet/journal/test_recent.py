@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import pytest
 
-from libmodbus_py.services.fleet.journal import recent
-from libmodbus_py.services.fleet.journal.recent import RecentPolls
+from libmodbus_py.services.fleet.journal import place as recent
+from libmodbus_py.services.fleet.journal.place import RecentPolls
 from tests.services.fleet.journal.journals import polls
 
 

@@ -21,7 +21,7 @@ from libmodbus_py import Fleet
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services import tasks
 from libmodbus_py.services.fleet.files import load
-from libmodbus_py.services.fleet.outputs.file_outputs import CsvOutput, JsonOutput
+from libmodbus_py.services.fleet.outputs.line_file import CsvOutput, JsonOutput
 from libmodbus_py.services.fleet.outputs.output import Output, OutputError
 from tests.services.fleet.fleets import LONGEST, Peer, RealPeer, meter, simulated_run, until
 

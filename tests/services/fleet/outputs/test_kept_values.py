@@ -7,10 +7,10 @@ from __future__ import annotations
 import asyncio
 
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.outputs.file_outputs import JsonOutput
-from libmodbus_py.services.fleet.outputs.last_values import LastValues
+from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from libmodbus_py.services.fleet.outputs.mqtt_messages import DeviceStates
 from libmodbus_py.services.fleet.outputs.topics import Topic
+from libmodbus_py.services.fleet.statistics import LastValues
 from tests.services.fleet.fleets import meter
 
 

@@ -15,8 +15,8 @@ import pytest
 
 from libmodbus_py import Fleet, Point, RegisterMap, Server
 from libmodbus_py.fleet import DeviceConfig, Reading
-from libmodbus_py.services.fleet.outputs.file_outputs import CsvOutput, JsonOutput
 from libmodbus_py.services.fleet.outputs.influx import Influx
+from libmodbus_py.services.fleet.outputs.line_file import CsvOutput, JsonOutput
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.workers.stream import _messages
 from tests.services.fleet.fleets import meter, simulated

@@ -13,9 +13,8 @@ import pytest
 
 from libmodbus_py import Server
 from libmodbus_py.fleet import DeviceConfig, Journal, Reading
-from libmodbus_py.services.fleet.outputs.forms import object_text
+from libmodbus_py.services.fleet.outputs.forms import object_text, poll_messages
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from libmodbus_py.services.fleet.outputs.poll_messages import poll_messages
 from libmodbus_py.services.fleet.outputs.pump import Pump
 from tests.services.fleet.fleets import meter, polling, simulated, until
 from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish, run

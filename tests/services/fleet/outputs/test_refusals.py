@@ -8,8 +8,8 @@ import asyncio
 from collections.abc import Sequence
 
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.buffer import Buffer
-from libmodbus_py.services.fleet.outputs.refusals import Refusals
+from libmodbus_py.services.fleet.outputs.pump import Refusals
+from libmodbus_py.services.fleet.readings import Buffer
 
 
 def poll(time: float) -> list[Reading]:

@@ -13,7 +13,7 @@ import pytest
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import Journal
 from libmodbus_py.services.fleet.files import FleetFileError, load
-from libmodbus_py.services.fleet.outputs.file_outputs import CsvOutput, JsonOutput
+from libmodbus_py.services.fleet.outputs.line_file import CsvOutput, JsonOutput
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.output import Output
 from tests.services.fleet.fleets import meter, simulated_run

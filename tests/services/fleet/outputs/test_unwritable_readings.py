@@ -17,10 +17,10 @@ import pytest
 
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import OutputStatistics, Reading
-from libmodbus_py.services.fleet.buffer import Buffer
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.output import Output
 from libmodbus_py.services.fleet.outputs.pump import Pump
+from libmodbus_py.services.fleet.readings import Buffer
 from libmodbus_py.services.workers.stream import Stream
 from tests.services.fleet.fleets import Peer, meter, simulated_run, until
 from tests.simulation.engine import Engine
