@@ -32,12 +32,8 @@ LONGEST_BYTES = 4096
 
 class Wanted(NamedTuple):
     """
-    A received command.
-
-    Attributes:
-        value: the value to write.
-        id: repeated in the outcome, so that a sender recognizes it; None without one.
-        problem: the reason why the command is invalid; empty if it is valid.
+    A received command: the value, its id (repeated in the outcome), and why it is invalid, if it
+    is.
     """
 
     value: Any = None
@@ -104,15 +100,12 @@ class Writing(Protocol):
 
 class Commands:
     """
-    Carries out writes and returns their outcomes: ``{"ok": true}``, or ``{"ok": false,
-    "error": "setpoint: value must be in 10..30, not 99"}``, with the time.
+    Carries out writes and returns their outcomes: ``{"ok": true}``, or ``{"ok": false, "error":
+    "setpoint: value must be in 10..30, not 99"}``, with the time.
 
-    Values are checked against the access, the type and the range of the map before anything is
-    sent. Writes to one device are carried out in the order in which they came, each after the last
-    attempt of the one before. More than 32 writes at once are refused.
-
-    Args:
-        fleet: writes to the devices.
+    Values are checked before anything is sent. Writes to one device are carried out in the order in
+    which they came, each after the last attempt of the one before. More than 32 at once are
+    refused.
 
     Attributes:
         refusal: returns why commands to a device are refused; None if they are carried out here,

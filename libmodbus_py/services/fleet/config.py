@@ -251,15 +251,11 @@ def checked(
     devices: Iterable[DeviceConfig], called: Callable[[int], str] = "devices[{}]".format
 ) -> list[DeviceConfig]:
     """
-    Return the devices of one fleet as a list.
-
-    Args:
-        called: returns the name, for errors, of the device with an index.
+    Return the devices of one fleet as a list; `called` returns the name, for errors, of a device.
 
     Raises:
-        TypeError, ValueError: two devices have the same name, or the same host and port or
-            serial port with different options; the path of the error begins with "devices" and
-            the index.
+        TypeError, ValueError: two devices have the same name, or the same host and port or serial
+            port with different options; the path of the error begins with "devices" and the index.
     """
     found = list(devices)
     names: dict[str, int] = {}

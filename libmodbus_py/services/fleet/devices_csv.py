@@ -25,12 +25,8 @@ LABEL = "labels."
 
 class DeviceRow(NamedTuple):
     """
-    A row of a file.
-
-    Attributes:
-        keys: the keys of the device.
-        line: the line number in the file, from 1.
-        headings: the headings of all columns.
+    A row of a file: the keys of the device, the line number from 1, and the headings of all
+    columns.
     """
 
     keys: dict[str, Any]
@@ -46,10 +42,6 @@ class DeviceRow(NamedTuple):
 def device_rows(text: str, keys: Keys, kind: type[FileError]) -> Iterator[DeviceRow]:
     """
     Yield the rows, with the keys of the device of each.
-
-    Args:
-        keys: the keys of a device. Those whose values fit into a cell are columns.
-        kind: the class of the errors.
 
     Raises:
         FileError: of class `kind`: the text is not CSV, or a row contains a mistake.

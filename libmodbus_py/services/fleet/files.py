@@ -100,11 +100,7 @@ def load(path: str | PathLike[str]) -> FleetFile:
 
 class _Origin(NamedTuple):
     """
-    The place where a device is described.
-
-    Attributes:
-        path: the path of the table, or of the key that names a CSV file.
-        file, row: the CSV file and the row; empty and None for a table.
+    The place of a device: the path of its table, or of the key that names a CSV file, and its row.
     """
 
     path: Path
@@ -125,12 +121,7 @@ class _Origin(NamedTuple):
 
 
 class _Reader:
-    """
-    Reads one fleet file.
-
-    Args:
-        path: the path of the file.
-    """
+    """Reads one fleet file."""
 
     def __init__(self, path: FilePath) -> None:
         self._folder = path.parent

@@ -457,12 +457,7 @@ class Fleet:
 
 
 def _value_of(points: RegisterMap, name: str, value: Any) -> Any:
-    """
-    Return a value of JSON as it is written; of unknown points as it is.
-
-    Raises:
-        ValueError: the text is not a time.
-    """
+    """Return a value of JSON as it is written, or raise ValueError; of unknown points as it is."""
     if name not in points:
         return value
     try:

@@ -30,14 +30,10 @@ class FleetLine(SharedLine[Poller]):
     """
     Polls the devices of one connection in the order in which they are due.
 
-    A device that is down is tried when no other waits, one at a time; such a trial costs others
-    no more than one of their own answers takes.
+    A device that is down is tried when no other waits, one at a time; such a trial costs others no
+    more than one of their own answers takes.
 
     Args:
-        key: of the connection.
-        endpoint: of the connection, with the options of its client.
-        may_ask: as of `Fleet`.
-        statistics: of the fleet.
         on_polled: called after each poll, and with False for a poll that was not sent.
         on_back: called with the devices that were down, once the connection is established again.
     """

@@ -36,12 +36,7 @@ class DeviceState(Enum):
 
 
 class Reads:
-    """
-    The requests and points of a kind of device; thousands of devices share one object.
-
-    Args:
-        config: of one of these devices.
-    """
+    """The requests and points of a kind of device; thousands of devices share one object."""
 
     __slots__ = ("__weakref__", "_config", "_intervals", "_plans", "names", "plan", "units")
 
@@ -77,7 +72,6 @@ class OnePoll:
     goes on until it is known which points are refused.
 
     Args:
-        plan: the points.
         holes: what the device refused in earlier polls; None for nothing.
         first: the index of the request that is asked first.
         now: the time in seconds, of any steady clock.
@@ -173,12 +167,7 @@ class Poller(LineRequest):
     """
     A device of a fleet: its current poll, its state, and what was reported of it.
 
-    Args:
-        config: of the device.
-        reads: the requests and points of the device.
-
     Attributes:
-        name: of the device.
         request: of the current poll; None when no poll is under way.
         state: NEW until its first poll is over.
         counted_state: the state that the statistics count.
@@ -187,10 +176,9 @@ class Poller(LineRequest):
         at: when the device is polled next, or was polled last.
         misses: polls in a row without an answer.
         answered_at: when the last poll that was answered was over, in seconds since the epoch; 0
-            before the first.
+            before.
         since: since when the device is up or down, in seconds since the epoch; 0 if NEW.
         rest_until: when the next request may be sent to the device.
-        waits_since: when the current poll was due.
         news: sentences about points that the device was found to refuse, until they are logged.
     """
 
@@ -250,13 +238,7 @@ class Poller(LineRequest):
         return unreadable_of(self.reads.plan, self._holes, device)
 
     def begin(self, planned: float = 0.0, connects: int = 1) -> None:
-        """
-        Begin a poll.
-
-        Args:
-            planned: when it is due, in seconds of any steady clock.
-            connects: how many connections the client of the device has made.
-        """
+        """Begin a poll that is due at `planned`; the client has made so many connections."""
         self.waits_since = planned
         if self._pace is not None:
             self._due = self._pace.due(planned)
@@ -283,13 +265,7 @@ class Poller(LineRequest):
         self.state = DeviceState.DOWN if self.misses else DeviceState.UP
 
     def readings(self, time: float, first: int = 0) -> list[Reading]:
-        """
-        Return the readings of the poll that is over.
-
-        Args:
-            time: when it was completed, in seconds since the epoch.
-            first: the id of the first reading; the others have the next ones. 0 for no ids.
-        """
+        """Return the readings of the poll that is over, with ids from `first` on; 0 for no ids."""
         poll, self._poll = self._poll, None
         assert poll is not None
         names, units = self.reads.names, self.reads.units

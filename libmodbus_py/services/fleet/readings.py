@@ -125,12 +125,9 @@ class Changes:
     """
     Picks the values of one device that are reported.
 
-    An error is reported once, when it begins; the first good value after it is reported always.
-
-    Args:
-        on_change: True to report good values only if they changed.
-        bands: for each point, by how much a value must differ from the last one reported; None
-            for any change with `on_change`, and for every value without.
+    An error is reported once, when it begins; the first good value after it is reported always. A
+    good value is reported if it differs by more than the band of its point from the last one
+    reported; None is any change with `on_change`, and every value without.
     """
 
     __slots__ = ("_bands", "_has_errors", "_is_filtering", "_last", "_reasons")
@@ -146,11 +143,8 @@ class Changes:
 
     def pick(self, values: Sequence[Any], due: Sequence[int] | None = None) -> Sequence[int]:
         """
-        Return the indexes of the values to report; exceptions stand for missing values.
-
-        Args:
-            values: of all points.
-            due: the indexes of those that were read; None for all.
+        Return the indexes of values to report, among those that were read; exceptions are missing
+        ones.
         """
         indexes = range(len(values)) if due is None else due
         has_errors = any(isinstance(value, Exception) for value in values)
@@ -190,18 +184,13 @@ MOST_KEPT = 100_000
 
 class Buffer:
     """
-    A queue of readings for one consumer. Adding readings never blocks.
+    A queue of up to `most` readings for one consumer. Adding readings never blocks: the oldest are
+    dropped beyond.
 
     A place in a journal (`JournalPlace`) is a buffer that fetches readings from the journal.
 
-    Args:
-        most: the most readings that wait, 1..10000000; the oldest are dropped beyond.
-
     Attributes:
         dropped: number of readings that were lost, or can never be written.
-
-    Raises:
-        TypeError, ValueError: `most` has the wrong type or range.
     """
 
     def __init__(self, most: int = MOST_KEPT) -> None:

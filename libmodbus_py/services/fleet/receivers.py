@@ -27,12 +27,7 @@ __all__ = ["Readings", "Receivers"]
 
 
 class Readings(AsyncIterator[Reading]):
-    """
-    An asynchronous iterator over the readings of a fleet.
-
-    Args:
-        buffer: contains the readings that wait.
-    """
+    """An asynchronous iterator over the readings of a fleet."""
 
     def __init__(self, buffer: Buffer) -> None:
         self._buffer = buffer
@@ -53,17 +48,7 @@ class Readings(AsyncIterator[Reading]):
 
 
 class Receivers:
-    """
-    Passes readings on to the outputs of a fleet and to its iterators.
-
-    Args:
-        outputs: receive all readings.
-        journal: keeps the readings for outputs that are away; None for none.
-        statistics: of the fleet.
-
-    Raises:
-        ValueError: two outputs write to the same file or topic, or one to a file of the journal.
-    """
+    """Passes readings on to the outputs of a fleet and to its iterators."""
 
     def __init__(
         self, outputs: Sequence[Output], journal: Journal | None, statistics: FleetStatistics
@@ -90,12 +75,7 @@ class Receivers:
                 output.describe(devices)
 
     async def start(self, commands: Commands) -> None:
-        """
-        Open the journal and start the outputs.
-
-        Raises:
-            JournalError: the journal cannot be used.
-        """
+        """Open the journal and start the outputs; raise JournalError if it cannot be used."""
         places = await self._places()
         names = _unlike(each.name for each in self.outputs)
         for at, output in enumerate(self.outputs):
@@ -137,10 +117,7 @@ class Receivers:
 
     async def ended(self, event: asyncio.Event) -> None:
         """
-        Wait for an event, or for an output that ends before.
-
-        Raises:
-            OutputError: an output failed permanently.
+        Wait for an event, or for an output that fails permanently, which raises its OutputError.
         """
         ends: list[asyncio.Future[Any]] = [
             *(asyncio.ensure_future(each.ended()) for each in self._pumps),
@@ -157,11 +134,7 @@ class Receivers:
 
     async def stop(self, closing: Collection[asyncio.Task[None]], *, is_patient: bool) -> None:
         """
-        Let the outputs write what waits, and close the journal.
-
-        Args:
-            closing: other tasks to wait for.
-            is_patient: True to end an output only after a failure.
+        Let the outputs write what waits, only until a failure if patient, and close the journal.
         """
         for buffer in self._iterated:
             buffer.close()

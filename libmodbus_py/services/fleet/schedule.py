@@ -13,12 +13,10 @@ __all__ = ["Timetable", "first_time", "next_time"]
 
 def first_time(name: str, interval: float, now: float, wall: float) -> float:
     """
-    Return the first time of a device. Its phase is derived from its name and the time of day, so
-    that every machine polls it at the same moments, and thousands are never polled at once.
+    Return the first time of a device, `wall` being the time of day now, in seconds since the epoch.
 
-    Args:
-        now: the time now.
-        wall: the same moment in seconds since the epoch.
+    Its phase is derived from its name and the time of day, so that every machine polls it at the
+    same moments, and thousands are never polled at once.
     """
     digest = blake2b(name.encode(), digest_size=8).digest()
     phase = int.from_bytes(digest, "big") / 2**64 * interval

@@ -30,14 +30,7 @@ __all__ = ["PageOutput", "ShownFleet"]
 
 
 class PageOutput:
-    """
-    An output whose readings a page shows.
-
-    Attributes:
-        values: the rows of the devices and their values.
-        fleet: whose readings they are; set before the first.
-        is_live: True, because readings of earlier runs are not wanted.
-    """
+    """An output whose readings a page shows; `fleet` is set before the first."""
 
     name: str = "page"
     is_live = True
@@ -79,13 +72,7 @@ def _points(devices: Mapping[str, Poller]) -> Iterator[ShownPoint]:
 
 class ShownFleet:
     """
-    See `Shown` of the page.
-
-    Args:
-        title: the name of the fleet.
-        fleet: it must have the output.
-        output: the output whose readings are shown.
-        older: finds readings that are not in memory any more; None without a journal.
+    A fleet with a `PageOutput`, for a page; `older` finds readings that are not in memory any more.
     """
 
     kind = "fleet"

@@ -137,26 +137,14 @@ class FleetStatistics:
 
 @dataclass(slots=True, weakref_slot=True)
 class KeptReadings:
-    """
-    The last readings.
-
-    Attributes:
-        by_name: (device, name) -> its last reading.
-        labels: device -> its labels.
-    """
+    """The last reading by (device, name), and the labels of each device."""
 
     by_name: dict[tuple[str, str], Reading] = field(default_factory=dict)
     labels: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
 
 class LastValues:
-    """
-    Keeps the last reading of each point of a fleet.
-
-    Attributes:
-        statistics: the last readings.
-        is_live: True, because readings of earlier runs are not wanted.
-    """
+    """Keeps the last reading of each point of a fleet; readings of earlier runs are not wanted."""
 
     name = "metrics"
     is_live = True

@@ -31,13 +31,8 @@ SILENCE = 3.5
 @dataclass(frozen=True, slots=True)
 class Tried:
     """
-    The result of one poll of a device.
-
-    Attributes:
-        device: the device that was polled.
-        requests: number of requests of a poll.
-        seconds: duration of this poll.
-        problem: the first error; empty if there was none.
+    One poll of a device: its number of requests, its seconds, and the first error, if there was
+    one.
     """
 
     device: DeviceConfig
@@ -49,13 +44,7 @@ class Tried:
 @dataclass(frozen=True, slots=True)
 class Overload:
     """
-    A serial line that cannot carry all polls of its devices.
-
-    Attributes:
-        url: the URL of the line.
-        baudrate: bits per second.
-        needed: seconds of requests and responses in each `interval`, if devices respond at once.
-        interval: the shortest interval of the devices on the line, in seconds.
+    A serial line that cannot carry all polls: so many seconds are `needed` in each `interval`.
     """
 
     url: str

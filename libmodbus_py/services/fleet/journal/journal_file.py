@@ -86,12 +86,7 @@ SET_PLACE = (
 
 class Begun(NamedTuple):
     """
-    The state of a journal when a run begins.
-
-    Attributes:
-        first: the id of the first reading of the run.
-        runs: as `Unused` takes them, with this run.
-        places: output -> the last id that it confirmed, for all outputs of this run.
+    The first id of a run, the runs as `Unused` takes them, and the id that each output confirmed.
     """
 
     first: int
@@ -101,12 +96,7 @@ class Begun(NamedTuple):
 
 class JournalState(NamedTuple):
     """
-    The state of a journal after a transaction.
-
-    Attributes:
-        size: bytes of the file.
-        deleted: the last id that was deleted; 0 if none was.
-        is_over: False if there is more to delete.
+    The bytes of a journal, the last id that was deleted or 0, and False if there is more to delete.
     """
 
     size: int
@@ -118,10 +108,8 @@ class JournalFile:
     """
     The file of a journal, while it is open.
 
-    Args:
-        path: its path.
-        keep: seconds after which readings are deleted that all outputs confirmed.
-        size: the most bytes; the oldest readings are deleted beyond, confirmed or not.
+    Readings are deleted `keep` seconds after they were read, if all outputs confirmed them, and
+    beyond `size` bytes, confirmed or not.
     """
 
     def __init__(self, path: str, keep: float, size: int) -> None:
@@ -145,11 +133,7 @@ class JournalFile:
 
     def open(self, outputs: Collection[str], first: int = 0) -> Begun:
         """
-        Open the file, or create it, and begin a run.
-
-        Args:
-            outputs: the names of the outputs of the run.
-            first: the next id; 0 for one that the file and the clock give.
+        Open the file, or create it, and begin a run with the id `first`, 0 for one by the clock.
 
         Raises:
             JournalError: this file cannot be used; another program uses it, for example.
@@ -265,11 +249,7 @@ class JournalFile:
 
     def replace(self, error: JournalDamaged, outputs: Collection[str], first: int = 0) -> Begun:
         """
-        Rename a damaged file, and begin a new one.
-
-        Args:
-            error: how the file is damaged, for the log.
-            outputs, first: as for `open`.
+        Rename a damaged file, and begin a new one, as `open` does.
 
         Raises:
             JournalError: the new file cannot be used; it may be possible later.
@@ -337,14 +317,12 @@ class JournalFile:
         Write polls and the places of outputs in one transaction, and delete what is too old.
 
         Args:
-            polls: in the order of their ids.
             places: output -> the last id that it confirmed.
             confirmed: the last id that all outputs confirmed.
 
         Raises:
             JournalTrouble: nothing was written; it may be possible later.
-            JournalDamaged: nothing was written; the file is damaged, or another program has
-                deleted or replaced it.
+            JournalDamaged: nothing was written; the file is damaged, or was deleted or replaced.
         """
         with raised(self.path):
             if self._found() != self._identity:  # what is written would not be found again
@@ -357,12 +335,7 @@ class JournalFile:
             return self._delete(confirmed)
 
     def force(self) -> None:
-        """
-        Force what was written onto the disk, and merge it into the database if it is much.
-
-        Raises:
-            JournalError: the disk reports an error.
-        """
+        """Force what was written onto the disk, and merge it into the database if it is much."""
         wal = f"{self.path}-wal"
         with raised(self.path), contextlib.suppress(FileNotFoundError):  # `write` reports this
             descriptor = os.open(wal, os.O_RDONLY | os.O_CLOEXEC)

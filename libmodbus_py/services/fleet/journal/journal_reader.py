@@ -79,12 +79,7 @@ def _connected(path: str) -> sqlite3.Connection:
 
 
 class JournalReader:
-    """
-    Reads polls for outputs that are behind; one thread at a time calls its methods.
-
-    Args:
-        path: the path of the journal.
-    """
+    """Reads polls for outputs that are behind; one thread at a time calls its methods."""
 
     def __init__(self, path: str) -> None:
         self._path = path
@@ -92,14 +87,7 @@ class JournalReader:
         self._points: dict[int, tuple[str, Mapping[str, str], Points]] = {}
 
     def read(self, after: int, most: int) -> list[JournalPoll]:
-        """
-        Return the polls behind an id, at least one if there is one, with at most so many readings.
-
-        A damaged row is left out.
-
-        Raises:
-            JournalError: the journal cannot be read.
-        """
+        """Return the polls behind an id, at least one if there is one, without damaged rows."""
         with raised(self._path):
             if self._database is None:
                 self._database = _connected(self._path)
@@ -143,13 +131,7 @@ class JournalReader:
 def history(
     path: str, device: str, name: str, since: float, until: float, most: int = 1000
 ) -> list[HistoricalValue]:
-    """
-    Return the values of a point from the journal at a path; see `Journal.history`.
-
-    Raises:
-        JournalError: the journal cannot be read.
-        TypeError, ValueError: `most` has the wrong type or range.
-    """
+    """Return the values of a point from the journal at a path; see `Journal.history`."""
     integer("most", most, 3, 1_000_000)
     with raised(path), contextlib.closing(_connected(path)) as database:
         positions = database.execute(POSITIONS, (device, name)).fetchall()

@@ -49,16 +49,10 @@ class JournalPlace(Buffer):
 
     What was taken and not confirmed is taken again in the next run of the program.
 
-    Args:
-        name: of the output.
-        journal: where the readings are.
-        confirmed: the id of the last confirmed reading.
-
     Attributes:
-        name: as given.
         confirmed: the id of the last reading that the output has confirmed; it never falls.
-        dropped: number of readings that were deleted before the output confirmed them, or can
-            never be written.
+        dropped: number of readings that were deleted before the output confirmed them, or can never
+            be written.
     """
 
     def __init__(self, name: str, journal: _Journal, confirmed: int) -> None:
@@ -155,9 +149,6 @@ class RecentPolls:
     """
     The newest polls of a run. Their ids follow each other without a gap.
 
-    Args:
-        last: the id before that of the first reading.
-
     Attributes:
         last: the last id that was added.
         taken: the last id that was taken for the file, or dropped before it could be.
@@ -195,10 +186,8 @@ class RecentPolls:
 
     def after(self, number: int, most: int) -> list[JournalPoll] | None:
         """
-        Return the polls behind an id, at least one if there is one, and at most so many readings.
-
-        Returns:
-            None if the next poll is not in memory any more.
+        Return about so many readings behind an id, in polls; None if the next poll is not in
+        memory.
         """
         found: list[JournalPoll] = []
         count = 0

@@ -99,13 +99,7 @@ _SIMPLE = {int, float, bool, str, type(None)}
 
 
 class JournalPoll(NamedTuple):
-    """
-    The readings of one poll of a device, with ids that follow each other.
-
-    Attributes:
-        first, last: the ids of the first and the last reading.
-        readings: the readings.
-    """
+    """The readings of one poll of a device, with the ids from `first` to `last`."""
 
     first: int
     last: int
@@ -114,16 +108,8 @@ class JournalPoll(NamedTuple):
 
 class Points:
     """
-    A list of points of a device, to whose positions rows refer.
-
-    Args:
-        id: the id of the first point in the table `point`; the others have the next ones.
-        device: the id of the device.
-        named: name and unit of each point.
-
-    Attributes:
-        id, device, named: as given.
-        positions: name and unit -> position.
+    A list of the points of a device, by name and unit, to whose positions rows refer. Its first
+    point has `id`.
     """
 
     def __init__(self, id: int, device: int, named: Sequence[tuple[str, str]]) -> None:
@@ -135,19 +121,15 @@ class Points:
 
 class Row(NamedTuple):
     """
-    A row of the table `poll`.
+    A row of the table `poll`; `data`, `chosen` and `trouble` are JSON.
 
     Attributes:
-        id: the id of the first reading.
-        readings: the number of readings.
-        time: seconds since the epoch.
-        device: the id of the device.
-        points: the id of the first of its points.
-        chosen: the positions of the points that the row contains, in JSON; None for the first
-            ones, in order.
-        data: the values, in JSON.
-        trouble: quality and reason of each reading that is not simply good, by its position in
-            the data, in JSON; None if all are good.
+        id, readings: the id of the first reading, and their number.
+        device, points: the id of the device, and of the first of its points.
+        chosen: the positions of the points that the row contains; None for the first ones, in
+            order.
+        trouble: quality and reason of each reading that is not simply good, by its position in the
+            data; None if all are good.
     """
 
     id: int
@@ -171,13 +153,7 @@ def numbered(readings: Iterable[Reading], first: int) -> Iterator[JournalPoll]:
 
 
 def encoded(poll: JournalPoll, points: Points) -> Row:
-    """
-    Return a poll as a row.
-
-    Raises:
-        KeyError: a reading is of none of the points.
-        TypeError, ValueError: a value that JSON cannot contain.
-    """
+    """Return a poll as a row; raise KeyError if a reading is of none of the points."""
     readings = poll.readings
     positions = [points.positions[each.name, each.unit] for each in readings]
     values = [each.value for each in readings]
@@ -209,10 +185,7 @@ def _json_of(values: list[Any]) -> str:
 
 def decoded(row: Row, device: str, labels: Mapping[str, str], points: Points) -> JournalPoll:
     """
-    Return a row as a poll.
-
-    Raises:
-        AttributeError, LookupError, TypeError, ValueError: the row is damaged.
+    Return a row as a poll; AttributeError, LookupError, TypeError or ValueError if it is damaged.
     """
     values = json.loads(row.data)
     positions = range(row.readings) if row.chosen is None else json.loads(row.chosen)
@@ -234,25 +207,16 @@ MARGIN = 10_000_000
 
 def first_id(now: float, last: int) -> int:
     """
-    Return the first id of a run.
+    Return the first id of a run in a journal with this last id, 0 if it is new.
 
-    It is the time in microseconds: a journal that replaces a deleted one has greater ids too,
-    because a fleet has less than a million readings a second.
-
-    Args:
-        now: seconds since the epoch, by a clock that may be wrong.
-        last: the greatest id that the journal contains; 0 if it is new.
+    It is the time in microseconds, `now` being in seconds: a journal that replaces a deleted one
+    has greater ids too, because a fleet has less than a million readings a second.
     """
     return max(int(now * 1e6), last + MARGIN if last else 1)
 
 
 class Unused:
-    """
-    The ids that no reading has: at the beginning of each run some are left out.
-
-    Args:
-        runs: the first id of each run, and how many before it are left out, in order.
-    """
+    """The ids that no reading has: before the first id of each run some are left out."""
 
     def __init__(self, runs: Iterable[tuple[int, int]] = ()) -> None:
         self._first: list[int] = []

@@ -20,11 +20,7 @@ __all__ = ["SecretFile", "Trust", "text_of"]
 
 class SecretFile:
     """
-    A password, read from a file.
-
-    Args:
-        path: of the file; ends of lines at its end are not part of the password.
-        kind: the class of errors.
+    A password, a token or another secret in a file, without the ends of lines at its end.
 
     Raises:
         FileError: of `kind`: the file cannot be read, or group or others can read it, too.
@@ -66,11 +62,7 @@ async def text_of(password: str | SecretFile | None) -> str | None:
 
 class Trust:
     """
-    The certificate authorities that an output trusts.
-
-    Args:
-        ca: a file with them; None for those of the system.
-        sockets: the class of the sockets of the context.
+    The certificate authorities that an output trusts: those in a file, or those of the system.
     """
 
     def __init__(self, ca: str | None, sockets: type[ssl.SSLSocket] = ssl.SSLSocket) -> None:
@@ -80,10 +72,7 @@ class Trust:
 
     async def context(self) -> ssl.SSLContext:
         """
-        Return the context of TLS; a file is read again each time, in a thread.
-
-        Raises:
-            OSError: the file is missing, or contains no certificate; it may be replaced later.
+        Return the context of TLS, or raise OSError; a file is read again each time, in a thread.
         """
         return await asyncio.to_thread(self._fresh)
 

@@ -77,13 +77,7 @@ def _cell(value: Any) -> Any:
 
 
 def as_csv(readings: Iterable[Reading], labels: Sequence[str] = ()) -> bytes:
-    """
-    Return a row of CSV for each reading, with the fields of `Reading` in `COLUMNS`.
-
-    Args:
-        labels: names of labels, the values of which are the cells behind these; empty without
-            the label.
-    """
+    """Return a row of CSV for each reading: `COLUMNS`, and a cell for each of these labels."""
     rows = [
         (
             _time_text(time),
@@ -108,11 +102,8 @@ def poll_messages(readings: Sequence[Reading], largest: int) -> Iterator[tuple[l
     """
     Yield the names in each message with these readings of a device, and its data.
 
-    Several messages also have ``"part": 1, "parts": 3``.
-
-    Args:
-        readings: of one device, at least one; the newest one has its labels.
-        largest: the bytes that the data of a message may have.
+    Several messages, each of up to `largest` bytes, also have ``"part": 1, "parts": 3``. The newest
+    reading has the labels.
 
     Raises:
         ReadingsRefused: a single reading has more bytes.

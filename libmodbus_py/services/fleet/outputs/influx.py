@@ -241,13 +241,7 @@ def _check(
 
 @contextlib.contextmanager
 def _as_os_error() -> Iterator[None]:
-    """
-    Raise the errors of httpx as those of an output.
-
-    Raises:
-        ConnectionError: the connection was lost while lines were sent, perhaps due to them.
-        OSError: another error.
-    """
+    """Raise ConnectionError if the connection is lost while lines are sent, OSError else."""
     import httpx
 
     try:

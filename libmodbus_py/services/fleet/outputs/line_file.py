@@ -57,20 +57,12 @@ class Format(NamedTuple):
 
 class LineFile:
     """
-    An output that appends readings to a file.
+    An output that appends readings to a file, or to the standard output ("-").
 
     A file that does not begin as the format demands is left as it is: its content is not readings,
     or readings with other columns. A file that was renamed or deleted is opened anew by its path,
     as after logrotate; one that was emptied gets the header again. If a program or a machine
     stopped in the midst of a line, that line is ended first.
-
-    Args:
-        path: of the file; "-" for the standard output.
-        form: the format of the lines.
-        buffer: how many readings may wait.
-
-    Raises:
-        TypeError, ValueError: an argument of the wrong type or range.
     """
 
     def __init__(

@@ -28,22 +28,15 @@ RESERVED = ("time", "_time", "_measurement", "_field", "_value", "_start", "_sto
 
 class LineProtocol:
     """
-    Writes a line for each poll of a device: the tags are the device and its labels, and each
-    point is a field.
+    Writes a line for each poll of a device: the tags are the device and its labels, and each point
+    is a field.
 
     ``modbus,device=north,site=Halle voltage=230.5,power=1200 1700000000000000000``
 
     Numbers are floats, because a field has one type for good in InfluxDB, and scaled values are
     whole numbers now and then. A point with named states is text, also a number without a name.
-    The items of a list, and the members of a point with named bits, are fields of their own, such
-    as ``flags.door``. A point without a value has the fields ``NAME.quality`` and
-    ``NAME.reason`` in its place.
-
-    Args:
-        measurement: the name of the measurement.
-
-    Raises:
-        TypeError, ValueError: `measurement` is not a name that can be written.
+    Items of lists and named bits are fields of their own, such as ``flags.door``. A point without a
+    value has the fields ``NAME.quality`` and ``NAME.reason`` in its place.
 
     Source: the line protocol of InfluxDB 1.x and 2.x.
     """

@@ -31,7 +31,7 @@ from ..commands import encoded, wanted_of
 if TYPE_CHECKING:
     import aiomqtt
 
-__all__ = ["Mqtt", "MqttCommands"]
+__all__ = ["Mqtt"]
 
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
@@ -143,7 +143,7 @@ class Mqtt:
             largest=max_message or LARGEST_BYTES,
         )
         self.takes_commands: bool = commands
-        self._commands = MqttCommands(point)
+        self._commands = _Commands(point)
         self._connection = MqttConnection(
             server,
             user=user,
@@ -265,17 +265,9 @@ def _of_devices(template: str, topic: Topic, point: Topic, status: str) -> Topic
     return made
 
 
-class MqttCommands:
+class _Commands:
     """
-    Carries out the values published to the topic of a point + "/set". The outcome is published to
-    this topic + "/result".
-
-    Args:
-        point: the topic of a point.
-
-    Attributes:
-        filter: the topic filter of all commands.
-        commands: what carries them out; None until the fleet begins.
+    Carries out the values published to the topic of a point + "/set", and returns their outcomes.
     """
 
     def __init__(self, point: Topic) -> None:
@@ -288,7 +280,7 @@ class MqttCommands:
         """Set the devices, by their names."""
         self._labels = {name: each.labels for name, each in devices.items()}
 
-    def may_share(self, other: MqttCommands) -> bool:
+    def may_share(self, other: _Commands) -> bool:
         """Return True if one topic can be that of a command for both."""
         return self._point.can_be(other._point.template)
 

@@ -49,15 +49,10 @@ MOST_MESSAGES = 100
 
 class MqttConnection:
     """
-    A connection to a broker, which is opened again after each failure.
+    A connection to a broker, which is opened again after each failure. The broker publishes `will`,
+    retained, when it is lost.
 
     All methods raise ConnectionError if the connection is lost, or the broker refuses something.
-
-    Args:
-        server: the broker.
-        user, password, ca, client_id: as for `Mqtt`.
-        will: a message that the broker publishes, retained, when the connection is lost; None for
-            none.
     """
 
     def __init__(
@@ -124,10 +119,8 @@ class MqttConnection:
         self, messages: Iterator[Message], qos: int, *, retain: bool, unused: str
     ) -> None:
         """
-        Publish messages; return when the broker has received all of them, also with QoS 0.
-
-        Args:
-            unused: a topic filter without a subscription.
+        Publish messages; return when the broker has all, also with QoS 0. Nothing subscribes to
+        `unused`.
         """
         await self._while_connected(self._publish_all(messages, qos, retain, unused))
 

@@ -34,10 +34,9 @@ class Messages:
     Makes messages of readings, and keeps the last values, which the broker may lose.
 
     Args:
-        topic: of a point, or of a device.
         is_of_points: True for a message for each reading, False for one for each poll of a device.
-        is_retained: True if the broker retains the last message of each topic. That of a device
-            has the last values of its other points, too.
+        is_retained: True if the broker retains the last message of each topic. That of a device has
+            the last values of its other points, too.
         largest: the bytes that a message may have.
     """
 
@@ -148,9 +147,6 @@ State = tuple[str, bool]
 class DeviceStates:
     """
     The devices that answer: at least one of their points was read, or refused, the last time.
-
-    Args:
-        topic: of the state of a device.
 
     Attributes:
         published: device -> its state at the broker; without removed devices.

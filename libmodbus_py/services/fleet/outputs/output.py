@@ -1,5 +1,5 @@
 """
-What outputs are: the protocols that they implement, the table of their kinds, and what only one may
+Outputs: the protocols that they implement, the table of their kinds, and what only one may
 use: a file, the standard output, a topic.
 
 An output, or a journal, may have an attribute `exclusive`: a tuple of such things in words, such as
@@ -86,12 +86,7 @@ class Output(Protocol):
 
 @runtime_checkable
 class Commanded(Protocol):
-    """
-    An output that also receives commands.
-
-    Attributes:
-        takes_commands: True if commands are enabled.
-    """
+    """An output that also receives commands, if `takes_commands` is True."""
 
     takes_commands: bool
 
@@ -106,9 +101,7 @@ class Described(Protocol):
 
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
         """
-        Set the devices of the readings, by their names.
-
-        It is called before `Output.open`, and when the devices of the fleet change.
+        Set the devices of the readings, before `Output.open` and when those of the fleet change.
 
         Raises:
             ValueError: a device lacks a label that this output needs; nothing changes then.
@@ -118,10 +111,7 @@ class Described(Protocol):
 
 def shared(outputs: Sequence[Output]) -> tuple[int, int, str] | None:
     """
-    Return the first thing that two outputs would use, or None if there is none.
-
-    Returns:
-        The positions of the outputs, and the thing in words.
+    Return the positions of the first two outputs that would use one thing, and the thing in words.
     """
     for (at, first), (second_at, second) in combinations(enumerate(outputs), 2):
         # One task calls an output: an object that is there twice would be called by two.
@@ -136,15 +126,7 @@ def check_exclusive(
     outputs: Sequence[Output], journal: object = None, sources: Container[str] = ()
 ) -> None:
     """
-    Check that nothing is used twice.
-
-    Args:
-        journal: the journal of the fleet; None if it has none.
-        sources: the files that the fleet is read from, as `file_at` calls them.
-
-    Raises:
-        ValueError: two outputs, an output and the journal, or an output and a source would use the
-            same thing.
+    Raise ValueError if outputs, journal and the files the fleet is read from use a thing twice.
     """
     if (found := shared(outputs)) is not None:
         raise ValueError(f"two outputs use {found[2]}")
@@ -175,13 +157,12 @@ def _nothing(_: object) -> None:
 
 class OutputKind(NamedTuple):
     """
-    One kind of outputs.
+    One kind of outputs: the file in this folder, and the class, whose arguments are keys in fleet
+    files.
 
     Attributes:
-        module: its file in this folder, imported when an output is made.
-        name: its class. The arguments of the class are the keys in fleet files.
-        form: what it appends to a file, for the help of an option of the command line; empty if
-            it needs more than a path.
+        form: what it appends to a file, for the help of an option of the command line; empty if it
+            needs more than a path.
     """
 
     module: str
@@ -205,11 +186,6 @@ def output_keys(kind: str) -> Keys:
 
 
 def made(kind: str, keys: dict[str, Any]) -> Output:
-    """
-    Make an output.
-
-    Raises:
-        TypeError, ValueError: a key of the wrong name, type or range.
-    """
+    """Make an output; TypeError or ValueError for a key of the wrong name, type or range."""
     output: Output = output_keys(kind).read((), keys)
     return output

@@ -35,14 +35,7 @@ LONGEST_SILENCE_S = 1.0
 
 
 class Pump:
-    """
-    Writes the readings that wait for an output.
-
-    Args:
-        output: the output.
-        most: the most readings that a buffer keeps, unless the output has an attribute `buffer`.
-        waiting: the readings, from a journal; None for a buffer.
-    """
+    """Writes the readings that wait for an output, in a journal or in a buffer of its own."""
 
     def __init__(
         self, output: Output, most: int = MOST_KEPT, *, waiting: Buffer | None = None
@@ -70,20 +63,12 @@ class Pump:
         self.task: asyncio.Task[None] = asyncio.create_task(self._run(), name=self.name)
 
     async def ended(self) -> None:
-        """
-        Wait for the end of the task.
-
-        Raises:
-            OutputError: the output failed permanently.
-        """
+        """Wait for the end of the task; raise OutputError if the output failed permanently."""
         await asyncio.shield(self.task)
 
     def close(self, *, is_patient: bool = False) -> None:
         """
-        Write the readings that wait, and end after two seconds or a failure.
-
-        Args:
-            is_patient: True to end only after a failure.
+        Write the readings that wait, and end after a failure, or two seconds unless it is patient.
         """
         self.buffer.close()
         self._closing.set()
@@ -249,9 +234,6 @@ class Refusals:
 
     A connection that ends while readings are sent shows nothing about them: the other side may be
     away. They are refused if others are accepted right before, several times.
-
-    Args:
-        waiting: the readings that wait.
     """
 
     def __init__(self, waiting: Buffer) -> None:

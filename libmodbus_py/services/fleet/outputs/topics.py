@@ -20,13 +20,7 @@ _LONGEST = max(MAX_NAME, LONGEST_NAME)
 
 
 class Levels:
-    """
-    Spells names as levels; different names have different levels.
-
-    Args:
-        special: a regular expression for the characters that are written as %2F and so on. It
-            matches %.
-    """
+    """Spells names as levels, with the `special` characters, among them %, as %2F and so on."""
 
     def __init__(self, special: str) -> None:
         self._special = re.compile(special, re.ASCII)
@@ -69,12 +63,8 @@ class Topic:
         names: the names that it must hold, each once: "device" and "name", or "device".
 
     Attributes:
-        template: as given.
         labels: the names of the labels that it holds.
         filter: the topic filter that matches all topics.
-
-    Raises:
-        TypeError, ValueError: `template` is not such a topic.
     """
 
     def __init__(self, key: str, template: object, names: tuple[str, ...]) -> None:
@@ -106,12 +96,7 @@ class Topic:
         )
 
     def check(self, devices: Mapping[str, DeviceConfig]) -> None:
-        """
-        Check that each device has the labels of this topic.
-
-        Raises:
-            ValueError: a device lacks one.
-        """
+        """Raise ValueError if a device lacks a label of this topic."""
         for device, each in devices.items():
             for name in self.labels:
                 if not each.labels.get(name):
@@ -156,12 +141,7 @@ class Topic:
 
 
 def plain_topic(key: str, topic: object) -> str:
-    """
-    Return a topic.
-
-    Raises:
-        TypeError, ValueError: it is none, or holds + or #.
-    """
+    """Return a topic; TypeError or ValueError if it is none, or holds + or #."""
     if not isinstance(topic, str):
         raise WrongType(key, f"must be text, not {type(topic).__name__}")
     if set("+#\0") & set(topic) or len(topic.encode()) > 1000 or topic.startswith("$"):

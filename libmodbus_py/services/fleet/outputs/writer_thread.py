@@ -18,14 +18,7 @@ Job = tuple[Callable[..., Any], tuple[Any, ...], asyncio.Future[Any]]
 
 
 class WriterThread:
-    """
-    Calls functions in a thread, in order.
-
-    The thread ends with the program: a disk that hangs does not keep the program alive.
-
-    Args:
-        name: what the thread writes to, for the name of the thread and for errors.
-    """
+    """Calls functions in a thread, in order. A disk that hangs does not keep the program alive."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -38,12 +31,7 @@ class WriterThread:
         return self._thread is not None
 
     def start(self) -> None:
-        """
-        Start the thread, anew after `stop`.
-
-        Raises:
-            OSError: the system has too many threads.
-        """
+        """Start the thread, anew after `stop`; raise OSError if the system has too many threads."""
         self._jobs = queue.SimpleQueue()
         name = f"writes {self._name}"
         thread = threading.Thread(target=_work, args=(self._jobs,), name=name, daemon=True)
@@ -59,12 +47,7 @@ class WriterThread:
         self._thread = None
 
     async def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """
-        Call a function in the thread and return its result.
-
-        Raises:
-            Exception: the exception that the function raised.
-        """
+        """Call a function in the thread; return its result, or raise its exception."""
         done = asyncio.get_running_loop().create_future()
         self._jobs.put((function, arguments, done))
         return await done
