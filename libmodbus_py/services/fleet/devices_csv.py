@@ -18,8 +18,6 @@ from ...tools.files.texts import FileError, FilePlace
 
 __all__ = ["DeviceRow", "device_rows"]
 
-MOST_DEVICES = 100_000
-
 LABEL = "labels."
 
 
@@ -53,11 +51,9 @@ def device_rows(text: str, keys: Keys, kind: type[FileError]) -> Iterator[Device
         _check(headings, columns)
     except ValueError as error:
         raise kind.of(error, FilePlace(line=opened.head.line)) from None
-    for count, row in enumerate(opened.rows()):
+    for row in opened.rows():
         found = DeviceRow({}, row.line, headings)
         try:
-            if count == MOST_DEVICES:
-                raise WrongValue((), f"more than {MOST_DEVICES} devices")
             _read(found.keys, opened.cells(row), headings, keys)
         except (TypeError, ValueError) as error:
             path = getattr(error, "path", ())

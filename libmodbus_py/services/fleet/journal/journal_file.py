@@ -5,7 +5,6 @@ The file of a journal: an SQLite database. Its methods block; one thread calls t
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
 import sqlite3
 import time
@@ -49,9 +48,6 @@ DELETED_FOR_EACH = 10
 
 # Pages of 4 kB that are given back to the system at once.
 FREED = 500
-
-# Changes that a person who reads for hours may keep from being merged.
-LARGEST_WAL_BYTES = 1 << 27
 
 WITH_IDENTITY = ("", "-wal")
 """Ends of the names of files without which a journal is lost: the database and its changes."""
@@ -397,8 +393,6 @@ class JournalFile:
             # As a script, because `execute` ends after the first page.
             self._used.executescript(f"PRAGMA incremental_vacuum({FREED})")
         wal = _size_of(f"{self.path}-wal")
-        if wal > max(self._size / 2, LARGEST_WAL_BYTES):
-            raise OSError(errno.EBUSY, "another program has been reading it for too long")
         return JournalState(pages * page + wal, deleted, not deleted)
 
     def _oldest(self, most: int, last: int = 1 << 62) -> list[tuple[int, int, float]]:

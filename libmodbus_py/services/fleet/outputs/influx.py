@@ -9,7 +9,6 @@ import asyncio
 import base64
 import contextlib
 import re
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -42,12 +41,8 @@ TIMEOUT_S = 30.0
 # What is read of an answer, and what is shown of it.
 LONGEST_ANSWER_BYTES, LONGEST_SHOWN_CHARACTERS = 4096, 200
 
-# The longest time that a server may demand before the next attempt, in seconds.
-LONGEST_DEMAND_S = 300.0
-
-# The status after a write; those after which the same lines would be refused again; and those with
-# which a server may demand a pause.
-ACCEPTED_STATUS, REFUSED, BUSY = 204, (400, 413, 422), (429, 503)
+# The status after a write, and those after which the same lines would be refused again.
+ACCEPTED_STATUS, REFUSED = 204, (400, 413, 422)
 
 
 class Influx:
@@ -161,15 +156,12 @@ class _Server:
         self._user, self._secret = texts["user"], secret
         self._trust = Trust(ca) if server.scheme == "https" else None
         self._client: httpx.AsyncClient | None = None
-        self._not_before = 0.0
 
     async def open(self) -> None:
         try:
             import httpx
         except ImportError:
             raise OutputError(what_is_missing("InfluxDB", "influx")) from None
-        # The server has demanded this pause.
-        await asyncio.sleep(max(0.0, self._not_before - time.monotonic()))
         context = await self._trust.context() if self._trust else False
         self._client = httpx.AsyncClient(verify=context, timeout=TIMEOUT_S)
 
@@ -181,7 +173,7 @@ class _Server:
         try:
             async with asyncio.timeout(TIMEOUT_S):
                 with _as_os_error():
-                    status, demand, answer = await self._post(lines, secret)
+                    status, answer = await self._post(lines, secret)
         except TimeoutError:
             raise TimeoutError(f"the server did not answer in {TIMEOUT_S:g} s") from None
         if status == ACCEPTED_STATUS:
@@ -192,12 +184,10 @@ class _Server:
         message = f"{status} {_shown(answer, self._user, secret)}".rstrip()
         if status in REFUSED:
             raise ReadingsRefused(message)
-        if status in BUSY:
-            self._not_before = time.monotonic() + demand
         raise OSError(message)
 
-    async def _post(self, lines: bytes, secret: str | None) -> tuple[int, float, bytes]:
-        """Return the status of the answer, the pause that it demands, and what it says."""
+    async def _post(self, lines: bytes, secret: str | None) -> tuple[int, bytes]:
+        """Return the status of the answer, and what it says."""
         client, headers = self._client, {"Content-Type": "text/plain; charset=utf-8"}
         assert client is not None
         if secret is not None and self._user is None:
@@ -212,7 +202,7 @@ class _Server:
                 begin += chunk[:LONGEST_ANSWER_BYTES]
                 if len(begin) >= LONGEST_ANSWER_BYTES:
                     break
-            return answer.status_code, _seconds(answer.headers.get("retry-after")), begin
+            return answer.status_code, begin
 
     async def close(self) -> None:
         client, self._client = self._client, None
@@ -266,10 +256,3 @@ def _shown(answer: bytes, user: str | None, secret: str | None) -> str:
             words = [re.escape(word) for word in hidden.split()]
             text = re.sub(r"\s+".join(words), "***", text) if words else text
     return " ".join(without_controls(text).split())[:LONGEST_SHOWN_CHARACTERS]
-
-
-def _seconds(demand: str | None) -> float:
-    """Return the seconds of a header Retry-After; 0 if it is none, or a date."""
-    if demand is None or not demand.isascii() or not demand.isdigit():
-        return 0.0
-    return min(float(demand[:9]), LONGEST_DEMAND_S)

@@ -17,7 +17,7 @@ from ..config import DeviceConfig
 from ..readings import MOST_KEPT, Reading
 from .credentials import SecretFile
 from .mqtt_connection import MqttConnection
-from .mqtt_messages import MOST_LOSSES, OFFLINE, ONLINE, DeviceStates, Key, Message, Messages
+from .mqtt_messages import OFFLINE, ONLINE, DeviceStates, Message, Messages
 from .topics import Topic, plain_topic
 
 if TYPE_CHECKING:
@@ -38,6 +38,10 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Scheme -> port of a URL without one.
 PORTS = {"mqtt": 1883, "mqtts": 8883}
+
+# Connections in a row that may be lost while last values are published again: a broker that is away
+# may cost one or two.
+MOST_LOSSES = 3
 
 # What a login is written in.
 LOGIN = "user and password_file"
@@ -143,7 +147,9 @@ class Mqtt:
             largest=max_message or LARGEST_BYTES,
         )
         self.takes_commands: bool = commands
-        self._commands = _Commands(point)
+        self._point = point
+        self._labels: dict[str, Mapping[str, str]] = {}
+        self._commands: Commands | None = None
         self._connection = MqttConnection(
             server,
             user=user,
@@ -152,10 +158,8 @@ class Mqtt:
             client_id=client_id,
             will=(self._status, OFFLINE) if self._status else None,
         )
-        # Connections in a row that were lost while last values were published again, and those
-        # that were being published alone.
+        # Connections in a row that were lost while last values were published again.
         self._losses = 0
-        self._alone: Key | None = None
 
     @property
     def identity(self) -> str:
@@ -167,7 +171,7 @@ class Mqtt:
         if not isinstance(other, Mqtt) or other.name != self.name:
             return None
         both = self.takes_commands and other.takes_commands
-        if not both or not self._commands.may_share(other._commands):
+        if not both or not self._point.can_be(other._point.template):
             return None
         topics = f"{self._topic.template!r} and {other._topic.template!r}"
         return f"topics of commands that can be the same: {topics} of {self.name}"
@@ -181,17 +185,17 @@ class Mqtt:
         """
         for topic in filter(None, (self._topic, self._state_topic)):
             topic.check(devices)
-        self._commands.describe(devices)
+        self._labels = {name: each.labels for name, each in devices.items()}
 
     def attach(self, commands: Commands) -> None:
         """Set the object that carries out commands."""
-        self._commands.commands = commands
+        self._commands = commands
 
     async def open(self) -> None:
         connection = self._connection
         await connection.open(self._hear)
         if self.takes_commands:  # before "online", at which programs may send commands
-            await connection.subscribe(self._commands.filter)
+            await connection.subscribe(f"{self._point.filter}/set")
         if self._status:
             await connection.publish((self._status, ONLINE), 1, retain=True)
             await connection.subscribe(self._status)
@@ -218,37 +222,37 @@ class Mqtt:
         await self._connection.publish_all(messages, 1, retain=True, unused=self._topic.filter)
 
     async def _publish_again(self) -> None:
-        """Publish all last values; forget those at which the broker ends the connection."""
-        key, self._alone = self._alone, None
-        if key is not None and self._messages.note_loss(key):
-            device, *point = key
-            what = f"{point[0]} of {device}" if point else f"the device {device!r}"
-            logger.error(
-                "%s: %s is not published again: the broker ended the connection each time",
-                self.name,
-                what,
-            )
+        """Publish all last values, unless the broker ended the connection each time before."""
         self._losses += 1
-        keys = self._messages.keys
         if self._losses <= MOST_LOSSES:
-            await self._publish(self._messages.again(keys))
+            await self._publish(self._messages.again())
+            if self._states is not None:
+                await self._publish_states(self._states.messages(self._states.published))
         else:
-            for key in keys:
-                self._alone = key
-                await self._publish(self._messages.again([key]))
-        self._alone = None
-        if self._states is not None:
-            await self._publish_states(self._states.messages(self._states.published))
+            logger.error("%s ends connections at last values, which are left out", self.name)
         self._losses = 0
-        self._messages.note_accepted()
 
     async def _hear(self, message: aiomqtt.Message) -> None:
         """Answer a command, or the last will of another worker or of an earlier connection."""
-        if str(message.topic) == self._status:
+        topic = str(message.topic)
+        if topic == self._status:
             if message.payload == OFFLINE:
                 await self._connection.publish((self._status, ONLINE), 1, retain=True)
-        elif (outcome := await self._commands.answer(message)) is not None:
-            await self._connection.publish(outcome, self._qos, retain=False)
+        elif self._commands is not None and not message.retain:  # a retained one is old
+            await self._answer(self._commands, topic, message.payload)
+
+    async def _answer(self, commands: Commands, topic: str, payload: object) -> None:
+        """Carry out a command, and publish its outcome."""
+        asked = topic.removesuffix("/set")
+        names = self._point.read(asked)
+        # A rule of the broker that goes by a label must hold: only the own topic of a point counts.
+        if names is None or self._point.of(self._labels.get(names["device"], {}), **names) != asked:
+            return
+        wanted = wanted_of(payload if isinstance(payload, bytes) else b"")
+        outcome = await commands.answer(names["device"], names["name"], wanted)
+        if outcome is not None:
+            result = f"{topic}/result", encoded(outcome)
+            await self._connection.publish(result, self._qos, retain=False)
 
 
 def _of_devices(template: str, topic: Topic, point: Topic, status: str) -> Topic | None:
@@ -263,37 +267,3 @@ def _of_devices(template: str, topic: Topic, point: Topic, status: str) -> Topic
     if made.can_be(status):
         raise WrongValue(key, f"must not be the topic of the status: {template!r}")
     return made
-
-
-class _Commands:
-    """
-    Carries out the values published to the topic of a point + "/set", and returns their outcomes.
-    """
-
-    def __init__(self, point: Topic) -> None:
-        self._point = point
-        self._labels: dict[str, Mapping[str, str]] = {}
-        self.filter: str = f"{point.filter}/set"
-        self.commands: Commands | None = None
-
-    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
-        """Set the devices, by their names."""
-        self._labels = {name: each.labels for name, each in devices.items()}
-
-    def may_share(self, other: _Commands) -> bool:
-        """Return True if one topic can be that of a command for both."""
-        return self._point.can_be(other._point.template)
-
-    async def answer(self, message: aiomqtt.Message) -> Message | None:
-        """Carry out a command; return its outcome, or None if it is none of a point."""
-        if self.commands is None or message.retain:  # a retained one is old
-            return None
-        topic = str(message.topic)
-        asked = topic.removesuffix("/set")
-        names = self._point.read(asked)
-        # A rule of the broker that goes by a label must hold: only the own topic of a point counts.
-        if names is None or self._point.of(self._labels.get(names["device"], {}), **names) != asked:
-            return None
-        data = message.payload if isinstance(message.payload, bytes) else b""
-        outcome = await self.commands.answer(names["device"], names["name"], wanted_of(data))
-        return None if outcome is None else (f"{topic}/result", encoded(outcome))

@@ -4,15 +4,14 @@ Topics and payloads of readings at an MQTT broker, and what the broker retains o
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 
 from ..readings import Reading
 from .forms import newest, object_text, poll_messages
 from .topics import Topic
 
-__all__ = ["MOST_LOSSES", "OFFLINE", "ONLINE", "DeviceStates", "Key", "Message", "Messages"]
+__all__ = ["OFFLINE", "ONLINE", "DeviceStates", "Message", "Messages"]
 
 Message = tuple[str, bytes]
 """A topic and a payload."""
@@ -21,12 +20,6 @@ Key = tuple[str, ...]
 """The names of what has one topic: a device and a point, or a device."""
 
 ONLINE, OFFLINE = b"online", b"offline"
-
-MOST_LOSSES = 3
-"""
-Connections that may be lost while last values are published again: all together, then each alone.
-A broker that is away may cost one or two.
-"""
 
 
 class Messages:
@@ -49,7 +42,6 @@ class Messages:
         self._largest = largest
         # The last reading of each point; its labels are those of the topic at which it is.
         self._kept: dict[Key, dict[str, Reading]] = {}
-        self._losses: Counter[Key] = Counter()
 
     def of(self, readings: Sequence[Reading]) -> Iterator[Message]:
         """Yield the messages with readings, after those that take back values at former topics."""
@@ -83,36 +75,11 @@ class Messages:
             else:
                 self._kept.pop(key, None)
 
-    @property
-    def keys(self) -> list[Key]:
-        """The points, or devices, that have last values."""
-        return list(self._kept)
-
-    def again(self, keys: Iterable[Key]) -> Iterator[Message]:
+    def again(self) -> Iterator[Message]:
         """Yield the messages with the last values."""
-        for key in keys:
-            last = list(self._kept[key].values())
+        for kept in self._kept.values():
+            last = list(kept.values())
             yield from self._messages(self._topic_of(last), last)
-
-    def note_accepted(self) -> None:
-        """Forget the losses: the broker has accepted all last values."""
-        self._losses.clear()
-
-    def note_loss(self, key: Key) -> bool:
-        """
-        Count a connection that was lost when these last values were published again.
-
-        Returns True if they are forgotten. Else they come behind all others, which show whether
-        they are the reason.
-        """
-        if key not in self._kept:
-            return False
-        self._kept[key] = self._kept.pop(key)
-        self._losses[key] += 1
-        if self._losses[key] < MOST_LOSSES:
-            return False
-        del self._kept[key]
-        return True
 
     def _groups(self, readings: Sequence[Reading]) -> Iterator[tuple[Key, dict[str, Reading]]]:
         """Yield the readings of each message by the names of their points."""

@@ -407,25 +407,6 @@ def test_a_device_whose_first_poll_was_not_written_has_its_names_later(file: Jou
     assert asked(file.path, "SELECT device, name FROM reading") == [("a", "p0"), ("a", "p1")]
 
 
-@pytest.mark.parametrize("largest", [100_000, 1_500_000], ids=["half-the-size", "the-bound"])
-def test_changes_that_cannot_be_merged_are_bounded(
-    path: str, monkeypatch: pytest.MonkeyPatch, largest: int
-) -> None:
-    """By half the size of the journal; a small one has some more room."""
-    monkeypatch.setattr(journal_file, "LARGEST_WAL_BYTES", largest)
-    sizes: list[int] = []
-
-    def fill(file: JournalFile) -> None:
-        for number in range(1, 100_000, 200):
-            file.write(polls(number, 100), {}, 0)
-            sizes.append(os.path.getsize(f"{path}-wal"))
-
-    with contextlib.closing(opened(path, size=2_000_000)) as file:
-        with pytest.raises(JournalTrouble, match="another program has been reading it"):
-            fill(file)
-        assert sizes[-1] <= max(1_000_000, largest) < os.path.getsize(f"{path}-wal")
-
-
 def test_each_damaged_file_keeps_a_name_of_its_own(path: str) -> None:
     for _ in range(3):
         file = opened(path)

@@ -7,7 +7,6 @@ from __future__ import annotations
 import asyncio
 import base64
 import sys
-import time
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs
@@ -153,35 +152,6 @@ def test_an_answer_that_never_comes_takes_the_timeout(answer: Answer) -> None:
         patch.setattr(influx, "TIMEOUT_S", 0.2)
         with pytest.raises(TimeoutError, match="did not answer"):
             write(answer)
-
-
-def test_a_demanded_pause_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
-    pauses: list[float] = []
-    rest = asyncio.sleep
-
-    async def sleep(seconds: float, result: Any = None) -> Any:
-        pauses.append(seconds)
-        return await rest(0, result)
-
-    async def go(demand: str) -> None:
-        async with serving([answered("429 Slow", b"", f"Retry-After: {demand}")]) as server:
-            output = Influx(url=server.url, database="plant")
-            await output.open()
-            with pytest.raises(OSError, match="429"):
-                await output.write([READING])
-            await output.close()
-            before = time.monotonic()
-            monkeypatch.setattr(influx.asyncio, "sleep", sleep)
-            await output.open()
-            monkeypatch.setattr(influx.asyncio, "sleep", rest)
-            pauses.append(time.monotonic() - before)
-            await output.write([READING])
-            await output.close()
-
-    for demand, most, least in (("20", 20, 10), ("999999", 300, 290), ("soon", 0, 0), ("-3", 0, 0)):
-        pauses.clear()
-        asyncio.run(go(demand))
-        assert least <= pauses[0] <= most
 
 
 @each_case(

@@ -102,25 +102,6 @@ def test_a_retained_message_has_the_last_values_of_all_points(broker: Broker) ->
     run(go())
 
 
-def test_a_device_that_is_refused_after_a_restart_is_forgotten_alone(
-    broker: Broker, caplog: pytest.LogCaptureFixture
-) -> None:
-    async def go() -> None:
-        async with pumping(Mqtt(broker.url, topic=TOPIC)) as pump:
-            await written(pump, [*poll("a", 0, x="x" * 500), *poll("b", 0, x=1)])
-            broker.kill()
-            await until(lambda: pump.statistics.trouble)
-            broker.settings.append("max_packet_size 400")
-            broker.start()
-            async with hearing(broker, "plant/+") as heard:
-                await written(pump, poll("c", 1, x=2))
-                await until(lambda: len({topic for topic, *_ in heard}) == 2)
-            assert (last(heard, "plant/b"), last(heard, "plant/c")) == ({"x": 1}, {"x": 2})
-
-    run(go())
-    assert any("'a' is not published again" in each.getMessage() for each in caplog.records)
-
-
 def test_no_message_is_larger_than_asked_for() -> None:
     readings = poll("a", 0, **{f"p{at}": at for at in range(100)})
     for largest in range(1024, 1300):
