@@ -207,10 +207,11 @@ class Journal:
             while self._batch or self._recent.taken < self.last:
                 await self._write()
             await self._write()
-        except JournalError as error:
+        except Exception as error:
+            self._note_trouble(error)
             lost = self.between(self._written, self.last)
             self.statistics.dropped += lost
-            logger.error("%s; %d readings are lost", error, lost)
+            logger.error("%s: %d readings are lost", self.path, lost)
         await self._reading.call(self._reader.close)
         await self._writing.call(self._file.close)
 
@@ -299,7 +300,7 @@ class Journal:
                     await self._writing.call(self._file.force)  # before a write that may fail
                 await self._write()
                 pauses.reset()
-            except JournalError as error:
+            except Exception as error:  # a defect, too, is tried again, and shown
                 self._note_trouble(error)
                 self._wake.set()
                 await asyncio.sleep(pauses.next())
@@ -346,13 +347,14 @@ class Journal:
         if self._recent.taken < self.last or not written.is_over:
             self._wake.set()
 
-    def _note_trouble(self, error: JournalError) -> None:
+    def _note_trouble(self, error: Exception) -> None:
         if isinstance(error, JournalDamaged):
             self._damage = error
         self.statistics.failures += 1
         message = str(error)
         if message != self.statistics.trouble:
-            logger.warning("%s", message)
+            is_usual = isinstance(error, JournalError)
+            logger.warning("%s", message, exc_info=None if is_usual else error)
         self.statistics.trouble = message
 
     async def _replace(self, error: JournalDamaged) -> None:

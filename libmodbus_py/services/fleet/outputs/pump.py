@@ -139,7 +139,7 @@ class Pump:
         begun = asyncio.get_running_loop().time()
         self._most, most = MOST_AT_ONCE, self._most
         try:
-            await self._output.write(batch)
+            await self._output.write([*batch])  # which may change the list
         except ConnectionError as error:
             self._note_loss(batch, error)
             raise

@@ -1,0 +1,317 @@
+"""
+Journals under attack: programs that are killed, disks that fail, clocks, defects, and floods.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import shutil
+import sqlite3
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Fleet
+from libmodbus_py.fleet import Journal, JournalError, Reading
+from libmodbus_py.services.fleet.journal import journal as journal_module
+from libmodbus_py.services.fleet.journal.journal_file import JournalFile
+from tests.services.fleet.fleets import Peer, meter, simulated_run, until
+from tests.services.fleet.journal.journals import polls, readings
+from tests.services.fleet.journal.test_journal import Broker, Failing, in_journal, run_for
+from tests.simulation.network import Network
+
+
+def asked(path: str | Path, query: str) -> list[Any]:
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        return database.execute(query).fetchall()
+
+
+def opened(path: str, size: int = 10**9) -> JournalFile:
+    file = JournalFile(path, 1e10, size)
+    file.open(["a"], 1)
+    return file
+
+
+def test_a_program_may_be_killed_at_each_step_of_a_transaction(path: str, tmp_path: Path) -> None:
+    """What is on the disk at each step is a journal with whole polls, and a place among them."""
+    copies: list[Path] = []
+
+    def copy(statement: str) -> None:
+        folder = tmp_path / f"{len(copies)}"
+        folder.mkdir()
+        for ending in ("", "-wal"):
+            shutil.copy(f"{path}{ending}", folder / f"fleet.db{ending}")
+        copies.append(folder / "fleet.db")
+
+    file = opened(path)
+    file._used.set_trace_callback(copy)
+    for at in range(3):
+        file.write(polls(1 + 20 * at, 10), {"a": 20 * at}, 20 * at)
+        file.force()
+    file._used.set_trace_callback(None)
+    file.close()
+    assert len(copies) > 30
+    found = set()
+    for each in copies:
+        again = JournalFile(str(each), 1e10, 10**9)
+        begun = again.open(["a"])
+        again.write([], begun.places, 0)
+        again.close()
+        ids = in_journal(str(each))
+        assert ids == [*range(1, len(ids) + 1)]
+        assert begun.places["a"] <= len(ids) < begun.first
+        found.add((len(ids), begun.places["a"]))
+    assert found == {(0, 0), (20, 0), (40, 20), (60, 40)}
+
+
+@pytest.mark.parametrize("step", ["INSERT", "COMMIT"])
+def test_a_disk_that_is_full_at_any_step_writes_nothing_and_all_later(path: str, step: str) -> None:
+    file = opened(path)
+    file.write(polls(1, 10), {"a": 2}, 0)
+    used = file._database
+
+    class Full:
+        """A connection that fails at a step."""
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(used, name)
+
+        def execute(self, query: str, *arguments: Any) -> Any:
+            if query.startswith(step):
+                raise sqlite3.OperationalError("database or disk is full")
+            assert used is not None
+            return used.execute(query, *arguments)
+
+        def executemany(self, query: str, *arguments: Any) -> Any:
+            if step == "INSERT":
+                raise sqlite3.OperationalError("database or disk is full")
+            assert used is not None
+            return used.executemany(query, *arguments)
+
+    file._database = Full()  # type: ignore[assignment]
+    for _ in range(2):
+        with pytest.raises(JournalError, match="full"):
+            file.write(polls(21, 10), {"a": 30}, 0)
+    file._database = used
+    assert asked(path, "SELECT confirmed FROM place") == [(2,)]
+    file.write(polls(21, 10), {"a": 30}, 0)
+    file.close()
+    assert in_journal(path) == [*range(1, 41)]
+    assert asked(path, "SELECT confirmed FROM place") == [(30,)]
+
+
+def test_a_disk_that_cannot_be_forced_is_reported_and_forced_again(
+    path: str, inline: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    forced: list[bool] = []
+    error: list[OSError] = []
+
+    def fsync(descriptor: int) -> None:
+        forced.append(not error)
+        if error:
+            raise error[0]
+
+    monkeypatch.setattr("libmodbus_py.services.fleet.journal.journal_file.os.fsync", fsync)
+    broker = Broker()
+
+    async def fail(fleet: Fleet) -> None:
+        journal = fleet.statistics.journal
+        assert journal is not None
+        error.append(OSError(errno.EIO, "Input/output error"))
+        await until(lambda: journal.trouble)
+        assert journal.trouble == f"{path}: Input/output error"
+        error.clear()
+        await until(lambda: not journal.trouble)
+        count = len(forced)
+        await asyncio.sleep(2)
+        assert any(forced[count:])  # although the device is polled each ten seconds only
+
+    fleet = run_for(path, 100, broker, change=fail)
+    assert fleet.statistics.journal is not None
+    assert fleet.statistics.journal.dropped == 0
+    assert broker.ids == in_journal(path)
+
+
+@pytest.mark.parametrize("name", ["write", "force"])
+def test_a_defect_in_the_thread_that_writes_is_reported_and_loses_nothing(
+    path: str,
+    inline: None,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    name: str,
+) -> None:
+    """Whatever it raises: the journal tries again, as after an error of the disk."""
+    disk = Failing(monkeypatch, JournalFile, name, None)
+    broker, away = Broker(), Broker("away", is_away=True)
+
+    async def fail(fleet: Fleet) -> None:
+        journal = fleet.statistics.journal
+        assert journal is not None
+        disk.error = RuntimeError("a defect")
+        await asyncio.sleep(100)
+        assert "a defect" in journal.trouble
+        disk.error = None
+        away.is_away = False
+        await asyncio.sleep(60)
+        assert journal.trouble == ""
+        assert fleet.statistics.outputs["away"].waiting == 0
+
+    fleet = run_for(path, 100, broker, away, change=fail)
+    assert broker.ids == away.ids == in_journal(path)
+    assert fleet.statistics.journal is not None
+    assert fleet.statistics.journal.dropped == 0
+    assert "RuntimeError: a defect" in caplog.text  # with its traceback
+
+
+def test_a_defect_while_a_journal_closes_lets_others_use_the_file(
+    path: str, inline: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    disk = Failing(monkeypatch, JournalFile, "write", None)
+
+    async def fail(fleet: Fleet) -> None:
+        disk.error = RuntimeError("a defect")
+        await asyncio.sleep(10)
+
+    fleet = run_for(path, 100, Broker(), change=fail)
+    disk.error = None
+    assert fleet.statistics.journal is not None
+    assert fleet.statistics.journal.dropped > 0
+    assert "readings are lost" in caplog.text
+    run_for(path, 100, Broker())
+
+
+def test_ten_thousand_polls_that_wait_are_written_when_it_closes(path: str) -> None:
+    async def go() -> None:
+        journal = Journal(path)
+        [place] = await journal.open(["a"])
+        for at in range(10_000):
+            journal.put(readings("a", 100.0 + at, 10))
+        assert len(place) == 100_000
+        await journal.close()
+        assert journal.statistics.written == 100_000
+        assert journal.statistics.dropped == 0
+
+    asyncio.run(go())
+    assert asked(path, "SELECT count(*), total(readings) FROM poll") == [(10_000, 100_000)]
+
+
+def test_a_second_program_changes_nothing_of_the_first(path: str, inline: None) -> None:
+    broker, second = Broker(), Broker("second")
+
+    async def begin_another(fleet: Fleet) -> None:
+        async with Peer() as peer:
+            other = Fleet([meter("b", peer.url)], outputs=[second], journal=Journal(path))
+            with pytest.raises(JournalError, match="is used by another program"):
+                await other.run()
+            assert peer.requests == []
+        await asyncio.sleep(100)
+
+    run_for(path, 100, broker, change=begin_another)
+    assert broker.ids == in_journal(path)
+    assert second.ids == []
+    assert asked(path, "SELECT output FROM place") == [("broker",)]
+
+
+def test_a_clock_that_jumps_back_loses_and_repeats_nothing(
+    path: str, inline: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broker, away = Broker(), Broker("away", is_away=True)
+    network = Network()
+    shift = [0.0]
+    now = network.time_of_day
+
+    async def go() -> None:
+        monkeypatch.setattr(time, "time", lambda: now() + shift[0])
+        async with Peer() as peer:
+            devices = [meter("a", peer.url, interval=1)]
+            journal = Journal(path, keep="1 minute")
+            async with Fleet(devices, outputs=[broker, away], journal=journal):
+                for back in (0.0, -3600.0, -86_400.0):
+                    shift[0] = back
+                    await asyncio.sleep(20)
+                away.is_away = False
+                await asyncio.sleep(40)
+
+    simulated_run(go(), network)
+    assert broker.ids == away.ids == sorted(set(broker.ids))
+    assert len(broker.ids) > 250
+
+
+def test_a_reload_in_the_midst_of_transactions_loses_and_repeats_nothing(
+    path: str, inline: None
+) -> None:
+    """Also with `on_change`, and after failed transactions: no list of points grows."""
+    broker = Broker()
+
+    async def go() -> None:
+        async with Peer() as one, Peer() as two:
+            journal = Journal(path)
+            fleet = Fleet([], outputs=[broker], journal=journal)
+            async with fleet:
+                for at in range(60):
+                    devices = [
+                        meter(name, peer.url, on_change=at % 2 == 0, labels={"run": f"{at % 3}"})
+                        for name, peer in (("a", one), ("b", two))
+                    ]
+                    fleet.replace(devices[: 1 + at % 2])
+                    await asyncio.sleep(0.03 * (at % 7))
+
+    simulated_run(go(), Network())
+    assert broker.ids == in_journal(path)
+    # Three points of two devices with three sets of labels.
+    assert asked(path, "SELECT count(*) FROM point")[0][0] <= 18
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda batch: batch.clear(),
+        lambda batch: batch.reverse(),
+        lambda batch: batch.extend([each._replace(id=each.id + 10**6) for each in batch]),
+    ],
+    ids=["clears", "reverses", "extends"],
+)
+def test_an_output_that_changes_the_list_it_is_given_loses_nothing(
+    path: str, inline: None, change: Callable[[list[Reading]], object]
+) -> None:
+    class Changing(Broker):
+        async def write(self, readings: Any) -> None:
+            await super().write(list(readings))
+            change(readings)
+
+    broker = Changing()
+    run_for(path, 100, broker)
+    again = Broker()
+    run_for(path, 100, again)
+    assert (broker.ids + again.ids) == in_journal(path)
+
+
+def test_readings_that_are_confirmed_after_the_end_are_sent_again_at_most(
+    path: str, inline: None
+) -> None:
+    """An output whose last write ends after the journal was closed."""
+
+    async def go() -> None:
+        journal = Journal(path)
+        [place] = await journal.open(["a"])
+        journal.put(readings())
+        batch = await place.take(10)
+        await journal.close()
+        begun = asyncio.get_running_loop().time()
+        await place.confirm(batch)
+        assert asyncio.get_running_loop().time() - begun <= 1.0
+        journal = Journal(path)
+        [place] = await journal.open(["a"])
+        assert await place.take(10) == batch
+        await place.confirm(batch)
+        await place.confirm(batch)
+        assert len(place) == 0
+        await journal.close()
+
+    simulated_run(go(), Network())
+    assert journal_module.LAST_WAIT_S > 1.0
