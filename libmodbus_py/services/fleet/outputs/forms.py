@@ -17,7 +17,7 @@ from ....tools.files.csv_text import csv_rows
 from ..readings import Reading
 from .output import ReadingsRefused
 
-__all__ = ["COLUMNS", "as_csv", "as_json", "newest", "object_text", "poll_messages"]
+__all__ = ["COLUMNS", "as_csv", "as_json", "object_text", "poll_messages"]
 
 
 COLUMNS: tuple[str, ...] = Reading._fields[:-2]
@@ -108,7 +108,7 @@ def poll_messages(readings: Sequence[Reading], largest: int) -> Iterator[tuple[l
     Raises:
         ReadingsRefused: a single reading has more bytes.
     """
-    device, labels = readings[0].device, newest(readings).labels
+    device, labels = readings[0].device, readings[-1].labels
     values = {
         each.name: f"{_json(each.name)}: {object_text(each, with_labels=False)}"
         for each in readings
@@ -122,11 +122,6 @@ def poll_messages(readings: Sequence[Reading], largest: int) -> Iterator[tuple[l
         part = f'"part": {at + 1}, "parts": {len(parts)}, ' if len(parts) > 1 else ""
         texts = ", ".join([values[name] for name in names])
         yield names, f'{begin}{part}"values": {{{texts}}}}}'.encode()
-
-
-def newest(readings: Sequence[Reading]) -> Reading:
-    """Return the reading with the greatest time."""
-    return max(readings, key=lambda each: each.time)
 
 
 def _parts(values: Mapping[str, str], room: int) -> Iterator[list[str]]:

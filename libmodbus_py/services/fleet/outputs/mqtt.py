@@ -129,7 +129,7 @@ class Mqtt:
             self._topic if is_of_points else Topic("topic", f"{topic}/{{name}}", ("device", "name"))
         )
         self._status = plain_topic("status", status)
-        if self._topic.can_be(self._status):
+        if self._status and self._topic.can_be(self._status):
             raise WrongValue("status", f"must not be the topic of a reading: {status!r}")
         self._state_topic = _of_devices(device_status, self._topic, point, self._status)
         self._states = DeviceStates(self._state_topic) if self._state_topic else None

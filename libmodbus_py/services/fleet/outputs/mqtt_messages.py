@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from itertools import groupby
 
 from ..readings import Reading
-from .forms import newest, object_text, poll_messages
+from .forms import object_text, poll_messages
 from .topics import Topic
 
 __all__ = ["OFFLINE", "ONLINE", "DeviceStates", "Message", "Messages"]
@@ -49,7 +49,7 @@ class Messages:
         for key, found in self._groups(readings):
             if self._is_retained:
                 before = ahead.get(key, self._kept.get(key, {}))
-                found = {**before, **found}
+                found = _merged(before, found)
                 yield from self._taken_back(list(before.values()), list(found.values()))
                 ahead[key] = _staying(found)
             last = list(found.values())
@@ -69,7 +69,7 @@ class Messages:
         if not self._is_retained:
             return
         for key, found in self._groups(readings):
-            staying = _staying({**self._kept.get(key, {}), **found})
+            staying = _staying(_merged(self._kept.get(key, {}), found))
             if staying:
                 self._kept[key] = staying
             else:
@@ -91,7 +91,7 @@ class Messages:
             yield (device,), {each.name: each for each in group}
 
     def _topic_of(self, readings: Sequence[Reading]) -> str:
-        last = newest(readings)
+        last = readings[-1]
         return self._topic.of(last.labels, device=last.device, name=last.name)
 
     def _messages(self, topic: str, readings: Sequence[Reading]) -> Iterator[Message]:
@@ -101,6 +101,11 @@ class Messages:
             return
         for _, data in poll_messages(readings, self._largest):
             yield topic, data
+
+
+def _merged(before: dict[str, Reading], found: dict[str, Reading]) -> dict[str, Reading]:
+    """Return the last readings of a topic; those that came last, whose labels count, are last."""
+    return {**{name: each for name, each in before.items() if name not in found}, **found}
 
 
 def _staying(found: dict[str, Reading]) -> dict[str, Reading]:

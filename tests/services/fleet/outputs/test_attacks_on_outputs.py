@@ -1,0 +1,301 @@
+"""
+Outputs under attack: servers that answer badly, disks that are full, reloads while readings wait.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import json
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Server
+from libmodbus_py.fleet import Reading
+from libmodbus_py.services import tasks
+from libmodbus_py.services.fleet.outputs.influx import Influx
+from libmodbus_py.services.fleet.outputs.line_file import CsvOutput, JsonOutput, LineFile
+from libmodbus_py.services.fleet.outputs.mqtt_messages import Messages
+from libmodbus_py.services.fleet.outputs.topics import Topic
+from tests.services.fleet.fleets import Peer, good, meter, polling, simulated, simulated_run, until
+from tests.services.fleet.outputs.http_server import Answer, Last, answered, serving
+from tests.support.commands import Started
+from tests.support.outputs import pumping
+
+
+def poll(at: int, device: str = "a") -> list[Reading]:
+    return [Reading(100.0 + at, device, name, at, "V", "good") for name in ("x", "y")]
+
+
+# --- servers --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("answer", "trouble"),
+    [
+        (None, "disconnected"),  # it takes all, and closes at once
+        (answered("200 OK", b"hello"), "200"),
+        (answered("500 Oops"), "500"),
+        (answered("301 Moved", b"", "Location: http://127.0.0.1:1/"), "301"),
+        (Last(b"HTTP/1.1 20"), "disconnected"),
+        (Last(b"HTTP/1.1 204 No Content\r\nContent-Len"), "disconnected"),
+        (b"\0\1\2 garbage\r\n\r\n", "illegal"),
+    ],
+    ids=["closes", "200", "500", "301", "half-a-line", "half-a-header", "garbage"],
+)
+def test_readings_wait_for_a_server_however_it_answers(
+    monkeypatch: pytest.MonkeyPatch, answer: Answer, trouble: str
+) -> None:
+    monkeypatch.setattr(tasks, "FIRST_PAUSE_S", 0.001)
+    monkeypatch.setattr(tasks, "LONGEST_PAUSE_S", 0.01)
+
+    async def go() -> None:
+        async with serving() as server:
+            server.answers = [answer] * 10
+            async with pumping(Influx(url=server.url, database="plant")) as pump:
+                pump.buffer.put([*poll(1), *poll(2)])
+                await until(lambda: len(server.received) >= 3)
+                assert pump.statistics.dropped == 0
+                await until(lambda: pump.statistics.written == 4)
+                assert (pump.statistics.dropped, pump.statistics.trouble) == (0, "")
+                assert pump.statistics.failures >= 3
+            lines = b"".join(each.body for each in server.received[-2:])
+            assert b"y=1.0" in lines or b"y=1" in lines
+            assert b"y=2" in lines
+
+    asyncio.run(go())
+
+
+# --- files ----------------------------------------------------------------------------------
+
+
+class SmallDisk:
+    """A disk on which there is room for so many bytes."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, room: int) -> None:
+        self.room = room
+        self._write = os.write
+        monkeypatch.setattr("libmodbus_py.services.fleet.outputs.line_file.os.write", self.write)
+
+    def write(self, descriptor: int, data: bytes) -> int:
+        if not self.room:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        written = self._write(descriptor, data[: self.room])
+        self.room -= written
+        return written
+
+
+@pytest.mark.parametrize("make", [JsonOutput, CsvOutput])
+@pytest.mark.parametrize("room", [0, 10, 60, 200])
+def test_a_file_on_a_full_disk_has_whole_lines_and_each_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make: Callable[[str], LineFile], room: int
+) -> None:
+    monkeypatch.setattr(tasks, "FIRST_PAUSE_S", 0.001)
+    monkeypatch.setattr(tasks, "LONGEST_PAUSE_S", 0.01)
+    disk = SmallDisk(monkeypatch, room)
+    path = tmp_path / "readings"
+
+    async def go() -> None:
+        async with pumping(make(str(path))) as pump:
+            for at in range(5):
+                pump.buffer.put(poll(at))
+            await until(lambda: pump.statistics.failures > 3)
+            assert "No space left" in pump.statistics.trouble
+            assert path.read_bytes()[-1:] in (b"", b"\n")
+            disk.room = 1 << 20
+            await until(lambda: pump.statistics.written == 10)
+            assert pump.statistics.dropped == 0
+
+    asyncio.run(go())
+    lines = path.read_text().splitlines()
+    rows = lines if make is JsonOutput else lines[1:]
+    assert len(rows) == len({*rows}) == 10
+
+
+def test_a_file_is_renamed_as_by_logrotate_while_readings_come_and_the_fleet_is_read_again(
+    tmp_path: Path,
+) -> None:
+    """The recipe for logrotate, again and again, with a SIGHUP each time: no reading is lost."""
+    files = [tmp_path / f"readings.jsonl.{at}" for at in range(1, 6)]
+    path = tmp_path / "readings.jsonl"
+    with Server(simulated()).background("tcp://127.0.0.1:0") as running:
+        (tmp_path / "fleet.toml").write_text(
+            "journal = 'fleet.db'\n[output.json]\npath = 'readings.jsonl'\n"
+            f"[[device]]\nname = 'a'\nurl = '{running.urls[0]}'\ninterval = 0.02\n"
+            "[[device.point]]\nname = 'p'\ntable = 'holding_registers'\naddress = 0\n"
+        )
+        with Started("poll", str(tmp_path / "fleet.toml")) as process:
+            for each in files:
+                wait_until(lambda: path.exists() and path.stat().st_size > 1000)
+                path.rename(each)
+                process.send_signal(signal.SIGHUP)
+            wait_until(lambda: path.exists() and path.stat().st_size > 1000)
+            process.terminate()
+            assert process.wait(10) == 0
+    ids = [
+        json.loads(line)["id"] for each in [*files, path] for line in each.read_text().splitlines()
+    ]
+    assert ids == [*range(ids[0], ids[0] + len(ids))]
+
+
+def wait_until(is_so: Callable[[], object]) -> None:
+    deadline = time.monotonic() + 20
+    while not is_so():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+# --- labels, reloads ------------------------------------------------------------------------
+
+
+def test_a_clock_that_jumps_back_leaves_the_topic_of_a_label_that_changed() -> None:
+    """The readings that came last count, not those with the greatest time."""
+    topic = Topic("topic", "plant/{label.site}/{device}", ("device",))
+    messages = Messages(topic, is_of_points=False, is_retained=True, largest=10_000)
+
+    def published(readings: list[Reading]) -> list[str]:
+        topics = [topic for topic, _ in messages.of(readings)]
+        messages.keep(readings)
+        return topics
+
+    first = [each._replace(labels={"site": "old"}) for each in poll(3600)]
+    later = [each._replace(labels={"site": "new"}) for each in poll(0)[:1]]
+    assert published(first) == ["plant/old/a"]
+    assert published(later) == ["plant/old/a", "plant/new/a"]
+    assert published(later) == ["plant/new/a"]
+
+
+@pytest.mark.parametrize("after", [[], ["b"], ["a"]], ids=["none", "another", "itself"])
+def test_an_answer_after_a_reload_is_of_nobody(after: list[str]) -> None:
+    """A device is removed, replaced, or changed while it is asked: no reading of the former."""
+
+    async def go() -> None:
+        answers = asyncio.Event()
+
+        async def slow(request: bytes) -> bytes | None:
+            await answers.wait()
+            return await good(request)
+
+        async with Peer(slow) as peer:
+            url = f"{peer.url}?timeout=30"
+            async with polling(meter("a", url)) as (fleet, readings):
+                await until(lambda: peer.requests)
+                fleet.replace([meter(name, url, labels={"run": "2"}) for name in after])
+                answers.set()
+                await asyncio.sleep(1)
+                assert {each.device for each in readings if each.quality == "good"} == {*after}
+                assert all(each.labels == {"run": "2"} for each in readings)
+                statistics = fleet.statistics
+                assert (statistics.devices, statistics.up) == (len(after), len(after))
+                assert statistics.down == 0
+
+    simulated_run(go())
+
+
+def test_a_device_that_is_named_twice_changes_nothing() -> None:
+    async def go() -> None:
+        async with Peer() as peer, polling(meter("a", peer.url)) as (fleet, readings):
+            await until(lambda: readings)
+            before = fleet.devices["a"]
+            twice: list[Any] = [meter("a", peer.url), meter("a", peer.url, unit=2)]
+            with pytest.raises(ValueError, match="'a' is also the name of"):
+                fleet.replace(twice)
+            with pytest.raises(ValueError, match="'a' is also the name of"):
+                fleet.add([meter("a", peer.url, unit=2)])
+            assert fleet.devices["a"] is before
+            count = len(readings)
+            await until(lambda: len(readings) > count + 3)
+            assert {*peer.units} == {1}
+
+    simulated_run(go())
+
+
+def test_metrics_can_be_scraped_while_a_fleet_is_read_again() -> None:
+    """From another thread, as a server of metrics does."""
+    prometheus = pytest.importorskip("prometheus_client")
+    from libmodbus_py.services.fleet.statistics import LastValues
+    from libmodbus_py.services.integrations.prometheus import collect
+
+    async def go() -> None:
+        registry, values = prometheus.CollectorRegistry(), LastValues()
+        with Server({unit: simulated() for unit in range(1, 40)}).background(
+            "tcp://127.0.0.1:0"
+        ) as running:
+            sets = [
+                [
+                    meter(f"{kind}{unit}", running.urls[0], unit=unit, labels={"kind": kind})
+                    for unit in range(1, 40)
+                ]
+                for kind in ("x", "y")
+            ]
+            async with polling(*sets[0], outputs=[values]) as (fleet, readings):
+                collect(fleet, values, registry=registry)
+                is_over = False
+
+                def scrape() -> int:
+                    count = 0
+                    while not is_over:
+                        assert b"modbus_fleet_devices" in prometheus.generate_latest(registry)
+                        count += 1
+                    return count
+
+                scraping = asyncio.create_task(asyncio.to_thread(scrape))
+                for at in range(60):
+                    fleet.replace(sets[at % 2])
+                    await asyncio.sleep(0.01)
+                await until(lambda: len(readings) > 100)
+                is_over = True
+                assert await scraping > 5
+
+    asyncio.run(go())
+
+
+def test_a_broker_that_confirms_twice_confirms_nothing_else() -> None:
+    """Each PUBACK comes twice: all readings are there, each once."""
+    published: list[bytes] = []
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            while True:
+                kind = (await reader.readexactly(1))[0]
+                size = shift = 0
+                while True:
+                    byte = (await reader.readexactly(1))[0]
+                    size |= (byte & 127) << shift
+                    shift += 7
+                    if byte < 128:
+                        break
+                data = await reader.readexactly(size)
+                if kind >> 4 == 1:
+                    writer.write(b"\x20\x02\0\0")
+                elif kind >> 4 == 3:
+                    length = int.from_bytes(data[:2], "big")
+                    number = data[2 + length : 4 + length]
+                    published.append(data[4 + length :])
+                    writer.write(2 * (b"\x40\x02" + number))
+                elif kind >> 4 == 8:
+                    writer.write(b"\x90\x03" + data[:2] + b"\1")
+                elif kind >> 4 == 10:
+                    writer.write(b"\xb0\x02" + data[:2])
+        except asyncio.IncompleteReadError:
+            writer.close()
+
+    async def go() -> None:
+        mqtt = pytest.importorskip("libmodbus_py.services.fleet.outputs.mqtt")
+        pytest.importorskip("aiomqtt")
+        async with await asyncio.start_server(serve, "127.0.0.1", 0) as server:
+            url = f"mqtt://127.0.0.1:{server.sockets[0].getsockname()[1]}"
+            async with pumping(mqtt.Mqtt(url, qos=1, status="", topic="{device}")) as pump:
+                for at in range(300):
+                    pump.buffer.put(poll(at))
+                await until(lambda: pump.statistics.written == 600)
+                assert (pump.statistics.dropped, pump.statistics.failures) == (0, 0)
+
+    asyncio.run(go())
+    assert len(published) == len({*published}) == 300
