@@ -137,10 +137,9 @@ class FleetStatistics:
 
 @dataclass(slots=True, weakref_slot=True)
 class KeptReadings:
-    """The last reading by (device, name), and the labels of each device."""
+    """The last reading by (device, name)."""
 
     by_name: dict[tuple[str, str], Reading] = field(default_factory=dict)
-    labels: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
 
 class LastValues:
@@ -151,11 +150,12 @@ class LastValues:
 
     def __init__(self) -> None:
         self.statistics: KeptReadings = KeptReadings()
+        self._devices: Mapping[str, DeviceConfig] = {}
 
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
-        """Set the labels of devices, and forget the readings of all other devices."""
+        """Set the devices, and forget the readings of all others."""
+        self._devices = devices
         kept = self.statistics
-        kept.labels = {name: each.labels for name, each in devices.items()}
         kept.by_name = {key: each for key, each in kept.by_name.items() if key[0] in devices}
 
     async def open(self) -> None:
@@ -165,7 +165,7 @@ class LastValues:
         kept = self.statistics
         for each in readings:
             # A reading may have waited while its device was removed.
-            if each.quality == "offline" or each.device not in kept.labels:
+            if each.quality == "offline" or each.device not in self._devices:
                 kept.by_name.pop((each.device, each.name), None)
             else:
                 kept.by_name[each.device, each.name] = each

@@ -237,8 +237,7 @@ def _of_fleet(statistics: FleetStatistics, labels: Labels) -> Values:
 def _of_readings(kept: KeptReadings, labels: Labels) -> Values:
     for each in kept.by_name.copy().values():
         if isinstance(each.value, int | float):
-            given = kept.labels.get(each.device, {})
-            own = {label_name(key): value for key, value in given.items()}
+            own = {label_name(key): value for key, value in each.labels.items()}
             own |= {"device": each.device, "name": each.name, "unit": each.unit}
             yield Sample(VALUE, "", (*labels, *own.items())), float(each.value)
 

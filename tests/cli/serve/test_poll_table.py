@@ -24,7 +24,7 @@ METER = "name,table,address,unit,scale\nlevel,holding_registers,0,m,0.1\n"
 
 
 def kept(*readings: Reading) -> KeptReadings:
-    return KeptReadings({(each.device, each.name): each for each in readings}, {})
+    return KeptReadings({(each.device, each.name): each for each in readings})
 
 
 def test_the_lines_of_a_fleet() -> None:

@@ -33,7 +33,6 @@ class TestLastValues:
         assert sorted(values.statistics.by_name) == [("a", "w"), ("b", "v")]
         values.describe({"a": meter("a", "tcp://192.0.2.1")})
         assert sorted(values.statistics.by_name) == [("a", "w")]
-        assert list(values.statistics.labels) == ["a"]
 
     def test_a_removed_device_has_no_values(self) -> None:
         values = LastValues()
