@@ -22,9 +22,9 @@ from ...services.fleet.files import FleetFile, load
 from ...services.fleet.fleet import Fleet
 from ...services.fleet.journal.schema import JournalError
 from ...services.fleet.outputs.output import KINDS, Output, OutputError, check_exclusive, made
-from ...services.fleet.outputs.writer_thread import WriterThread
 from ...services.fleet.statistics import LastValues
 from ...services.fleet.trial import Tried, overloads, trying
+from ...services.tasks import WriterThread
 from ...system import allow_all_descriptors
 from ...tools.files.texts import compared, reread
 from .. import arguments, logs, tracing

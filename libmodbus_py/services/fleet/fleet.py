@@ -19,12 +19,11 @@ from .commands import Commands
 from .config import DeviceConfig, by_connection, checked
 from .files import load
 from .journal.journal import Journal
-from .line import FleetLine, MayAsk
+from .line import FleetLine, MayAsk, Timetable, first_time, next_time
 from .outputs.output import Output
 from .poller import DeviceState, Poller, Reads, offline
 from .readings import MOST_KEPT, Reading
 from .receivers import Readings, Receivers
-from .schedule import Timetable, first_time, next_time
 from .statistics import FleetStatistics
 
 __all__ = ["Fleet"]

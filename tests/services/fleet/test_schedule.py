@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from libmodbus_py.services.fleet.schedule import (
+from libmodbus_py.services.fleet.line import (
     Timetable,
     first_time,
     next_time,
@@ -38,7 +38,7 @@ def test_phases_are_those_of_another_machine() -> None:
     wall = 1_800_000_000.25
     here = first_time("pump 7", 10.0, 5.0, wall) - 5.0 + wall
     program = f"""
-from libmodbus_py.services.fleet.schedule import first_time
+from libmodbus_py.services.fleet.line import first_time
 print(repr(first_time("pump 7", 10.0, 9e5, {wall} + 3.0) - 9e5 + {wall} + 3.0))
 """
     there = float(subprocess.check_output([sys.executable, "-c", program]))

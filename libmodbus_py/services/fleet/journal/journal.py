@@ -25,9 +25,8 @@ from collections.abc import Iterable, Sequence
 from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType
 from ....tools.files.schema import in_bytes, in_seconds
-from ...tasks import Pauses, end_tasks, finish
+from ...tasks import Pauses, WriterThread, end_tasks, finish
 from ..outputs.output import file_at
-from ..outputs.writer_thread import WriterThread
 from ..readings import Reading
 from ..statistics import JournalStatistics
 from .journal_file import Begun, JournalFile, JournalState

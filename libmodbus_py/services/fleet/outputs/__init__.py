@@ -14,5 +14,4 @@ Each output imports its libraries when it is opened, and has one row in `output.
     mqtt_messages    messages, and what the broker retains of them
     topics           levels of topics and subjects, and topics with names and labels
     credentials      passwords and certificate authorities in files, which are read again
-    writer_thread    a thread that writes, so that nothing else waits for a disk
 """

@@ -17,11 +17,10 @@ from typing import BinaryIO, NamedTuple
 from ....protocol.mistakes import WrongType, WrongValue
 from ....protocol.plain import without_controls
 from ....tools.files.csv_text import csv_rows
-from ...tasks import finish
+from ...tasks import WriterThread, finish
 from ..readings import MOST_KEPT, Reading
 from .forms import COLUMNS, as_csv, as_json
 from .output import OutputError, file_at
-from .writer_thread import WriterThread
 
 __all__ = ["CsvOutput", "Format", "JsonOutput", "LineFile"]
 
