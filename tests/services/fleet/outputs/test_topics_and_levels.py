@@ -1,5 +1,5 @@
 """
-Topics of MQTT with the labels of devices.
+Names as levels of topics and subjects, and topics with names and labels.
 """
 
 from __future__ import annotations
@@ -12,10 +12,31 @@ import pytest
 from libmodbus_py import Fleet, Server
 from libmodbus_py.fleet import DeviceConfig, FleetFileError, load
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from libmodbus_py.services.fleet.outputs.topics import Topic
+from libmodbus_py.services.fleet.outputs.topics import Levels, Topic
 from tests.services.fleet.fleets import meter, simulated, until
 from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish, run
 from tests.support.cases import each_case
+
+LEVELS = Levels(r"[\s.%/]")
+
+NAMES = ["north", "hall.2", "a b", "50%", "%2E", "kälte", "日本", "/", "x" * 100]
+
+
+def test_a_name_is_read_from_its_level() -> None:
+    assert [LEVELS.read(LEVELS.spell(name)) for name in NAMES] == NAMES
+    assert LEVELS.spell("hall.2 50%/kälte") == "hall%2E2%2050%25%2Fkälte"
+    assert len({LEVELS.spell(name) for name in NAMES}) == len(NAMES)
+
+
+SPELT_OTHERWISE = ["", "n%6Frth", "hall.2", "hall%2e2", "%", "%2", "%zz", "%FF", "%0A", "a\n"]
+
+TOO_LONG = ["x" * 101, "%25" * 101, "a" * 100_000]
+
+
+@each_case("level", [*SPELT_OTHERWISE, *TOO_LONG])
+def test_a_level_in_another_spelling_is_no_name(level: str) -> None:
+    assert LEVELS.read(level) is None
+
 
 TEMPLATE = "plant/{label.site}/{device}/{name}"
 

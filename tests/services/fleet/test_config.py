@@ -1,0 +1,240 @@
+"""
+Devices of a fleet: bounds that are promised, names, addresses, and the table [engine].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Fleet, Point, RegisterMap
+from libmodbus_py.fleet import DeviceConfig, Reading
+from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.services.fleet.config import ENGINE
+from libmodbus_py.services.fleet.files import FleetFileError, load
+from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
+from libmodbus_py.services.fleet.readings import Buffer
+from libmodbus_py.services.workers.records import FleetSettings
+from libmodbus_py.tools.files.csv_text import CELLS
+from tests.services.fleet.fleets import meter
+from tests.support.cases import each_case
+from tests.support.commands import run
+
+
+@pytest.mark.parametrize("most", [1, 10_000_000])
+def test_a_buffer_takes_from_one_to_ten_million_readings(most: int) -> None:
+    assert len(Buffer(most)) == 0
+
+
+def test_a_buffer_holds_a_hundred_thousand_readings_unless_it_is_told_otherwise() -> None:
+    buffer, one = Buffer(), [Reading(0.0, "meter", "power", 1, "W", "good")]
+    buffer.put(one * 100_000)
+    assert (len(buffer), buffer.dropped) == (100_000, 0)
+    buffer.put(one)
+    assert (len(buffer), buffer.dropped) == (100_000, 1)
+
+
+@each_case(("key", "low", "high"), [("gap", 0, 2000), ("max_registers", 1, 125)])
+def test_the_ends_of_the_range_of_a_key_are_within(key: str, low: int, high: int) -> None:
+    points = RegisterMap([Point("power", "holding_registers", 0)])
+    for value in (low, high):
+        options: dict[str, Any] = {key: value}
+        device = DeviceConfig("meter", "tcp://192.0.2.1", points, **options)
+        assert getattr(device, key) == value
+    for value in (low - 1, high + 1):
+        options = {key: value}
+        with pytest.raises(ValueError, match=rf"{key} must be in {low}\.\.{high}"):
+            DeviceConfig("meter", "tcp://192.0.2.1", points, **options)
+
+
+@pytest.mark.parametrize("most", [0, 10_000_001])
+def test_a_buffer_of_another_size_is_refused(most: int) -> None:
+    with pytest.raises(ValueError, match=r"buffer must be in 1\.\.10000000"):
+        Buffer(most)
+
+
+@pytest.mark.parametrize(
+    ("points", "listed"),
+    [
+        (8, "p0, p1, p2, p3, p4, p5, p6, p7"),
+        (9, "p0, p1, p2, p3, p4, p5, p6, p7, ..."),
+    ],
+)
+def test_an_unknown_item_is_answered_with_eight_names(points: int, listed: str) -> None:
+    many = RegisterMap([Point(f"p{at}", "holding_registers", at) for at in range(points)])
+    with pytest.raises(ValueError, match="items") as refused:
+        DeviceConfig("pump", "tcp://192.0.2.1", many, items=("level",))
+    assert str(refused.value).endswith(f"the map has no 'level'; it has {listed}")
+
+
+def test_whole_numbers_in_a_table_have_twenty_digits_at_most() -> None:
+    assert CELLS["int"]("9" * 20) == 10**20 - 1
+    for text in ("9" * 21, "-1", "1.5", "", "\u0661"):
+        with pytest.raises(ValueError, match="must be a whole number"):
+            CELLS["int"](text)
+
+
+# --- topics -------------------------------------------------------------------------------------
+
+
+@each_case(
+    ("topic", "said"),
+    [
+        ("x/{device}-{name}", "must stand apart"),
+        ("x/{name}.{device}/y", "must stand apart"),
+        ("x/{device}/{name}/{", "a brace belongs to no name"),
+        ("x}/{device}/{name}", "a brace belongs to no name"),
+        ("x/{{device}/{name}", "topic"),
+        ("x/{device}}/{name}", "a brace belongs to no name"),
+        ("x/{device!r}/{name}", "topic must hold"),
+    ],
+)
+def test_topics_of_two_points_differ(topic: str, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        Mqtt("mqtt://127.0.0.1", topic=topic)
+
+
+@each_case("topic", ["{device}/{name}", "x/{name}/y/{device}", "x-{device}/{name}-y"])
+def test_other_topics_are_taken(topic: str) -> None:
+    Mqtt("mqtt://127.0.0.1", topic=topic, status="poller")
+
+
+def test_the_status_is_not_the_topic_of_a_reading() -> None:
+    with pytest.raises(ValueError, match=r"status must not be the topic of a reading"):
+        Mqtt("mqtt://127.0.0.1", topic="modbus/{device}/{name}", status="modbus/a/status")
+    Mqtt("mqtt://127.0.0.1", topic="modbus/{device}/{name}", status="modbus/status")
+
+
+# --- labels -------------------------------------------------------------------------------------
+
+
+@each_case(
+    ("labels", "said"),
+    [
+        ({"": "x"}, "does not accept the label ''"),
+        ({"__x": "x"}, "does not accept the label '__x'"),
+        ({"-_x": "x"}, "does not accept the label '-_x'"),
+        ({"device": "x"}, "'device' is the label of every metric"),
+        ({"name": "x"}, "'name' is the label of every metric"),
+        ({"unit": "x"}, "'unit' is the label of every metric"),
+        ({"fire-zone": "x", "fire_zone": "y"}, "'fire_zone' is the label of 'fire-zone'"),
+    ],
+)
+def test_labels_that_prometheus_refuses_or_mixes(labels: dict[str, str], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        meter("a", "tcp://127.0.0.1", labels=labels)
+
+
+@each_case("labels", [{"fire-zone": "x"}, {"_x": "x"}, {"1": "x"}, {"größe": "x"}, {"a.b": "c"}])
+def test_other_labels_are_taken(labels: dict[str, str]) -> None:
+    assert meter("a", "tcp://127.0.0.1", labels=labels).labels == labels
+
+
+# --- lists --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def listed(tmp_path: Path) -> Callable[[str], Any]:
+    """Return the names of the devices of a list in CSV."""
+    (tmp_path / "fleet.toml").write_text('devices = "list.csv"')
+    (tmp_path / "meter.csv").write_text("name,table,address\nx,holding_registers,0\n")
+
+    def names(rows: str) -> list[str]:
+        (tmp_path / "list.csv").write_text(f"name,url,map\n{rows}")
+        return [each.name for each in load(tmp_path / "fleet.toml").devices]
+
+    return names
+
+
+def test_a_device_whose_name_begins_with_a_number_sign(listed: Callable[[str], Any]) -> None:
+    with pytest.raises(FleetFileError, match=r"line 3: quote '#12' if it is a name, or put a"):
+        listed("#11 is a comment\n#12,tcp://127.0.0.1,meter.csv\n")
+    rows = '"#12",tcp://127.0.0.1,meter.csv\n# 12,tcp://127.0.0.1,meter.csv\n#b,tcp://b,c\n'
+    assert listed(rows) == ["#12"]
+    assert listed(rows.replace("\n", "\r\n")) == ["#12"]
+
+
+# --- connections --------------------------------------------------------------------------------
+
+SAME = [
+    ("tcp://[::1]:502", "tcp://[0:0:0:0:0:0:0:1]"),
+    ("tcp://[fe80::1%25eth0]", "tcp://[FE80:0::1%25eth0]:502"),
+    ("udp://[2001:DB8::A]", "udp://[2001:db8:0:0::a]:502"),
+    ("tcp://PLC.example", "tcp://plc.example:502"),
+    ("rtu:///dev/../dev/ttyS0", "rtu:///dev/ttyS0"),
+    ("rtu:///dev/ttyS0", "ascii:///dev/ttyS0"),
+]
+
+
+@each_case(("one", "other"), SAME)
+def test_two_spellings_of_one_place(one: str, other: str) -> None:
+    assert parse(one).key == parse(other).key
+    same = [meter("a", one), meter("b", other, unit=2)]
+    assert same[0].connection_key == same[1].connection_key
+    if "?" not in one:
+        with pytest.raises(ValueError, match="other options for the same connection"):
+            Fleet([meter("a", one), meter("b", f"{other}?timeout=3", unit=2)])
+
+
+DEVICE = """
+[[device]]
+name = "a"
+url = "tcp://127.0.0.1:1"
+[[device.point]]
+name = "x"
+table = "coils"
+address = 0
+"""
+
+
+def settings(given: dict[str, Any]) -> FleetSettings:
+    return FleetSettings(**ENGINE.read(("engine",), given))
+
+
+def test_usual_settings() -> None:
+    assert settings({}) == FleetSettings(10.0, "stop", False, 86_400.0, 1 << 30)
+
+
+def test_all_of_them(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text(
+        "[engine]\nlease = 0.5\non_engine_loss = 'continue'\ncommands = true\n"
+        f"max_age = 60\nmax_bytes = 65536\n{DEVICE}"
+    )
+    made = FleetSettings(**load(path).engine)
+    assert made == FleetSettings(0.5, "continue", True, 60.0, 1 << 16)
+
+
+@each_case("lease", [0.5, 60])
+def test_the_shortest_and_the_longest_lease(lease: float) -> None:
+    assert settings({"lease": lease}).lease == lease
+
+
+@each_case(
+    ("given", "error", "text"),
+    [
+        ({"leese": 1}, ValueError, "engine.leese: no such key; .*; did you mean lease\\?"),
+        ({"lease": 0.4}, ValueError, "engine.lease must be in 0.5..60 seconds, not 0.4"),
+        ({"lease": 61}, ValueError, "engine.lease must be in 0.5..60 seconds, not 61"),
+        ({"lease": "1"}, TypeError, "engine.lease must be a number of seconds, not str"),
+        ({"on_engine_loss": "wait"}, ValueError, "must be one of stop, continue, not 'wait'"),
+        ({"commands": 1}, TypeError, "engine.commands must be true or false, not 1"),
+        ({"max_age": 0}, ValueError, "engine.max_age must be in"),
+        ({"max_bytes": 65535}, ValueError, "engine.max_bytes must be in 65536..1125899906842624"),
+        ("nats://127.0.0.1", TypeError, "engine must be a table"),
+    ],
+)
+def test_what_is_wrong_is_named(given: Any, error: type[Exception], text: str) -> None:
+    with pytest.raises(error, match=text):
+        settings(given)
+
+
+def test_a_file_with_a_wrong_key_is_refused_on_one_machine_too(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text(f"[engine]\nleese = 3\n{DEVICE}")
+    with pytest.raises(FleetFileError, match=r"line 2: engine\.leese: no such key"):
+        load(path)
+    assert run("poll", path, "--once").code == 2
