@@ -194,7 +194,8 @@ def _names(key: str, given: object, check: Callable[[str], str]) -> tuple[str, .
 def _items(given: object, points: RegisterMap) -> tuple[str, ...]:
     def check(name: str) -> str:
         if name not in points:
-            return f"the map has no {name!r}; it has {_some(points)}"
+            some = ", ".join([*points][:8]) + ", ..." * (len(points) > 8)
+            return f"the map has no {name!r}; it has {some}"
         return f"{name!r} can only be written" if points[name].access == "write" else ""
 
     items = _names("items", given, check)
@@ -212,11 +213,6 @@ def _groups(given: object, points: RegisterMap) -> tuple[str, ...]:
         return ""
 
     return _names("groups", given, check)
-
-
-def _some(names: Iterable[str], most: int = 8) -> str:
-    all_names = list(names)
-    return ", ".join(all_names[:most]) + ", ..." * (len(all_names) > most)
 
 
 def _text(name: str | Path, value: object, least: int) -> None:

@@ -78,8 +78,10 @@ class Timetable(Generic[Each]):
     @property
     def next_at(self) -> float | None:
         """The earliest time; None without members."""
-        self._drop_old()
-        return self._heap[0][0] if self._heap else None
+        heap = self._heap
+        while heap and self._places.get(heap[0][2]) != heap[0][1]:
+            heappop(heap)
+        return heap[0][0] if heap else None
 
     def due(self, now: float, most: int) -> list[tuple[float, Each]]:
         """Remove and return up to `most` members that are due, with their times."""
@@ -90,11 +92,6 @@ class Timetable(Generic[Each]):
                 del self._places[each]
                 found.append((at, each))
         return found
-
-    def _drop_old(self) -> None:
-        heap = self._heap
-        while heap and self._places.get(heap[0][2]) != heap[0][1]:
-            heappop(heap)
 
 
 class FleetLine(SharedLine[Poller]):
@@ -183,7 +180,8 @@ class FleetLine(SharedLine[Poller]):
 
     def conclude(self, each: Poller, outcome: Any, now: float) -> None:
         """Pass the outcome of a request to its poll, which continues or is over."""
-        if self._is_gated and _was_held(outcome):
+        # Requests that `may_ask` refused fail with EPERM.
+        if self._is_gated and getattr(outcome, "errno", 0) == errno.EPERM:
             each.request = None
             self._statistics.held += 1
             self._on_polled(each, False)
@@ -206,8 +204,3 @@ class FleetLine(SharedLine[Poller]):
             ]
             if lost:
                 self._on_back(lost)
-
-
-def _was_held(outcome: Any) -> bool:
-    """Return True if `may_ask` refused a request."""
-    return isinstance(outcome, ModbusConnectionError) and outcome.errno == errno.EPERM

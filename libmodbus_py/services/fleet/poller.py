@@ -273,7 +273,11 @@ class Poller(LineRequest):
         values = list(found.values()) if self._pace is None else [*map(found.get, names)]
         doubtful, fell = self._totals.take(values)
         if self._pace is not None:
-            lost = {at for at, value in enumerate(values) if _is_lost(value)}
+            lost = {
+                at
+                for at, value in enumerate(values)
+                if isinstance(value, ModbusError) and is_down(value)
+            }
             self._pace.done(lost | doubtful)
         for at in doubtful:
             values[at] = self._totals.before(at)
@@ -295,11 +299,6 @@ class Poller(LineRequest):
             return []
         units = zip(self.reads.names, self.reads.units, strict=True)
         return offline(self.config, [each for each in units if each[0] not in still_read], time)
-
-
-def _is_lost(value: object) -> bool:
-    """Return True if there is an error in place of a value that the next poll may have."""
-    return isinstance(value, ModbusError) and is_down(value)
 
 
 def _error_of(answer: Any) -> ModbusError | None:

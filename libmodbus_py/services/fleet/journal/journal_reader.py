@@ -9,7 +9,6 @@ import contextlib
 import json
 import sqlite3
 from collections.abc import Iterable, Mapping
-from functools import partial
 from heapq import merge
 from itertools import chain, groupby, islice
 from pathlib import Path
@@ -148,20 +147,18 @@ def history(
 
 def past_in(path: str) -> Older:
     """Return a function that finds the numbers of a value in a journal; None is a gap."""
-    return partial(_past, path)
 
+    def past(*asked: Any) -> list[tuple[float, float | None]]:
+        try:
+            found = history(path, *asked)
+        except JournalError as error:
+            logger.info("%s: %s", path, error)
+            return []
+        return [
+            (time, value if isinstance(value, int | float) else None) for time, value, _ in found
+        ]
 
-def _past(
-    path: str, device: str, name: str, since: float, until: float, most: int
-) -> list[tuple[float, float | None]]:
-    try:
-        found = history(path, device, name, since, until, most)
-    except JournalError as error:
-        logger.info("%s: %s", path, error)
-        return []
-    return [
-        (each.time, each.value if isinstance(each.value, int | float) else None) for each in found
-    ]
+    return past
 
 
 def thinned(

@@ -173,16 +173,14 @@ class RecentPolls:
         self._polls[poll.first] = poll
         self._size += len(poll.readings)
         self.last = poll.last
-        while self._size > MOST_IN_MEMORY and len(self._polls) > 1 and self._may_drop():
+        while self._size > MOST_IN_MEMORY and len(self._polls) > 1:
+            if self.before >= self.taken and self._size <= MOST_WAITING:
+                return  # the file lacks the oldest poll, and there is room
             _, oldest = self._polls.popitem(last=False)
             self._size -= len(oldest.readings)
             if oldest.last > self.taken:
                 self.taken = oldest.last
                 self.dropped += len(oldest.readings)
-
-    def _may_drop(self) -> bool:
-        """Return True if the file has the oldest poll, or too many wait for it."""
-        return self.before < self.taken or self._size > MOST_WAITING
 
     def after(self, number: int, most: int) -> list[JournalPoll] | None:
         """

@@ -23,7 +23,7 @@ import sqlite3
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ....protocol.json_text import COMPACT_JSON
 from ....protocol.plain import plain
@@ -159,6 +159,10 @@ def encoded(poll: JournalPoll, points: Points) -> Row:
     values = [each.value for each in readings]
     if not _SIMPLE.issuperset(map(type, values)):
         values = [plain(value) for value in values]
+    try:
+        data = COMPACT_JSON.encode(values)
+    except ValueError:  # nan or infinite
+        data = COMPACT_JSON.encode(plain(values))
     trouble = {
         str(at): [each.quality, each.reason]
         for at, each in enumerate(readings)
@@ -171,16 +175,9 @@ def encoded(poll: JournalPoll, points: Points) -> Row:
         points.device,
         points.id,
         None if positions == [*range(len(positions))] else COMPACT_JSON.encode(positions),
-        _json_of(values),
+        data,
         COMPACT_JSON.encode(trouble) if trouble else None,
     )
-
-
-def _json_of(values: list[Any]) -> str:
-    try:
-        return COMPACT_JSON.encode(values)
-    except ValueError:  # nan or infinite
-        return COMPACT_JSON.encode(plain(values))
 
 
 def decoded(row: Row, device: str, labels: Mapping[str, str], points: Points) -> JournalPoll:

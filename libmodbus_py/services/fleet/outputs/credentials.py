@@ -74,13 +74,10 @@ class Trust:
         """
         Return the context of TLS, or raise OSError; a file is read again each time, in a thread.
         """
-        return await asyncio.to_thread(self._fresh)
-
-    def _fresh(self) -> ssl.SSLContext:
         if self._made is None:
-            self._made = Renewed(self._read)
+            self._made = await asyncio.to_thread(Renewed, self._read)
             return self._made.value
-        return self._made.fresh()
+        return await asyncio.to_thread(self._made.fresh)
 
     def _read(self) -> ssl.SSLContext:
         if self._ca is not None and not Path(self._ca).is_file():

@@ -75,7 +75,8 @@ class LineFile:
         if "\0" in os.fspath(path):
             raise WrongValue("path", "must not contain the character 0")
         self.path: str = os.fspath(path)
-        self.exclusive: tuple[str, ...] = (_thing(self.path),)
+        thing = "the standard output" if self.path == "-" else file_at(self.path)
+        self.exclusive: tuple[str, ...] = (thing,)
         self.buffer: int = buffer
         self._form = form
         self._descriptor = -1
@@ -218,11 +219,6 @@ class LineFile:
         if self._descriptor >= 0:
             descriptor, self._descriptor = self._descriptor, -1
             os.close(descriptor)
-
-
-def _thing(path: str) -> str:
-    """Return what an output to this path has for itself, in words."""
-    return "the standard output" if path == "-" else file_at(path)
 
 
 class JsonOutput(LineFile):

@@ -62,7 +62,7 @@ class LineProtocol:
         """Return the lines of readings, in UTF-8; times are in nanoseconds."""
         return "".join(
             f"{self._head(poll[0].device, poll[0].labels)} {','.join(fields)}"
-            f" {_nanoseconds(poll[0].time)}\n"
+            f" {round(poll[0].time * 1e6) * 1000}\n"
             for poll in [list(group) for _, group in groupby(readings, lambda each: each.poll)]
             if (fields := [field for each in poll for field in self._fields(each)])
         ).encode()
@@ -117,10 +117,6 @@ def _spelled(name: str) -> str:
     # A backslash cannot be escaped, and would escape the character behind it.
     escaped = without_controls(name).replace("\n", "%0A").replace("\\", "%5C")
     return _KEY.sub(r"\\\1", escaped)
-
-
-def _nanoseconds(time: float) -> int:
-    return round(time * 1e6) * 1000
 
 
 def _name(key: str, name: object) -> str:
