@@ -168,16 +168,13 @@ class Pump:
         if not batch:
             return
         if self._refusals.is_refused(batch):
-            self._refusals.note_dropped(batch[0].device)
             self._drop(batch, f"others were accepted and these were not, several times: {error}")
             self._may_open_at_once = True
             return
         self.buffer.put_back(batch)
         self._losses += 1
         polls = len({each.poll for each in batch})
-        if polls == 1:
-            self._refusals.suspect(batch)
-        elif self._losses > 1:  # one of them may be the reason
+        if polls > 1 and self._losses > 1:  # one of them may be the reason
             self._doubted = polls
 
     def _note_doubt(self, batch: list[Reading], error: Exception) -> None:
@@ -220,17 +217,14 @@ def _message(error: Exception) -> str:
     return str(error) or type(error).__name__
 
 
-# How often a poll is refused, each time right after another one was accepted, before it is dropped;
-# one of a device whose last poll was dropped is refused once.
-MOST = 3
-
-# The most devices that are known to be refused.
-MOST_KNOWN = 4096
+# Connections that end at a poll, each right after another one was accepted, before it is dropped;
+# one of a device whose last poll was dropped is dropped after one.
+MOST_LOSSES = 3
 
 
 class Refusals:
     """
-    Compares the first poll that waits with those behind it.
+    Finds out whether the first poll that waits is refused.
 
     A connection that ends while readings are sent shows nothing about them: the other side may be
     away. They are refused if others are accepted right before, several times.
@@ -238,12 +232,13 @@ class Refusals:
 
     def __init__(self, waiting: Buffer) -> None:
         self._waiting = waiting
+        # The poll at which a connection ended, and how often others ended at it since, each behind
+        # another poll; the position of that one behind it.
         self._suspect: tuple[str, float] | None = None
-        self._count = 0
+        self._losses = 0
         self._at = 0
-        self._is_compared = False
         # Devices whose last poll was dropped, and whether this connection accepted anything.
-        self._known: dict[str, None] = {}
+        self._known: set[str] = set()
         self._has_accepted = False
 
     def note_open(self) -> None:
@@ -252,20 +247,27 @@ class Refusals:
 
     def note_accepted(self, readings: Sequence[Reading]) -> None:
         """Note readings that were accepted: nothing is suspected then."""
-        if not readings:
-            return
-        self._has_accepted = True
-        self.clear()
+        if readings:
+            self._has_accepted = True
+            self._suspect = None
         if self._known:
-            for device in {each.device for each in readings}:
-                self._known.pop(device, None)
+            self._known -= {each.device for each in readings}
 
-    def note_dropped(self, device: str) -> None:
-        """Note a device one of whose polls was dropped."""
-        self.clear()
-        if len(self._known) >= MOST_KNOWN:
-            self._known.clear()
-        self._known[device] = None
+    def is_refused(self, readings: Sequence[Reading]) -> bool:
+        """Note that a connection ended at readings; return True if they are one poll to drop."""
+        first = readings[0]
+        if any(each.poll != first.poll for each in readings):
+            return False
+        if self._suspect != first.poll:
+            self._suspect, self._losses, self._at = first.poll, 0, 0
+        elif self._has_accepted:
+            self._losses += 1
+        is_known = first.device in self._known
+        is_refused = self._has_accepted if is_known else self._losses >= MOST_LOSSES
+        if is_refused:
+            self._suspect = None
+            self._known.add(first.device)
+        return is_refused
 
     def is_doubtful(self, readings: Sequence[Reading]) -> bool:
         """Return True for several polls, of which one is likely to be refused."""
@@ -273,25 +275,13 @@ class Refusals:
             return False
         return any(each.poll != readings[0].poll for each in readings)
 
-    def suspect(self, readings: Sequence[Reading]) -> None:
-        """Compare this poll, the first that waits, with others before it is sent again."""
-        if self._suspect != readings[0].poll:
-            self._count = self._at = 0
-        self._suspect = readings[0].poll
-        self._is_compared = False
-
-    def clear(self) -> None:
-        """Suspect no poll."""
-        self._suspect = None
-        self._count = self._at = 0
-
     async def others(self) -> list[Reading]:
         """
         Return another poll, to be sent before the suspected one; none if there is no reason to.
 
         It is not taken: sent again in its turn, it is the newest of its device in the end.
         """
-        if self._suspect is None or self._is_compared:
+        if self._suspect is None or self._has_accepted:
             return []
         first, *others = await self._waiting.polls(self._at + 2) or [[]]
         if not first or first[0].poll != self._suspect:  # there was no room for it
@@ -303,16 +293,6 @@ class Refusals:
 
     def note_other(self, *, is_accepted: bool) -> None:
         """Note what became of the other poll; if it was lost too, the next time it is another."""
-        self._is_compared = is_accepted
-        self._has_accepted |= is_accepted
+        self._has_accepted = is_accepted
         if not is_accepted:
             self._at += 1
-
-    def is_refused(self, readings: Sequence[Reading]) -> bool:
-        """Note that readings were not accepted; return True if they are never going to be."""
-        if any(each.poll != readings[0].poll for each in readings):
-            return False
-        is_known = readings[0].device in self._known
-        if self._suspect == readings[0].poll and self._is_compared:
-            self._count += 1
-        return self._count >= (1 if is_known else MOST) or (is_known and self._has_accepted)

@@ -5,15 +5,16 @@ A poll after which the other side ends the connection is refused, if others are 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+
+import pytest
 
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.pump import Refusals
 from libmodbus_py.services.fleet.readings import Buffer
 
 
-def poll(time: float) -> list[Reading]:
-    return [Reading(time, "meter", name, 1, "", "good") for name in ("a", "b")]
+def poll(time: float, device: str = "meter") -> list[Reading]:
+    return [Reading(time, device, name, 1, "", "good") for name in ("a", "b")]
 
 
 class Waiting:
@@ -27,80 +28,91 @@ class Waiting:
 
     def other(self) -> float | None:
         """Return the time of the poll that is sent before the suspected one."""
-        found: Sequence[Reading] = asyncio.run(self.refusals.others())
+        found = asyncio.run(self.refusals.others())
         assert not found or list(found) == poll(found[0].time)
         return found[0].time if found else None
 
     def lose(self, time: float, *, other: bool | None) -> bool:
-        """Suspect a poll that is lost once more, behind another one that fares so."""
-        self.refusals.suspect(poll(time))
+        """Open a connection that ends at a poll, behind another one that fares so."""
+        self.refusals.note_open()
         if self.other() is not None and other is not None:
             self.refusals.note_other(is_accepted=other)
         return self.refusals.is_refused(poll(time))
 
 
-def test_nothing_is_sent_before_a_poll_that_is_not_suspected() -> None:
-    assert Waiting(1.0, 2.0).other() is None
+@pytest.mark.parametrize(
+    ("times", "other", "refused"),
+    [
+        ((1.0, 2.0), True, [False, False, False, True]),  # the first time it is not suspected
+        ((1.0, 2.0, 3.0), False, [False] * 9),
+        ((1.0,), None, [False] * 9),
+    ],
+    ids=["others are accepted", "others are lost too", "it is alone"],
+)
+def test_a_poll_is_refused_when_others_were_accepted_three_times(
+    times: tuple[float, ...], other: bool | None, refused: list[bool]
+) -> None:
+    waiting = Waiting(*times)
+    assert [waiting.lose(1.0, other=other) for _ in refused] == refused
 
 
-def test_a_poll_is_refused_when_others_were_accepted_three_times() -> None:
-    waiting = Waiting(1.0, 2.0)
-    assert [waiting.lose(1.0, other=True) for _ in range(3)] == [False, False, True]
-
-
-def test_a_poll_is_not_refused_while_others_are_lost_too() -> None:
+def test_another_poll_is_sent_before_a_suspected_one_once_on_each_connection() -> None:
     waiting = Waiting(1.0, 2.0, 3.0)
-    assert not any(waiting.lose(1.0, other=False) for _ in range(9))
-    assert [waiting.lose(1.0, other=True) for _ in range(3)] == [False, False, True]
-
-
-def test_a_poll_alone_is_not_refused() -> None:
-    waiting = Waiting(1.0)
-    waiting.refusals.suspect(poll(1.0))
     assert waiting.other() is None
-    assert not any(waiting.lose(1.0, other=None) for _ in range(9))
-
-
-def test_once_another_is_accepted_the_suspected_one_is_next() -> None:
-    waiting = Waiting(1.0, 2.0)
-    waiting.refusals.suspect(poll(1.0))
-    assert waiting.other() == 2.0
-    waiting.refusals.note_other(is_accepted=True)
-    assert waiting.other() is None
-    waiting.refusals.suspect(poll(1.0))
-    assert waiting.other() == 2.0
-
-
-def test_if_another_is_lost_too_the_next_one_is_tried() -> None:
-    waiting = Waiting(1.0, 2.0, 3.0)
-    waiting.refusals.suspect(poll(1.0))
+    waiting.lose(1.0, other=None)
     tried = []
-    for _ in range(4):
+    for _ in range(4):  # while others are lost too, another one is tried
         tried.append(waiting.other())
         waiting.refusals.note_other(is_accepted=False)
     assert tried == [2.0, 3.0, 2.0, 3.0]
+    waiting.refusals.note_other(is_accepted=True)
+    assert waiting.other() is None
+    waiting.refusals.note_open()
+    assert waiting.other() == 2.0
+    waiting.refusals.note_accepted(poll(1.0))
+    assert waiting.other() is None
 
 
-def test_another_suspected_poll_is_counted_for_itself() -> None:
+def test_a_suspicion_is_of_one_poll() -> None:
     waiting = Waiting(1.0, 2.0, 3.0)
-    for _ in range(2):
+    for _ in range(3):
         assert not waiting.lose(1.0, other=True)
     asyncio.run(waiting.buffer.take_polls(1))
-    assert [waiting.lose(2.0, other=True) for _ in range(3)] == [False, False, True]
+    assert [waiting.lose(2.0, other=True) for _ in range(4)] == [False, False, False, True]
+    waiting.lose(2.0, other=True)
+    asyncio.run(waiting.buffer.take_polls(1))
+    waiting.refusals.note_open()
+    assert waiting.other() is None  # it fell out of the buffer
 
 
-def test_a_suspected_poll_that_does_not_wait_any_more_is_forgotten() -> None:
-    waiting = Waiting(2.0, 3.0)
-    waiting.refusals.suspect(poll(1.0))
-    assert waiting.other() is None
-    assert not waiting.refusals.is_refused(poll(1.0))
-    waiting = Waiting()
-    waiting.refusals.suspect(poll(1.0))
-    assert waiting.other() is None
-
-
-def test_nothing_is_suspected_any_more_when_all_is_clear() -> None:
+def after_a_drop() -> Refusals:
+    """Return refusals, on a new connection, after a poll of the meter was dropped."""
     waiting = Waiting(1.0, 2.0)
-    waiting.refusals.suspect(poll(1.0))
-    waiting.refusals.clear()
-    assert waiting.other() is None
+    while not waiting.lose(1.0, other=True):
+        pass
+    waiting.refusals.note_open()
+    return waiting.refusals
+
+
+def test_a_device_that_was_dropped_is_refused_once_something_else_was_accepted() -> None:
+    made = after_a_drop()
+    assert not made.is_refused(poll(2.0))  # the other side may be away
+    made.note_accepted([])
+    assert not made.is_refused(poll(2.0))
+    made.note_accepted(poll(3.0, "other"))
+    assert not made.is_refused(poll(2.0, "other"))
+    assert made.is_refused(poll(2.0))
+    made.note_accepted(poll(3.0))  # and then it is as good as others
+    assert not made.is_refused(poll(4.0))
+
+
+def test_several_polls_are_doubtful_if_one_is_of_such_a_device() -> None:
+    both = poll(2.0) + poll(2.0, "other")
+    assert not Refusals(Buffer()).is_doubtful(both)
+    made = after_a_drop()
+    assert made.is_doubtful(both)
+    assert made.is_doubtful(poll(1.0) + poll(2.0))
+    assert not made.is_doubtful(poll(1.0))
+    assert not made.is_doubtful(poll(2.0, "other") + poll(2.0, "third"))
+    made.note_accepted(poll(3.0, "third"))
+    assert not made.is_refused(both)  # nobody knows which of them
