@@ -125,6 +125,7 @@ class Fleet:
 
     async def __aenter__(self) -> Self:
         await self._start()
+        self._receivers.log_ends()
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -143,9 +144,12 @@ class Fleet:
         """
         if once:
             self._once = set(self._devices)
-        async with self:
+        await self._start()
+        try:
             self._end_if_all_polled()
             await self._receivers.ended(self._is_over)
+        finally:
+            await self._stop()
 
     def _end_if_all_polled(self) -> None:
         if self._once is not None and not self._once:

@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import AsyncIterator, Collection, Iterable, Mapping, Sequence
 from typing import Any, Self
 
+from ...protocol.logs import HarmlessLogger
 from .commands import Commands
 from .config import DeviceConfig
 from .journal.journal import Journal
@@ -24,6 +25,8 @@ from .readings import Buffer, Reading
 from .statistics import FleetStatistics
 
 __all__ = ["Readings", "Receivers"]
+
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 
 class Readings(AsyncIterator[Reading]):
@@ -115,6 +118,11 @@ class Receivers:
         self._iterated.add(buffer)
         return Readings(buffer)
 
+    def log_ends(self) -> None:
+        """Log an output that fails permanently: the program does not wait for its error."""
+        for pump in self._pumps:
+            pump.task.add_done_callback(_log_end)
+
     async def ended(self, event: asyncio.Event) -> None:
         """
         Wait for an event, or for an output that fails permanently, which raises its OutputError.
@@ -151,6 +159,11 @@ class Receivers:
             self._pumps, self._live = [], []
             if self._journal is not None:
                 await self._journal.close()
+
+
+def _log_end(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and (error := task.exception()) is not None:
+        logger.error("%s gets no more readings: %s", task.get_name(), error)
 
 
 def _unlike(names: Iterable[str]) -> list[str]:

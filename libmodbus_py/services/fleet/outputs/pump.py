@@ -107,7 +107,8 @@ class Pump:
                 else:
                     await self._write(batch)
             return True
-        except OutputError:
+        except OutputError as error:
+            self.statistics.trouble, self.statistics.trouble_since = _message(error), time.time()
             raise
         except Exception as error:
             self._note_trouble(error)

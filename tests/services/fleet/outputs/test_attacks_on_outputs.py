@@ -10,18 +10,19 @@ import json
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from libmodbus_py import Server
+from libmodbus_py import Fleet, Server
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services import tasks
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.line_file import CsvOutput, JsonOutput, LineFile
 from libmodbus_py.services.fleet.outputs.mqtt_messages import Messages
+from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.services.fleet.outputs.topics import Topic
 from tests.services.fleet.fleets import Peer, good, meter, polling, simulated, simulated_run, until
 from tests.services.fleet.outputs.http_server import Answer, Last, answered, serving
@@ -149,6 +150,35 @@ def wait_until(is_so: Callable[[], object]) -> None:
     while not is_so():
         assert time.monotonic() < deadline
         time.sleep(0.01)
+
+
+def test_an_output_that_fails_for_good_is_shown_to_a_program_that_only_reads(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """`run` raises its error; in an `async with` nobody else would hear of it."""
+
+    class Broken:
+        name = "broken"
+
+        async def open(self) -> None:
+            raise OutputError("MQTT needs aiomqtt")
+
+        async def write(self, readings: Sequence[Reading]) -> None: ...
+
+        async def close(self) -> None: ...
+
+    async def go() -> None:
+        async with Peer() as peer:
+            async with polling(meter("a", peer.url), outputs=[Broken()]) as (fleet, readings):
+                await until(lambda: len(readings) > 3)
+                assert fleet.statistics.outputs["broken"].trouble == "MQTT needs aiomqtt"
+            assert caplog.text.count("broken gets no more readings: MQTT needs aiomqtt") == 1
+            caplog.clear()
+            with pytest.raises(OutputError, match="MQTT needs aiomqtt"):
+                await Fleet([meter("a", peer.url)], outputs=[Broken()]).run()
+            assert caplog.text == ""
+
+    simulated_run(go())
 
 
 # --- labels, reloads ------------------------------------------------------------------------
