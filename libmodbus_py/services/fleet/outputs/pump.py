@@ -247,10 +247,8 @@ class Refusals:
         self._has_accepted = False
 
     def note_accepted(self, readings: Sequence[Reading]) -> None:
-        """Note readings that were accepted: nothing is suspected then."""
-        if readings:
-            self._has_accepted = True
-            self._suspect = None
+        """Note readings that were accepted; their devices are as good as others then."""
+        self._has_accepted |= bool(readings)
         if self._known:
             self._known -= {each.device for each in readings}
 
@@ -260,13 +258,12 @@ class Refusals:
         if any(each.poll != first.poll for each in readings):
             return False
         if self._suspect != first.poll:
-            self._suspect, self._losses, self._at = first.poll, 0, 0
+            self._suspect, self._losses = first.poll, 0
         elif self._has_accepted:
             self._losses += 1
         is_known = first.device in self._known
         is_refused = self._has_accepted if is_known else self._losses >= MOST_LOSSES
         if is_refused:
-            self._suspect = None
             self._known.add(first.device)
         return is_refused
 
