@@ -46,7 +46,7 @@ from .config import ENGINE, DeviceConfig, checked
 from .devices_csv import DeviceRow, device_rows
 from .journal.journal import KEEP_BOUNDS, SIZE_BOUNDS, Journal
 from .outputs.credentials import SecretFile
-from .outputs.output import KINDS, Described, Output, file_at, made, output_keys, shared, used
+from .outputs.output import KINDS, Output, file_at, made, output_keys, shared, used
 
 __all__ = ["DEVICE", "FILE", "FleetFile", "FleetFileError", "load"]
 
@@ -238,7 +238,7 @@ class _Reader:
             if isinstance(keys.get("path"), str) and keys["path"] != "-":
                 keys["path"] = str(self._folder / keys["path"])
             output = made(kind, keys)
-            if isinstance(output, Described):
+            if hasattr(output, "describe"):
                 output.describe(self._devices)
             return keys, output
 

@@ -244,7 +244,7 @@ class Fleet:
         now = time.time()
         for poller in self._pollers.values():
             self._receivers.put(poller.withdrawn(now))
-            self._count(poller.counted_state, -1)
+            self._count(poller.state, -1)
             poller.forget()
 
     def report_offline(self, devices: Iterable[DeviceConfig]) -> None:
@@ -357,10 +357,10 @@ class Fleet:
         if next_at is not None:
             self._set_timer(max(next_at, self._loop.time() + TOGETHER))
 
-    def _polled(self, poller: Poller, was_sent: bool) -> None:
-        if was_sent:
+    def _polled(self, poller: Poller, before: DeviceState | None) -> None:
+        if before is not None:
             now = time.time()
-            self._note(poller, now)
+            self._note(poller, before, now)
             self._receivers.put(poller.readings(now, self._receivers.next_id))
             if poller.misses:
                 self._let_rest(poller)
@@ -368,7 +368,7 @@ class Fleet:
             self._once.discard(poller.name)
             self._end_if_all_polled()
 
-    def _note(self, poller: Poller, now: float) -> None:
+    def _note(self, poller: Poller, before: DeviceState, now: float) -> None:
         statistics = self.statistics
         if not poller.misses:
             poller.answered_at = now
@@ -378,10 +378,10 @@ class Fleet:
         for each in poller.news:
             logger.warning("%s: cannot be read: %s", poller.name, each)
         poller.news.clear()
-        if poller.counted_state is not poller.state:
-            self._count(poller.counted_state, -1)
+        if poller.state is not before:
+            self._count(before, -1)
             self._count(poller.state, 1)
-            poller.counted_state, poller.since = poller.state, now
+            poller.since = now
             if poller.state is DeviceState.DOWN:
                 logger.info("%s is down: %s", poller.name, poller.error)
             else:

@@ -102,7 +102,7 @@ class FleetLine(SharedLine[Poller]):
     more than one of their own answers takes.
 
     Args:
-        on_polled: called after each poll, and with False for a poll that was not sent.
+        on_polled: called after each poll with the state before it; None if it was not sent.
         on_back: called with the devices that were down, once the connection is established again.
     """
 
@@ -112,7 +112,7 @@ class FleetLine(SharedLine[Poller]):
         endpoint: Endpoint,
         may_ask: MayAsk | None,
         statistics: FleetStatistics,
-        on_polled: Callable[[Poller, bool], None],
+        on_polled: Callable[[Poller, DeviceState | None], None],
         on_back: Callable[[list[Poller]], None],
     ) -> None:
         self._is_gated = may_ask is not None
@@ -184,11 +184,12 @@ class FleetLine(SharedLine[Poller]):
         if self._is_gated and getattr(outcome, "errno", 0) == errno.EPERM:
             each.request = None
             self._statistics.held += 1
-            self._on_polled(each, False)
+            self._on_polled(each, None)
             return
+        before = each.state
         each.take(outcome, now)
         if each.request is None:
-            self._on_polled(each, True)
+            self._on_polled(each, before)
         else:
             each.is_urgent = True
             self._ask_after_rest(each)

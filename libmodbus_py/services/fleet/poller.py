@@ -170,7 +170,6 @@ class Poller(LineRequest):
     Attributes:
         request: of the current poll; None when no poll is under way.
         state: NEW until its first poll is over.
-        counted_state: the state that the statistics count.
         error: the first error of the last poll, or that of a point that was left out; None if all
             points were read.
         at: when the device is polled next, or was polled last.
@@ -185,7 +184,7 @@ class Poller(LineRequest):
     __slots__ = (
         *("_changes", "_due", "_first", "_holes", "_pace", "_poll", "_totals"),
         *("answered_at", "at", "config", "error", "name", "news", "reads", "rest_until"),
-        *("since", "state", "counted_state"),
+        *("since", "state"),
     )
 
     def __init__(self, config: DeviceConfig, reads: Reads) -> None:
@@ -207,7 +206,6 @@ class Poller(LineRequest):
     def forget(self) -> None:
         """Forget the state of the device, and what was reported of it."""
         self.state: DeviceState = DeviceState.NEW
-        self.counted_state: DeviceState = DeviceState.NEW
         self.since: float = 0.0
         self.error: Exception | None = None
         names, config = self.reads.names, self.config

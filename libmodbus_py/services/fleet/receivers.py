@@ -19,7 +19,7 @@ from .commands import Commands
 from .config import DeviceConfig
 from .journal.journal import Journal
 from .journal.place import JournalPlace
-from .outputs.output import Commanded, Described, Output, check_exclusive
+from .outputs.output import Output, check_exclusive
 from .outputs.pump import Pump
 from .readings import Buffer, Reading
 from .statistics import FleetStatistics
@@ -74,7 +74,7 @@ class Receivers:
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Pass the devices to the outputs; raise ValueError if one lacks a label."""
         for output in self.outputs:
-            if isinstance(output, Described):
+            if hasattr(output, "describe"):
                 output.describe(devices)
 
     async def start(self, commands: Commands) -> None:
@@ -82,7 +82,7 @@ class Receivers:
         places = await self._places()
         names = _unlike(each.name for each in self.outputs)
         for at, output in enumerate(self.outputs):
-            if isinstance(output, Commanded) and output.takes_commands:
+            if hasattr(output, "attach") and getattr(output, "takes_commands", False):
                 output.attach(commands)
             pump = Pump(output, waiting=places.get(at))
             self._statistics.outputs[names[at]] = pump.statistics

@@ -45,7 +45,7 @@ def poll(poller: Poller, *outcomes: Any, now: float = 0.0) -> list[int]:
 
 
 def test_a_new_device_has_no_state(poller: Poller) -> None:
-    assert poller.state is poller.counted_state is DeviceState.NEW
+    assert poller.state is DeviceState.NEW
     assert (poller.misses, poller.since, poller.answered_at, poller.at) == (0, 0.0, 0.0, 0.0)
     assert (poller.asked_at, poller.rest_until, poller.waits_since) == (0.0, 0.0, 0.0)
     assert poller.error is None
@@ -161,10 +161,10 @@ def test_a_device_that_is_forgotten_is_new_and_tells_all_again() -> None:
     for count in (3, 0):
         poll(poller, [1], [2], [3])
         assert len(poller.readings(9.0)) == count
-    poller.counted_state, poller.since = DeviceState.UP, 5.0
+    poller.since = 5.0
     poll(poller, [1], SILENT, [3])
     poller.forget()
-    assert poller.state is poller.counted_state is DeviceState.NEW
+    assert poller.state is DeviceState.NEW
     assert poller.since == 0.0
     assert poller.error is None
     assert poller.withdrawn(8.0) == []

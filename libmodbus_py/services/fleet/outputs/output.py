@@ -1,28 +1,22 @@
 """
-Outputs: the protocols that they implement, the table of their kinds, and what only one may
-use: a file, the standard output, a topic.
-
-An output, or a journal, may have an attribute `exclusive`: a tuple of such things in words, such as
-"the file /tmp/readings.csv"; and a method `shares(other)`, which returns what it would share with
-another output, in words, or None.
+Outputs: the protocol that they implement, the table of their kinds, and what only one may use: a
+file, the standard output, a topic.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Sequence
 from importlib import import_module
 from itertools import combinations
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol
 
 from ....tools.files.schema import Keys, keys_of
-from ..commands import Commands
-from ..config import DeviceConfig
 from ..readings import Reading
 
 # fmt: off
 __all__ = [
-    "KINDS", "Commanded", "Described", "Output", "OutputError", "ReadingsRefused",
+    "KINDS", "Output", "OutputError", "ReadingsRefused",
     "check_exclusive", "file_at", "made", "output_keys", "shared", "used",
 ]
 # fmt: on
@@ -43,12 +37,21 @@ class Output(Protocol):
     OSError from `open` or `write` is temporary: both are tried again, after pauses. ConnectionError
     from `write` may be due to the readings: a poll with which it is raised three times, each time
     after another poll was written, is dropped. OutputError is permanent, and ends the fleet. After
-    any other exception from `write` the readings are passed
-    again, one poll at a time; a poll for which the exception is raised again is dropped.
+    any other exception from `write` the readings are passed again, one poll at a time; a poll for
+    which the exception is raised again is dropped.
 
     With a journal, readings are passed again in the next run of the program unless `write` has
-    returned. An output with an attribute `is_live` that is True gets those of this run only. The
-    name of its place in the journal is its attribute `identity`, or else its name.
+    returned. An output may also have these attributes::
+
+        is_live            True to get the readings of this run only
+        identity           the name of its place in the journal, if it is not that of the output
+        buffer             the most readings that wait without a journal
+        exclusive          a tuple of things that only one output may use, in words
+        shares(other)      returns what it would share with another output, in words, or None
+        describe(devices)  sets the devices by their names, before `open` and when they change;
+                           raises ValueError, and changes nothing, if one lacks a label
+        takes_commands     True if the output receives commands
+        attach(commands)   sets the `Commands` that carry them out, before `open`
     """
 
     @property
@@ -81,31 +84,6 @@ class Output(Protocol):
 
     async def close(self) -> None:
         """Disconnect, until `open` is called again; raise nothing, take two seconds at most."""
-        ...
-
-
-@runtime_checkable
-class Commanded(Protocol):
-    """An output that also receives commands, if `takes_commands` is True."""
-
-    takes_commands: bool
-
-    def attach(self, commands: Commands) -> None:
-        """Set the object that carries out commands; called before `Output.open`."""
-        ...
-
-
-@runtime_checkable
-class Described(Protocol):
-    """An output that also uses the maps or the labels of devices."""
-
-    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
-        """
-        Set the devices of the readings, before `Output.open` and when those of the fleet change.
-
-        Raises:
-            ValueError: a device lacks a label that this output needs; nothing changes then.
-        """
         ...
 
 
