@@ -5,7 +5,7 @@ A fleet as a page shows it: its outputs, and its devices with their values.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from ...tools.page.log import Log
 from ...tools.page.samples import Series
@@ -24,7 +24,7 @@ from .config import DeviceConfig
 from .fleet import Fleet
 from .poller import DeviceState, Poller
 from .readings import Reading
-from .statistics import JournalStatistics, LastValues, OutputStatistics
+from .statistics import LastValues
 
 __all__ = ["PageOutput", "ShownFleet"]
 
@@ -94,7 +94,7 @@ class ShownFleet:
         problems = [f"{found.down} of {found.devices} devices down"] if found.down else []
         for each in self._outputs():
             if each.is_problem:
-                problems.append(f"{each.name} fails, {each.statistics.waiting:,} readings wait")
+                problems.append(f"{each.name} fails, {each.amount[0]} readings wait")
         if found.journal is not None and found.journal.trouble:
             problems.append("the journal fails")
         if problems:
@@ -115,58 +115,49 @@ class ShownFleet:
 
     def rows(self) -> Sequence[PageRow]:
         journal = self._fleet.statistics.journal
-        own = [] if journal is None else [JournalRow(journal)]
-        return [*self._outputs(), *own, *self._values.rows]
+        rows: list[PageRow] = [*self._outputs()]
+        if journal is not None:
+            amount = (f"{journal.bytes / 1e6:.1f}", "MB")
+            rows.append(DestinationRow("", "journal", journal.trouble, 0, amount))
+        return [*rows, *self._values.rows]
 
-    def _outputs(self) -> list[OutputRow]:
+    def _outputs(self) -> list[DestinationRow]:
         """Return the outputs except those of this program: the page, and metrics."""
-        outputs = dict(self._fleet.statistics.outputs)
         own = {PageOutput.name, LastValues.name}
-        return [OutputRow(name, each) for name, each in outputs.items() if name not in own]
+        return [
+            DestinationRow(
+                *("output", name, each.trouble, each.trouble_since),
+                (f"{each.waiting:,}", "waiting"),
+            )
+            for name, each in dict(self._fleet.statistics.outputs).items()
+            if name not in own
+        ]
 
     def series(self, name: tuple[str, str], column: str) -> Series | None:
         return self._values.series(name, column)
 
 
-class OutputRow:
-    """See `PageRow`: an output, the readings that wait for it, and why."""
+class DestinationRow(NamedTuple):
+    """See `PageRow`: an output or the journal, how much it contains, and why it fails."""
 
-    def __init__(self, name: str, statistics: OutputStatistics) -> None:
-        self.name: str = name
-        self.statistics: OutputStatistics = statistics
+    kind: str
+    name: str
+    trouble: str
+    trouble_since: float
+    amount: tuple[str, str]
 
     @property
     def words(self) -> str:
-        return f"output {self.name}".lower()
+        return f"{self.kind} {self.name}".strip().lower()
 
     @property
     def is_problem(self) -> bool:
-        return bool(self.statistics.trouble)
+        return bool(self.trouble)
 
     def cells(self) -> list[Any]:
-        found = self.statistics
-        since = round(found.trouble_since, 1) if found.trouble else 0
-        state = ["fails" if found.trouble else "works", cell_text(found.trouble), since]
-        waiting = f"{found.waiting:,}"
-        return [["output", cell_text(self.name)], state, [waiting, "waiting"], None, "", "", 0]
-
-
-class JournalRow:
-    """See `PageRow`: the journal, its size, and why it cannot be written or read."""
-
-    words = "journal"
-
-    def __init__(self, statistics: JournalStatistics) -> None:
-        self._statistics = statistics
-
-    @property
-    def is_problem(self) -> bool:
-        return bool(self._statistics.trouble)
-
-    def cells(self) -> list[Any]:
-        trouble, size = self._statistics.trouble, f"{self._statistics.bytes / 1e6:.1f}"
-        state = ["fails" if trouble else "works", cell_text(trouble), 0]
-        return [["", "journal"], state, [size, "MB"], None, "", "", 0]
+        since = round(self.trouble_since, 1) if self.trouble else 0
+        state = ["fails" if self.trouble else "works", cell_text(self.trouble), since]
+        return [[self.kind, cell_text(self.name)], state, [*self.amount], None, "", "", 0]
 
 
 class PollerRow:

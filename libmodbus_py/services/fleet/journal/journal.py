@@ -32,7 +32,7 @@ from ..statistics import JournalStatistics
 from .journal_file import Begun, JournalFile, JournalState
 from .journal_reader import HistoricalValue, JournalReader, history
 from .place import LONGEST_EPISODE_S, JournalPlace, RecentPolls
-from .schema import JournalDamaged, JournalError, JournalPoll, JournalTrouble, Unused, numbered
+from .schema import JournalDamaged, JournalError, JournalPoll, Unused, numbered
 
 __all__ = ["KEEP_BOUNDS", "SIZE_BOUNDS", "Journal"]
 
@@ -167,8 +167,6 @@ class Journal:
             self._stop_threads()
             if isinstance(error, OSError):
                 raise JournalError(f"{self.path}: {error.strerror}") from None
-            if isinstance(error, JournalTrouble):
-                raise JournalError(str(error)) from error
             raise
         self._unused = Unused(begun.runs)
         self._recent = RecentPolls(begun.first - 1)
