@@ -207,41 +207,26 @@ def test_a_write_that_is_repeated_is_not_overtaken_by_the_next() -> None:
     simulated_run(go())
 
 
-class SlowDevices:
-    """Devices whose writes end when they may."""
-
-    def __init__(self) -> None:
-        self.statistics = FleetStatistics()
-        self.may_end = asyncio.Event()
-        self.begun = 0
-
-    def unknown(self, device: str, point: str) -> str:
-        return ""
-
-    async def write(self, device: str, values: dict[str, Any]) -> None:
-        self.begun += 1
-        await self.may_end.wait()
-
-
 def test_commands_beyond_those_that_may_wait_are_refused_until_others_end() -> None:
     async def main() -> None:
-        devices = SlowDevices()
+        devices = Devices()
         commands = Commands(devices)
 
-        async def write(device: str = "pump") -> str:
+        async def write(device: str) -> str:
             outcome = await commands.answer(device, "level", Wanted(1))
             assert outcome is not None
             return str(outcome.get("error", "written"))
 
         waiting = [asyncio.create_task(write(f"pump {at}")) for at in range(100)]
         refused = await next(asyncio.as_completed(waiting))
-        assert refused == f"{devices.begun} writes are already under way"
-        assert 1 < devices.begun < 100
-        devices.may_end.set()
+        assert refused == f"{len(devices.begun)} writes are already under way"
+        assert 1 < len(devices.begun) < 100
+        for may_end in devices.may_end.values():
+            may_end.set()
         ends = await asyncio.gather(*waiting)
-        assert ends.count("written") == devices.begun
-        assert await write() == "written"
-        assert devices.statistics.commands == devices.begun
+        assert ends.count("written") == len(devices.begun)
+        assert await write("pump 0") == "written"
+        assert devices.statistics.commands == len(devices.begun)
         assert devices.statistics.refused_commands == ends.count(refused)
 
     asyncio.run(main())
