@@ -168,6 +168,17 @@ def test_a_login_on_the_command_line(tmp_path: Path, command: tuple[str, ...], u
     assert "ecret" not in said
 
 
+@each_case("value", ['"sesame"', "4711", '["sesame"]', '{ a = "sesame" }', "true"])
+def test_a_password_in_a_fleet_file_is_refused_and_not_shown(tmp_path: Path, value: str) -> None:
+    file = tmp_path / "fleet.toml"
+    output = f'[output.mqtt]\nurl = "mqtt://h"\nuser = "u"\npassword = {value}'
+    file.write_text(FLEET.format(output=output))
+    with pytest.raises(ValueError, match="password must not be written in the file") as caught:
+        load(file)
+    assert "sesame" not in str(caught.value)
+    assert "4711" not in str(caught.value)
+
+
 # --- files with secrets ---------------------------------------------------------------------
 
 

@@ -248,7 +248,7 @@ class _Reader:
             file = keys.pop(f"{key}_file", None)
             if file is not None:
                 keys[key] = self._secret_of(f"{key}_file", file)
-            elif isinstance(keys.get(key), str) and not _NAME.search(keys[key]):
+            elif key in keys and not (isinstance(keys[key], str) and _NAME.search(keys[key])):
                 wanted = f"${{NAME}}, a variable of the environment, or {key}_file"
                 raise WrongValue(key, f"must not be written in the file: use {wanted}")
         return keys
