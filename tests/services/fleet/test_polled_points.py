@@ -9,7 +9,7 @@ import logging
 from collections import Counter
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
@@ -24,7 +24,7 @@ from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
 from tests.support.peers import mbap
 
-H = "holding_registers"
+H: Literal["holding_registers"] = "holding_registers"
 
 MAP = RegisterMap(
     [

@@ -7,19 +7,25 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import random
 import shutil
+import signal
 import sqlite3
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from fuzz.journal_trial import Found, KilledPolls, devices
+from fuzz.journal_trial import until as until_really
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import Journal, JournalError, Reading
 from libmodbus_py.services.fleet.journal import journal as journal_module
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
+from libmodbus_py.services.fleet.outputs.pump import MOST_OF_JOURNAL
 from tests.services.fleet.fleets import Peer, meter, simulated_run, until
 from tests.services.fleet.journal.journals import polls, readings
 from tests.services.fleet.journal.test_journal import Broker, Failing, in_journal, run_for
@@ -315,3 +321,37 @@ def test_readings_that_are_confirmed_after_the_end_are_sent_again_at_most(
 
     simulated_run(go(), Network())
     assert journal_module.LAST_WAIT_S > 1.0
+
+
+KILLS = 3
+
+
+def confirmed(polls: KilledPolls) -> int:
+    with suppress(sqlite3.Error, ValueError):  # the journal is being created
+        return min(polls.places().values())
+    return 0
+
+
+def test_a_poll_that_is_killed_loses_nothing_that_was_journalled(tmp_path: Path) -> None:
+    async def go() -> KilledPolls:
+        async with devices(5) as urls:
+            polls = KilledPolls(tmp_path, urls, interval=0.05)
+            for _ in range(KILLS):
+                with polls.running():
+                    size = polls.size + random.randint(1, 50_000)
+                    await until_really(lambda size=size: polls.size > size)  # type: ignore[misc]
+            last = polls.in_journal()[-1]
+            with polls.running() as process:
+                await until_really(
+                    lambda: confirmed(polls) > last and len(polls.in_journal()) > 100
+                )
+                process.send_signal(signal.SIGTERM)
+                assert await asyncio.to_thread(process.wait) == 0
+        return polls
+
+    polls = asyncio.run(go())
+    arrived, journal = polls.in_file(), polls.in_journal()
+    found = Found(journal, confirmed(polls), arrived)
+    assert found.lost == 0
+    assert found.repeated <= KILLS * (MOST_OF_JOURNAL + 10)
+    assert confirmed(polls) == journal[-1]
