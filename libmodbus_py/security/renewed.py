@@ -32,13 +32,13 @@ def read_secret(path: str | os.PathLike[str]) -> str:
     Return the text of a file with a password, a token or a seed, in UTF-8, up to 64 KiB.
 
     Raises:
-        OSError: the file cannot be read; PermissionError, too, if group or others can read it.
+        OSError: the file cannot be read; PermissionError, too, if all users can read it.
         UnicodeDecodeError: it is not UTF-8.
     """
     with open(path, "rb") as file:
         mode = os.fstat(file.fileno()).st_mode
-        if os.name == "posix" and mode & (stat.S_IRGRP | stat.S_IROTH):
-            reason = "group or others can read this secret; run chmod 600 on the file"
+        if os.name == "posix" and mode & stat.S_IROTH:
+            reason = "all users of this machine can read this secret; chmod o= ends that"
             raise PermissionError(errno.EACCES, reason, os.fspath(path))
         return file.read(LONGEST_SECRET_BYTES).decode()
 

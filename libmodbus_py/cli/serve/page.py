@@ -13,6 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING, TextIO, TypeGuard
 
 from ...protocol.errors import ModbusConnectionError
+from ...security.renewed import read_secret
 from ..help import make_rare
 from ..output import complain, inform
 from .metrics import Address, OneAddress, address_like
@@ -29,9 +30,6 @@ EXAMPLE = ("127.0.0.1", 8080)
 
 TOKEN = "LIBMODBUS_PY_PAGE_TOKEN"
 """The environment variable that has the token of the page."""
-
-# More than a token may have.
-MAX_FILE = 1000
 
 
 def add_argument(command: argparse._ActionsContainer, what: str = "the devices") -> None:
@@ -64,15 +62,16 @@ def token_of(file: str | None) -> str | None:
     Return the token of the page from a file or the environment; None without either.
 
     Raises:
-        ValueError: the file cannot be read.
+        ValueError: the file cannot be read, or all users of the machine can read it.
     """
     if file is None:
         return os.environ.get(TOKEN) or None
     try:
-        with open(file, encoding="utf-8", errors="replace") as opened:
-            return opened.read(MAX_FILE).strip()
+        return read_secret(file).strip()
     except OSError as error:
         raise ValueError(f"--page-token: {file}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        return ""  # refused as a token
 
 
 @contextlib.contextmanager

@@ -26,6 +26,7 @@ def test_a_token_that_was_given_opens_the_page_and_is_not_printed(
 ) -> None:
     file = tmp_path / "token"
     file.write_text(f"{TOKEN}\n")
+    file.chmod(0o600)
     options = ("--page-token", file) if where == "file" else ()
     environment = PAGE_TOKEN if where == "environment" else {}
     with Started(*SERVE, *options, "--log", "debug", environment=environment) as process:
@@ -81,11 +82,21 @@ def test_a_wrong_token_is_told_and_not_shown(
     file.unlink(missing_ok=True)
     if content is not None:
         file.write_text(content)
+        file.chmod(0o640)
     done = run("serve", "tcp://127.0.0.1:0", "--page", "127.0.0.1:0", "--page-token", file)
     assert done.code == 2
     assert said in done.err
     assert done.err.count("\n") == 1
     assert TOKEN not in done.err
+
+
+def test_a_token_that_all_users_can_read_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "token"
+    file.write_text(TOKEN)
+    file.chmod(0o604)
+    done = run("serve", "tcp://127.0.0.1:0", "--page", "127.0.0.1:0", "--page-token", file)
+    assert done.code == 2
+    assert f"{file}: all users of this machine can read this secret" in done.err
 
 
 def test_a_token_without_a_page_is_refused(tmp_path: Path) -> None:

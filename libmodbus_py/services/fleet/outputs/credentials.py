@@ -23,7 +23,7 @@ class SecretFile:
     A password, a token or another secret in a file, without the ends of lines at its end.
 
     Raises:
-        FileError: of `kind`: the file cannot be read, or group or others can read it, too.
+        FileError: of `kind`: the file cannot be read, or all users can read it.
     """
 
     def __init__(self, path: str | PathLike[str], kind: type[FileError] = FileError) -> None:
