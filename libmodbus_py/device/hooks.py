@@ -7,7 +7,7 @@ from __future__ import annotations
 import reprlib
 import time
 from collections.abc import Callable, Iterable
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 from ..protocol.callbacks import checked_callback, finished
 from ..protocol.close_names import named_arguments
@@ -26,7 +26,7 @@ SLOW = 0.1
 Given = TypeVar("Given")
 Result = TypeVar("Result")
 
-Addresses = range | Iterable[range]
+Addresses: TypeAlias = range | Iterable[range]
 
 EVERYTHING = (range(TABLE_SIZE),)
 """All addresses of a table."""
@@ -102,7 +102,7 @@ class Hook:
         return touches(self.in_table(access.table), first, count)
 
 
-HookLike = Hook | Callable[[Access], object]
+HookLike: TypeAlias = Hook | Callable[[Access], object]
 
 # A hook, and its function, whose duration is measured.
 Called = tuple[Hook, Callable[[Access], object]]

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from heapq import heapify, heappop, heappush
-from typing import Any, Literal, NamedTuple, Required, TypedDict, TypeVar
+from typing import Any, Literal, NamedTuple, Required, TypeAlias, TypedDict, TypeVar
 
 from ..protocol import pdu
 from ..protocol.checks import integer
@@ -108,7 +108,7 @@ class Read:
 
 
 Key = TypeVar("Key")
-Item = (
+Item: TypeAlias = (
     Read
     | tuple[Table, int]
     | tuple[Table, int, int]
@@ -118,7 +118,7 @@ Item = (
 """A `Read`, or its arguments."""
 
 Named = Mapping[Key, Item]
-Items = Iterable[Item] | Mapping[Any, Item]
+Items: TypeAlias = Iterable[Item] | Mapping[Any, Item]
 Forbidden = Iterable[tuple[Table, range]]
 Values = list[Any]
 

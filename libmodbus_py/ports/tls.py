@@ -11,7 +11,7 @@ import socket
 import ssl
 import time
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeAlias, TypeVar
 
 from ..protocol.errors import ModbusConnectionError
 from ..security.describing import describe, in_words
@@ -23,7 +23,7 @@ from .port import RECEIVED_BYTES
 from .sockets import TcpPort
 from .waiting import READ, WRITE, Ready, Steps, of_system, timed_out
 
-ClientSecurity = Security | GivenContext
+ClientSecurity: TypeAlias = Security | GivenContext
 Given = TypeVar("Given", bound=ClientSecurity)
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ The names of types and orders, as `values` explains them; type checkers find wro
 
 from __future__ import annotations
 
-from typing import Literal, NewType, TypedDict
+from typing import Literal, NewType, TypeAlias, TypedDict
 
 from .checks import integer
 
@@ -32,14 +32,14 @@ TimeType = Literal["unix32", "unix64", "ms64", "iec870", "date48", "bcddate48", 
 """Types whose values are datetimes."""
 StringType = NewType("StringType", str)
 """The name of a type of strings of any length, as `string_type` returns it."""
-TextType = Literal[
+TextType: TypeAlias = Literal[
     "string:1", "string:2", "string:3", "string:4", "string:5", "string:6", "string:7", "string:8",
     "string:10", "string:12", "string:14", "string:16", "string:18", "string:20", "string:24",
     "string:28", "string:30", "string:32", "string:40", "string:48", "string:50", "string:64",
 ] | StringType
 """Types whose values are text: the usual lengths; `string_type` has the others."""
 # fmt: on
-TypeName = NumberType | BitsType | TimeType | TextType
+TypeName: TypeAlias = NumberType | BitsType | TimeType | TextType
 """All of them."""
 
 MAX_STRING_BYTES = 250
