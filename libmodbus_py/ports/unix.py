@@ -27,9 +27,6 @@ __all__ = ["UnixListener", "UnixPort"]
 # The bytes of a path in struct sockaddr_un, without the final 0.
 MAX_PATH = 107 if sys.platform == "linux" else 103
 
-# The owner of the socket and its group may connect, which needs the permission to write.
-MODE = 0o660
-
 # Tries to lock the folder, a hundredth of a second apart: another program holds it while it makes
 # its own socket, which takes less than a millisecond.
 TRIES = 100
@@ -102,7 +99,7 @@ class UnixListener:
                 made.bind(self._path)
                 self._identity = _identity(self._path)
                 made.listen(BACKLOG)
-                os.chmod(self._path, MODE)
+                os.chmod(self._path, 0o660)  # who connects needs the permission to write
         except BaseException:
             self.close()
             made.close()

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 from . import pdu
 from .mistakes import WrongValue
-from .pdu.fields import MOST_COILS_WRITTEN, MOST_REGISTERS_WRITTEN, TABLE_SIZE
+from .pdu.fields import MAX_WRITTEN, TABLE_SIZE
 from .words import TABLE_WORDS, close_word, table_named
 
 # fmt: off
@@ -42,12 +42,13 @@ class TableRules(NamedTuple):
 
 
 TABLES: dict[str, TableRules] = {
-    "coils": TableRules(pdu.ReadCoils, True, pdu.ReadCoils.limit, MOST_COILS_WRITTEN),
-    "discrete_inputs": TableRules(pdu.ReadDiscreteInputs, True, pdu.ReadDiscreteInputs.limit),
-    "holding_registers": TableRules(
-        pdu.ReadHoldingRegisters, False, pdu.ReadHoldingRegisters.limit, MOST_REGISTERS_WRITTEN
-    ),
-    "input_registers": TableRules(pdu.ReadInputRegisters, False, pdu.ReadInputRegisters.limit),
+    name: TableRules(read, is_bits, read.limit, MAX_WRITTEN.get(name, 0))
+    for name, read, is_bits in (
+        ("coils", pdu.ReadCoils, True),
+        ("discrete_inputs", pdu.ReadDiscreteInputs, True),
+        ("holding_registers", pdu.ReadHoldingRegisters, False),
+        ("input_registers", pdu.ReadInputRegisters, False),
+    )
 }
 """Name -> rules; the names are those of `Table`."""
 

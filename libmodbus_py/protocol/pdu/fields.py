@@ -16,9 +16,8 @@ from ..scan import lib
 
 TABLE_SIZE = 65536  # section 4.4: addresses are 16 bits
 
-# Sections 6.11 and 6.12. Here, so that who only reads need not import what writes.
-MOST_COILS_WRITTEN = 1968
-MOST_REGISTERS_WRITTEN = 123
+MAX_WRITTEN = {"coils": 1968, "holding_registers": 123}
+"""Table -> the most cells of one write (6.11, 6.12); here, because readers do not import writes."""
 
 
 class LengthRule(Protocol):

@@ -18,9 +18,9 @@ from .request import Request, Result
 
 # fmt: off
 __all__ = [
-    "DEVICE_IDENTIFICATION", "LEVELS", "OBJECT_NAMES", "DeviceIdentification",
-    "EncapsulatedTransport", "IdentificationPage", "RawRequest", "ReadDeviceIdCode",
-    "ReadDeviceIdentification", "pages",
+    "LEVELS", "OBJECT_NAMES", "DeviceIdentification", "EncapsulatedTransport",
+    "IdentificationPage", "MeiType", "RawRequest", "ReadDeviceIdCode", "ReadDeviceIdentification",
+    "pages",
 ]
 # fmt: on
 
@@ -58,10 +58,12 @@ class RawRequest(Request[bytes]):
         return pdu[1:]
 
 
-# MEI types (section 6.19).
-CANOPEN = 0x0D
-DEVICE_IDENTIFICATION = 0x0E
-"""The MEI type of device identification."""
+class MeiType(IntEnum):
+    """The interfaces of function 43 (section 6.19)."""
+
+    CANOPEN = 0x0D
+    DEVICE_IDENTIFICATION = 0x0E
+
 
 OBJECT_NAMES = {
     0: "VendorName",
@@ -131,13 +133,13 @@ def _identification_length(head: bytes) -> int | None:
 def _request_length(head: bytes) -> int | None:
     if len(head) < 2:
         return None
-    return 4 if head[1] == DEVICE_IDENTIFICATION else 0
+    return 4 if head[1] == MeiType.DEVICE_IDENTIFICATION else 0
 
 
 def _response_length(head: bytes) -> int | None:
     if len(head) < 2:
         return None
-    return _identification_length(head) if head[1] == DEVICE_IDENTIFICATION else 0
+    return _identification_length(head) if head[1] == MeiType.DEVICE_IDENTIFICATION else 0
 
 
 class _Encapsulated(Request[Result]):
@@ -178,9 +180,9 @@ class EncapsulatedTransport(_Encapsulated[bytes]):
 
     @classmethod
     def decode(cls, pdu: bytes) -> EncapsulatedTransport | ReadDeviceIdentification:  # type: ignore[override]
-        if pdu[1] == DEVICE_IDENTIFICATION:
+        if pdu[1] == MeiType.DEVICE_IDENTIFICATION:
             return ReadDeviceIdentification.decode(pdu)
-        if pdu[1] != CANOPEN:
+        if pdu[1] != MeiType.CANOPEN:
             raise IllegalFunction(f"no MEI type {pdu[1]}", function=cls.function)
         return cls(pdu[1], pdu[2:])
 
@@ -217,7 +219,7 @@ class ReadDeviceIdentification(_Encapsulated[IdentificationPage]):
         )
 
     def encode(self) -> bytes:
-        return bytes([self.function, DEVICE_IDENTIFICATION, self.code, self.object_id])
+        return bytes([self.function, MeiType.DEVICE_IDENTIFICATION, self.code, self.object_id])
 
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
@@ -228,7 +230,7 @@ class ReadDeviceIdentification(_Encapsulated[IdentificationPage]):
         if not self._answers(objects):
             raise ValueError(f"result must hold object {self.object_id} alone")
         more, following = (0, 0) if next_object is None else (0xFF, next_object)
-        head = [self.function, DEVICE_IDENTIFICATION, self.code, conformity]
+        head = [self.function, MeiType.DEVICE_IDENTIFICATION, self.code, conformity]
         body = b"".join(bytes([at, len(value)]) + value for at, value in objects.items())
         if len(body) > self.room:
             raise ValueError(f"objects take {len(body)} bytes, more than {self.room}")
@@ -246,7 +248,7 @@ class ReadDeviceIdentification(_Encapsulated[IdentificationPage]):
         return self._decode_response(pdu)._replace(complete=False)
 
     def _decode_response(self, pdu: bytes) -> IdentificationPage:
-        if pdu[1] != DEVICE_IDENTIFICATION or pdu[2] != self.code:
+        if pdu[1] != MeiType.DEVICE_IDENTIFICATION or pdu[2] != self.code:
             raise self._invalid(f"{pdu[:4].hex(' ')}")
         objects: dict[int, bytes] = {}
         at = 7

@@ -11,8 +11,7 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 
 from ..checks import integer
 from .fields import (
-    MOST_COILS_WRITTEN,
-    MOST_REGISTERS_WRITTEN,
+    MAX_WRITTEN,
     REGISTERS,
     LengthRule,
     checked_bit,
@@ -111,7 +110,7 @@ class WriteCoils(_WriteSeveral[bool]):
 
     __slots__ = ()
     function = 0x0F
-    limit = MOST_COILS_WRITTEN
+    limit = MAX_WRITTEN["coils"]
     _check, _pack = staticmethod(checked_bits), staticmethod(pack_bits)
 
     @classmethod
@@ -127,7 +126,7 @@ class WriteRegisters(_WriteSeveral[int]):
 
     __slots__ = ()
     function = 0x10
-    limit = MOST_REGISTERS_WRITTEN
+    limit = MAX_WRITTEN["holding_registers"]
     _check, _pack = staticmethod(checked_registers), staticmethod(pack_registers)
 
     @classmethod
