@@ -103,7 +103,7 @@ class JsonFormatter(logging.Formatter):
     """One object in one line: time, level, logger, message, and exception if there is one."""
 
     def format(self, record: logging.LogRecord) -> str:
-        from ..protocol.json_text import json_text
+        from ..protocol.plain import json_text
 
         entry = {
             "time": time_text(record.created),

@@ -67,7 +67,7 @@ def harmless(text: str) -> str:
 
 def print_json(fields: dict[str, Any]) -> None:
     """Print an object of JSON as one line, at once."""
-    from ..protocol.json_text import json_text
+    from ..protocol.plain import json_text
 
     print(json_text(fields), flush=True)
 

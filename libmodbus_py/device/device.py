@@ -35,7 +35,7 @@ from ..protocol.pdu import (
     SubFunction,
     decode_request,
 )
-from ..protocol.ranges import joined, without
+from ..protocol.tables import joined, without
 from .access import ACCESSES, Access, Touched, touched
 from .authorization import Asked, Authorization, Authorize, UnauthorizedError
 from .by_name import NamedValues

@@ -12,8 +12,7 @@ from typing import TypeAlias, TypeVar
 from ..protocol.callbacks import checked_callback, finished
 from ..protocol.close_names import named_arguments
 from ..protocol.logs import HarmlessLogger
-from ..protocol.ranges import checked_ranges, joined, touches
-from ..protocol.tables import TABLE_SIZE
+from ..protocol.tables import TABLE_SIZE, checked_ranges, joined, touches
 from .access import READABLE, Access, Touched
 
 __all__ = ["SLOW", "Hook", "HookLike", "Hooks", "timed"]

@@ -14,8 +14,7 @@ from ..maps.register_map import RegisterMap
 from ..maps.writing import check_overlaps
 from ..protocol.close_names import close_to
 from ..protocol.mistakes import WrongType, WrongValue
-from ..protocol.ranges import joined
-from ..protocol.tables import TABLES
+from ..protocol.tables import TABLES, joined
 from .mapping import Mapping
 
 # fmt: off

@@ -16,7 +16,7 @@ from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.close_names import named_arguments
 from ..protocol.mistakes import Path, WrongType, WrongValue
-from ..protocol.ranges import contains, joined
+from ..protocol.tables import contains, joined
 from ..security.role import check_role
 from .access import ACCESSES, READABLE, WRITABLE, Access
 from .authorization import Asked

@@ -19,8 +19,15 @@ from ..protocol.close_names import named_arguments
 from ..protocol.errors import ModbusError
 from ..protocol.mistakes import WrongType, WrongValue, inside, placed
 from ..protocol.pdu.fields import checked_span, store
-from ..protocol.ranges import checked_ranges, joined, touches
-from ..protocol.tables import TABLE_SIZE, TABLES, Table, checked_table
+from ..protocol.tables import (
+    TABLE_SIZE,
+    TABLES,
+    Table,
+    checked_ranges,
+    checked_table,
+    joined,
+    touches,
+)
 from ..protocol.values import Order, TypeName, ValueType, value_type
 from .holes import Block, BlockPiece, Holes, PartialAnswer, Span, Unreadable
 

@@ -121,7 +121,7 @@ def _check_text(name: str, value: Any, least: int, most: int) -> None:
 
 def _local(kind: ValueType | None, point: Point) -> ValueType:
     """Return the type of a point whose registers hold the local time of a zone."""
-    from ..protocol.local_times import checked_time_zone, in_time_zone  # which few programs need
+    from ..protocol.times import checked_time_zone, in_time_zone  # which few programs need
 
     zone = checked_time_zone("time_zone", point.time_zone)
     if kind is None or not kind.is_time:

@@ -1,5 +1,5 @@
 """
-Values as JSON can contain them, text for terminals, and points in time, as outputs show them.
+Values as JSON can contain them and its encoders, text for terminals, and points in time.
 
 Files, JSON, CSV, logs and messages have times of ISO 8601 in UTC, so that they sort, and do not
 depend on the place. Lines that a person watches have the clock of the place.
@@ -8,20 +8,36 @@ depend on the place. Lines that a person watches have the clock of the place.
 from __future__ import annotations
 
 import enum
+import json
 import math
 import re
+from collections.abc import Iterable
 from typing import Any
 
+from .mistakes import WrongValue
 from .pdu import Request
 from .pdu.request import arguments
 
+# fmt: off
 __all__ = [
-    "CONTROL",
-    "clock_text",
-    "plain",
-    "time_text",
-    "without_controls",
+    "COMPACT_JSON", "CONTROL", "JSON", "SORTED_JSON", "clock_text", "each_once", "json_text",
+    "plain", "time_text", "without_controls",
 ]
+# fmt: on
+
+# All JSON of the package is encoded by one of these, which raise a ValueError for a nan or an
+# infinity, in place of which `plain` returns None.
+JSON = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
+"""Encodes text as it is."""
+
+COMPACT_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
+"""Encodes text in ASCII, without spaces."""
+
+SORTED_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"), sort_keys=True)
+"""Encodes the same for equal values, without spaces."""
+
+json_text = json.JSONEncoder(allow_nan=False).encode
+"""Returns a value as JSON, in ASCII."""
 
 CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
 """Control characters (Cc of Unicode) beside the line feed: terminals obey them."""
@@ -55,6 +71,21 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(each) for each in value]
     return value
+
+
+def each_once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """
+    Return the dict of names and values, as `object_pairs_hook` of ``json.loads``, too.
+
+    Raises:
+        WrongValue: a name occurs twice, of which json would take the last.
+    """
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise WrongValue.about((name,), "occurs twice")
+        found[name] = value
+    return found
 
 
 def without_controls(text: str) -> str:

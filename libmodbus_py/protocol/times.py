@@ -2,19 +2,22 @@
 Dates and times in registers.
 
 Values are datetimes with a time zone. Registers hold none, so that the time of a device is taken as
-UTC here, and what is written is converted to UTC first; `local_times` has the other zones.
+UTC, and what is written is converted to UTC first. `in_time_zone` is for devices whose registers
+hold the wall clock of a zone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta, tzinfo
 from struct import pack, unpack
 from typing import Any, NamedTuple
 
 from .mistakes import Path, WrongType, WrongValue
+from .value_types import ValueType
 
-__all__ = ["TIMES", "checked_time", "pack_time", "unpack_time"]
+__all__ = ["TIMES", "checked_time_zone", "in_time_zone", "pack_time", "unpack_time"]
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -35,7 +38,7 @@ class TimeForm(NamedTuple):
     unpack: Callable[[bytes], datetime]
 
 
-def checked_time(name: str | Path, value: object) -> datetime:
+def _checked_time(name: str | Path, value: object) -> datetime:
     """
     Return a datetime in UTC.
 
@@ -156,7 +159,7 @@ def pack_time(form: TimeForm, name: str | Path, value: Any) -> bytes:
     Raises:
         TypeError, ValueError: no datetime with a time zone, or one that the form cannot hold.
     """
-    time = checked_time(name, value)
+    time = _checked_time(name, value)
     try:
         return form.pack(time)
     except OverflowError as error:
@@ -175,3 +178,75 @@ def unpack_time(form: TimeForm, data: bytes) -> datetime:
         return form.unpack(data)
     except (ValueError, OverflowError):
         raise ValueError(f"{data.hex(' ').upper()} is not a time") from None
+
+
+# --- local times --------------------------------------------------------------------------
+
+
+def checked_time_zone(name: str | Path, given: object) -> tzinfo:
+    """
+    Return a time zone of the IANA database, such as "Europe/Berlin".
+
+    Raises:
+        TypeError, ValueError: this system knows no such zone.
+    """
+    if not isinstance(given, str):
+        raise WrongType(name, f"must be the name of a time zone, not {type(given).__name__}")
+    from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+
+    try:
+        return ZoneInfo(given)
+    except (ValueError, OSError, ZoneInfoNotFoundError):  # the last one is a KeyError
+        wanted = "a time zone that this system knows, such as Europe/Berlin"
+        raise WrongValue(name, f"must be {wanted}, not {given[:100]!r}") from None
+
+
+def in_time_zone(kind: ValueType, zone: tzinfo) -> ValueType:
+    """
+    Return a type of times whose registers hold the local time of a zone.
+
+    A local time that occurs twice, when summer time ends, is the first of both, unless the type
+    tells summer time from standard time, as iec870 does; one that is left out, when summer time
+    begins, is not a value.
+    """
+    has_summer = kind.name == "iec870"
+
+    def pack(name: str | Path, value: object) -> bytes:
+        try:
+            local = _checked_time(name, value).astimezone(zone)
+        except OverflowError:
+            raise WrongValue(name, "must be a year in 1..9999") from None
+        data = kind.pack(name, local.replace(tzinfo=UTC, fold=0))
+        return _with_summer(data) if has_summer and local.dst() else data
+
+    def unpack(data: bytes) -> datetime:
+        wall = kind.unpack(data)
+        if not has_summer:
+            return _moment(wall, zone, fold=0)
+        is_summer = bool(data[4] & 0x80)
+        return _moment(wall + timedelta(hours=is_summer), zone, fold=not is_summer)
+
+    return replace(kind, pack=pack, unpack=unpack)
+
+
+def _with_summer(data: bytes) -> bytes:
+    """Set the bit SU of a CP56Time2a, which says that the hour is of summer time."""
+    return data[:4] + bytes([data[4] | 0x80]) + data[5:]
+
+
+def _moment(wall: datetime, zone: tzinfo, *, fold: int) -> datetime:
+    """
+    Return the moment in UTC at which the clocks of a zone show a time.
+
+    Raises:
+        ValueError: they never do.
+    """
+    local = wall.replace(tzinfo=zone, fold=fold)
+    try:
+        moment = local.astimezone(UTC)
+        shown = moment.astimezone(zone)
+    except OverflowError:
+        raise ValueError(f"{wall:%Y-%m-%d} is out of range") from None
+    if shown.replace(tzinfo=None) != wall.replace(tzinfo=None):
+        raise ValueError(f"clocks in {zone} never show {wall:%Y-%m-%d %H:%M:%S}")
+    return moment

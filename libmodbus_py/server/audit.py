@@ -21,9 +21,8 @@ from ..device.caller import Executed, ValueChange
 from ..protocol.callbacks import checked_callback, finished
 from ..protocol.close_names import named_arguments
 from ..protocol.errors import ExceptionResponse
-from ..protocol.json_text import json_text
 from ..protocol.logs import HarmlessLogger
-from ..protocol.plain import time_text
+from ..protocol.plain import json_text, time_text
 from ..security.describing import CertificateHolder
 
 __all__ = ["Audit", "AuditEvent", "AuditFile", "OnAudited", "audit_of"]

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py.protocol.local_times import checked_time_zone, in_time_zone
+from libmodbus_py.protocol.times import checked_time_zone, in_time_zone
 from libmodbus_py.protocol.values import value_type
 from tests.support.cases import each_case
 

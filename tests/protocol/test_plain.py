@@ -17,9 +17,17 @@ import pytest
 
 from libmodbus_py import pdu
 from libmodbus_py.client.reconnecting import State
-from libmodbus_py.protocol.json_text import COMPACT_JSON, SORTED_JSON, each_once, json_text
 from libmodbus_py.protocol.mistakes import WrongValue
-from libmodbus_py.protocol.plain import clock_text, plain, time_text, without_controls
+from libmodbus_py.protocol.plain import (
+    COMPACT_JSON,
+    SORTED_JSON,
+    clock_text,
+    each_once,
+    json_text,
+    plain,
+    time_text,
+    without_controls,
+)
 from tests.support.cases import each_case
 
 

@@ -13,7 +13,7 @@ from importlib import resources
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
-from ...protocol.json_text import json_text
+from ...protocol.plain import json_text
 from ..timed_server import TimedServer
 from .guard import PageGuard
 from .streams import Action, FullError, PageStream, Streams

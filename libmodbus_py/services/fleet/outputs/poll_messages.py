@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from ....protocol.json_text import JSON
+from ....protocol.plain import JSON
 from ..readings import Reading
 from .forms import object_text
 from .output import ReadingsRefused
