@@ -13,8 +13,8 @@ from ..ports.schemes import SERIAL_OPTIONS
 from ..ports.trace import OnTraced
 from ..protocol.callbacks import checked_callback
 from ..protocol.checks import integer, seconds
-from ..protocol.close_names import unknown_option
 from ..protocol.framing import is_delimiter
+from ..protocol.mistakes import unknown_option
 from .call import MAX_IN_FLIGHT, Timeouts
 from .reconnecting import OnState
 from .statistics import Statistics

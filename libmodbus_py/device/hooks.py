@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable
 from typing import TypeAlias, TypeVar
 
 from ..protocol.callbacks import checked_callback, finished
-from ..protocol.close_names import named_arguments
 from ..protocol.logs import HarmlessLogger
+from ..protocol.mistakes import named_arguments
 from ..protocol.tables import TABLE_SIZE, checked_ranges, joined, touches
 from .access import READABLE, Access, Touched
 

@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar, Un
 
 from ..binding.library import ffi, lib
 from ..protocol.checks import integer
-from ..protocol.close_names import named_arguments
+from ..protocol.mistakes import named_arguments
 from ..protocol.tables import TABLE_SIZE, checked_ranges, joined, without
 from ..protocol.values import Layout, TypeName, value_type
 from ..system import call_in_children

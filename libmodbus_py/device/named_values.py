@@ -12,8 +12,7 @@ from ..maps.point import Point
 from ..maps.point_plan import sources_of
 from ..maps.register_map import RegisterMap
 from ..maps.writing import check_overlaps
-from ..protocol.close_names import close_to
-from ..protocol.mistakes import WrongType, WrongValue
+from ..protocol.mistakes import WrongType, WrongValue, close_to
 from ..protocol.tables import TABLES, joined
 from .mapping import Mapping
 

@@ -15,10 +15,9 @@ from typing import Any, Literal, NamedTuple, Required, TypeAlias, TypedDict, Typ
 
 from ..protocol import pdu
 from ..protocol.checks import integer
-from ..protocol.close_names import named_arguments
 from ..protocol.errors import ModbusError
-from ..protocol.mistakes import WrongType, WrongValue, inside, placed
-from ..protocol.pdu.fields import checked_span, store
+from ..protocol.mistakes import WrongType, WrongValue, inside, named_arguments, placed
+from ..protocol.pdu.request import checked_span, store
 from ..protocol.tables import (
     TABLE_SIZE,
     TABLES,

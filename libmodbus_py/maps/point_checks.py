@@ -11,7 +11,7 @@ from typing import Any
 
 from ..protocol.checks import integer, seconds, shown
 from ..protocol.mistakes import Path, WrongType, WrongValue, placed
-from ..protocol.pdu.fields import store
+from ..protocol.pdu.request import store
 from ..protocol.tables import TABLES, checked_table
 from ..protocol.values import ValueType
 from .meaning import Meaning, Part, part_of

@@ -33,7 +33,7 @@ from dataclasses import dataclass, field
 from os.path import abspath, expanduser
 from typing import TYPE_CHECKING, Any
 
-from ..protocol.close_names import close_option
+from ..protocol.mistakes import close_option
 from ..protocol.scan import pause_between_frames
 from .hosts import host_and_port, split_host_and_port
 from .schemes import (

@@ -4,10 +4,9 @@ Bytes and values, for both ends. No socket, no clock, no event loop, no libmodbu
 Bottom up:
 
     errors     the exceptions, grouped by cause
-    mistakes   errors that contain the path of the wrong value
+    mistakes   errors about arguments: the path of a wrong value, and close names
     checks     numbers that callers give, and durations that people type
     words      the names of types and orders, and vendors' words for them; references such as 40123
-    close_names  names that are close to one that does not exist
     extras     optional dependencies, and how each is added to this installation
     callbacks  functions of users: which are refused, and what is logged when one fails
     logs       loggers whose handlers may fail
@@ -20,6 +19,5 @@ Bottom up:
     tables     the four tables: what they contain, how much of it a request may carry, and ranges
     values     numbers, text, bits and times in registers
                (value_types: what they have in common; times: the forms of dates and times)
-    spelling   values as people read and type them
-    plain      values as JSON can contain them and its encoders, text for terminals, points in time
+    plain      values as text: as people read and type them, as JSON can contain them, for terminals
 """

@@ -1,5 +1,5 @@
 """
-Values as JSON can contain them and its encoders, text for terminals, and points in time.
+Values as text: as people read and type them, as JSON can contain them, and points in time.
 
 Files, JSON, CSV, logs and messages have times of ISO 8601 in UTC, so that they sort, and do not
 depend on the place. Lines that a person watches have the clock of the place.
@@ -11,17 +11,24 @@ import enum
 import json
 import math
 import re
-from collections.abc import Iterable
-from typing import Any
+import reprlib
+from collections.abc import Callable, Iterable
+from itertools import count
+from typing import TYPE_CHECKING, Any
 
 from .mistakes import WrongValue
 from .pdu import Request
 from .pdu.request import arguments
+from .value_types import ValueType
+
+if TYPE_CHECKING:
+    from datetime import datetime
 
 # fmt: off
 __all__ = [
-    "COMPACT_JSON", "CONTROL", "JSON", "SORTED_JSON", "clock_text", "each_once", "json_text",
-    "plain", "time_text", "without_controls",
+    "BITS", "COMPACT_JSON", "CONTROL", "JSON", "SORTED_JSON", "bit_of", "clock_text", "decimal_of",
+    "each_once", "json_text", "number_of", "plain", "text_of", "time_of", "time_text", "units_of",
+    "value_of", "without_controls",
 ]
 # fmt: on
 
@@ -133,3 +140,164 @@ def clock_text(seconds: float, *, with_milliseconds: bool = False) -> str:
 
 def _seconds_text(seconds: float) -> str:
     return f"{seconds:.3f}s"
+
+
+# --- values of types -------------------------------------------------------------------
+
+BITS = {"0": False, "1": True, "off": False, "on": True, "false": False, "true": True}
+
+
+def _family(kind: ValueType) -> str:
+    return kind.name.rstrip("0123456789")
+
+
+# As many digits as every value keeps (IEEE 754); up to three more tell every two values apart.
+DIGITS = {"float16": 3, "float32": 6}
+
+
+def _shortest(value: float, kind: ValueType) -> str:
+    """The shortest number with the same bits: 3.14, not 3.140000104904175."""
+    fewest = DIGITS.get(kind.name)
+    # Python shows the shortest of float64. A nan's sign is in its bits, and in no text.
+    if fewest is None or not math.isfinite(value):
+        return str(value)
+    numbers = (float(f"{value:.{digits}g}") for digits in count(fewest))
+    return str(next(number for number in numbers if kind.encode(number) == kind.encode(value)))
+
+
+def _digits(value: list[bool], kind: ValueType) -> str:
+    return "".join(str(int(bit)) for bit in value)
+
+
+def _quoted(value: str, kind: ValueType) -> str:
+    return repr(value)
+
+
+SHOWN: dict[str, Callable[[Any, ValueType], str]] = {
+    "float": _shortest,
+    "bits": _digits,
+    "string:": _quoted,
+}
+"""Family of types -> how a value of it is printed; others as numbers."""
+
+
+def text_of(value: Any, kind: ValueType) -> str:
+    """
+    Return a value of a type as text: the shortest number, the lowest bit first, quoted text, times
+    as in ISO 8601.
+    """
+    show = SHOWN.get(_family(kind))
+    if show:
+        return show(value, kind)
+    return str(value.isoformat()) if kind.is_time else str(value)
+
+
+def number_of(name: str, text: str) -> int:
+    """
+    Read an integer as Python writes them, such as 31 or 0x1F.
+
+    Raises:
+        ValueError: it is none; the message begins with `name`.
+    """
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise ValueError(f"{name} must be a number, not {text!r}") from None
+
+
+def bit_of(text: str) -> bool:
+    """
+    Read one of 0, 1, off, on, false, true.
+
+    Raises:
+        ValueError: it is none of them.
+    """
+    try:
+        return BITS[text.lower()]
+    except KeyError:
+        raise ValueError(f"value must be one of {', '.join(BITS)}, not {text!r}") from None
+
+
+def decimal_of(text: str) -> float:
+    """
+    Read a number such as 21.5, inf or nan.
+
+    Raises:
+        ValueError: it is none, or one too large for a float; the message begins with "value".
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        raise ValueError(f"value must be a number, not {text!r}") from None
+    if math.isinf(value) and "inf" not in text.lower():  # such as 1e400, which is not meant so
+        raise ValueError(f"value is too large: {reprlib.repr(text)}")
+    return value
+
+
+def time_of(text: str) -> datetime:
+    """
+    Read a date and time with its time zone (ISO 8601), such as 2026-07-01T12:00:00Z.
+
+    Raises:
+        ValueError: it is none; the message begins with "value".
+    """
+    from datetime import datetime
+
+    try:
+        found = datetime.fromisoformat(text.strip())
+    except ValueError:
+        found = None
+    if found is None or found.utcoffset() is None:
+        wanted = "a date and time with a time zone, such as 2026-07-01T12:00:00Z"
+        raise ValueError(f"value must be {wanted}, not {reprlib.repr(text)}")
+    return found
+
+
+def _integer(text: str) -> int:
+    return number_of("value", text)
+
+
+def _bits(text: str) -> list[int]:
+    if not re.fullmatch("[01]+", text):
+        raise ValueError(f"value must be digits 0 and 1, lowest bit first, not {text!r}")
+    return [int(digit) for digit in text]
+
+
+PARSERS: dict[str, Callable[[str], Any]] = {"float": decimal_of, "bits": _bits, "string:": str}
+"""Family of types -> how a value of it is typed; others as numbers."""
+
+
+def value_of(text: str, kind: ValueType) -> Any:
+    """
+    Read a value of a type, as `text_of` returns it; text without quotes.
+
+    Raises:
+        ValueError: it is none; the message begins with "value".
+    """
+    return time_of(text) if kind.is_time else PARSERS.get(_family(kind), _integer)(text)
+
+
+_UNITS = re.compile(r"\s*([0-9]{1,3})\s*(?:-\s*([0-9]{1,3})\s*)?", re.ASCII)
+
+
+def units_of(text: str) -> list[int]:
+    """
+    Read a list of units 0..255: numbers and ranges with commas between them, such as "1-10,17".
+
+    Returns:
+        The units in the order of the text; a unit that is listed twice is there twice.
+
+    Raises:
+        ValueError: a part of the list is neither a unit nor a range that goes up.
+    """
+    units: list[int] = []
+    for part in text.split(","):
+        found = _UNITS.fullmatch(part)
+        if found is None:
+            raise ValueError(f"{reprlib.repr(part)} must be a unit, or a range such as 1-247")
+        first, last = int(found[1]), int(found[2] or found[1])
+        if not first <= last <= 255:
+            wanted = "be" if found[2] is None else "go up,"
+            raise ValueError(f"{part!r} must {wanted} within 0..255")
+        units += range(first, last + 1)
+    return units

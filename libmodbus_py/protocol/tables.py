@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple
 
 from . import pdu
 from .mistakes import WrongValue
-from .pdu.fields import MAX_WRITTEN, TABLE_SIZE
+from .pdu.request import MAX_WRITTEN, TABLE_SIZE
 from .words import TABLE_WORDS, close_word, table_named
 
 # fmt: off

@@ -15,8 +15,7 @@ from collections.abc import Iterable
 from typing import Literal, NamedTuple, NewType, TypeAlias, TypedDict
 
 from .checks import integer
-from .close_names import close_to
-from .mistakes import WrongValue
+from .mistakes import WrongValue, close_to
 
 # fmt: off
 __all__ = [

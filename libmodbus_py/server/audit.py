@@ -19,9 +19,9 @@ from typing import Any, Literal
 
 from ..device.caller import Executed, ValueChange
 from ..protocol.callbacks import checked_callback, finished
-from ..protocol.close_names import named_arguments
 from ..protocol.errors import ExceptionResponse
 from ..protocol.logs import HarmlessLogger
+from ..protocol.mistakes import named_arguments
 from ..protocol.plain import json_text, time_text
 from ..security.describing import CertificateHolder
 

@@ -20,9 +20,8 @@ import pytest
 
 from libmodbus_py import Context, Gateway, ModbusConnectionError, ModbusError, Route
 from libmodbus_py.listen import listen
-from libmodbus_py.ports import read_only, serial
-from libmodbus_py.ports.read_only import ReadOnlySerialPort
-from libmodbus_py.ports.serial import SerialPort, set_odd_baudrate
+from libmodbus_py.ports import serial
+from libmodbus_py.ports.serial import ReadOnlySerialPort, SerialPort, set_odd_baudrate
 from libmodbus_py.ports.sockets import TcpPort, UdpPort
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support import certificates
@@ -260,7 +259,7 @@ class TestReadOnly:
         made = ReadOnlySerialPort(wire.client)
         with monkeypatch.context() as patch:
             # The other end of the wire is held open by this process itself.
-            patch.setattr(read_only, "_other_user", lambda *_: None)
+            patch.setattr(serial, "_other_user", lambda *_: None)
             patch.setattr(termios, "tcsetattr", refuse)
             with pytest.raises(ModbusConnectionError) as caught:
                 made.open()

@@ -5,7 +5,7 @@ Length rules of requests and responses: C knows those of every function code tha
 from __future__ import annotations
 
 from libmodbus_py.protocol import pdu
-from libmodbus_py.protocol.pdu.fields import IN_C
+from libmodbus_py.protocol.pdu.request import IN_C
 from libmodbus_py.protocol.values import TYPES
 
 

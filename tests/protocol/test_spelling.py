@@ -12,7 +12,7 @@ import pytest
 
 from libmodbus_py import InvalidResponse
 from libmodbus_py.pdu import ReadHoldingRegisters
-from libmodbus_py.protocol.spelling import (
+from libmodbus_py.protocol.plain import (
     bit_of,
     decimal_of,
     number_of,

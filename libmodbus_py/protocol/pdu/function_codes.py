@@ -9,11 +9,10 @@ from weakref import WeakSet
 
 from ..callbacks import checked_callback, log_failure
 from ..errors import IllegalDataAddress, IllegalDataValue, IllegalFunction
-from .fields import IN_C, MAX_PDU, AddressError, LengthRule
 from .files import ReadFifoQueue, ReadFileRecords, WriteFileRecords
 from .interface import EncapsulatedTransport
 from .reads import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
-from .request import Request
+from .request import IN_C, MAX_PDU, AddressError, LengthRule, Request
 from .serial import (
     Diagnostics,
     ReadCommEventCounter,

@@ -13,8 +13,7 @@ from typing import ClassVar, NamedTuple, Self
 from ..checks import integer
 from ..errors import ExceptionResponse, IllegalFunction, InvalidResponse
 from ..scan import lib
-from .fields import MAX_PDU, LengthRule, checked_data, in_c, store, unknown_length
-from .request import Request, Result
+from .request import MAX_PDU, LengthRule, Request, Result, checked_data, in_c, store, unknown_length
 
 # fmt: off
 __all__ = [

@@ -10,10 +10,12 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
 from ..checks import integer
-from .fields import (
+from .request import (
     MAX_WRITTEN,
     REGISTERS,
+    Echoed,
     LengthRule,
+    Request,
     checked_bit,
     checked_bits,
     checked_register,
@@ -28,7 +30,6 @@ from .fields import (
     unpack_bits,
     unpack_registers,
 )
-from .request import Echoed, Request
 
 Value = TypeVar("Value", bool, int)
 

@@ -20,8 +20,7 @@ from ...maps.register_map import RegisterMap
 from ...ports.endpoint import Endpoint, parse
 from ...ports.port import make_port
 from ...protocol.checks import integer, number, seconds
-from ...protocol.close_names import named_arguments
-from ...protocol.mistakes import Path, WrongType, WrongValue, inside
+from ...protocol.mistakes import Path, WrongType, WrongValue, inside, named_arguments
 from ...protocol.plain import json_text
 
 __all__ = [

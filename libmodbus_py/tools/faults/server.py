@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from ...device.device import Device
 from ...ports.trace import OnTraced
-from ...protocol.close_names import named_arguments
+from ...protocol.mistakes import named_arguments
 from ...server.limits import Limits
 from ...server.server import DeviceServer
 from ...server.units import UnknownUnit

@@ -15,8 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ...protocol.checks import integer, shown
-from ...protocol.close_names import close_option
-from ...protocol.mistakes import Path, WrongType, WrongValue, inside, item
+from ...protocol.mistakes import Path, WrongType, WrongValue, close_option, inside, item
 from .texts import shown_key
 
 # fmt: off

@@ -14,7 +14,7 @@ from typing import Any
 from ...device.named_values import cells_after
 from ...maps.point import Point
 from ...maps.typed import typed_register, typed_value, typed_values
-from ...protocol.spelling import text_of
+from ...protocol.plain import text_of
 from ...protocol.tables import TABLES
 from ...protocol.values import readings, value_type
 from ..faults.fault import Fault

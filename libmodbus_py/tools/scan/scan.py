@@ -12,8 +12,8 @@ from typing import NamedTuple
 from ...ports.endpoint import parse
 from ...protocol.callbacks import checked_callback
 from ...protocol.checks import integer
-from ...protocol.close_names import named_parameters
 from ...protocol.errors import ModbusConnectionError
+from ...protocol.mistakes import named_parameters
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...security.security import Security
 from .places import USUAL_UNITS, Place, listed, places

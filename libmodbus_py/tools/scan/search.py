@@ -12,7 +12,6 @@ from ...ports.endpoint import parse
 from ...ports.schemes import SERIAL_DEFAULTS
 from ...protocol.callbacks import checked_callback
 from ...protocol.checks import integer
-from ...protocol.close_names import named_parameters
 from ...protocol.errors import (
     NO_UNIT,
     Acknowledge,
@@ -22,6 +21,7 @@ from ...protocol.errors import (
     ModbusError,
     ServerDeviceBusy,
 )
+from ...protocol.mistakes import named_parameters
 from ...protocol.tables import TABLES
 from ...security.security import Security
 from .halving import Cells, halving
