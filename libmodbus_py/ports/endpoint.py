@@ -159,22 +159,17 @@ class Endpoint:
         return self._shown({} if self.is_secure else self.options)
 
     def _shown(self, options: dict[str, Any]) -> str:
-        from urllib.parse import quote
-
         address = _quoted(self.path) if self.has_path else self.address
-        query = "&".join(f"{name}={quote(_text(value))}" for name, value in options.items())
+        texts = {name: "none" if each is None else str(each) for name, each in options.items()}
+        query = "&".join(f"{name}={_quoted(text, '/')}" for name, text in texts.items())
         return f"{self.scheme}://{address}{'?' if query else ''}{query}"
 
 
-def _text(value: object) -> str:
-    return "none" if value is None else str(value)
-
-
-def _quoted(path: str) -> str:
-    """Return a path as URLs contain it; bytes that are not UTF-8 are quoted, too."""
+def _quoted(text: str, safe: str = "/:@+,=~") -> str:
+    """Return a path or an option as URLs contain it; bytes that are not UTF-8 are quoted, too."""
     from urllib.parse import quote
 
-    return quote(path, safe="/:@+,=~", errors="surrogateescape")
+    return quote(text, safe, errors="surrogateescape")
 
 
 def _one_spelling(host: str) -> str:
@@ -260,12 +255,14 @@ def _parse_network(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
     if not parts.netloc:
         raise ValueError(f"{url!r}: a host is missing, as in {scheme}://127.0.0.1:502")
     try:
-        host, port = split_host_and_port(parts.netloc.lower())
+        host, port = split_host_and_port(parts.netloc)
     except ValueError as error:
         raise ValueError(f"{url!r}: {error}") from None
     if ":" in host and not parts.netloc.startswith("["):
         raise ValueError(f"{url!r}: an IPv6 address needs brackets, as in {scheme}://[::1]:502")
     port = TRANSPORTS[SCHEMES[scheme][1]].port if port is None else port
+    name, percent, zone = host.partition("%")
+    host = f"{name.lower()}{percent}{zone}"  # a zone is the name of an interface, as it is written
     options, others = _options(url, parts.query, options_of(scheme))
     return Endpoint(scheme, host=host, port=port, options=options, client_options=others)
 
@@ -288,7 +285,7 @@ def _options(
 
     allowed = {**own, **CLIENT_OPTIONS}
     options: dict[str, Any] = {}
-    for given, text in parse_qsl(query, keep_blank_values=True):
+    for given, text in parse_qsl(query, keep_blank_values=True, errors="surrogateescape"):
         name = OTHER_NAMES.get(given, given)
         if name not in allowed:
             close = close_option(given, allowed)

@@ -79,7 +79,7 @@ def test_other_texts_are_refused(text: str) -> None:
 HOSTS = st.one_of(
     st.ip_addresses().map(str),
     st.from_regex(r"[a-z0-9.-]{1,20}", fullmatch=True),
-    st.ip_addresses(v=6).map(lambda address: f"{address}%eth0"),
+    st.ip_addresses(v=6).map(lambda address: f"{address}%enP8p1s0"),
 )
 
 
