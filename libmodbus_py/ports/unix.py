@@ -91,8 +91,10 @@ class UnixListener:
         made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             made.setblocking(False)
-            with contextlib.suppress(OSError):  # Linux makes the file with the mode of the socket
-                os.fchmod(made.fileno(), 0)
+            # Linux makes the file with the mode of the socket. Its owner may connect at once: else
+            # a server that is killed before it lets others in would seem to be there for ever.
+            with contextlib.suppress(OSError):
+                os.fchmod(made.fileno(), 0o600)
             async with _locked(os.path.dirname(self._path) or "."):
                 if os.path.lexists(self._path):
                     self._remove_stale()
