@@ -288,14 +288,13 @@ class SerialPort(Port):
             return []
         except OSError as error:
             raise lost(error) from error
-        if not data and self._is_gone():
-            raise ModbusConnectionError("the port is gone", errno=errno.EIO)
-        return [data] if data else []
-
-    def _is_gone(self) -> bool:
-        """Return True if the port is gone; an empty read does not prove it, because VMIN is 0."""
+        if data:
+            return [data]
+        # An empty read alone does not prove that the port is gone, because VMIN is 0.
         events = dict(self._poll.poll(0)).get(self.descriptor, 0)
-        return bool(events & (select.POLLHUP | select.POLLERR))
+        if events & (select.POLLHUP | select.POLLERR):
+            raise ModbusConnectionError("the port is gone", errno=errno.EIO)
+        return []
 
     def discard_input(self) -> None:
         # modbus_flush would throw away output, too.

@@ -105,7 +105,7 @@ class Trace:
         self._callback = callback
         self._peer = peer
         self._later = later
-        self.is_on: Callable[[], bool] = _is_logged if callback is None else _always
+        self.is_on: Callable[[], bool] = _is_logged if callback is None else lambda: True
 
     def tell(
         self,
@@ -131,10 +131,6 @@ class Trace:
                 finished("trace", self._callback(traced))
             except Exception:
                 log_failure(__name__, "trace(%s) failed", traced)
-
-
-def _always() -> bool:
-    return True
 
 
 def _is_logged() -> bool:

@@ -165,18 +165,10 @@ def _shortest(value: float, kind: ValueType) -> str:
     return str(next(number for number in numbers if kind.encode(number) == kind.encode(value)))
 
 
-def _digits(value: list[bool], kind: ValueType) -> str:
-    return "".join(str(int(bit)) for bit in value)
-
-
-def _quoted(value: str, kind: ValueType) -> str:
-    return repr(value)
-
-
 SHOWN: dict[str, Callable[[Any, ValueType], str]] = {
     "float": _shortest,
-    "bits": _digits,
-    "string:": _quoted,
+    "bits": lambda value, _: "".join(str(int(bit)) for bit in value),
+    "string:": lambda value, _: repr(value),
 }
 """Family of types -> how a value of it is printed; others as numbers."""
 
@@ -253,10 +245,6 @@ def time_of(text: str) -> datetime:
     return found
 
 
-def _integer(text: str) -> int:
-    return number_of("value", text)
-
-
 def _bits(text: str) -> list[int]:
     if not re.fullmatch("[01]+", text):
         raise ValueError(f"value must be digits 0 and 1, lowest bit first, not {text!r}")
@@ -274,7 +262,10 @@ def value_of(text: str, kind: ValueType) -> Any:
     Raises:
         ValueError: it is none; the message begins with "value".
     """
-    return time_of(text) if kind.is_time else PARSERS.get(_family(kind), _integer)(text)
+    if kind.is_time:
+        return time_of(text)
+    parse = PARSERS.get(_family(kind))
+    return number_of("value", text) if parse is None else parse(text)
 
 
 _UNITS = re.compile(r"\s*([0-9]{1,3})\s*(?:-\s*([0-9]{1,3})\s*)?", re.ASCII)

@@ -39,13 +39,6 @@ class TimeForm(NamedTuple):
 
 
 def _checked_time(name: str | Path, value: object) -> datetime:
-    """
-    Return a datetime in UTC.
-
-    Raises:
-        TypeError: no datetime.
-        ValueError: it has no time zone.
-    """
     if not isinstance(value, datetime):
         raise WrongType(name, f"must be a datetime, not {type(value).__name__}")
     if value.utcoffset() is None:
@@ -112,10 +105,6 @@ def _fields(time: datetime) -> tuple[int, ...]:
     return time.month, time.day, time.hour, time.minute, time.second
 
 
-def _bytes_to(time: datetime) -> bytes:
-    return bytes((_short_year(time.year, 255), *_fields(time)))
-
-
 def _bytes_from(data: bytes) -> datetime:
     year, *others = data
     return datetime(CENTURY + year, *others, tzinfo=UTC)  # type: ignore[arg-type, misc]
@@ -132,22 +121,19 @@ def _digits_from(data: bytes) -> datetime:
     return _bytes_from(bytes(int(text[at : at + 2]) for at in range(0, 12, 2)))
 
 
-def _registers_to(time: datetime) -> bytes:
-    return pack(">6H", time.year, *_fields(time))
-
-
-def _registers_from(data: bytes) -> datetime:
-    return datetime(*unpack(">6H", data), tzinfo=UTC)  # type: ignore[misc]
-
-
 TIMES: dict[str, TimeForm] = {
     "unix32": _since_1970(32, timedelta(seconds=1)),
     "unix64": _since_1970(64, timedelta(seconds=1)),
     "ms64": _since_1970(64, timedelta(milliseconds=1)),
     "iec870": TimeForm(_iec870_to, _iec870_from),
-    "date48": TimeForm(_bytes_to, _bytes_from),
+    "date48": TimeForm(
+        lambda time: bytes((_short_year(time.year, 255), *_fields(time))), _bytes_from
+    ),
     "bcddate48": TimeForm(_digits_to, _digits_from),
-    "date96": TimeForm(_registers_to, _registers_from),
+    "date96": TimeForm(
+        lambda time: pack(">6H", time.year, *_fields(time)),
+        lambda data: datetime(*unpack(">6H", data), tzinfo=UTC),  # type: ignore[misc]
+    ),
 }
 """Name -> form."""
 
@@ -217,7 +203,9 @@ def in_time_zone(kind: ValueType, zone: tzinfo) -> ValueType:
         except OverflowError:
             raise WrongValue(name, "must be a year in 1..9999") from None
         data = kind.pack(name, local.replace(tzinfo=UTC, fold=0))
-        return _with_summer(data) if has_summer and local.dst() else data
+        if has_summer and local.dst():
+            return data[:4] + bytes([data[4] | 0x80]) + data[5:]  # SU of CP56Time2a
+        return data
 
     def unpack(data: bytes) -> datetime:
         wall = kind.unpack(data)
@@ -229,18 +217,8 @@ def in_time_zone(kind: ValueType, zone: tzinfo) -> ValueType:
     return replace(kind, pack=pack, unpack=unpack)
 
 
-def _with_summer(data: bytes) -> bytes:
-    """Set the bit SU of a CP56Time2a, which says that the hour is of summer time."""
-    return data[:4] + bytes([data[4] | 0x80]) + data[5:]
-
-
 def _moment(wall: datetime, zone: tzinfo, *, fold: int) -> datetime:
-    """
-    Return the moment in UTC at which the clocks of a zone show a time.
-
-    Raises:
-        ValueError: they never do.
-    """
+    """Return the moment in UTC at which the clocks of a zone show a time."""
     local = wall.replace(tzinfo=zone, fold=fold)
     try:
         moment = local.astimezone(UTC)

@@ -128,20 +128,12 @@ TYPE_WORDS = by_word(
         "float16": "f16, half",
         "float32": "float, f32, single, real, ieee754, ieee 754, float 32",
         "float64": "double, f64, lreal, float 64",
-        "bcd16": "",
-        "bcd32": "",
-        "bcd64": "",
         "bits16": "bitfield16, bitmap16, bitmask16",
         "bits32": "bitfield32, bitmap32, bitmask32",
         "bits64": "bitfield64, bitmap64, bitmask64",
-        "unix32": "",
-        "unix64": "",
-        "ms64": "",
-        "iec870": "",
-        "date48": "",
-        "bcddate48": "",
-        "date96": "",
         "bool": "boolean, bit",
+        **dict.fromkeys(("bcd16", "bcd32", "bcd64", "unix32", "unix64", "ms64", "iec870"), ""),
+        **dict.fromkeys(("date48", "bcddate48", "date96"), ""),
     }
 )
 """Word -> type; "bool" is that of tables of bits, which has no name here."""

@@ -9,25 +9,8 @@ from weakref import WeakSet
 
 from ..callbacks import checked_callback, log_failure
 from ..errors import IllegalDataAddress, IllegalDataValue, IllegalFunction
-from .files import ReadFifoQueue, ReadFileRecords, WriteFileRecords
-from .interface import EncapsulatedTransport
-from .reads import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
+from . import files, interface, reads, serial, writes
 from .request import IN_C, MAX_PDU, AddressError, LengthRule, Request
-from .serial import (
-    Diagnostics,
-    ReadCommEventCounter,
-    ReadCommEventLog,
-    ReadExceptionStatus,
-    ReportServerId,
-)
-from .writes import (
-    MaskWriteRegister,
-    ReadWriteRegisters,
-    WriteCoil,
-    WriteCoils,
-    WriteRegister,
-    WriteRegisters,
-)
 
 __all__ = ["REQUESTS", "decode_request", "register", "request_length", "response_length"]
 
@@ -42,25 +25,14 @@ _mistaken: WeakSet[type[Request[Any]]] = WeakSet()
 REQUESTS: dict[int, type[Request[Any]]] = {
     request.function: request
     for request in (
-        ReadCoils,
-        ReadDiscreteInputs,
-        ReadHoldingRegisters,
-        ReadInputRegisters,
-        WriteCoil,
-        WriteRegister,
-        ReadExceptionStatus,
-        Diagnostics,
-        ReadCommEventCounter,
-        ReadCommEventLog,
-        WriteCoils,
-        WriteRegisters,
-        ReportServerId,
-        ReadFileRecords,
-        WriteFileRecords,
-        MaskWriteRegister,
-        ReadWriteRegisters,
-        ReadFifoQueue,
-        EncapsulatedTransport,
+        *(reads.ReadCoils, reads.ReadDiscreteInputs),
+        *(reads.ReadHoldingRegisters, reads.ReadInputRegisters),
+        *(writes.WriteCoil, writes.WriteRegister, writes.WriteCoils, writes.WriteRegisters),
+        *(writes.MaskWriteRegister, writes.ReadWriteRegisters),
+        *(serial.ReadExceptionStatus, serial.Diagnostics, serial.ReadCommEventCounter),
+        *(serial.ReadCommEventLog, serial.ReportServerId),
+        *(files.ReadFileRecords, files.WriteFileRecords, files.ReadFifoQueue),
+        interface.EncapsulatedTransport,
     )
 }
 """Function code -> request class."""

@@ -117,18 +117,6 @@ class IdentificationPage(NamedTuple):
     complete: bool = True
 
 
-def _identification_length(head: bytes) -> int | None:
-    """Walk over the objects of a response."""
-    if len(head) < 7:
-        return None
-    end = 7
-    for _ in range(head[6]):
-        if len(head) < end + 2:
-            return None
-        end += 2 + head[end + 1]
-    return end
-
-
 def _request_length(head: bytes) -> int | None:
     if len(head) < 2:
         return None
@@ -136,9 +124,16 @@ def _request_length(head: bytes) -> int | None:
 
 
 def _response_length(head: bytes) -> int | None:
-    if len(head) < 2:
+    if len(head) >= 2 and head[1] != MeiType.DEVICE_IDENTIFICATION:
+        return 0
+    if len(head) < 7:
         return None
-    return _identification_length(head) if head[1] == MeiType.DEVICE_IDENTIFICATION else 0
+    end = 7
+    for _ in range(head[6]):  # objects
+        if len(head) < end + 2:
+            return None
+        end += 2 + head[end + 1]
+    return end
 
 
 class _Encapsulated(Request[Result]):

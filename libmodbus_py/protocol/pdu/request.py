@@ -52,10 +52,6 @@ def checked_register(name: str, value: object) -> int:
     return integer(name, value, 0, 0xFFFF)
 
 
-def _are_bits(values: tuple[Any, ...]) -> bool:
-    return set(map(type, values)) == {bool}
-
-
 def checked_sequence(name: str, values: object, limit: int) -> tuple[Any, ...]:
     # Text, sets and mappings are iterable, but never a run of registers.
     unfit = isinstance(values, str | bytes | bytearray | Set | Mapping)
@@ -71,7 +67,7 @@ def checked_sequence(name: str, values: object, limit: int) -> tuple[Any, ...]:
 
 def checked_bits(name: str, values: object, limit: int) -> tuple[bool, ...]:
     taken = checked_sequence(name, values, limit)
-    if _are_bits(taken):
+    if set(map(type, taken)) == {bool}:
         return taken
     return tuple(checked_bit(f"{name}[{at}]", value) for at, value in enumerate(taken))
 
