@@ -133,7 +133,7 @@ class Endpoint:
         """
         kind = "tcp" if self.is_secure else self.transport
         if self.has_path:
-            return kind, posixpath.normpath(self.path)
+            return kind, posixpath.normpath(f"/{self.path.lstrip('/')}")
         return kind, host_and_port(_one_spelling(self.host), self.port)
 
     @property
@@ -200,6 +200,8 @@ def parse(url: str) -> Endpoint:
     url = url_of(url)
     parts = urlsplit(url)
     url = re.sub(PASSWORD, "***", url)  # from here on the text is for error messages only
+    if re.search(r"[\x00-\x1f\x7f]", url):  # of which Python leaves some out
+        raise ValueError(f"{url!r}: a URL has no control characters")
     if parts.scheme not in SCHEMES:
         raise ValueError(f"{url!r}: the scheme must be one of {', '.join(SCHEMES)}")
     if parts.fragment or parts.username is not None:

@@ -81,7 +81,7 @@ def host_of_peer(peer: str) -> str:
         peer: as `host_and_port` returns it, "/run/x.sock uid 0 pid 7", or a path.
     """
     if peer.startswith("/"):
-        return peer.partition(" pid ")[0]
+        return re.sub(" pid [0-9]+$", "", peer)
     return peer.rpartition(":")[0].strip("[]")
 
 

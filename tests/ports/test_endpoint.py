@@ -174,6 +174,9 @@ ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
         ("h:x", "must be a URL, such as tcp://192.0.2.10, a host or a path"),
         ("", "must be a URL"),
         ("1-10", "must be a URL"),
+        ("tcp://192.0.2.1\n0", "a URL has no control characters"),
+        ("rtu:///dev/ttyUSB0?unit=7\n", "a URL has no control characters"),
+        ("unix:///run/x\t.sock", "a URL has no control characters"),
         ("tcp://me@h", "neither user nor fragment"),
         ("tcp://h#x", "neither user nor fragment"),
         ("tcp://h/x", "nothing but options may follow the port"),
@@ -329,6 +332,7 @@ SAME = [
     ("tcp://192.0.2.10:802", "tls://192.0.2.10"),
     ("udp://192.0.2.10", "rtu+udp://192.0.2.10:502"),
     ("rtu:///dev/ttyS0?baudrate=9600", "ascii:///dev/../dev//ttyS0"),
+    ("unix:///run/modbus.sock", "unix:////run/modbus.sock"),
 ]
 
 DIFFERENT = [
