@@ -123,31 +123,53 @@ def open_folder() -> Iterator[str]:
         yield made
 
 
+def by_another_user(call: Callable[[], object]) -> int:
+    """Call in a child, which is not root, whom the system lets in everywhere; return its status."""
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            if os.geteuid() == 0:
+                os.setgroups([])
+                os.setgid(65534)
+                os.setuid(65534)
+            call()
+            status = 0
+        finally:
+            os._exit(status)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
 def test_a_server_that_was_killed_as_it_began_does_not_keep_its_user_out(open_folder: str) -> None:
-    """The system lets root in everywhere, so that another user begins here."""
     path = f"{open_folder}/m.sock"
 
-    def begin(last: Callable[..., object]) -> int:
-        child = os.fork()
-        if child == 0:
-            try:
-                if os.geteuid() == 0:
-                    os.setgid(65534)
-                    os.setuid(65534)
-                os.chmod = last
-                asyncio.run(UnixListener(path).open())
-            finally:
-                os._exit(1)
-        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    def begin(and_then: Callable[..., object]) -> None:
+        os.chmod = and_then
+        asyncio.run(UnixListener(path).open())
 
-    assert begin(lambda *_: os.kill(os.getpid(), signal.SIGKILL)) == -signal.SIGKILL
+    killed = by_another_user(lambda: begin(lambda *_: os.kill(os.getpid(), signal.SIGKILL)))
+    assert killed == -signal.SIGKILL
     assert os.path.exists(path)
-    assert begin(lambda *_: os._exit(7)) == 7
+    assert by_another_user(lambda: begin(lambda *_: None)) == 0
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may become another user")
+def test_who_is_neither_owner_nor_of_the_group_may_not_connect(open_folder: str) -> None:
+    url = f"unix://{open_folder}/m.sock"
+
+    def connect() -> None:
+        with pytest.raises(ModbusConnectionError, match="Permission denied") as caught:
+            Context.from_url(url).connect()
+        assert caught.value.errno == errno.EACCES
+
+    with server().background(url):
+        assert by_another_user(connect) == 0
 
 
 def test_a_server_ends_although_its_folder_is_gone(path: str) -> None:
     with server().background(f"unix://{path}"):
         shutil.rmtree(os.path.dirname(path))
+    assert not os.path.exists(path)
 
 
 def test_who_is_connected_stays_with_its_server_when_the_path_gets_another(path: str) -> None:
@@ -260,10 +282,10 @@ def test_a_folder_that_is_missing_is_an_error(path: str) -> None:
     refused(f"{path}/none/x", errno.ENOENT, "No such file")
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_a_folder_that_is_read_only_is_an_error(path: str) -> None:
-    os.chmod(os.path.dirname(path), 0o500)
-    refused(path, errno.EACCES, "denied")
+def test_a_folder_that_is_read_only_is_an_error(open_folder: str) -> None:
+    os.chmod(open_folder, 0o500)
+    path = f"{open_folder}/m.sock"
+    assert by_another_user(lambda: refused(path, errno.EACCES, "denied")) == 0
 
 
 def test_the_longest_path_can_be_used_and_no_longer_one(path: str) -> None:
