@@ -83,6 +83,18 @@ def single_bytes(data: bytes) -> Iterator[bytes]:
     return (data[at : at + 1] for at in range(len(data)))
 
 
+def fed_in_bytes(framer: AnyFramer, data: bytes) -> list[Frame]:
+    """Return the frames that the last byte completes; none is complete before."""
+    for byte in single_bytes(data[:-1]):
+        assert framer.feed(byte) == []
+    return framer.feed(data[-1:])
+
+
+def taken_in_bytes(framer: AnyFramer, data: bytes) -> list[Frame]:
+    """Return the frames that the last byte, or silence behind it, completes."""
+    return fed_in_bytes(framer, data) + framer.silence()
+
+
 def _shifted(crc: int) -> int:
     for _ in range(8):
         crc = crc >> 1 ^ 0xA001 if crc & 1 else crc >> 1
@@ -407,9 +419,7 @@ class TestRtu:
         good = rtu(*frame[:2])
         framer = RtuFramer("client")
         for _ in range(2):
-            for byte in single_bytes(good[:-1]):
-                assert framer.feed(byte) == []
-            assert framer.feed(good[-1:]) == [frame]
+            assert fed_in_bytes(framer, good) == [frame]
         short = Frame(17, b"\xab\x01")
         stream = good + rtu(*short[:2]) + good + rtu(*ANSWER[:2])
         assert take(framer, stream) == ([frame, short, frame, ANSWER], [])
@@ -512,18 +522,14 @@ class TestRtu:
         inner = rtu(17, b"\x06\x00\x01\x00\x03")
         outer = rtu(17, b"\x10\x00\x00\x00\x06\x0c" + inner + inner[:4])
         framer = RtuFramer("server")
-        for byte in single_bytes(outer[:-1]):
-            assert framer.feed(byte) == []
-        assert framer.feed(outer[-1:]) == [Frame(17, outer[1:-2])]
+        assert fed_in_bytes(framer, outer) == [Frame(17, outer[1:-2])]
         assert take(framer, outer + inner) == ([Frame(17, outer[1:-2]), WRITE], [])
 
     def test_frame_within_a_response_is_data(self) -> None:
         inner = rtu(17, b"\x83\x02")
         outer = rtu(17, b"\x03\x0a" + inner * 2)
         framer = RtuFramer("client")
-        for byte in single_bytes(outer[:-1]):
-            assert framer.feed(byte) == []
-        assert framer.feed(outer[-1:]) == [Frame(17, outer[1:-2])]
+        assert fed_in_bytes(framer, outer) == [Frame(17, outer[1:-2])]
 
     @each_case("code", [0x41, 0x48, 0x64, 0x6E])
     @each_case("size", [0, 1, 30, 252])
@@ -535,9 +541,7 @@ class TestRtu:
         good = rtu(17, body)
         assert not accidental(good[:-1], 1)
         framer = RtuFramer(role)
-        for byte in single_bytes(good[:-1]):
-            assert framer.feed(byte) == []
-        assert taken(framer, good[-1:]) == [Frame(17, body)]
+        assert taken_in_bytes(framer, good) == [Frame(17, body)]
         assert taken(framer, good + good) == [Frame(17, body)] * 2
 
     @each_case("head", ENDLESS)
@@ -551,9 +555,7 @@ class TestRtu:
         assert not accidental(good[:-1], 1)
         framer = RtuFramer(role)
         for _ in range(2):  # right after silence, and right after a good frame
-            for byte in single_bytes(good[:-1]):
-                assert framer.feed(byte) == []
-            assert taken(framer, good[-1:]) == [Frame(17, body)]
+            assert taken_in_bytes(framer, good) == [Frame(17, body)]
         assert taken(framer, good * 3) == [Frame(17, body)] * 3
         write = rtu(*WRITE[:2])
         assert taken(framer, write + good + write) == [WRITE, Frame(17, body), WRITE]
@@ -588,9 +590,7 @@ class TestRtu:
         early = head[1:] + crc16(head).to_bytes(2, "little")  # a CRC that fits, in the data
         whole = rtu(17, early)
         framer = RtuFramer(role)
-        for byte in single_bytes(whole[:-1]):
-            assert framer.feed(byte) == []
-        assert framer.feed(whole[-1:]) == [Frame(17, early)]
+        assert fed_in_bytes(framer, whole) == [Frame(17, early)]
 
     @pytest.mark.parametrize("role", ["client", "server"])
     def test_class_of_ones_own_is_read_by_its_rule(self, role: Any, own_class: int) -> None:
@@ -599,9 +599,7 @@ class TestRtu:
         early = head[1:] + crc16(head).to_bytes(2, "little") + b"\1\2"
         whole = rtu(17, early)
         framer = RtuFramer(role)
-        for byte in single_bytes(whole[:-1]):
-            assert framer.feed(byte) == []
-        assert framer.feed(whole[-1:]) == [Frame(17, early)]
+        assert fed_in_bytes(framer, whole) == [Frame(17, early)]
         assert take(framer, whole * 2) == ([Frame(17, early)] * 2, [])
         # And it is found behind garbage, which a code without a rule is not.
         found = [*framer.scan(b"\xff\xff\xff" + whole), *framer.scan_silence()]
@@ -626,9 +624,7 @@ class TestRtu:
             framer = RtuFramer("server")
             frame = Frame(17, b"\x6d\2abcd")
             good = rtu(*frame[:2])
-            for byte in single_bytes(good[:-1]):
-                assert framer.feed(byte) == []
-            assert framer.feed(good[-1:]) == [frame]
+            assert fed_in_bytes(framer, good) == [frame]
             frames = take(framer, b"\xff\xff\xff" + good)[0] + quiet(framer)
             frames += take(framer, good + rtu(*READ[:2]))[0]
             assert frames == [frame, frame, READ]
@@ -748,9 +744,7 @@ class TestRtu:
             early = head + crc16(head).to_bytes(2, "little")
             whole = rtu(17, early[1:] + b"\x00\x01")
             framer = RtuFramer("server")
-            for byte in single_bytes(whole[:-1]):
-                assert framer.feed(byte) == []
-            assert framer.feed(whole[-1:]) == [Frame(17, whole[1:-2])]
+            assert fed_in_bytes(framer, whole) == [Frame(17, whole[1:-2])]
 
 
 # --- ASCII ---------------------------------------------------------------------------------
@@ -1092,15 +1086,8 @@ class TestWhateverComes:
     @each_case(
         "pattern",
         [
-            b":",
-            b":\r",
-            b"\r",
-            b":0\r",
-            b"\x11\x03",
-            b"\x11\x10\xff",
-            b"\x2b\x0e",
-            b"\0\x08",
-            b"\x2b\x0d",
+            *(b":", b":\r", b"\r", b":0\r", b"\x11\x03", b"\x11\x10\xff", b"\x2b\x0e"),
+            *(b"\0\x08", b"\x2b\x0d"),
         ],
     )
     @each_case("name", ["rtu server", "rtu client", "ascii"])

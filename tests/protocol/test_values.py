@@ -353,16 +353,7 @@ class TestValueType:
 
     @each_case(
         "name",
-        [
-            "",
-            "int8",
-            "long",
-            "bool",
-            "string",
-            "string:",
-            "string:-1",
-            "string:8x",
-        ],
+        ["", "int8", "long", "bool", "string", "string:", "string:-1", "string:8x"],
     )
     def test_no_such_type(self, name: str) -> None:
         with pytest.raises(ValueError, match=r"type must be one of int16, .*date96, string:N") as e:
@@ -924,3 +915,14 @@ def test_limits_are_the_numbers_that_just_fit(name: str) -> None:
 @each_case("name", [*get_args(BitsType), "string:1"])
 def test_what_is_no_number_has_no_limits(name: str) -> None:
     assert value_type(name).limits is None
+
+
+def test_numbers_take_as_many_registers_as_their_bits_say() -> None:
+    found = {name: kind.registers for name, kind in TYPES.items() if name[-2:].isdigit()}
+    assert found == {name: int(name[-2:]) // 16 for name in found}
+
+
+def test_floats_are_as_large_as_their_format() -> None:
+    assert TYPES["float16"].limits == (-65504.0, 65504.0)
+    assert TYPES["float32"].limits == (-3.4028234663852886e38, 3.4028234663852886e38)
+    assert TYPES["float64"].limits == (-1.7976931348623157e308, 1.7976931348623157e308)
