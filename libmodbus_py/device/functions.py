@@ -12,8 +12,7 @@ from itertools import compress
 from operator import index
 from typing import Any, ClassVar, TypeAlias
 
-from ..protocol.callbacks import checked_callback
-from ..protocol.checks import integer
+from ..protocol.checks import checked_callback, integer
 from ..protocol.errors import IllegalDataAddress, IllegalDataValue, IllegalFunction
 from ..protocol.framing import delimiter_after
 from ..protocol.mistakes import WrongType, inside

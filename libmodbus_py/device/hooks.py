@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable
 from typing import TypeAlias, TypeVar
 
-from ..protocol.callbacks import checked_callback, finished
+from ..protocol.checks import checked_callback, finished
 from ..protocol.logs import HarmlessLogger
 from ..protocol.mistakes import named_arguments
 from ..protocol.tables import TABLE_SIZE, checked_ranges, joined, touches

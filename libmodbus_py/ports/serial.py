@@ -16,8 +16,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict, Unpack
 
 from ..binding.library import check, ffi, lib, make
-from ..protocol.callbacks import log_warning
-from ..protocol.checks import integer, seconds
+from ..protocol.checks import integer, log_warning, seconds
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.mistakes import unknown_option
 from ..protocol.scan import pause_between_frames

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from ..protocol.callbacks import finished, log_failure
+from ..protocol.checks import finished, log_failure
 from ..protocol.framing import pdu_of, transaction_of
 from .schemes import framing_of
 

@@ -5,10 +5,9 @@ Bottom up:
 
     errors     the exceptions, grouped by cause
     mistakes   errors about arguments: the path of a wrong value, and close names
-    checks     numbers that callers give, and durations that people type
+    checks     what callers pass: numbers, durations, functions; what is logged when one fails
     words      the names of types and orders, and vendors' words for them; references such as 40123
     extras     optional dependencies, and how each is added to this installation
-    callbacks  functions of users: which are refused, and what is logged when one fails
     logs       loggers whose handlers may fail
     scan       the CRC, and where RTU frames begin and end; in C (scan.c)
     pdu        one class for each function: encode and decode, request and response

@@ -18,7 +18,7 @@ from datetime import UTC, datetime
 from typing import Any, Literal
 
 from ..device.caller import Executed, ValueChange
-from ..protocol.callbacks import checked_callback, finished
+from ..protocol.checks import checked_callback, finished
 from ..protocol.errors import ExceptionResponse
 from ..protocol.logs import HarmlessLogger
 from ..protocol.mistakes import named_arguments

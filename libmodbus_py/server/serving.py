@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from ..ports.endpoint import Endpoint, parse_to_listen
 from ..ports.schemes import Transport
 from ..ports.trace import OnTraced
-from ..protocol.callbacks import checked_callback
+from ..protocol.checks import checked_callback
 from ..protocol.logs import HarmlessLogger
 from .background import Background
 from .forever import Handler, frozen_garbage, signal_handlers

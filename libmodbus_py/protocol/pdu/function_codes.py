@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Any, TypeVar
 from weakref import WeakSet
 
-from ..callbacks import checked_callback, log_failure
+from ..checks import checked_callback, log_failure
 from ..errors import IllegalDataAddress, IllegalDataValue, IllegalFunction
 from . import files, interface, reads, serial, writes
 from .request import IN_C, MAX_PDU, AddressError, LengthRule, Request

@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Iterable
 from ...device.authorization import Authorize
 from ...ports.endpoint import Endpoint
 from ...ports.trace import OnTraced
-from ...protocol.callbacks import checked_callback
+from ...protocol.checks import checked_callback
 from ...protocol.logs import HarmlessLogger
 from ...protocol.mistakes import named_arguments
 from ...security.security import Security

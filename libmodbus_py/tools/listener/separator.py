@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Literal
 
-from ...protocol.callbacks import checked_callback
+from ...protocol.checks import checked_callback
 from ...protocol.framing import AsciiFramer, RtuFramer, delimiter_after
 from ...protocol.pdu import Diagnostics
 from .hearing import Candidate, Damage, FramerHearing, Hearing, RtuHearing

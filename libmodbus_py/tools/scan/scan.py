@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from ...ports.endpoint import parse
-from ...protocol.callbacks import checked_callback
-from ...protocol.checks import integer
+from ...protocol.checks import checked_callback, integer
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.mistakes import named_parameters
 from ...protocol.pdu import DeviceIdentification, ServerId

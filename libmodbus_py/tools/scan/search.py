@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 from ...ports.endpoint import parse
 from ...ports.schemes import SERIAL_DEFAULTS
-from ...protocol.callbacks import checked_callback
-from ...protocol.checks import integer
+from ...protocol.checks import checked_callback, integer
 from ...protocol.errors import (
     NO_UNIT,
     Acknowledge,
