@@ -61,9 +61,9 @@ def page(*objects: tuple[int, bytes], code: int = 1, more: int = 0, following: i
 
 
 def test_objects_have_the_names_of_the_specification() -> None:
-    objects = {number: b"%d" % number for number in (*range(8), 128)}
-    assert pdu.DeviceIdentification(1, objects).names == {
-        "VendorName": "0",
+    objects = {number: b"%d" % number for number in (*range(1, 8), 128)}
+    assert pdu.DeviceIdentification(1, {0: b"c\xff", **objects}).names == {
+        "VendorName": "c\ufffd",
         "ProductCode": "1",
         "MajorMinorRevision": "2",
         "VendorUrl": "3",

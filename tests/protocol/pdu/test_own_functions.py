@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, Device, ExceptionResponse, InvalidResponse, Mapping, Server, pdu
+from libmodbus_py import Context, Device, InvalidResponse, Mapping, Server, pdu
 from libmodbus_py.protocol.errors import (
     IllegalDataAddress,
     IllegalDataValue,
@@ -211,21 +211,3 @@ def test_a_length_of_its_own_is_the_only_one() -> None:
     assert Padded(107, 3).decode_response(RESPONSE + bytes(4)) == [555, 0, 100]
     with pytest.raises(InvalidResponse):
         Padded(107, 3).decode_response(RESPONSE)
-
-
-@each_case(
-    "response",
-    [
-        *("", "03", "03 06", "03 00", "03 04 022B0000", "03 06 022B000000"),
-        *("03 06 022B0000006400", "03 05 022B000000", "04 06 022B00000064", "83", "83 02 00"),
-    ],
-)
-def test_all_else_is_no_response(response: str) -> None:
-    with pytest.raises(InvalidResponse):
-        pdu.ReadHoldingRegisters(107, 3).decode_response(bytes.fromhex(response))
-
-
-def test_a_refusal_is_none_either() -> None:
-    with pytest.raises(ExceptionResponse) as caught:
-        pdu.ReadHoldingRegisters(107, 3).decode_response(bytes.fromhex("83 02"))
-    assert caught.value.code == 2
