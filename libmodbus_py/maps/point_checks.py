@@ -68,6 +68,7 @@ SUNSPEC_MISSING = {
     **dict.fromkeys(("uint32", "bits32"), 0xFFFF_FFFF),
     **dict.fromkeys(("uint64", "bits64"), 0xFFFF_FFFF_FFFF_FFFF),
     **dict.fromkeys(("float32", "float64"), None),
+    "eui48": 0xFFFF_FFFF_FFFF,
 }
 """Type -> the bits of "not implemented" in SunSpec; None for floats: a nan is no value anyway."""
 

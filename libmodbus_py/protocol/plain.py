@@ -251,7 +251,12 @@ def _bits(text: str) -> list[int]:
     return [int(digit) for digit in text]
 
 
-PARSERS: dict[str, Callable[[str], Any]] = {"float": decimal_of, "bits": _bits, "string:": str}
+PARSERS: dict[str, Callable[[str], Any]] = {
+    "float": decimal_of,
+    "bits": _bits,
+    "string:": str,
+    "eui": str,
+}
 """Family of types -> how a value of it is typed; others as numbers."""
 
 

@@ -100,9 +100,9 @@ class ValueType:
         Return the registers of one value, 0..65535 each.
 
         Args:
-            value: a number; for bits, a list of True and False, lowest first; for string:N, a
-                string, which is never truncated; for times, a datetime with a time zone, whose
-                fractions of a second are dropped if the type has none.
+            value: a number; for bits, a list of True and False, lowest first; for string:N and
+                eui48, a string, which is never truncated; for times, a datetime with a time zone,
+                whose fractions of a second are dropped if the type has none.
 
         Raises:
             TypeError, ValueError: the value does not fit the type.

@@ -12,6 +12,7 @@ device; this module knows the usual ones. Types are named by strings:
 * iec870: CP56Time2a of IEC 60870-5-4 in the four registers of Schneider's devices;
 * date48: six bytes, year (since 2000), month, day, hour, minute, second; bcddate48: the same in
   decimal digits; date96: six registers, with the full year;
+* eui48: a MAC address as text, such as "0D:D7:4C:C6:44:8E", behind a register of padding;
 * string:N: N bytes of text, 1..250, two in each register; if N is odd, the last
   byte of the last register is written as 0 and ignored when read.
 
@@ -244,6 +245,23 @@ def _fill_of(padding: str, encoding: str) -> bytes:
     return two[len(one) :]
 
 
+_MAC = re.compile(r"[0-9A-Fa-f]{2}(?:[:-][0-9A-Fa-f]{2}){5}", re.ASCII)
+
+
+def _pack_mac(name: str | Path, value: object) -> bytes:
+    """Return the eight bytes of a MAC address: two of padding, which are 0, come first."""
+    if not isinstance(value, str):
+        raise WrongType(name, f"must be a string, not {type(value).__name__}")
+    if not _MAC.fullmatch(value):
+        raise WrongValue(name, f"must be like 0D:D7:4C:C6:44:8E, not {reprlib.repr(value)}")
+    return bytes.fromhex(f"0000{value.replace(':', '').replace('-', '')}")
+
+
+def _unpack_mac(data: bytes) -> str:
+    """Return the MAC address that eight bytes hold; the two of padding may hold anything."""
+    return data[2:].hex(":").upper()
+
+
 TIME_REGISTERS = {
     "unix32": 2, "unix64": 4, "ms64": 4, "iec870": 4, "date48": 3, "bcddate48": 3, "date96": 6,
 }  # fmt: skip
@@ -260,6 +278,7 @@ TYPES: dict[str, ValueType] = {
         *(_decimals(bits) for bits in (16, 32, 64)),
         *(_flags(bits) for bits in (16, 32, 64)),
         *(_moments(name, registers) for name, registers in TIME_REGISTERS.items()),
+        ValueType("eui48", 4, _pack_mac, _unpack_mac),
     )
 }
 """Name -> type, in the order ABCD; strings are made by `value_type`."""
@@ -341,7 +360,8 @@ def readings(registers: Iterable[int]) -> list[Interpretation]:
     """
     cells = cells_of(registers)
     count = integer("the number of registers", len(cells), 1, 125)
-    names = [name for name, kind in TYPES.items() if kind.registers == count and not kind.is_time]
+    fitting = [kind for kind in TYPES.values() if kind.registers == count]
+    names = [kind.name for kind in fitting if kind.limits or kind.name.startswith("bits")]
     found: dict[tuple[str, str], Interpretation] = {}
     for name in [*names, f"string:{2 * count}"]:
         for order in ORDERS:

@@ -47,8 +47,9 @@ TextType: TypeAlias = Literal[
     "string:1", "string:2", "string:3", "string:4", "string:5", "string:6", "string:7", "string:8",
     "string:10", "string:12", "string:14", "string:16", "string:18", "string:20", "string:24",
     "string:28", "string:30", "string:32", "string:40", "string:48", "string:50", "string:64",
+    "eui48",
 ] | StringType
-"""Types whose values are text: the usual lengths; `string_type` has the others."""
+"""Types whose values are text: MAC addresses, the usual lengths; `string_type` has the others."""
 # fmt: on
 TypeName: TypeAlias = NumberType | BitsType | TimeType | TextType
 """All of them."""
@@ -131,6 +132,7 @@ TYPE_WORDS = by_word(
         "bits16": "bitfield16, bitmap16, bitmask16",
         "bits32": "bitfield32, bitmap32, bitmask32",
         "bits64": "bitfield64, bitmap64, bitmask64",
+        "eui48": "mac, mac address",
         "bool": "boolean, bit",
         **dict.fromkeys(("bcd16", "bcd32", "bcd64", "unix32", "unix64", "ms64", "iec870"), ""),
         **dict.fromkeys(("date48", "bcddate48", "date96"), ""),

@@ -67,7 +67,7 @@ def test_refusal_is_one_line_and_exit_code_1() -> None:
         ([*READ, "holding", "0", "--order", "ABCD"], 2, "--order needs --type"),
         ([*READ, "holding", "0", "--type", "all", "--order", "ABCD"], 2, "has no --order"),
         ([*READ, "holding", "0", "--type", "int8"], 2, "int16, int32, int64, uint16,"),
-        ([*READ, "holding", "0", "--type", ""], 2, "date96, string:N, not ''"),
+        ([*READ, "holding", "0", "--type", ""], 2, "date96, eui48, string:N, not ''"),
         ([*READ, "holding", "0", "--type", "string:251"], 2, "1..250, not 251"),
         ([*READ, "holding", "0", "--type", "int16", "--order", "X"], 2, "ABCD, CDAB, BADC, DCBA"),
         ([*READ, "holding", "0", "--type", "int32", "--order", "AB"], 2, "order of int32"),

@@ -93,8 +93,6 @@ def _asked(context: Any, base: int | None) -> list[dict[str, Any]]:
 
 def _rows(device: Any, values: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """Yield a row for each point of each model."""
-    from ...tools.sunspec.points import shown
-
     for model in device:
         for name, point in model.map.items():
             value = values[f"{model.name}.{name}"]
@@ -103,7 +101,7 @@ def _rows(device: Any, values: dict[str, Any]) -> Iterator[dict[str, Any]]:
                 "model": model.id,
                 "address": point.address,
                 "name": f"{model.name}.{name}",
-                "value": None if reason else shown(point, value),
+                "value": None if reason else value,
                 "units": point.units,
                 "reason": reason,
             }

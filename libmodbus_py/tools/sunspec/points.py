@@ -12,7 +12,7 @@ from ...maps.point_checks import MAX_DESCRIPTION
 from ...protocol.tables import TABLE_SIZE, Table
 from .chain import HEADER
 
-__all__ = ["MOST_POINTS", "Laid", "ModelLayout", "counters_of", "shown"]
+__all__ = ["MOST_POINTS", "Laid", "ModelLayout", "counters_of"]
 
 TABLE: Table = "holding_registers"
 
@@ -24,9 +24,6 @@ LONGEST_TEXT = 125
 
 NOT_IMPLEMENTED = 0xFFFF
 """The register of a number of groups that the device does not have."""
-
-# The four registers of a MAC address that a device lacks; its first two bytes are padding.
-NO_EUI48 = 0xFFFF_FFFF_FFFF
 
 # Type of SunSpec -> keys of a point. An accumulator that a device lacks is 0.
 _TYPES: dict[str, dict[str, Any]] = {
@@ -41,7 +38,7 @@ _TYPES: dict[str, dict[str, Any]] = {
     "count": {"type": "uint16", "missing": "sunspec"},
     "sunssf": {"type": "int16", "missing": "sunspec"},
     "ipaddr": {"type": "uint32", "missing": 0},
-    "eui48": {"type": "uint64", "missing": NO_EUI48},
+    "eui48": {"type": "eui48", "missing": "sunspec"},
 }
 
 
@@ -163,13 +160,6 @@ def _counted_by(group: Mapping[str, Any]) -> Iterator[str]:
         if isinstance(count := inner.get("count"), str):
             yield count
         yield from _counted_by(inner)
-
-
-def shown(point: Point, value: Any) -> Any:
-    """Return a value as SunSpec shows it: a MAC address as "0D:D7:4C:C6:44:8E"."""
-    if point.missing == (NO_EUI48,) and isinstance(value, int):
-        return (value & NO_EUI48).to_bytes(6, "big").hex(":").upper()
-    return value
 
 
 # --- one point ---------------------------------------------------------------------------

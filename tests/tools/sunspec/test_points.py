@@ -98,3 +98,11 @@ def test_values_are_scaled_named_and_missing() -> None:
     assert points["Evt1"].decode([0xFFFF, 0xFFFF]) is None
     assert points["A"].units == "A"
     assert points["A"].access == "read"
+
+
+def test_a_mac_address_is_text_when_read_and_written() -> None:
+    point = walked(_discovery(None, [40000]), chain([11, 13, *[0] * 13])).result[11].map["MAC"]
+    registers = [0, 0x0DD7, 0x4CC6, 0x448E]
+    assert point.decode(registers) == "0D:D7:4C:C6:44:8E"
+    assert point.encode("0D:D7:4C:C6:44:8E") == registers
+    assert point.decode([7, 0xFFFF, 0xFFFF, 0xFFFF]) is None

@@ -188,7 +188,7 @@ def _kind_of_one(point: Point) -> str:
         return "int" if is_whole and point.scale_from is None else "float"
     if str(point.type).startswith("float"):
         return "float"
-    if point.read.kind.is_text:
+    if point.read.kind.is_text or point.type == "eui48":
         return "str"
     if str(point.type).startswith("bits"):
         return "list[bool]"
