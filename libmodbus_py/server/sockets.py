@@ -93,7 +93,7 @@ def _choice(level: int, kind: int, info: bytes) -> tuple[int, int, bytes]:
     return level, kind, IN6_PKTINFO.pack(own, interface if address.is_link_local else 0)
 
 
-def bound_datagrams(family: socket.AddressFamily, address: tuple[str, int]) -> socket.socket:
+def bound_datagrams(family: socket.AddressFamily, address: tuple[Any, ...]) -> socket.socket:
     """
     Return a UDP socket that is bound to an address.
 
