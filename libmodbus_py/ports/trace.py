@@ -134,12 +134,9 @@ class Trace:
 
 
 def _is_logged() -> bool:
-    """
-    Return True if the logger is at DEBUG.
-
-    Logging is not imported here, because that takes an eighth of the time of importing the whole
-    client: a program that has not imported it cannot have set DEBUG.
-    """
+    """Return True if the logger is at DEBUG."""
+    # A program that has not imported logging cannot have set it; the import here would take an
+    # eighth of the time of importing the whole client.
     global _wire
     if _wire is None and "logging" in sys.modules:
         import logging

@@ -136,13 +136,8 @@ def response_length(head: bytes) -> int | None:
 
 
 def _told(request: type[Request[Any]], rule: LengthRule, head: bytes) -> int | None:
-    """
-    Return what a length rule of a class returns; `NO_LENGTH` if it raises or returns nonsense.
-
-    The rules of the package, which are in `IN_C`, do neither, and are called without this. A
-    mistake in one rule must not leave a line deaf for all other functions. It is logged once for
-    each class.
-    """
+    """Return what a rule of a program returns; `NO_LENGTH` if it raises or returns nonsense."""
+    # A mistake in one rule must not leave a line deaf for all other functions.
     try:
         length = rule(head)
         if length is None or (isinstance(length, int) and length >= 0):

@@ -64,15 +64,10 @@ class MeiType(IntEnum):
     DEVICE_IDENTIFICATION = 0x0E
 
 
-OBJECT_NAMES = {
-    0: "VendorName",
-    1: "ProductCode",
-    2: "MajorMinorRevision",
-    3: "VendorUrl",
-    4: "ProductName",
-    5: "ModelName",
-    6: "UserApplicationName",
-}
+OBJECT_NAMES = dict(enumerate((
+    "VendorName", "ProductCode", "MajorMinorRevision", "VendorUrl", "ProductName", "ModelName",
+    "UserApplicationName",
+)))  # fmt: skip
 """Object id -> the name that section 6.21 gives it."""
 
 
