@@ -2,7 +2,6 @@
 The live page of a running server: a short path to `tools.page`.
 """
 
-from .tools.page.page import Page as Page
-from .tools.page.page import live_page as live_page
+from .tools.page.page import Page, live_page
 
 __all__ = ["Page", "live_page"]

@@ -53,9 +53,6 @@ IP_PKTINFO: int = getattr(socket, "IP_PKTINFO", 8 if sys.platform == "linux" els
 KEY_REJECTED: int = getattr(errno, "EKEYREJECTED", errno.EACCES)
 """The errno of a certificate that is refused."""
 
-# Descriptors without a limit that this process could ask for.
-USUAL_DESCRIPTORS = 1024
-
 
 class Flag:
     """
@@ -248,7 +245,7 @@ def most_descriptors() -> int:
     try:
         import resource
     except ImportError:
-        return USUAL_DESCRIPTORS
+        return 1024  # as usual where there is a limit
     return resource.getrlimit(resource.RLIMIT_NOFILE)[0]
 
 
@@ -279,13 +276,6 @@ def reserve_descriptors(descriptor: int, highest: int) -> None:
 # --- serial ports -----------------------------------------------------------------------------
 
 
-# struct termios2 and its ioctls of asm-generic/termbits.h; where they differ the
-# ioctl fails, and the baud rate is refused.
-_TERMIOS2 = struct.Struct("4IB19B2I")
-_TCGETS2, _TCSETS2 = 0x802C542A, 0x402C542B
-_CBAUD, _BOTHER = 0o010017, 0o010000
-
-
 def set_odd_baudrate(descriptor: int, baudrate: int) -> None:
     """
     Set a rate without a constant of its own, and check that the port accepted it.
@@ -298,12 +288,16 @@ def set_odd_baudrate(descriptor: int, baudrate: int) -> None:
         raise OSError(errno.EINVAL, f"baudrate {baudrate} refused: {rates}")
     import fcntl
 
+    # struct termios2, TCGETS2, TCSETS2, CBAUD and BOTHER of asm-generic/termbits.h; where they
+    # differ the ioctl fails, and the baud rate is refused.
+    termios2 = struct.Struct("4IB19B2I")
+    get, set_, rate_bits, other_rate = 0x802C542A, 0x402C542B, 0o010017, 0o010000
     try:
-        fields = list(_TERMIOS2.unpack(fcntl.ioctl(descriptor, _TCGETS2, bytes(_TERMIOS2.size))))
-        fields[2] = fields[2] & ~(_CBAUD | _CBAUD << 16) | _BOTHER
+        fields = list(termios2.unpack(fcntl.ioctl(descriptor, get, bytes(termios2.size))))
+        fields[2] = fields[2] & ~(rate_bits | rate_bits << 16) | other_rate
         fields[-2:] = baudrate, baudrate
-        fcntl.ioctl(descriptor, _TCSETS2, _TERMIOS2.pack(*fields))
-        *_, speed = _TERMIOS2.unpack(fcntl.ioctl(descriptor, _TCGETS2, bytes(_TERMIOS2.size)))
+        fcntl.ioctl(descriptor, set_, termios2.pack(*fields))
+        *_, speed = termios2.unpack(fcntl.ioctl(descriptor, get, bytes(termios2.size)))
     except OSError as error:
         raise OSError(error.errno, f"baudrate {baudrate} refused: {error.strerror}") from None
     # A receiver tolerates 2 % (serial line, 2.4).

@@ -39,7 +39,7 @@ from libmodbus_py.protocol.errors import (
 )
 
 PACKAGE = Path(libmodbus_py.__file__).parent
-# Names such as "context" and "pdu.fields"; a package has that of its __init__, such as "pdu".
+# Names such as "context" and "pdu.reads"; a package has that of its __init__, such as "pdu".
 MODULES = {
     ".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__"): path
     for path in sorted(PACKAGE.rglob("*.py"))
@@ -414,7 +414,7 @@ class TestLateImports:
             "thread.join()\n"
         )
         kinds = {name for name in found if name.startswith("libmodbus_py.protocol.pdu.")}
-        own = ("fields", "request", "reads")
+        own = ("request", "reads")
         assert kinds == {f"libmodbus_py.protocol.pdu.{name}" for name in own}
 
     def test_tls_brings_ssl(self) -> None:

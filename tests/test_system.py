@@ -77,7 +77,7 @@ def test_modules_that_only_posix_has_are_imported_where_they_are_used() -> None:
         for node in ast.parse(path.read_text()).body
         if isinstance(node, ast.Import) and {each.name for each in node.names} & ONLY_POSIX
     }
-    assert found == {"ports/serial.py", "ports/read_only.py"}
+    assert found == {"ports/serial.py"}
 
 
 # --- flags --------------------------------------------------------------------------------------

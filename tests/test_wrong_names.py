@@ -29,7 +29,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.fleet import DeviceConfig, Fleet
 from libmodbus_py.listen import listen
-from libmodbus_py.protocol.close_names import named_arguments
+from libmodbus_py.protocol.mistakes import named_arguments
 from libmodbus_py.scan import scan, search
 from libmodbus_py.serve import Allow, AuditFile
 from tests.support.cases import each_case

@@ -256,7 +256,7 @@ def add_units(group: Any, text: str) -> None:
 
 
 def _units(text: str) -> list[int]:
-    from ..protocol.spelling import units_of
+    from ..protocol.plain import units_of
 
     try:
         return list(dict.fromkeys(units_of(text)))

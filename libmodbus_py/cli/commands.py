@@ -113,7 +113,7 @@ def _refuse(parser: argparse.ArgumentParser, unknown: Sequence[str]) -> None:
     """Refuse arguments that the command does not take, and name a close one that it does."""
     if not unknown:
         return
-    from ..protocol.close_names import close_to
+    from ..protocol.mistakes import close_to
     from .arguments import MEANINGLESS
 
     option = next((word for word in unknown if word.startswith("-")), "").partition("=")[0]
@@ -209,7 +209,7 @@ class _Parser(argparse.ArgumentParser):
         """Refuse a word that is not a choice, and name a close one."""
         if action.choices is None or value in action.choices:
             return
-        from ..protocol.close_names import close_to
+        from ..protocol.mistakes import close_to
 
         close = close_to(value, action.choices)
         if action.nargs == argparse.PARSER and (close or self.prog == PROGRAM):

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..ports.port import abandoned_in_children
 from ..ports.waiting_async import Alarm, run_async
-from ..protocol.callbacks import finished, log_failure
+from ..protocol.checks import finished, log_failure
 from ..protocol.errors import ModbusConnectionError
 from .call import Batch, Call
 from .connection import Transactions, forbidden

@@ -24,7 +24,7 @@ from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING
 
 from ..ports.trace import Trace
-from ..protocol.callbacks import finished, log_failure
+from ..protocol.checks import finished, log_failure
 from ..protocol.errors import (
     FrameError,
     ModbusConnectionError,

@@ -48,7 +48,7 @@ import math
 from ..ports.endpoint import Endpoint
 from ..ports.port import Silence
 from ..ports.trace import Trace
-from ..protocol.callbacks import log_warning
+from ..protocol.checks import log_warning
 from ..protocol.echo import Echo
 from ..protocol.errors import (
     ExceptionResponse,

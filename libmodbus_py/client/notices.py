@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
-from ..protocol.callbacks import finished, log_failure
+from ..protocol.checks import finished, log_failure
 
 if TYPE_CHECKING:
     from ..protocol.errors import ModbusError

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict
 from ..ports.endpoint import Endpoint
 from ..ports.schemes import SERIAL_OPTIONS
 from ..ports.trace import OnTraced
-from ..protocol.callbacks import checked_callback
-from ..protocol.checks import integer, seconds
-from ..protocol.close_names import unknown_option
+from ..protocol.checks import checked_callback, integer, seconds
 from ..protocol.framing import is_delimiter
+from ..protocol.mistakes import unknown_option
 from .call import MAX_IN_FLIGHT, Timeouts
 from .reconnecting import OnState
 from .statistics import Statistics

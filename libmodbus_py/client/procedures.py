@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ..maps.register_map import AnyMap
     from ..maps.watched import WatchedPoints
     from ..protocol.tables import RegisterTable, WritableTable
-    from ..protocol.type_names import Layout, Order, TextOptions, TypeName
+    from ..protocol.words import Layout, Order, TextOptions, TypeName
     from .typed_values import one_by_type, several_by_type
 else:
 

@@ -30,7 +30,7 @@ from collections import deque
 from collections.abc import Collection, Hashable, Mapping
 from typing import TYPE_CHECKING
 
-from ..protocol.callbacks import log_warning
+from ..protocol.checks import log_warning
 from ..protocol.errors import ModbusError, ServerDeviceBusy
 from .call import Call, Matching, Phase
 

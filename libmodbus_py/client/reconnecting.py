@@ -11,7 +11,7 @@ import errno
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from ..protocol.callbacks import log_failure
+from ..protocol.checks import log_failure
 from ..protocol.errors import ModbusConnectionError, ModbusError
 
 if TYPE_CHECKING:

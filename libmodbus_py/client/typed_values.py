@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, Unpack, overload
 
 if TYPE_CHECKING:
     from ..protocol.tables import RegisterTable
-    from ..protocol.type_names import BitsType, FloatType, IntegerType, Layout, TextType, TypeName
+    from ..protocol.words import BitsType, FloatType, IntegerType, Layout, TextType, TypeName
     from .requests import Awaiting, Blocking
 
 __all__ = ["one_by_type", "several_by_type"]

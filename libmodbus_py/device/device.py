@@ -18,7 +18,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Self, TypedDict, Unpack
 
 from ..protocol.checks import integer
-from ..protocol.close_names import named_arguments
 from ..protocol.errors import (
     ExceptionResponse,
     IllegalDataAddress,
@@ -26,6 +25,7 @@ from ..protocol.errors import (
     ServerDeviceFailure,
 )
 from ..protocol.logs import HarmlessLogger
+from ..protocol.mistakes import named_arguments
 from ..protocol.pdu import (
     MAX_PDU,
     REQUESTS,
@@ -35,7 +35,7 @@ from ..protocol.pdu import (
     SubFunction,
     decode_request,
 )
-from ..protocol.ranges import joined, without
+from ..protocol.tables import joined, without
 from .access import ACCESSES, Access, Touched, touched
 from .authorization import Asked, Authorization, Authorize, UnauthorizedError
 from .caller import Caller, answer_audited, values_at

@@ -10,10 +10,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from collections.abc import Mapping as MappingABC
 from itertools import compress
 from operator import index
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
-from ..protocol.callbacks import checked_callback
-from ..protocol.checks import integer
+from ..protocol.checks import checked_callback, integer
 from ..protocol.errors import IllegalDataAddress, IllegalDataValue, IllegalFunction
 from ..protocol.framing import delimiter_after
 from ..protocol.mistakes import WrongType, inside
@@ -49,7 +48,7 @@ DEFAULT_IDENTIFICATION: dict[str | int, str | bytes] = {
 }
 
 
-Records = int | Iterable[int] | MappingABC[int, int]
+Records: TypeAlias = int | Iterable[int] | MappingABC[int, int]
 """The number of records, or their values."""
 
 

@@ -7,13 +7,12 @@ from __future__ import annotations
 import reprlib
 import time
 from collections.abc import Callable, Iterable
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
-from ..protocol.callbacks import checked_callback, finished
-from ..protocol.close_names import named_arguments
+from ..protocol.checks import checked_callback, finished
 from ..protocol.logs import HarmlessLogger
-from ..protocol.ranges import checked_ranges, joined, touches
-from ..protocol.tables import TABLE_SIZE
+from ..protocol.mistakes import named_arguments
+from ..protocol.tables import TABLE_SIZE, checked_ranges, joined, touches
 from .access import READABLE, Access, Touched
 
 __all__ = ["SLOW", "Hook", "HookLike", "Hooks", "timed"]
@@ -26,7 +25,7 @@ SLOW = 0.1
 Given = TypeVar("Given")
 Result = TypeVar("Result")
 
-Addresses = range | Iterable[range]
+Addresses: TypeAlias = range | Iterable[range]
 
 EVERYTHING = (range(TABLE_SIZE),)
 """All addresses of a table."""
@@ -102,7 +101,7 @@ class Hook:
         return touches(self.in_table(access.table), first, count)
 
 
-HookLike = Hook | Callable[[Access], object]
+HookLike: TypeAlias = Hook | Callable[[Access], object]
 
 # A hook, and its function, whose duration is measured.
 Called = tuple[Hook, Callable[[Access], object]]

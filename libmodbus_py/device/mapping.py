@@ -17,13 +17,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Mapping as MappingABC
 from itertools import pairwise
 from operator import index
-from typing import Any, ClassVar, Generic, Literal, Self, TypeVar, Unpack, overload
+from typing import Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar, Unpack, overload
 
 from ..binding.library import ffi, lib
 from ..protocol.checks import integer
-from ..protocol.close_names import named_arguments
-from ..protocol.ranges import checked_ranges, joined, without
-from ..protocol.tables import TABLE_SIZE
+from ..protocol.mistakes import named_arguments
+from ..protocol.tables import TABLE_SIZE, checked_ranges, joined, without
 from ..protocol.values import Layout, TypeName, value_type
 from ..system import call_in_children
 
@@ -42,7 +41,7 @@ SHOWN_RANGES = 8
 
 Cell = TypeVar("Cell", bool, int)
 
-Contents = int | range | Iterable[range] | MappingABC[int, Iterable[int]]
+Contents: TypeAlias = int | range | Iterable[range] | MappingABC[int, Iterable[int]]
 """The number of cells, or their addresses, or their values."""
 
 

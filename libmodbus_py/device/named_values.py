@@ -9,10 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping as MappingABC
 from typing import TYPE_CHECKING, Any
 
-from ..protocol.close_names import close_to
-from ..protocol.mistakes import WrongType, WrongValue
-from ..protocol.ranges import joined
-from ..protocol.tables import TABLES
+from ..protocol.mistakes import WrongType, WrongValue, close_to
+from ..protocol.tables import TABLES, joined
 from .mapping import Mapping
 
 if TYPE_CHECKING:

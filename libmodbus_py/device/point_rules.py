@@ -13,8 +13,7 @@ from typing import NamedTuple
 from ..maps.point import Point
 from ..maps.writing import check_cells
 from ..protocol.errors import IllegalDataAddress, IllegalDataValue
-from ..protocol.ranges import joined, touches, without
-from ..protocol.tables import TABLES
+from ..protocol.tables import TABLES, joined, touches, without
 from .access import Access, TableOrFile, Touched
 from .mapping import Mapping
 from .named_values import cells_after, source_after

@@ -14,9 +14,8 @@ from typing import Any, Literal
 
 from ..protocol import pdu
 from ..protocol.checks import integer
-from ..protocol.close_names import named_arguments
-from ..protocol.mistakes import Path, WrongType, WrongValue
-from ..protocol.ranges import contains, joined
+from ..protocol.mistakes import Path, WrongType, WrongValue, named_arguments
+from ..protocol.tables import contains, joined
 from ..security.role import check_role
 from .access import ACCESSES, READABLE, WRITABLE, Access
 from .authorization import Asked

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 from ..protocol.checks import are_registers, integer, shown
 from ..protocol.mistakes import Path, WrongType, WrongValue
-from ..protocol.pdu.fields import checked_bit
+from ..protocol.pdu.request import checked_bit
 from ..protocol.values import ValueType
 from .scaling import Scaling
 

@@ -11,16 +11,22 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from heapq import heapify, heappop, heappush
-from typing import Any, Literal, NamedTuple, Required, TypedDict, TypeVar
+from typing import Any, Literal, NamedTuple, Required, TypeAlias, TypedDict, TypeVar
 
 from ..protocol import pdu
 from ..protocol.checks import integer
-from ..protocol.close_names import named_arguments
 from ..protocol.errors import ModbusError
-from ..protocol.mistakes import WrongType, WrongValue, inside, placed
-from ..protocol.pdu.fields import checked_span, store
-from ..protocol.ranges import checked_ranges, joined, touches
-from ..protocol.tables import TABLE_SIZE, TABLES, Table, checked_table
+from ..protocol.mistakes import WrongType, WrongValue, inside, named_arguments, placed
+from ..protocol.pdu.request import checked_span, store
+from ..protocol.tables import (
+    TABLE_SIZE,
+    TABLES,
+    Table,
+    checked_ranges,
+    checked_table,
+    joined,
+    touches,
+)
 from ..protocol.values import Order, TypeName, ValueType, value_type
 from .holes import Block, BlockPiece, Holes, PartialAnswer, Span, Unreadable
 
@@ -108,7 +114,7 @@ class Read:
 
 
 Key = TypeVar("Key")
-Item = (
+Item: TypeAlias = (
     Read
     | tuple[Table, int]
     | tuple[Table, int, int]
@@ -118,7 +124,7 @@ Item = (
 """A `Read`, or its arguments."""
 
 Named = Mapping[Key, Item]
-Items = Iterable[Item] | Mapping[Any, Item]
+Items: TypeAlias = Iterable[Item] | Mapping[Any, Item]
 Forbidden = Iterable[tuple[Table, range]]
 Values = list[Any]
 

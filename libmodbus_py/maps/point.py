@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from ..protocol.checks import shown
-from ..protocol.close_names import named_arguments
-from ..protocol.mistakes import WrongType, WrongValue
-from ..protocol.pdu.fields import checked_sequence
+from ..protocol.mistakes import WrongType, WrongValue, named_arguments
+from ..protocol.pdu.request import checked_sequence
 from ..protocol.tables import Table
 from ..protocol.values import Order, TypeName
 from .meaning import CellChange, Judged, Meaning, NoValue

@@ -11,7 +11,7 @@ from typing import Any
 
 from ..protocol.checks import integer, seconds, shown
 from ..protocol.mistakes import Path, WrongType, WrongValue, placed
-from ..protocol.pdu.fields import store
+from ..protocol.pdu.request import store
 from ..protocol.tables import TABLES, checked_table
 from ..protocol.values import ValueType
 from .meaning import Meaning, Part, part_of
@@ -117,7 +117,7 @@ def _check_text(name: str, value: Any, least: int, most: int) -> None:
 
 def _local(kind: ValueType | None, point: Point) -> ValueType:
     """Return the type of a point whose registers hold the local time of a zone."""
-    from ..protocol.local_times import checked_time_zone, in_time_zone  # which few programs need
+    from ..protocol.times import checked_time_zone, in_time_zone  # which few programs need
 
     zone = checked_time_zone("time_zone", point.time_zone)
     if kind is None or not kind.is_time:

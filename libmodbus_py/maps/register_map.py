@@ -14,8 +14,7 @@ from os import PathLike
 from typing import Any, Protocol, TypeAlias, Unpack
 
 from ..protocol import pdu
-from ..protocol.close_names import close_to
-from ..protocol.mistakes import WrongType, WrongValue
+from ..protocol.mistakes import WrongType, WrongValue, close_to
 from .plan import PlanOptions
 from .point import Point
 from .point_plan import PointPlan, scale_mistakes, sources_of

@@ -12,7 +12,7 @@ Ports: TCP, TLS, UDP, Unix sockets and serial, and how to wait for them.
     tls             TLS connections: the handshake, and what it refuses
     unix            Unix sockets, for clients and servers
     trace           every ADU that passes, for callbacks and the log
-    serial          serial ports, which libmodbus opens and configures; RS-485, echo, locks
+    serial          serial ports, which libmodbus opens and configures; RS-485, echo, locks; and
+                    ports that are only read, beside other users
     serial_devices  the serial ports of this machine, and the programs that use them
-    read_only       serial ports that are only read, beside other users
 """

@@ -33,7 +33,7 @@ from dataclasses import dataclass, field
 from os.path import abspath, expanduser
 from typing import TYPE_CHECKING, Any
 
-from ..protocol.close_names import close_option
+from ..protocol.mistakes import close_option
 from ..protocol.scan import pause_between_frames
 from .hosts import host_and_port, split_host_and_port
 from .schemes import (
@@ -133,7 +133,7 @@ class Endpoint:
         """
         kind = "tcp" if self.is_secure else self.transport
         if self.has_path:
-            return kind, posixpath.normpath(self.path)
+            return kind, posixpath.normpath(f"/{self.path.lstrip('/')}")
         return kind, host_and_port(_one_spelling(self.host), self.port)
 
     @property
@@ -159,22 +159,17 @@ class Endpoint:
         return self._shown({} if self.is_secure else self.options)
 
     def _shown(self, options: dict[str, Any]) -> str:
-        from urllib.parse import quote
-
         address = _quoted(self.path) if self.has_path else self.address
-        query = "&".join(f"{name}={quote(_text(value))}" for name, value in options.items())
+        texts = {name: "none" if each is None else str(each) for name, each in options.items()}
+        query = "&".join(f"{name}={_quoted(text, '/')}" for name, text in texts.items())
         return f"{self.scheme}://{address}{'?' if query else ''}{query}"
 
 
-def _text(value: object) -> str:
-    return "none" if value is None else str(value)
-
-
-def _quoted(path: str) -> str:
-    """Return a path as URLs contain it; bytes that are not UTF-8 are quoted, too."""
+def _quoted(text: str, safe: str = "/:@+,=~") -> str:
+    """Return a path or an option as URLs contain it; bytes that are not UTF-8 are quoted, too."""
     from urllib.parse import quote
 
-    return quote(path, safe="/:@+,=~", errors="surrogateescape")
+    return quote(text, safe, errors="surrogateescape")
 
 
 def _one_spelling(host: str) -> str:
@@ -205,6 +200,8 @@ def parse(url: str) -> Endpoint:
     url = url_of(url)
     parts = urlsplit(url)
     url = re.sub(PASSWORD, "***", url)  # from here on the text is for error messages only
+    if re.search(r"[\x00-\x1f\x7f]", url):  # of which Python leaves some out
+        raise ValueError(f"{url!r}: a URL has no control characters")
     if parts.scheme not in SCHEMES:
         raise ValueError(f"{url!r}: the scheme must be one of {', '.join(SCHEMES)}")
     if parts.fragment or parts.username is not None:
@@ -260,12 +257,14 @@ def _parse_network(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
     if not parts.netloc:
         raise ValueError(f"{url!r}: a host is missing, as in {scheme}://127.0.0.1:502")
     try:
-        host, port = split_host_and_port(parts.netloc.lower())
+        host, port = split_host_and_port(parts.netloc)
     except ValueError as error:
         raise ValueError(f"{url!r}: {error}") from None
     if ":" in host and not parts.netloc.startswith("["):
         raise ValueError(f"{url!r}: an IPv6 address needs brackets, as in {scheme}://[::1]:502")
     port = TRANSPORTS[SCHEMES[scheme][1]].port if port is None else port
+    name, percent, zone = host.partition("%")
+    host = f"{name.lower()}{percent}{zone}"  # a zone is the name of an interface, as it is written
     options, others = _options(url, parts.query, options_of(scheme))
     return Endpoint(scheme, host=host, port=port, options=options, client_options=others)
 
@@ -288,7 +287,7 @@ def _options(
 
     allowed = {**own, **CLIENT_OPTIONS}
     options: dict[str, Any] = {}
-    for given, text in parse_qsl(query, keep_blank_values=True):
+    for given, text in parse_qsl(query, keep_blank_values=True, errors="surrogateescape"):
         name = OTHER_NAMES.get(given, given)
         if name not in allowed:
             close = close_option(given, allowed)

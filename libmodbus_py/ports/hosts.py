@@ -31,8 +31,8 @@ EVERYWHERE = ("0.0.0.0", "::")
 """Hosts at which a server listens on all addresses of its machine."""
 
 
-# A family, host and port -> a socket bound to them.
-Make = Callable[[socket.AddressFamily, tuple[str, int]], socket.socket]
+# A family and an address as getaddrinfo returns it -> a socket bound to it.
+Make = Callable[[socket.AddressFamily, tuple[Any, ...]], socket.socket]
 
 # Connections that may wait in the system.
 BACKLOG = 4096
@@ -81,7 +81,7 @@ def host_of_peer(peer: str) -> str:
         peer: as `host_and_port` returns it, "/run/x.sock uid 0 pid 7", or a path.
     """
     if peer.startswith("/"):
-        return peer.partition(" pid ")[0]
+        return re.sub(" pid [0-9]+$", "", peer)
     return peer.rpartition(":")[0].strip("[]")
 
 
@@ -265,9 +265,9 @@ def bind_all(found: list[Any], port: int, make: Make) -> list[socket.socket]:
     sockets: list[socket.socket] = []
     missing: OSError | None = None
     try:
-        for family, host in dict.fromkeys((each[0], str(each[4][0])) for each in found):
+        for family, address in dict.fromkeys((each[0], each[4]) for each in found):
             try:
-                sockets.append(make(family, (host, port)))
+                sockets.append(make(family, address))
             except OSError as error:
                 if error.errno not in NOT_HERE:
                     raise
@@ -284,7 +284,7 @@ def bind_all(found: list[Any], port: int, make: Make) -> list[socket.socket]:
     return sockets
 
 
-def tcp_listener(family: socket.AddressFamily, address: tuple[str, int]) -> socket.socket:
+def tcp_listener(family: socket.AddressFamily, address: tuple[Any, ...]) -> socket.socket:
     """Return a socket that listens on an address; errors have the system's text alone."""
     try:
         return socket.create_server(address, family=family, backlog=BACKLOG)

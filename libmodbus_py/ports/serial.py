@@ -1,5 +1,6 @@
 """
-A serial port, opened and configured by libmodbus.
+Serial ports: for clients and servers, opened and configured by libmodbus; and to listen at, where
+nothing is locked, and nothing is ever written.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict, Unpack
 
 from ..binding.library import check, ffi, lib, make
-from ..protocol.checks import integer, seconds
-from ..protocol.close_names import unknown_option
+from ..protocol.checks import integer, log_warning, seconds
 from ..protocol.errors import ModbusConnectionError
+from ..protocol.mistakes import unknown_option
 from ..protocol.scan import pause_between_frames
 from ..system import set_odd_baudrate
 from .port import RECEIVED_BYTES, Port, Silence, lost
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from .endpoint import Endpoint
     from .port import PortSettings
 
-__all__ = ["LineSettings", "SerialPort", "SerialSettings"]
+__all__ = ["LineSettings", "ReadOnlySerialPort", "SerialPort", "SerialSettings"]
 
 Parity = Literal["N", "E", "O", "none", "even", "odd"]
 Rs485 = Literal["kernel", "rts-up", "rts-down"]
@@ -286,14 +287,13 @@ class SerialPort(Port):
             return []
         except OSError as error:
             raise lost(error) from error
-        if not data and self._is_gone():
-            raise ModbusConnectionError("the port is gone", errno=errno.EIO)
-        return [data] if data else []
-
-    def _is_gone(self) -> bool:
-        """Return True if the port is gone; an empty read does not prove it, because VMIN is 0."""
+        if data:
+            return [data]
+        # An empty read alone does not prove that the port is gone, because VMIN is 0.
         events = dict(self._poll.poll(0)).get(self.descriptor, 0)
-        return bool(events & (select.POLLHUP | select.POLLERR))
+        if events & (select.POLLHUP | select.POLLERR):
+            raise ModbusConnectionError("the port is gone", errno=errno.EIO)
+        return []
 
     def discard_input(self) -> None:
         # modbus_flush would throw away output, too.
@@ -341,3 +341,78 @@ class SerialPort(Port):
             of_system(error)
         except ValueError:
             pass
+
+
+class ReadOnlySerialPort(SerialPort):
+    """
+    A serial port to listen at; arguments as for `SerialPort`.
+
+    The settings are applied, and restored on closing. If another program has the port open, that
+    program's settings stay, and a warning is logged, because bytes read here are missing there.
+    Use a separate port to listen without side effects.
+    """
+
+    _restored: list[Any] | None = None
+
+    def _take_port(self) -> None:
+        self._open_guard(os.O_RDONLY)
+
+    def _configure(self) -> None:
+        (descriptor,) = self._guards
+        before = termios.tcgetattr(descriptor)
+        self._process = os.getpid()
+        if (other := _other_user(self.device, descriptor)) is None:
+            self._restored = before
+            self._set(descriptor)
+            termios.tcflush(descriptor, termios.TCIFLUSH)
+        else:
+            text = "%s is open in %s, too: its settings stay, and it loses what is read here"
+            log_warning(__name__, text, self.device, other)
+        self._watch(descriptor)
+        if other is None and self.rs485 in self.rts_modes:
+            # Opening a port sets RTS, which may make the transceiver send.
+            self._set_rts(self.rs485 != "rts-up")
+
+    def _set(self, descriptor: int) -> None:
+        parities = {"N": 0, "E": termios.PARENB, "O": termios.PARENB | termios.PARODD}
+        speed = getattr(termios, f"B{self.baudrate}", None)
+        settings = termios.tcgetattr(descriptor)
+        control = termios.CREAD | termios.CLOCAL | getattr(termios, f"CS{self.data_bits}")
+        control |= parities[self.parity] | (termios.CSTOPB if self.stop_bits == 2 else 0)
+        settings[0] = termios.INPCK if self.parity != "N" else termios.IGNPAR
+        settings[1], settings[2], settings[3] = 0, control, 0
+        settings[4] = settings[5] = termios.B9600 if speed is None else speed
+        settings[6][termios.VMIN], settings[6][termios.VTIME] = 0, 0
+        try:
+            termios.tcsetattr(descriptor, termios.TCSANOW, settings)
+        except termios.error:  # nothing changed, and something is lacking: see SerialPort
+            self._change_something()
+            termios.tcsetattr(descriptor, termios.TCSANOW, settings)
+        if speed is None:
+            set_odd_baudrate(descriptor, self.baudrate)
+
+    def send(self, adus: list[bytes], now: float) -> None:
+        raise RuntimeError("this port is only read")
+
+    def close(self) -> None:
+        if self._guards and self._restored is not None and self._process == os.getpid():
+            with contextlib.suppress(termios.error, OSError):
+                termios.tcsetattr(self._guards[0], termios.TCSANOW, self._restored)
+        self._restored = None
+        self.abandon()
+
+    def abandon(self) -> None:
+        # libmodbus holds nothing here, and its context may be gone during garbage collection.
+        self.descriptor = -1
+        self._release()
+
+
+def _other_user(device: str, descriptor: int) -> str | None:
+    """Return another program that has the port open, as far as this user may know."""
+    from .serial_devices import open_devices  # which clients do not need
+
+    path, own = os.path.realpath(device), os.getpid()
+    for user in open_devices()[0]:
+        if user.path == path and (user.process, user.descriptor) != (own, descriptor):
+            return "this program" if user.process == own else user.program()
+    return None

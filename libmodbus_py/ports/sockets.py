@@ -149,12 +149,8 @@ def _connecting(made: socket.socket, address: Any, deadline: float) -> Steps[Non
 
 
 def _is_own(made: socket.socket) -> bool:
-    """
-    Return True if a socket is connected to itself.
-
-    It happens where nothing listens on a port of this machine, and the system chooses that same
-    port for the client (RFC 9293, 3.5).
-    """
+    """Return True if a socket is connected to itself (RFC 9293, 3.5)."""
+    # Nothing listens on a port of this machine, and the system chose that port for the client.
     try:
         return bool(made.getsockname()[:2] == made.getpeername()[:2])
     except OSError as error:  # the other side has reset the connection already

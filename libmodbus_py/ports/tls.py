@@ -11,7 +11,7 @@ import socket
 import ssl
 import time
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeAlias, TypeVar
 
 from ..protocol.errors import ModbusConnectionError
 from ..security.describing import describe, in_words
@@ -23,7 +23,7 @@ from .port import RECEIVED_BYTES
 from .sockets import TcpPort
 from .waiting import READ, WRITE, Ready, Steps, of_system, timed_out
 
-ClientSecurity = Security | GivenContext
+ClientSecurity: TypeAlias = Security | GivenContext
 Given = TypeVar("Given", bound=ClientSecurity)
 
 if TYPE_CHECKING:
@@ -33,15 +33,9 @@ __all__ = ["TlsPort", "security_of"]
 
 # The ends of OpenSSL's reasons for alerts by which the other side refuses our certificate.
 OF_OUR_CERTIFICATE = (
-    "UNKNOWN_CA",
-    "BAD_CERTIFICATE",
-    "UNSUPPORTED_CERTIFICATE",
-    "CERTIFICATE_REVOKED",
-    "CERTIFICATE_EXPIRED",
-    "CERTIFICATE_UNKNOWN",
-    "CERTIFICATE_REQUIRED",
-    "ACCESS_DENIED",
-)
+    "UNKNOWN_CA", "BAD_CERTIFICATE", "UNSUPPORTED_CERTIFICATE", "CERTIFICATE_REVOKED",
+    "CERTIFICATE_EXPIRED", "CERTIFICATE_UNKNOWN", "CERTIFICATE_REQUIRED", "ACCESS_DENIED",
+)  # fmt: skip
 
 # The number of bytes without answers that counts as a flood: tickets and changes of
 # keys are rare. A byte of an answer pays for a record of its own, with room to spare.
@@ -72,36 +66,19 @@ def security_of(endpoint: Endpoint, given: Given | None) -> Security | Given:
         return given
     if given is not None:
         raise ValueError(f"{endpoint}: security is given as such and in the URL")
-    return _named_security(str(endpoint), endpoint.options)
-
-
-def _named_security(place: str, options: Mapping[str, str]) -> Security:
-    """
-    Return the security described by options of URLs.
-
-    Args:
-        place: the place of the options, for error messages.
-
-    Raises:
-        TypeError, ValueError: an option is missing; or as for `Security`.
-    """
+    options: Mapping[str, str] = endpoint.options
     if "cert" not in options:
-        raise ValueError(f"{place} lacks cert, the file with one's own certificate")
+        raise ValueError(f"{endpoint} lacks cert, the file with one's own certificate")
     if ("ca" in options) == ("pin" in options):
-        raise ValueError(f"{place} needs either ca, the authorities, or pin, certificates")
+        raise ValueError(f"{endpoint} needs either ca, the authorities, or pin, certificates")
     named: dict[str, Any] = {NAMES[name]: options[name] for name in NAMES if name in options}
     if "pin" in options:
         named["pin"] = options["pin"].split(",")
-    if "password_env" in options:
-        named["password"] = _from_environment(options["password_env"])
+    if (name := options.get("password_env")) is not None:
+        if name not in os.environ:
+            raise ValueError(f"password_env: no environment variable {name!r}")
+        named["password"] = os.environ[name]
     return Security(**named)
-
-
-def _from_environment(name: str) -> str:
-    try:
-        return os.environ[name]
-    except KeyError:
-        raise ValueError(f"password_env: no environment variable {name!r}") from None
 
 
 class TlsPort(TcpPort):
@@ -240,7 +217,10 @@ class TlsPort(TcpPort):
         if self._failure is not None:
             if not received:
                 raise self._failure
-            self._be_ready()
+            try:  # make the descriptor readable, so that a waiting program reads here once more
+                self._socket.shutdown(socket.SHUT_RD)
+            except OSError as error:
+                of_system(error)
         return received
 
     def _read(self) -> None:
@@ -268,13 +248,6 @@ class TlsPort(TcpPort):
         self._chaff = max(0, self._chaff)
         if self._chaff > MAX_CHAFF and self._failure is None:
             self._failure = ModbusConnectionError("flooded with bytes that are not a response")
-
-    def _be_ready(self) -> None:
-        """Make the descriptor readable, so that a waiting program reads here once more."""
-        try:
-            self._socket.shutdown(socket.SHUT_RD)
-        except OSError as error:
-            of_system(error)
 
     # --- sending --------------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from ..protocol.callbacks import finished, log_failure
+from ..protocol.checks import finished, log_failure
 from ..protocol.framing import pdu_of, transaction_of
 from .schemes import framing_of
 
@@ -105,7 +105,7 @@ class Trace:
         self._callback = callback
         self._peer = peer
         self._later = later
-        self.is_on: Callable[[], bool] = _is_logged if callback is None else _always
+        self.is_on: Callable[[], bool] = _is_logged if callback is None else lambda: True
 
     def tell(
         self,
@@ -133,17 +133,10 @@ class Trace:
                 log_failure(__name__, "trace(%s) failed", traced)
 
 
-def _always() -> bool:
-    return True
-
-
 def _is_logged() -> bool:
-    """
-    Return True if the logger is at DEBUG.
-
-    Logging is not imported here, because that takes an eighth of the time of importing the whole
-    client: a program that has not imported it cannot have set DEBUG.
-    """
+    """Return True if the logger is at DEBUG."""
+    # A program that has not imported logging cannot have set it; the import here would take an
+    # eighth of the time of importing the whole client.
     global _wire
     if _wire is None and "logging" in sys.modules:
         import logging

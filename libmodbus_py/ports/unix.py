@@ -27,9 +27,6 @@ __all__ = ["UnixListener", "UnixPort"]
 # The bytes of a path in struct sockaddr_un, without the final 0.
 MAX_PATH = 107 if sys.platform == "linux" else 103
 
-# The owner of the socket and its group may connect, which needs the permission to write.
-MODE = 0o660
-
 # Tries to lock the folder, a hundredth of a second apart: another program holds it while it makes
 # its own socket, which takes less than a millisecond.
 TRIES = 100
@@ -94,15 +91,17 @@ class UnixListener:
         made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             made.setblocking(False)
-            with contextlib.suppress(OSError):  # Linux makes the file with the mode of the socket
-                os.fchmod(made.fileno(), 0)
+            # Linux makes the file with the mode of the socket. Its owner may connect at once: else
+            # a server that is killed before it lets others in would seem to be there for ever.
+            with contextlib.suppress(OSError):
+                os.fchmod(made.fileno(), 0o600)
             async with _locked(os.path.dirname(self._path) or "."):
                 if os.path.lexists(self._path):
                     self._remove_stale()
                 made.bind(self._path)
                 self._identity = _identity(self._path)
                 made.listen(BACKLOG)
-                os.chmod(self._path, MODE)
+                os.chmod(self._path, 0o660)  # who connects needs the permission to write
         except BaseException:
             self.close()
             made.close()

@@ -24,7 +24,11 @@ async def run_async(steps: Steps[Result]) -> Result:
         wanted = next(steps)
         while True:
             try:
-                found = await _wait_async(wanted)
+                found: Any
+                if isinstance(wanted, Resolve):
+                    found = await look_up(wanted)
+                else:
+                    found = await _ready(wanted)
             except OSError as error:
                 of_system(error)
                 wanted = steps.throw(error)
@@ -35,12 +39,6 @@ async def run_async(steps: Steps[Result]) -> Result:
         return result
     finally:
         steps.close()
-
-
-async def _wait_async(wanted: Ready | Resolve) -> Any:
-    if isinstance(wanted, Resolve):
-        return await look_up(wanted)
-    return await _ready(wanted)
 
 
 async def look_up(wanted: Resolve) -> list[Any]:

@@ -4,12 +4,10 @@ Bytes and values, for both ends. No socket, no clock, no event loop, no libmodbu
 Bottom up:
 
     errors     the exceptions, grouped by cause
-    mistakes   errors that contain the path of the wrong value
-    checks     numbers that callers give, and durations that people type
-    words      names of tables, types and orders as vendors write them; references such as 40123
-    close_names  names that are close to one that does not exist
+    mistakes   errors about arguments: the path of a wrong value, and close names
+    checks     what callers pass: numbers, durations, functions; what is logged when one fails
+    words      the names of types and orders, and vendors' words for them; references such as 40123
     extras     optional dependencies, and how each is added to this installation
-    callbacks  functions of users: which are refused, and what is logged when one fails
     logs       loggers whose handlers may fail
     scan       the CRC, and where RTU frames begin and end; in C (scan.c)
     pdu        one class for each function: encode and decode, request and response
@@ -17,13 +15,8 @@ Bottom up:
     frames     frames, and the base of framers
     framing    unit and PDU as bytes on TCP, UDP, RTU and ASCII lines, and back
     echo       the local echo of a line among received bytes
-    tables     the four tables: what they contain, and how much of it a request may carry
-    ranges     ranges of addresses: as an argument, joined, and searched
+    tables     the four tables: what they contain, how much of it a request may carry, and ranges
     values     numbers, text, bits and times in registers
-               (type_names: what type checkers know of them; encodings: those of text)
-    times      dates and times in registers
-               (local_times: those of devices whose clocks show local time)
-    spelling   values as people read and type them
-    plain      values as JSON can contain them, text for terminals, points in time
-    json_text  the encoders of JSON
+               (value_types: what they have in common; times: the forms of dates and times)
+    plain      values as text: as people read and type them, as JSON can contain them, for terminals
 """

@@ -118,9 +118,6 @@ class Echo:
 
 
 def _start(adu: bytes, data: bytes) -> int | None:
-    """
-    Return where a frame begins in received bytes, or may still begin; None for nowhere.
-
-    A transceiver that turns round may add bytes before an echo: fewer than the shortest frame has.
-    """
+    """Return where a frame begins in received bytes, or may still begin; None for nowhere."""
+    # A transceiver that turns round may add bytes before it: fewer than the shortest frame has.
     return next((at for at in range(MIN_ADU) if adu.startswith(data[at : at + len(adu)])), None)

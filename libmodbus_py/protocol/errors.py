@@ -213,21 +213,8 @@ class GatewayTargetFailedToRespond(ExceptionResponse):
 NO_UNIT = (GatewayPathUnavailable, GatewayTargetFailedToRespond)
 """The exceptions of a gateway in place of a unit that it cannot reach (application protocol, 7)."""
 
-
 _BY_CODE: dict[int, type[ExceptionResponse]] = {
-    kind.code: kind
-    for kind in (
-        IllegalFunction,
-        IllegalDataAddress,
-        IllegalDataValue,
-        ServerDeviceFailure,
-        Acknowledge,
-        ServerDeviceBusy,
-        NegativeAcknowledge,
-        MemoryParityError,
-        GatewayPathUnavailable,
-        GatewayTargetFailedToRespond,
-    )
+    kind.code: kind for kind in ExceptionResponse.__subclasses__()
 }
 
 

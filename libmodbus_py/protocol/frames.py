@@ -111,7 +111,8 @@ class Framer(ABC):
     def scan_silence(self) -> list[Frame | FrameError]:
         """As `scan`, for silence."""
         self._scan_silence()
-        return self._give()
+        found, self._found = self._found, []
+        return found
 
     @abstractmethod
     def encode(self, frame: Frame) -> bytes:
@@ -137,10 +138,6 @@ class Framer(ABC):
         """Drop the first bytes."""
         self._report(why, self.rest[:count], overrun=overrun)
         del self.rest[:count]
-
-    def _give(self) -> list[Frame | FrameError]:
-        found, self._found = self._found, []
-        return found
 
     def _frames(self, found: list[Frame | FrameError]) -> list[Frame]:
         frames = [each for each in found if type(each) is Frame]

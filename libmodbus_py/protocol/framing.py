@@ -239,7 +239,7 @@ class RtuFramer(Framer):
         del self.rest[:count]
 
 
-LINE_FEED = 0x0A
+LINE_FEED = ord("\n")
 """The last byte of ASCII frames, unless the device was set to another one."""
 
 _DIGITS = re.compile(rb"(?:[0-9A-Fa-f]{2})*")

@@ -1,7 +1,7 @@
 """
 Loggers whose handlers may fail: a full disk must not end a connection, or a server.
 
-Separate from `callbacks`, because blocking clients import logging only when there is something to
+Separate from `checks`, because blocking clients import logging only when there is something to
 log.
 """
 

@@ -1,5 +1,5 @@
 """
-Values as JSON can contain them, text for terminals, and points in time, as outputs show them.
+Values as text: as people read and type them, as JSON can contain them, and points in time.
 
 Files, JSON, CSV, logs and messages have times of ISO 8601 in UTC, so that they sort, and do not
 depend on the place. Lines that a person watches have the clock of the place.
@@ -8,20 +8,43 @@ depend on the place. Lines that a person watches have the clock of the place.
 from __future__ import annotations
 
 import enum
+import json
 import math
 import re
-from typing import Any
+import reprlib
+from collections.abc import Callable, Iterable
+from itertools import count
+from typing import TYPE_CHECKING, Any
 
+from .mistakes import WrongValue
 from .pdu import Request
 from .pdu.request import arguments
+from .value_types import ValueType
 
+if TYPE_CHECKING:
+    from datetime import datetime
+
+# fmt: off
 __all__ = [
-    "CONTROL",
-    "clock_text",
-    "plain",
-    "time_text",
-    "without_controls",
+    "BITS", "COMPACT_JSON", "CONTROL", "JSON", "SORTED_JSON", "bit_of", "clock_text", "decimal_of",
+    "each_once", "json_line", "json_text", "number_of", "plain", "text_of", "time_of", "time_text",
+    "units_of", "value_of", "without_controls",
 ]
+# fmt: on
+
+# All JSON of the package is encoded by one of these, which raise a ValueError for a nan or an
+# infinity, in place of which `plain` returns None.
+JSON = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
+"""Encodes text as it is."""
+
+COMPACT_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
+"""Encodes text in ASCII, without spaces."""
+
+SORTED_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"), sort_keys=True)
+"""Encodes the same for equal values, without spaces."""
+
+json_text = json.JSONEncoder(allow_nan=False).encode
+"""Returns a value as JSON, in ASCII."""
 
 CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
 """Control characters (Cc of Unicode) beside the line feed: terminals obey them."""
@@ -55,6 +78,29 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(each) for each in value]
     return value
+
+
+def json_line(value: Any) -> str:
+    """Return a value as JSON, in which text is as it is, but for characters that print nothing."""
+    text = JSON.encode(value)
+    if text.isprintable():
+        return text
+    return "".join(each if each.isprintable() else json_text(each)[1:-1] for each in text)
+
+
+def each_once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """
+    Return the dict of names and values, as `object_pairs_hook` of ``json.loads``, too.
+
+    Raises:
+        WrongValue: a name occurs twice, of which json would take the last.
+    """
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise WrongValue.about((name,), "occurs twice")
+        found[name] = value
+    return found
 
 
 def without_controls(text: str) -> str:
@@ -102,3 +148,160 @@ def clock_text(seconds: float, *, with_milliseconds: bool = False) -> str:
 
 def _seconds_text(seconds: float) -> str:
     return f"{seconds:.3f}s"
+
+
+# --- values of types -------------------------------------------------------------------
+
+BITS = {"0": False, "1": True, "off": False, "on": True, "false": False, "true": True}
+
+
+def _family(kind: ValueType) -> str:
+    return kind.name.rstrip("0123456789")
+
+
+# As many digits as every value keeps (IEEE 754); up to three more tell every two values apart.
+DIGITS = {"float16": 3, "float32": 6}
+
+
+def _shortest(value: float, kind: ValueType) -> str:
+    """The shortest number with the same bits: 3.14, not 3.140000104904175."""
+    fewest = DIGITS.get(kind.name)
+    # Python shows the shortest of float64. A nan's sign is in its bits, and in no text.
+    if fewest is None or not math.isfinite(value):
+        return str(value)
+    numbers = (float(f"{value:.{digits}g}") for digits in count(fewest))
+    return str(next(number for number in numbers if kind.encode(number) == kind.encode(value)))
+
+
+SHOWN: dict[str, Callable[[Any, ValueType], str]] = {
+    "float": _shortest,
+    "bits": lambda value, _: "".join(str(int(bit)) for bit in value),
+    "string:": lambda value, _: repr(value),
+}
+"""Family of types -> how a value of it is printed; others as numbers."""
+
+
+def text_of(value: Any, kind: ValueType) -> str:
+    """
+    Return a value of a type as text: the shortest number, the lowest bit first, quoted text, times
+    as in ISO 8601.
+    """
+    show = SHOWN.get(_family(kind))
+    if show:
+        return show(value, kind)
+    return str(value.isoformat()) if kind.is_time else str(value)
+
+
+def number_of(name: str, text: str) -> int:
+    """
+    Read an integer as Python writes them, such as 31 or 0x1F.
+
+    Raises:
+        ValueError: it is none; the message begins with `name`.
+    """
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise ValueError(f"{name} must be a number, not {text!r}") from None
+
+
+def bit_of(text: str) -> bool:
+    """
+    Read one of 0, 1, off, on, false, true.
+
+    Raises:
+        ValueError: it is none of them.
+    """
+    try:
+        return BITS[text.lower()]
+    except KeyError:
+        raise ValueError(f"value must be one of {', '.join(BITS)}, not {text!r}") from None
+
+
+def decimal_of(text: str) -> float:
+    """
+    Read a number such as 21.5, inf or nan.
+
+    Raises:
+        ValueError: it is none, or one too large for a float; the message begins with "value".
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        raise ValueError(f"value must be a number, not {text!r}") from None
+    if math.isinf(value) and "inf" not in text.lower():  # such as 1e400, which is not meant so
+        raise ValueError(f"value is too large: {reprlib.repr(text)}")
+    return value
+
+
+def time_of(text: str) -> datetime:
+    """
+    Read a date and time with its time zone (ISO 8601), such as 2026-07-01T12:00:00Z.
+
+    Raises:
+        ValueError: it is none; the message begins with "value".
+    """
+    from datetime import datetime
+
+    try:
+        found = datetime.fromisoformat(text.strip())
+    except ValueError:
+        found = None
+    if found is None or found.utcoffset() is None:
+        wanted = "a date and time with a time zone, such as 2026-07-01T12:00:00Z"
+        raise ValueError(f"value must be {wanted}, not {reprlib.repr(text)}")
+    return found
+
+
+def _bits(text: str) -> list[int]:
+    if not re.fullmatch("[01]+", text):
+        raise ValueError(f"value must be digits 0 and 1, lowest bit first, not {text!r}")
+    return [int(digit) for digit in text]
+
+
+PARSERS: dict[str, Callable[[str], Any]] = {
+    "float": decimal_of,
+    "bits": _bits,
+    "string:": str,
+    "eui": str,
+}
+"""Family of types -> how a value of it is typed; others as numbers."""
+
+
+def value_of(text: str, kind: ValueType) -> Any:
+    """
+    Read a value of a type, as `text_of` returns it; text without quotes.
+
+    Raises:
+        ValueError: it is none; the message begins with "value".
+    """
+    if kind.is_time:
+        return time_of(text)
+    parse = PARSERS.get(_family(kind))
+    return number_of("value", text) if parse is None else parse(text)
+
+
+_UNITS = re.compile(r"\s*([0-9]{1,3})\s*(?:-\s*([0-9]{1,3})\s*)?", re.ASCII)
+
+
+def units_of(text: str) -> list[int]:
+    """
+    Read a list of units 0..255: numbers and ranges with commas between them, such as "1-10,17".
+
+    Returns:
+        The units in the order of the text; a unit that is listed twice is there twice.
+
+    Raises:
+        ValueError: a part of the list is neither a unit nor a range that goes up.
+    """
+    units: list[int] = []
+    for part in text.split(","):
+        found = _UNITS.fullmatch(part)
+        if found is None:
+            raise ValueError(f"{reprlib.repr(part)} must be a unit, or a range such as 1-247")
+        first, last = int(found[1]), int(found[2] or found[1])
+        if not first <= last <= 255:
+            wanted = "be" if found[2] is None else "go up,"
+            raise ValueError(f"{part!r} must {wanted} within 0..255")
+        units += range(first, last + 1)
+    return units

@@ -28,7 +28,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, Literal, NamedTuple
 
 from . import pdu
-from .pdu.fields import IN_C
+from .pdu.request import IN_C
 from .scan import (
     AT_END,
     GOES_ON,

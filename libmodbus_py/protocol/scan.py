@@ -31,12 +31,6 @@ NO_FRAME: int = lib.NO_FRAME
 UNFINISHED: int = lib.UNFINISHED
 ASK_PYTHON: int = lib.ASK_PYTHON
 
-# Start bit, 8 data bits, parity or a second stop bit, stop bit.
-CHARACTER_BITS = 11
-
-# Above this rate the silence does not become shorter.
-FASTEST, SHORTEST = 19_200, 0.00175
-
 ALLOWANCE = 0.02
 """Seconds after which a byte that was received is here: USB adapters keep bytes for 16 ms."""
 
@@ -64,9 +58,10 @@ def is_one_adu(data: bytes) -> bool:
     return MIN_ADU <= len(data) <= MAX_ADU and not crc16(data)
 
 
-def pause_between_frames(baudrate: int, bits: int = CHARACTER_BITS) -> float:
+def pause_between_frames(baudrate: int, bits: int = 11) -> float:
     """
-    Return the silence that ends a frame and precedes the next: 3.5 characters, 1.75 ms at least.
+    Return the silence that ends a frame and precedes the next, in seconds: 3.5 characters, or
+    1.75 ms above 19200 bit/s.
 
     Args:
         baudrate: bits per second, 1 or more.
@@ -74,9 +69,7 @@ def pause_between_frames(baudrate: int, bits: int = CHARACTER_BITS) -> float:
 
     Source: MODBUS over Serial Line V1.02, section 2.5.1.1.
     """
-    if baudrate > FASTEST:
-        return SHORTEST
-    return 3.5 * max(bits, CHARACTER_BITS) / baudrate
+    return 0.00175 if baudrate > 19_200 else 3.5 * max(bits, 11) / baudrate
 
 
 class FrameScanner:

@@ -2,19 +2,22 @@
 Dates and times in registers.
 
 Values are datetimes with a time zone. Registers hold none, so that the time of a device is taken as
-UTC here, and what is written is converted to UTC first; `local_times` has the other zones.
+UTC, and what is written is converted to UTC first. `in_time_zone` is for devices whose registers
+hold the wall clock of a zone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta, tzinfo
 from struct import pack, unpack
 from typing import Any, NamedTuple
 
 from .mistakes import Path, WrongType, WrongValue
+from .value_types import ValueType
 
-__all__ = ["TIMES", "checked_time", "pack_time", "unpack_time"]
+__all__ = ["TIMES", "checked_time_zone", "in_time_zone", "pack_time", "unpack_time"]
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -35,14 +38,7 @@ class TimeForm(NamedTuple):
     unpack: Callable[[bytes], datetime]
 
 
-def checked_time(name: str | Path, value: object) -> datetime:
-    """
-    Return a datetime in UTC.
-
-    Raises:
-        TypeError: no datetime.
-        ValueError: it has no time zone.
-    """
+def _checked_time(name: str | Path, value: object) -> datetime:
     if not isinstance(value, datetime):
         raise WrongType(name, f"must be a datetime, not {type(value).__name__}")
     if value.utcoffset() is None:
@@ -109,10 +105,6 @@ def _fields(time: datetime) -> tuple[int, ...]:
     return time.month, time.day, time.hour, time.minute, time.second
 
 
-def _bytes_to(time: datetime) -> bytes:
-    return bytes((_short_year(time.year, 255), *_fields(time)))
-
-
 def _bytes_from(data: bytes) -> datetime:
     year, *others = data
     return datetime(CENTURY + year, *others, tzinfo=UTC)  # type: ignore[arg-type, misc]
@@ -129,22 +121,19 @@ def _digits_from(data: bytes) -> datetime:
     return _bytes_from(bytes(int(text[at : at + 2]) for at in range(0, 12, 2)))
 
 
-def _registers_to(time: datetime) -> bytes:
-    return pack(">6H", time.year, *_fields(time))
-
-
-def _registers_from(data: bytes) -> datetime:
-    return datetime(*unpack(">6H", data), tzinfo=UTC)  # type: ignore[misc]
-
-
 TIMES: dict[str, TimeForm] = {
     "unix32": _since_1970(32, timedelta(seconds=1)),
     "unix64": _since_1970(64, timedelta(seconds=1)),
     "ms64": _since_1970(64, timedelta(milliseconds=1)),
     "iec870": TimeForm(_iec870_to, _iec870_from),
-    "date48": TimeForm(_bytes_to, _bytes_from),
+    "date48": TimeForm(
+        lambda time: bytes((_short_year(time.year, 255), *_fields(time))), _bytes_from
+    ),
     "bcddate48": TimeForm(_digits_to, _digits_from),
-    "date96": TimeForm(_registers_to, _registers_from),
+    "date96": TimeForm(
+        lambda time: pack(">6H", time.year, *_fields(time)),
+        lambda data: datetime(*unpack(">6H", data), tzinfo=UTC),  # type: ignore[misc]
+    ),
 }
 """Name -> form."""
 
@@ -156,7 +145,7 @@ def pack_time(form: TimeForm, name: str | Path, value: Any) -> bytes:
     Raises:
         TypeError, ValueError: no datetime with a time zone, or one that the form cannot hold.
     """
-    time = checked_time(name, value)
+    time = _checked_time(name, value)
     try:
         return form.pack(time)
     except OverflowError as error:
@@ -175,3 +164,67 @@ def unpack_time(form: TimeForm, data: bytes) -> datetime:
         return form.unpack(data)
     except (ValueError, OverflowError):
         raise ValueError(f"{data.hex(' ').upper()} is not a time") from None
+
+
+# --- local times --------------------------------------------------------------------------
+
+
+def checked_time_zone(name: str | Path, given: object) -> tzinfo:
+    """
+    Return a time zone of the IANA database, such as "Europe/Berlin".
+
+    Raises:
+        TypeError, ValueError: this system knows no such zone.
+    """
+    if not isinstance(given, str):
+        raise WrongType(name, f"must be the name of a time zone, not {type(given).__name__}")
+    from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+
+    try:
+        return ZoneInfo(given)
+    except (ValueError, OSError, ZoneInfoNotFoundError):  # the last one is a KeyError
+        wanted = "a time zone that this system knows, such as Europe/Berlin"
+        raise WrongValue(name, f"must be {wanted}, not {given[:100]!r}") from None
+
+
+def in_time_zone(kind: ValueType, zone: tzinfo) -> ValueType:
+    """
+    Return a type of times whose registers hold the local time of a zone.
+
+    A local time that occurs twice, when summer time ends, is the first of both, unless the type
+    tells summer time from standard time, as iec870 does; one that is left out, when summer time
+    begins, is not a value.
+    """
+    has_summer = kind.name == "iec870"
+
+    def pack(name: str | Path, value: object) -> bytes:
+        try:
+            local = _checked_time(name, value).astimezone(zone)
+        except OverflowError:
+            raise WrongValue(name, "must be a year in 1..9999") from None
+        data = kind.pack(name, local.replace(tzinfo=UTC, fold=0))
+        if has_summer and local.dst():
+            return data[:4] + bytes([data[4] | 0x80]) + data[5:]  # SU of CP56Time2a
+        return data
+
+    def unpack(data: bytes) -> datetime:
+        wall = kind.unpack(data)
+        if not has_summer:
+            return _moment(wall, zone, fold=0)
+        is_summer = bool(data[4] & 0x80)
+        return _moment(wall + timedelta(hours=is_summer), zone, fold=not is_summer)
+
+    return replace(kind, pack=pack, unpack=unpack)
+
+
+def _moment(wall: datetime, zone: tzinfo, *, fold: int) -> datetime:
+    """Return the moment in UTC at which the clocks of a zone show a time."""
+    local = wall.replace(tzinfo=zone, fold=fold)
+    try:
+        moment = local.astimezone(UTC)
+        shown = moment.astimezone(zone)
+    except OverflowError:
+        raise ValueError(f"{wall:%Y-%m-%d} is out of range") from None
+    if shown.replace(tzinfo=None) != wall.replace(tzinfo=None):
+        raise ValueError(f"clocks in {zone} never show {wall:%Y-%m-%d %H:%M:%S}")
+    return moment

@@ -32,7 +32,7 @@ DCBA BA HGFEDCBA little-endian    7856 3412
 Text is always in reading order: its registers are never reversed, only the bytes of
 each are swapped (BADC, DCBA).
 
-libmodbus's own float functions are not used: they differ between versions.
+The float functions of libmodbus are not used, because they differ between versions.
 """
 
 from __future__ import annotations
@@ -41,33 +41,31 @@ import re
 import reprlib
 import struct
 import sys
-from collections.abc import Callable, Iterable, Mapping, Set
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable
+from dataclasses import replace
+from encodings import normalize_encoding
+from encodings.aliases import aliases
 from typing import TYPE_CHECKING, Any, NamedTuple, SupportsFloat, SupportsIndex
 
-from .checks import are_registers, integer, shown
-from .encodings import ENCODINGS, encoded, fill_of, pack_mac, unpack_mac
+from .checks import integer, shown
 from .mistakes import Path, WrongType, WrongValue, item
-from .type_names import (
+from .value_types import ORDERS, ValueType, cells_of, checked_order, items_of
+from .words import (
     MAX_STRING_BYTES,
+    TYPE_WORDS,
     BitsType,
     Layout,
     NumberType,
     Order,
+    Reference,
     StringType,
     TextOptions,
     TextType,
     TimeType,
     TypeName,
-    string_type,
-)
-from .words import (
-    ORDER_WORDS,
-    TYPE_WORDS,
-    Reference,
     close_word,
-    order_named,
     parse_reference,
+    string_type,
     type_named,
 )
 
@@ -82,200 +80,8 @@ __all__ = [
 ]
 # fmt: on
 
-# --- orders ------------------------------------------------------------------------
 
-ORDERS: dict[str, tuple[bool, bool]] = {
-    "ABCD": (False, False),
-    "CDAB": (True, False),
-    "BADC": (False, True),
-    "DCBA": (True, True),
-}
-"""Order -> (registers reversed, bytes of each swapped)."""
-
-_SPELLINGS = {
-    "AB": ("ABCD", 1),
-    "BA": ("BADC", 1),
-    "ABCDEFGH": ("ABCD", 4),
-    "GHEFCDAB": ("CDAB", 4),
-    "BADCFEHG": ("BADC", 4),
-    "HGFEDCBA": ("DCBA", 4),
-}
-
-
-def _order(order: object, kind: ValueType) -> str:
-    if not isinstance(order, str):
-        raise WrongType("order", f"must be one of {', '.join(ORDERS)}, not {type(order).__name__}")
-    name, width = _SPELLINGS.get(order.upper(), (order.upper(), None))
-    name = name if name in ORDERS else order_named(order) or name
-    if name not in ORDERS:
-        close = close_word(name, ORDERS, ORDER_WORDS)
-        wanted = f"must be one of {', '.join(ORDERS)}"
-        raise WrongValue("order", f"{wanted}, not {reprlib.repr(order)}{close}")
-    if width not in (None, 1 if kind.is_text else kind.registers):
-        wanted = f"one of {', '.join(ORDERS)}"
-        raise WrongValue("order", f"of {kind.name} must be {wanted}, not {order!r}")
-    return name
-
-
-def _reorder(data: bytes, words: bool, swap: bool) -> bytes:
-    if words:
-        data = data[::-1]  # which swaps the bytes of each, too
-    if words == swap:
-        return data
-    swapped = bytearray(data)
-    swapped[0::2], swapped[1::2] = data[1::2], data[0::2]
-    return bytes(swapped)
-
-
-# --- types -------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class ValueType:
-    """
-    A type of values in one byte order, made by `value_type`.
-
-    Attributes:
-        name: the name of the type, as in the module's docstring.
-        registers: the number of registers of one value, 1..125.
-        pack: returns the bytes of a value in the order ABCD; takes its name for errors, and it.
-        unpack: returns the value of bytes in the order ABCD; raises ValueError.
-        order: ABCD, CDAB, BADC or DCBA.
-        limits: the lowest and the highest number; None if values are not numbers.
-        is_text: True if the registers are in reading order, whatever the order.
-        is_time: True if values are datetimes, with a time zone.
-    """
-
-    name: str
-    registers: int
-    pack: Callable[[str | Path, Any], bytes] = field(repr=False)
-    unpack: Callable[[bytes], Any] = field(repr=False)
-    limits: tuple[int, int] | tuple[float, float] | None = None
-    is_text: bool = False
-    order: str = "ABCD"
-    is_time: bool = False
-
-    def encode(self, value: Any) -> list[int]:
-        """
-        Return the registers of one value, 0..65535 each.
-
-        Args:
-            value: a number; for bits, a list of True and False, lowest first; for string:N and
-                eui48, a string, which is never truncated; for times, a datetime with a time zone,
-                whose fractions of a second are dropped if the type has none.
-
-        Raises:
-            TypeError, ValueError: the value does not fit the type.
-        """
-        return self._to_registers("value", value)
-
-    def encode_many(self, values: Iterable[Any]) -> list[int]:
-        """
-        Return the registers of values, one value after the other.
-
-        Raises:
-            TypeError, ValueError: `values` is not a list, or a value does not fit the type; the
-                message names the value.
-        """
-        found = []
-        for at, value in enumerate(_items("values", values)):
-            found += self._to_registers(("values", at), value)
-        return found
-
-    def decode(self, registers: Iterable[int]) -> Any:
-        """
-        Return the value of its registers.
-
-        Returns:
-            An int, a float, a list of True and False, a datetime in UTC, or a string without the
-            padding at its end.
-
-        Raises:
-            TypeError, ValueError: there are too many or too few registers, they are not
-                0..65535 each, or they hold no such value.
-        """
-        cells = _cells(registers)
-        if len(cells) != self.registers:
-            raise WrongValue(
-                "registers", f"must hold {self.registers} for {self.name}, not {len(cells)}"
-            )
-        return self._from_registers(cells)[0]
-
-    def decode_many(self, registers: Iterable[int]) -> list[Any]:
-        """
-        Return the values of registers, one after the other; an empty list without registers.
-
-        Raises:
-            TypeError, ValueError: the last value is incomplete, or registers are not 0..65535
-                each or hold no such value; the message names the registers.
-        """
-        cells = _cells(registers)
-        if len(cells) % self.registers:
-            raise WrongValue(
-                "registers",
-                f"must hold a multiple of {self.registers} for {self.name}, not {len(cells)}",
-            )
-        return self._from_registers(cells)
-
-    def _to_registers(self, name: str | Path, value: object) -> list[int]:
-        data = self._reordered(self.pack(name, value))
-        return list(struct.unpack(f">{self.registers}H", data))
-
-    def _from_registers(self, cells: list[int]) -> list[Any]:
-        data = struct.pack(f">{len(cells)}H", *cells)
-        size = 2 * self.registers
-        return [self._from_part(data[at : at + size], at // 2) for at in range(0, len(data), size)]
-
-    def _from_part(self, data: bytes, at: int) -> Any:
-        try:
-            return self.from_bytes(data)
-        except ValueError as error:
-            end = at + self.registers
-            raise ValueError(f"registers[{at}:{end}] hold no {self.name}: {error}") from None
-
-    def from_bytes(self, data: bytes) -> Any:
-        """
-        Return the value of the bytes of its registers, as in a response.
-
-        Raises:
-            ValueError: the bytes hold no such value.
-        """
-        return self.unpack(self._reordered(data))
-
-    @property
-    def reader(self) -> Callable[[bytes], Any]:
-        """Return a function that does the same as `from_bytes`, with fewer calls if possible."""
-        return self.unpack if self.order == "ABCD" else self.from_bytes
-
-    def to_number(self, data: bytes) -> int:
-        """Return the bits of one value of any type as an unsigned number."""
-        return int.from_bytes(self._reordered(data), "big")
-
-    def cells_of_number(self, number: int) -> list[int]:
-        """Return the registers that contain the bits of an unsigned number."""
-        data = self._reordered(number.to_bytes(2 * self.registers, "big"))
-        return list(struct.unpack(f">{self.registers}H", data))
-
-    def _reordered(self, data: bytes) -> bytes:
-        if self.order == "ABCD":
-            return data
-        words, swap = ORDERS[self.order]
-        return _reorder(data, words and not self.is_text, swap)
-
-
-def _items(name: str | Path, values: object) -> list[Any]:
-    # Text, sets and mappings are iterable, but never a run of values.
-    unfit = isinstance(values, str | bytes | bytearray | Set | Mapping)
-    if unfit or not isinstance(values, Iterable):
-        raise WrongType(name, f"must be a list, not {type(values).__name__}")
-    return list(values)
-
-
-def _cells(registers: object) -> list[int]:
-    given = registers if type(registers) is list else _items("registers", registers)
-    if are_registers(given):
-        return given
-    return [integer(("registers", at), cell, 0, 0xFFFF) for at, cell in enumerate(given)]
+# --- types of numbers, bits, times and text -------------------------------------------------
 
 
 def _integers(bits: int, signed: bool) -> ValueType:
@@ -330,7 +136,7 @@ def _decimals(bits: int) -> ValueType:
 
 def _flags(bits: int) -> ValueType:
     def pack(name: str | Path, value: object) -> bytes:
-        flags = _items(name, value)
+        flags = items_of(name, value)
         if len(flags) != bits:
             raise WrongValue(name, f"must hold {bits} bits, lowest first, not {len(flags)}")
         number = sum(_bit(item(name, at), flag) << at for at, flag in enumerate(flags))
@@ -362,13 +168,32 @@ def _bit(name: str | Path, flag: object) -> int:
     return int(flag) if isinstance(flag, bool) else integer(name, flag, 0, 1)
 
 
+# fmt: off
+ENCODINGS = frozenset((
+    "ascii", "latin_1", "utf_8", "utf_16", "utf_16_be", "utf_16_le", "utf_32", "utf_32_be",
+    "utf_32_le", "cp1250", "cp1251", "cp1252", "cp1253", "cp1254", "cp1255", "cp1256", "cp1257",
+    "cp1258", "cp437", "cp737", "cp775", "cp850", "cp852", "cp855", "cp857", "cp858", "cp860",
+    "cp861", "cp862", "cp863", "cp864", "cp865", "cp866", "cp869", "iso8859_2", "iso8859_3",
+    "iso8859_4", "iso8859_5", "iso8859_6", "iso8859_7", "iso8859_8", "iso8859_9", "iso8859_10",
+    "iso8859_11", "iso8859_13", "iso8859_14", "iso8859_15", "iso8859_16", "koi8_r", "koi8_u",
+    "mac_roman", "tis_620", "shift_jis", "cp932", "euc_jp", "gb2312", "gbk", "gb18030", "big5",
+    "cp950", "euc_kr", "cp949",
+))
+# fmt: on
+"""
+The encodings of strings in registers, by Python's names of their modules. Not all that Python
+knows: some take the square of the text's length (punycode), and every other name would import
+a module.
+"""
+
+
 def _text(size: int, encoding: str, padding: str, fill: bytes) -> ValueType:
     registers = (size + 1) // 2
 
     def pack(name: str | Path, value: object) -> bytes:
         if not isinstance(value, str):
             raise WrongType(name, f"must be a string, not {type(value).__name__}")
-        data = encoded(name, value, encoding)
+        data = _encoded(name, value, encoding)
         room = size - len(data)
         if room < 0:
             given = f"{reprlib.repr(value)} with {len(data)}"
@@ -388,6 +213,55 @@ def _text(size: int, encoding: str, padding: str, fill: bytes) -> ValueType:
     return ValueType(f"string:{size}", registers, pack, unpack, is_text=True)
 
 
+def _known_encoding(encoding: str) -> bool:
+    # Python drops other characters from the name, though not everywhere; 3.15 warns of them.
+    if not (encoding.isascii() and encoding.isprintable()):
+        return False
+    name = normalize_encoding(encoding.lower())
+    return aliases.get(name, name) in ENCODINGS
+
+
+def _encoded(name: str | Path, value: str, encoding: str) -> bytes:
+    try:
+        return value.encode(encoding)
+    except UnicodeError:
+        raise WrongValue(name, f"must be {encoding}, not {reprlib.repr(value)}") from None
+
+
+def _fill_of(padding: str, encoding: str) -> bytes:
+    """Return the bytes of one more padding: without the mark that begins UTF-16 text."""
+    for name, given in (("encoding", encoding), ("padding", padding)):
+        if not isinstance(given, str):
+            raise WrongType(name, f"must be a string, not {type(given).__name__}")
+    if len(padding) != 1:
+        raise WrongValue("padding", f"must be one character, not {reprlib.repr(padding)}")
+    if not _known_encoding(encoding):
+        raise WrongValue(
+            "encoding",
+            f"must be ascii, latin-1, utf-8, cp1252 or another of values.ENCODINGS,"
+            f" not {reprlib.repr(encoding)}",
+        )
+    one, two = (_encoded("padding", padding * count, encoding) for count in (1, 2))
+    return two[len(one) :]
+
+
+_MAC = re.compile(r"[0-9A-Fa-f]{2}(?:[:-][0-9A-Fa-f]{2}){5}", re.ASCII)
+
+
+def _pack_mac(name: str | Path, value: object) -> bytes:
+    """Return the eight bytes of a MAC address: two of padding, which are 0, come first."""
+    if not isinstance(value, str):
+        raise WrongType(name, f"must be a string, not {type(value).__name__}")
+    if not _MAC.fullmatch(value):
+        raise WrongValue(name, f"must be like 0D:D7:4C:C6:44:8E, not {reprlib.repr(value)}")
+    return bytes.fromhex(f"0000{value.replace(':', '').replace('-', '')}")
+
+
+def _unpack_mac(data: bytes) -> str:
+    """Return the MAC address that eight bytes hold; the two of padding may hold anything."""
+    return data[2:].hex(":").upper()
+
+
 TIME_REGISTERS = {
     "unix32": 2, "unix64": 4, "ms64": 4, "iec870": 4, "date48": 3, "bcddate48": 3, "date96": 6,
 }  # fmt: skip
@@ -404,7 +278,7 @@ TYPES: dict[str, ValueType] = {
         *(_decimals(bits) for bits in (16, 32, 64)),
         *(_flags(bits) for bits in (16, 32, 64)),
         *(_moments(name, registers) for name, registers in TIME_REGISTERS.items()),
-        ValueType("eui48", 4, pack_mac, unpack_mac),
+        ValueType("eui48", 4, _pack_mac, _unpack_mac),
     )
 }
 """Name -> type, in the order ABCD; strings are made by `value_type`."""
@@ -430,7 +304,7 @@ def value_type(
         TypeError, ValueError: there is no such type, order, encoding or padding.
     """
     kind = _known(name) or _string(name, encoding, padding)
-    return replace(kind, order=_order(order, kind))
+    return replace(kind, order=checked_order(order, kind))
 
 
 def _known(name: object) -> ValueType | None:
@@ -448,7 +322,7 @@ def _string(name: str, encoding: str, padding: str) -> ValueType:
     size = int(found[1])
     if not 1 <= size <= MAX_STRING_BYTES:
         raise WrongValue("type", f"string:N: N must be in 1..{MAX_STRING_BYTES}, not {size}")
-    return _text(size, encoding, padding, fill_of(padding, encoding))
+    return _text(size, encoding, padding, _fill_of(padding, encoding))
 
 
 # --- interpretations ----------------------------------------------------------------------
@@ -484,7 +358,7 @@ def readings(registers: Iterable[int]) -> list[Interpretation]:
     Raises:
         TypeError, ValueError: there are not 1..125 registers, or one is not 0..65535.
     """
-    cells = _cells(registers)
+    cells = cells_of(registers)
     count = integer("the number of registers", len(cells), 1, 125)
     fitting = [kind for kind in TYPES.values() if kind.registers == count]
     names = [kind.name for kind in fitting if kind.limits or kind.name.startswith("bits")]

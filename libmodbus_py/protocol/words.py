@@ -1,6 +1,7 @@
 """
-The words of tables, types and orders, as vendors and other tools write them; and references, such
-as 40123, by which manuals number the items of tables.
+The names of types and orders, as `values` explains them and type checkers know them; the words of
+vendors and other tools for tables, types and orders; and references, such as 40123, by which
+manuals number the items of tables.
 
 Words are taken wherever a table, a type or an order is: by the clients, in register maps and device
 files, and on the command line. Only words that every vendor means alike are here: a "long" has 32
@@ -11,17 +12,82 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Literal, NamedTuple, NewType, TypeAlias, TypedDict
 
-from .close_names import close_to
-from .mistakes import WrongValue
+from .checks import integer
+from .mistakes import WrongValue, close_to
 
 # fmt: off
 __all__ = [
-    "ORDER_WORDS", "REFERENCE_TABLES", "TABLE_WORDS", "TYPE_WORDS", "Reference", "by_word",
-    "close_word", "order_named", "parse_reference", "plain", "table_named", "type_named",
+    "MAX_STRING_BYTES", "ORDER_WORDS", "REFERENCE_TABLES", "TABLE_WORDS", "TYPE_WORDS", "BitsType",
+    "FloatType", "IntegerType", "Layout", "NumberType", "Order", "Reference", "StringType",
+    "TextOptions", "TextType", "TimeType", "TypeName", "by_word", "close_word", "order_named",
+    "parse_reference", "plain", "string_type", "table_named", "type_named",
 ]
 # fmt: on
+
+Order = Literal["ABCD", "CDAB", "BADC", "DCBA"]
+"""The orders of bytes, by the names that hold for every width."""
+# fmt: off
+IntegerType = Literal[
+    "int16", "int32", "int64", "uint16", "uint32", "uint64", "bcd16", "bcd32", "bcd64",
+]
+"""Types whose values are whole numbers."""
+FloatType = Literal["float16", "float32", "float64"]
+"""Types whose values are floats."""
+NumberType = Literal[IntegerType, FloatType]
+"""Types whose values are numbers."""
+BitsType = Literal["bits16", "bits32", "bits64"]
+"""Types whose values are lists of True and False."""
+TimeType = Literal["unix32", "unix64", "ms64", "iec870", "date48", "bcddate48", "date96"]
+"""Types whose values are datetimes."""
+StringType = NewType("StringType", str)
+"""The name of a type of strings of any length, as `string_type` returns it."""
+TextType: TypeAlias = Literal[
+    "string:1", "string:2", "string:3", "string:4", "string:5", "string:6", "string:7", "string:8",
+    "string:10", "string:12", "string:14", "string:16", "string:18", "string:20", "string:24",
+    "string:28", "string:30", "string:32", "string:40", "string:48", "string:50", "string:64",
+    "eui48",
+] | StringType
+"""Types whose values are text: MAC addresses, the usual lengths; `string_type` has the others."""
+# fmt: on
+TypeName: TypeAlias = NumberType | BitsType | TimeType | TextType
+"""All of them."""
+
+MAX_STRING_BYTES = 250
+"""Bytes of a string: those of the 125 registers that one request can read."""
+
+
+def string_type(size: int) -> StringType:
+    """
+    Return the name of the type of strings of a size, such as "string:77".
+
+    At run time every such text is a type. Type checkers know the usual sizes, so that a misspelt
+    type is an error with a short message; for other sizes they need this function.
+
+    Args:
+        size: bytes of text, 1..250.
+
+    Raises:
+        TypeError, ValueError: the size is of the wrong type or range.
+    """
+    return StringType(f"string:{integer('size', size, 1, MAX_STRING_BYTES)}")
+
+
+class TextOptions(TypedDict, total=False):
+    """The layout of strings in registers, as for `value_type`."""
+
+    encoding: str
+    padding: str
+
+
+class Layout(TextOptions, total=False):
+    """The layout of any value in registers."""
+
+    order: Order
+
+
+# --- words ---------------------------------------------------------------------------------
 
 _STRING = re.compile(r"(?:string|str|char|ascii|text) ?:? ?([0-9]{1,9})")
 
@@ -63,21 +129,13 @@ TYPE_WORDS = by_word(
         "float16": "f16, half",
         "float32": "float, f32, single, real, ieee754, ieee 754, float 32",
         "float64": "double, f64, lreal, float 64",
-        "bcd16": "",
-        "bcd32": "",
-        "bcd64": "",
         "bits16": "bitfield16, bitmap16, bitmask16",
         "bits32": "bitfield32, bitmap32, bitmask32",
         "bits64": "bitfield64, bitmap64, bitmask64",
-        "unix32": "",
-        "unix64": "",
-        "ms64": "",
-        "iec870": "",
-        "date48": "",
-        "bcddate48": "",
-        "date96": "",
         "eui48": "mac, mac address",
         "bool": "boolean, bit",
+        **dict.fromkeys(("bcd16", "bcd32", "bcd64", "unix32", "unix64", "ms64", "iec870"), ""),
+        **dict.fromkeys(("date48", "bcddate48", "date96"), ""),
     }
 )
 """Word -> type; "bool" is that of tables of bits, which has no name here."""

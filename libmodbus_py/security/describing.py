@@ -33,9 +33,6 @@ __all__ = [
 ]
 # fmt: on
 
-_REPR = reprlib.Repr()
-_REPR.maxstring = 100
-
 MEANINGS = {
     "WRONG_VERSION_NUMBER": "what answers there is no TLS; is it tcp://?",
     "UNSUPPORTED_PROTOCOL": "it speaks no TLS 1.2 or newer",
@@ -56,7 +53,9 @@ def in_words(error: ssl.SSLError, *, guess: bool = False) -> str:
 
 def quoted(what: object) -> str:
     """Quote text that may come from a peer: on one line, in 100 characters, nothing hidden."""
-    return _REPR.repr(str(what))
+    short = reprlib.Repr()
+    short.maxstring = 100
+    return short.repr(str(what))
 
 
 def digest_of(certificate: bytes) -> str:

@@ -8,12 +8,13 @@ import os
 import re
 import ssl
 from collections.abc import Iterable
+from typing import TypeAlias
 
 from .describing import digest_of, require_cryptography, time_in
 
 __all__ = ["File", "PemFile", "Revoked", "read_pins"]
 
-File = str | os.PathLike[str]
+File: TypeAlias = str | os.PathLike[str]
 
 
 class PemFile:

@@ -12,8 +12,8 @@ import time
 from collections.abc import Iterable
 from typing import Any
 
-from ..protocol.close_names import named_arguments
 from ..protocol.logs import HarmlessLogger
+from ..protocol.mistakes import named_arguments
 from .files import File, PemFile
 from .loaded import Acceptance, Loaded, SecurityFiles
 from .renewed import keep_renewed

@@ -18,12 +18,11 @@ from datetime import UTC, datetime
 from typing import Any, Literal
 
 from ..device.caller import Executed, ValueChange
-from ..protocol.callbacks import checked_callback, finished
-from ..protocol.close_names import named_arguments
+from ..protocol.checks import checked_callback, finished
 from ..protocol.errors import ExceptionResponse
-from ..protocol.json_text import json_line
 from ..protocol.logs import HarmlessLogger
-from ..protocol.plain import time_text
+from ..protocol.mistakes import named_arguments
+from ..protocol.plain import json_line, time_text
 from ..security.describing import CertificateHolder
 
 __all__ = ["Audit", "AuditEvent", "AuditFile", "OnAudited", "audit_of"]

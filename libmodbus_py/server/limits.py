@@ -16,8 +16,7 @@ from typing import Generic, Literal, Protocol, TypeVar
 
 from ..ports.hosts import host_of_peer
 from ..protocol.checks import integer, number, seconds
-from ..protocol.close_names import named_arguments
-from ..protocol.mistakes import WrongType, WrongValue
+from ..protocol.mistakes import WrongType, WrongValue, named_arguments
 from ..system import most_descriptors
 
 __all__ = [

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, NoReturn
 from ..device.hooks import timed
 from ..ports.endpoint import Endpoint, parse_to_listen
 from ..ports.trace import OnTraced, Trace, Traced, is_traced
-from ..protocol.callbacks import checked_callback
+from ..protocol.checks import checked_callback
 from ..protocol.logs import HarmlessLogger
 from .limits import Limits, ServerStatistics
 from .peers import Peers

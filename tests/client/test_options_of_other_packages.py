@@ -27,7 +27,7 @@ from libmodbus_py import (
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.ports.schemes import SERIAL_OPTIONS
 from libmodbus_py.ports.serial import SerialPort
-from libmodbus_py.protocol.close_names import SERIAL_SETTINGS
+from libmodbus_py.protocol.mistakes import SERIAL_SETTINGS
 from tests.support.cases import each_case
 
 

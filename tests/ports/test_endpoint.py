@@ -5,11 +5,13 @@ URLs: what they stand for, what is wrong with them, and how they are shown.
 from __future__ import annotations
 
 import asyncio
+import os
 import re
+from dataclasses import replace
 from typing import Any
 
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from libmodbus_py import (
@@ -25,10 +27,18 @@ from libmodbus_py import (
 )
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.ports.endpoint import Endpoint, parse
-from libmodbus_py.ports.schemes import CLIENT_OPTIONS, SCHEMES, SERIAL_OPTIONS
+from libmodbus_py.ports.schemes import (
+    CLIENT_OPTIONS,
+    SCHEMES,
+    SECURITY_OPTIONS,
+    SERIAL_OPTIONS,
+    TRANSPORTS,
+    options_of,
+)
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.scan import scan
 from libmodbus_py.services.gateway.routes import Route
+from tests.ports.test_hosts import HOSTS
 from tests.support.cases import each_case
 from tests.support.urls import url_for
 
@@ -164,6 +174,9 @@ ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
         ("h:x", "must be a URL, such as tcp://192.0.2.10, a host or a path"),
         ("", "must be a URL"),
         ("1-10", "must be a URL"),
+        ("tcp://192.0.2.1\n0", "a URL has no control characters"),
+        ("rtu:///dev/ttyUSB0?unit=7\n", "a URL has no control characters"),
+        ("unix:///run/x\t.sock", "a URL has no control characters"),
         ("tcp://me@h", "neither user nor fragment"),
         ("tcp://h#x", "neither user nor fragment"),
         ("tcp://h/x", "nothing but options may follow the port"),
@@ -172,6 +185,9 @@ ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
         ("tcp://::1:502", "an IPv6 address needs brackets, as in tcp://[::1]:502"),
         ("udp://h:x", "must be HOST or HOST:PORT, not 'h:x'"),
         ("rtu://ttyS0", "a path is missing, as in rtu:///dev/ttyUSB0"),
+        ("unix://run/x.sock", "a path is missing, as in unix:///run/modbus.sock"),
+        ("unix://%00abstract", "a path is missing, as in unix:///run/modbus.sock"),
+        ("unix://@abstract", "neither user nor fragment"),
         ("ascii:///", "a path is missing"),
         (
             "tls://h?anchor=x",
@@ -241,12 +257,52 @@ def test_a_path_comes_back_from_its_url(path: str) -> None:
     assert hash(parse(endpoint.url)) == hash(endpoint)
 
 
-@given(st.text(min_size=1), st.text())
-def test_any_path_and_any_option_come_back(path: str, option: str) -> None:
-    assume("/" not in path and "\0" not in path + option and path not in (".", ".."))
-    assume(not any("\ud800" <= each <= "\udfff" for each in path + option))
-    endpoint = Endpoint("rtu", path=f"/{path}", options={"rs485": option})
-    assert parse(endpoint.url) == endpoint
+# Names of files are bytes, most of which are UTF-8.
+NAMES = st.text(st.characters(codec="utf-8"), min_size=1) | st.binary(min_size=1).map(os.fsdecode)
+NUMBERS, SECONDS = st.integers(0, 10**9), st.floats(0, 1e300)
+VALUES: dict[str, st.SearchStrategy[Any]] = {
+    **dict.fromkeys(SECURITY_OPTIONS, NAMES),
+    **dict.fromkeys(("rs485", "accept_unit"), NAMES),
+    **dict.fromkeys(("echo", "native"), st.booleans()),
+    **dict.fromkeys(("rts_delay", "silence", "timeout", "turnaround"), SECONDS),
+    **dict.fromkeys(("request_spacing", "connect_delay", "max_pause"), SECONDS),
+    "keepalive": st.none() | SECONDS,
+    "parity": st.sampled_from("NEO"),
+}
+
+
+@st.composite
+def endpoints(draw: st.DrawFn) -> Endpoint:
+    scheme = draw(st.sampled_from(list(SCHEMES)))
+    own, others = (
+        {name: draw(VALUES.get(name, NUMBERS)) for name in draw(st.sets(st.sampled_from(names)))}
+        if (names := list(known))
+        else {}
+        for known in (options_of(scheme), CLIENT_OPTIONS)
+    )
+    if TRANSPORTS[SCHEMES[scheme][1]].has_path:
+        return Endpoint(scheme, "", 0, f"/x{draw(NAMES)}", own, others)
+    return Endpoint(scheme, draw(HOSTS), draw(st.integers(0, 65535)), "", own, others)
+
+
+@given(endpoints())
+def test_every_endpoint_comes_back_from_its_url(endpoint: Endpoint) -> None:
+    again = parse(endpoint.url)
+    assert again == endpoint
+    assert (hash(again), again.key) == (hash(endpoint), endpoint.key)
+    shown = parse(str(endpoint))
+    assert shown == replace(again, client_options={}, options=shown.options)
+    assert shown.options == ({} if endpoint.is_secure else endpoint.options)
+
+
+def test_the_zone_of_an_address_is_the_name_of_an_interface_as_it_is_written() -> None:
+    for text in ("FE80::A%enP8p1s0", "[FE80::A%enP8p1s0]:502", "tcp://[FE80::A%enP8p1s0]"):
+        assert parse(text).host == "fe80::a%enP8p1s0"
+    assert parse("tcp://[fe80::1%lo]").key != parse("tcp://[fe80::1%LO]").key
+
+
+def test_a_file_whose_name_is_not_utf_8_can_be_named() -> None:
+    assert os.fsencode(parse("tls://h?cert=%FFx&ca=c").options["cert"]) == b"\xffx"
 
 
 def test_a_url_with_quoted_characters_stays_as_it_is() -> None:
@@ -276,6 +332,7 @@ SAME = [
     ("tcp://192.0.2.10:802", "tls://192.0.2.10"),
     ("udp://192.0.2.10", "rtu+udp://192.0.2.10:502"),
     ("rtu:///dev/ttyS0?baudrate=9600", "ascii:///dev/../dev//ttyS0"),
+    ("unix:///run/modbus.sock", "unix:////run/modbus.sock"),
 ]
 
 DIFFERENT = [

@@ -79,7 +79,7 @@ def test_other_texts_are_refused(text: str) -> None:
 HOSTS = st.one_of(
     st.ip_addresses().map(str),
     st.from_regex(r"[a-z0-9.-]{1,20}", fullmatch=True),
-    st.ip_addresses(v=6).map(lambda address: f"{address}%eth0"),
+    st.ip_addresses(v=6).map(lambda address: f"{address}%enP8p1s0"),
 )
 
 
@@ -90,10 +90,10 @@ def test_what_is_formatted_is_parsed(host: str, port: int) -> None:
     assert host_of_peer(text) == host
 
 
-def test_the_host_of_a_serial_port_is_the_port() -> None:
-    assert host_of_peer("/dev/serial/by-path/pci-0000:00:14.0") == (
-        "/dev/serial/by-path/pci-0000:00:14.0"
-    )
+@each_case("path", ["/dev/serial/by-path/pci-0000:00:14.0", "/run/a pid b.sock uid 0"])
+def test_the_host_of_a_path_is_the_path(path: str) -> None:
+    assert host_of_peer(path) == path
+    assert host_of_peer(f"{path} pid 7") == path
 
 
 # --- outages ------------------------------------------------------------------------------

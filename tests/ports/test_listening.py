@@ -9,11 +9,13 @@ import socket
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from ipaddress import IPv6Address
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from libmodbus_py import Device, Mapping, Server
+from libmodbus_py import Context, Device, Mapping, Server
 from libmodbus_py.listen import listen
 from libmodbus_py.page import live_page
 from libmodbus_py.ports.hosts import listen_on
@@ -86,6 +88,30 @@ def test_a_page_answers_on_every_address(monkeypatch: pytest.MonkeyPatch, port: 
         for each in HERE:
             with urllib.request.urlopen(page.url.replace("plc.example", each), timeout=20) as got:
                 assert got.status == 200
+
+
+def local_addresses() -> list[str]:
+    """Return the link-local addresses of this machine, which need the zone of their interface."""
+    try:
+        lines = [line.split() for line in Path("/proc/net/if_inet6").read_text().splitlines()]
+    except OSError:
+        return []
+    return [
+        f"{IPv6Address(int(digits, 16))}%{interface}"
+        for digits, _, _, scope, _, interface in lines
+        if scope == "20"
+    ]
+
+
+@pytest.mark.skipif(not local_addresses(), reason="no interface has a link-local address")
+@pytest.mark.parametrize("scheme", ["tcp", "udp"])
+def test_an_address_with_a_zone_can_be_listened_at(scheme: str) -> None:
+    url = f"{scheme}://[{local_addresses()[0]}]:0"
+    with (
+        Server(Device(Mapping(1))).background(url) as running,
+        Context.from_url(running.urls[0], timeout=20) as client,
+    ):
+        assert client.read_coils(0, 1) == [False]
 
 
 @pytest.fixture

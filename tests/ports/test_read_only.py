@@ -13,7 +13,7 @@ import termios
 import pytest
 
 from libmodbus_py import ModbusConnectionError
-from libmodbus_py.ports.read_only import ReadOnlySerialPort
+from libmodbus_py.ports.serial import ReadOnlySerialPort
 
 
 def test_settings_are_made_and_put_back() -> None:

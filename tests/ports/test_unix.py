@@ -9,12 +9,15 @@ import contextlib
 import errno
 import fcntl
 import os
+import shutil
+import signal
 import socket
 import stat
 import subprocess
 import sys
+import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +115,76 @@ def test_the_owner_and_the_group_may_connect_whatever_the_umask_is(path: str) ->
         os.umask(before)
 
 
+@pytest.fixture
+def open_folder() -> Iterator[str]:
+    """A folder in which every user may make files."""
+    with tempfile.TemporaryDirectory() as made:
+        os.chmod(made, 0o777)
+        yield made
+
+
+def by_another_user(call: Callable[[], object]) -> int:
+    """Call in a child, which is not root, whom the system lets in everywhere; return its status."""
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            if os.geteuid() == 0:
+                os.setgroups([])
+                os.setgid(65534)
+                os.setuid(65534)
+            call()
+            status = 0
+        finally:
+            os._exit(status)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def test_a_server_that_was_killed_as_it_began_does_not_keep_its_user_out(open_folder: str) -> None:
+    path = f"{open_folder}/m.sock"
+
+    def begin(and_then: Callable[..., object]) -> None:
+        os.chmod = and_then
+        asyncio.run(UnixListener(path).open())
+
+    killed = by_another_user(lambda: begin(lambda *_: os.kill(os.getpid(), signal.SIGKILL)))
+    assert killed == -signal.SIGKILL
+    assert os.path.exists(path)
+    assert by_another_user(lambda: begin(lambda *_: None)) == 0
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may become another user")
+def test_who_is_neither_owner_nor_of_the_group_may_not_connect(open_folder: str) -> None:
+    url = f"unix://{open_folder}/m.sock"
+
+    def connect() -> None:
+        with pytest.raises(ModbusConnectionError, match="Permission denied") as caught:
+            Context.from_url(url).connect()
+        assert caught.value.errno == errno.EACCES
+
+    with server().background(url):
+        assert by_another_user(connect) == 0
+
+
+def test_a_server_ends_although_its_folder_is_gone(path: str) -> None:
+    with server().background(f"unix://{path}"):
+        shutil.rmtree(os.path.dirname(path))
+    assert not os.path.exists(path)
+
+
+def test_who_is_connected_stays_with_its_server_when_the_path_gets_another(path: str) -> None:
+    with (
+        server().background(f"unix://{path}"),
+        Context.from_url(f"unix://{path}") as first,
+    ):
+        os.unlink(path)
+        with server().background(f"unix://{path}"), Context.from_url(f"unix://{path}") as second:
+            second.write_register(0, 9)
+            assert first.read_holding_registers(0, 1) == [1]
+            assert second.read_holding_registers(0, 1) == [9]
+        assert first.read_holding_registers(0, 1) == [1]
+
+
 def test_the_file_ends_with_the_server(path: str) -> None:
     for _ in range(2):
         with server().background(f"unix://{path}"):
@@ -143,11 +216,31 @@ def refused(path: str, number: int, text: str) -> None:
     assert f"cannot listen on unix://{path}" in str(caught.value)
 
 
-def test_a_path_in_use_is_refused_and_its_server_goes_on(path: str) -> None:
+def test_a_path_in_use_is_refused_however_it_is_written_and_its_server_goes_on(path: str) -> None:
+    folder, name = os.path.split(path)
+    os.symlink(folder, f"{folder}/link")
     with server().background(f"unix://{path}"):
-        refused(path, errno.EADDRINUSE, "in use")
-        with Context.from_url(f"unix://{path}") as client:
-            assert client.read_holding_registers(0, 1) == [1]
+        for other in (path, f"/{path}", f"{folder}/./{name}", f"{folder}/link/{name}"):
+            refused(other, errno.EADDRINUSE, "in use")
+            with Context.from_url(f"unix://{other}") as client:
+                assert client.read_holding_registers(0, 1) == [1]
+
+
+def test_of_listeners_in_one_loop_one_gets_a_path(path: str) -> None:
+    async def main() -> None:
+        stale(path)
+        listeners = [UnixListener(path) for _ in range(3)]
+        opening = (each.open() for each in listeners)
+        made, *others = await asyncio.gather(*opening, return_exceptions=True)
+        assert [getattr(each, "errno", 0) for each in others] == [errno.EADDRINUSE] * 2
+        assert isinstance(made, socket.socket)
+        for each in (*listeners[1:], made):
+            each.close()
+        assert os.path.exists(path)
+        listeners[0].close()
+        assert not os.path.exists(path)
+
+    asyncio.run(main())
 
 
 def test_a_path_of_a_server_that_is_busy_is_in_use(path: str) -> None:
@@ -189,10 +282,10 @@ def test_a_folder_that_is_missing_is_an_error(path: str) -> None:
     refused(f"{path}/none/x", errno.ENOENT, "No such file")
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_a_folder_that_is_read_only_is_an_error(path: str) -> None:
-    os.chmod(os.path.dirname(path), 0o500)
-    refused(path, errno.EACCES, "denied")
+def test_a_folder_that_is_read_only_is_an_error(open_folder: str) -> None:
+    os.chmod(open_folder, 0o500)
+    path = f"{open_folder}/m.sock"
+    assert by_another_user(lambda: refused(path, errno.EACCES, "denied")) == 0
 
 
 def test_the_longest_path_can_be_used_and_no_longer_one(path: str) -> None:
@@ -205,6 +298,8 @@ def test_the_longest_path_can_be_used_and_no_longer_one(path: str) -> None:
             make(f"{longest}x")
         with pytest.raises(ValueError, match="path must have"):
             make("/run/\0")
+        with pytest.raises(ValueError, match="path must have"):
+            make("/" + "ä" * (MAX_PATH // 2 + 1))
     with pytest.raises(ValueError, match="path must have"):
         Context.from_url(f"unix://{longest}x")
 

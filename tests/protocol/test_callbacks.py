@@ -28,7 +28,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.device.authorization import Authorization
 from libmodbus_py.listen import Separator
-from libmodbus_py.protocol.callbacks import checked_callback, finished, log_failure
+from libmodbus_py.protocol.checks import checked_callback, finished, log_failure
 from libmodbus_py.scan import scan, search
 from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.tools.listener.listener import logger as listeners

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import pytest
 
-from libmodbus_py.protocol.close_names import (
+from libmodbus_py.protocol.mistakes import (
     close_option,
     close_to,
     named_arguments,

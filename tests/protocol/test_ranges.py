@@ -9,7 +9,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from libmodbus_py.protocol.ranges import contains, joined, touches, without
+from libmodbus_py.protocol.tables import contains, joined, touches, without
 from tests.support.cases import each_case
 
 

@@ -4,6 +4,8 @@ RTU frames in a stream where requests and responses follow one another, as a lis
 
 from __future__ import annotations
 
+from typing import Any
+
 from libmodbus_py.protocol.rtu import Piece, RtuCutter, may_be
 from tests.support.cases import each_case
 from tests.support.talk import rtu
@@ -120,6 +122,34 @@ def test_a_request_without_a_pause_is_told_from_a_loopback(behind: str) -> None:
 def test_a_loopback_whose_data_are_a_frame_is_one_frame() -> None:
     whole = rtu("4D 08 0000" + WRITE.hex())
     assert heard(whole, SILENCE) == [("request", whole)]
+
+
+# Of a function without a length rule; the first is the beginning of the second.
+SHORT = rtu("11 41")
+LONG = rtu(SHORT.hex() + "01 02")
+
+
+@each_case("size", [1, 3, 999])
+@each_case("role", ["client", "listener"])
+@each_case("frames", [[SHORT], [LONG], [SHORT, LONG], [LONG, SHORT], [SHORT, SHORT]])
+def test_a_frame_that_begins_like_another_is_told_from_it(
+    frames: list[bytes], role: Any, size: int
+) -> None:
+    cutter, rest = RtuCutter(role), b""
+    burst = b"".join(frames)
+    for at in range(0, len(burst), size):
+        rest += burst[at : at + size]
+        assert cutter.cut(rest, is_silent=False) == ([], 0)
+    found, count = cutter.cut(rest, is_silent=True)
+    assert [rest[piece.start : piece.end] for piece in found] == frames
+    assert count == len(burst)
+
+
+def test_a_read_and_its_answer_that_could_be_each_other_are_told_by_their_order() -> None:
+    ask, answer = rtu("12 01 0300 0011"), rtu("12 01 03 00 07 01")
+    assert len(ask) == len(answer)
+    for pieces in ([ask, answer] * 3, [(ask + answer) * 3]):
+        assert heard(*pieces, SILENCE) == [("request", ask), ("response", answer)] * 3
 
 
 def test_what_is_left_is_given_up_only_when_nothing_will_complete_it() -> None:

@@ -190,23 +190,6 @@ class TestKnownEncodings:
         assert encode(value, name) == words(registers)
         assert same(decode(words(registers), name), value)
 
-    @each_case(
-        ("order", "registers"),
-        [
-            ("ABCD", "1234 5678"),
-            ("CDAB", "5678 1234"),
-            ("BADC", "3412 7856"),
-            ("DCBA", "7856 3412"),
-        ],
-    )
-    def test_orders_of_32_bits(self, order: str, registers: str) -> None:
-        assert encode(0x12345678, "uint32", order=order) == words(registers)
-        assert decode(words(registers), "uint32", order=order) == 0x12345678
-        assert encode(12345678, "bcd32", order=order) == words(registers)
-        assert encode("\x12\x34\x56\x78", "string:4", order=order) == words(
-            "3412 7856" if order in ("BADC", "DCBA") else "1234 5678"
-        )
-
     @each_case("value", ["7FC0 0000", "FFC0 0000", "7FFF FFFF", "7F80 0001"])
     def test_every_nan_is_nan(self, value: str) -> None:
         assert math.isnan(decode(words(value), "float32"))
@@ -252,18 +235,6 @@ class TestOrders:
         assert len(registers) == value_type(name).registers
         assert all(type(word) is int and 0 <= word <= 0xFFFF for word in registers)
         assert same(decode(registers, name, order=order), value)
-
-    @each_order
-    @each_case("name", ["uint16", "uint32", "uint64"])
-    @settings(max_examples=15)
-    @given(st.data())
-    def test_each_order_is_its_own_inverse(
-        self, name: str, order: str, data: st.DataObject
-    ) -> None:
-        value = data.draw(strategy(name))
-        once = encode(value, name, order=order)
-        twice = encode(decode(once, name), name, order=order)
-        assert twice == encode(value, name)
 
     @each_order
     @each_case("name", [name for name in NUMBERS if "int" in name or "bits" in name])
@@ -344,25 +315,9 @@ class TestValueType:
         assert value_type("int64", order="GHEFCDAB").order == "CDAB"
         assert value_type("int64").order == "ABCD"  # the other one was its own
 
-    def test_methods_are_the_functions(self) -> None:
-        kind = value_type("float32", order="CDAB")
-        assert kind.encode(1.0) == encode(1.0, "float32", order="CDAB") == [0, 0x3F80]
-        assert kind.decode([0, 0x3F80]) == 1.0
-        assert kind.encode_many([1.0, 2.0]) == [0, 0x3F80, 0, 0x4000]
-        assert kind.decode_many([0, 0x3F80, 0, 0x4000]) == [1.0, 2.0]
-
     @each_case(
         "name",
-        [
-            "",
-            "int8",
-            "long",
-            "bool",
-            "string",
-            "string:",
-            "string:-1",
-            "string:8x",
-        ],
+        ["", "int8", "long", "bool", "string", "string:", "string:-1", "string:8x"],
     )
     def test_no_such_type(self, name: str) -> None:
         with pytest.raises(ValueError, match=r"type must be one of .*eui48, string:N") as e:
@@ -926,6 +881,12 @@ def test_limits_are_the_numbers_that_just_fit(name: str) -> None:
 @each_case("name", [*get_args(BitsType), "string:1"])
 def test_what_is_no_number_has_no_limits(name: str) -> None:
     assert value_type(name).limits is None
+
+
+def test_floats_are_as_large_as_their_format() -> None:
+    assert TYPES["float16"].limits == (-65504.0, 65504.0)
+    assert TYPES["float32"].limits == (-3.4028234663852886e38, 3.4028234663852886e38)
+    assert TYPES["float64"].limits == (-1.7976931348623157e308, 1.7976931348623157e308)
 
 
 # --- MAC addresses -------------------------------------------------------------------------

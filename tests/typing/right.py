@@ -41,7 +41,7 @@ from libmodbus_py import (
 from libmodbus_py.bound import Unreadable
 from libmodbus_py.listen import Separator, Transaction, listen
 from libmodbus_py.maps.watched import PolledValues
-from libmodbus_py.protocol.type_names import TypeName, string_type
+from libmodbus_py.protocol.words import TypeName, string_type
 
 ALL = [
     TcpContext("192.0.2.10", unit=17, timeout=1.0, framing="rtu", native=False),

@@ -57,7 +57,7 @@ def add_command(commands: Any) -> None:
 
 
 def _diagnose(options: argparse.Namespace) -> int:
-    from ...protocol.spelling import number_of
+    from ...protocol.plain import number_of
     from .units import print_report, report_units
 
     if options.sub_function is None:
@@ -122,7 +122,7 @@ def _counter(context: Context, sub: int) -> Named:
 
 def _sub_function(text: str) -> int:
     from ...protocol.pdu import SubFunction
-    from ...protocol.spelling import number_of
+    from ...protocol.plain import number_of
 
     names = {_name(sub): int(sub) for sub in SubFunction}
     name = text.lower().replace("-", " ").replace("_", " ")

@@ -8,8 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ...protocol.plain import plain
-from ...protocol.spelling import text_of
+from ...protocol.plain import plain, text_of
 from ...protocol.values import Interpretation, ValueType, readings, value_type
 from ..failing import CommandError
 from .items import REGISTERS, Item

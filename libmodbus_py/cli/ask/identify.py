@@ -48,7 +48,7 @@ def add_command(commands: Any) -> None:
 
 
 def _identify(options: argparse.Namespace) -> int:
-    from ...protocol.spelling import number_of
+    from ...protocol.plain import number_of
     from .units import print_report, report_units
 
     level = options.level

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from ...maps.plan import Plan, Read
 from ...protocol import pdu
 from ...protocol.errors import ModbusError
-from ...protocol.spelling import number_of
+from ...protocol.plain import number_of
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...protocol.values import ValueType, parse_reference, value_type
 from ...protocol.words import TABLE_WORDS as VENDORS

@@ -41,7 +41,7 @@ def add_command(commands: Any) -> None:
 
 def _raw(options: argparse.Namespace) -> int:
     from ...protocol.pdu import RawRequest
-    from ...protocol.spelling import number_of
+    from ...protocol.plain import number_of
     from ..connecting import connected
 
     function = options.function

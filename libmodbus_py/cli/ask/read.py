@@ -10,7 +10,7 @@ import math
 from typing import Any, get_args
 
 from ...protocol.checks import DURATION, duration_of
-from ...protocol.type_names import BitsType, NumberType, Order
+from ...protocol.words import BitsType, NumberType, Order
 from .. import arguments, completers
 from ..completers import behind, completing
 from ..help import make_rare

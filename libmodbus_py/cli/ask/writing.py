@@ -14,7 +14,7 @@ from ...maps.typed import typed_register, typed_value
 from ...protocol import pdu
 from ...protocol.errors import IllegalDataAddress
 from ...protocol.framing import Frame, make_framer
-from ...protocol.spelling import bit_of, number_of, value_of
+from ...protocol.plain import bit_of, number_of, value_of
 from ..connecting import connected, endpoint_of
 from ..failing import CommandError
 from ..output import complain, counted

@@ -14,7 +14,7 @@ from ...ports.schemes import PARITIES as WORDS_OF_PARITY
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.pdu import DeviceIdentification
 from ...protocol.pdu.interface import OBJECT_NAMES
-from ...protocol.ranges import joined
+from ...protocol.tables import joined
 from ...tools.scan.places import (
     BAUDRATES,
     FIRST_UNITS,

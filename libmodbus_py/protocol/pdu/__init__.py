@@ -18,8 +18,7 @@ Its files:
     files           20, 21 and 24: file records and queues
     interface       43, and requests of any function, sent as they are
     function_codes  the table REQUESTS, and the functions that look up requests in it
-    request         the base class of all requests
-    fields          checks and encoding of the fields of a message
+    request         the base class of all requests; checks and encoding of the fields of a message
 
 The public names are those of ``__init__.pyi``. Each is imported when it is first used, because a
 client that reads registers needs two of the files.

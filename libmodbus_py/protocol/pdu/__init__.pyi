@@ -2,11 +2,6 @@
 The public names of this folder, each once: type checkers read this file, and so does Python.
 """
 
-from .fields import MAX_PDU as MAX_PDU
-from .fields import LengthRule as LengthRule
-from .fields import counted as counted
-from .fields import fixed as fixed
-from .fields import unknown_length as unknown_length
 from .files import RECORDS_PER_FILE as RECORDS_PER_FILE
 from .files import ReadFifoQueue as ReadFifoQueue
 from .files import ReadFileRecords as ReadFileRecords
@@ -25,7 +20,12 @@ from .reads import ReadCoils as ReadCoils
 from .reads import ReadDiscreteInputs as ReadDiscreteInputs
 from .reads import ReadHoldingRegisters as ReadHoldingRegisters
 from .reads import ReadInputRegisters as ReadInputRegisters
+from .request import MAX_PDU as MAX_PDU
+from .request import LengthRule as LengthRule
 from .request import Request as Request
+from .request import counted as counted
+from .request import fixed as fixed
+from .request import unknown_length as unknown_length
 from .serial import CommEventCounter as CommEventCounter
 from .serial import CommEventLog as CommEventLog
 from .serial import Diagnostics as Diagnostics

@@ -13,10 +13,12 @@ from typing import ClassVar, Self
 from ..checks import integer
 from ..errors import in_hex
 from ..scan import lib
-from .fields import (
+from .request import (
     MAX_PDU,
     AddressError,
+    Echoed,
     LengthRule,
+    Request,
     checked_registers,
     checked_sequence,
     checked_span,
@@ -27,7 +29,6 @@ from .fields import (
     store,
     unpack_registers,
 )
-from .request import Echoed, Request
 
 RECORDS_PER_FILE = 10_000
 """Records are 0..9999 (section 6.14)."""

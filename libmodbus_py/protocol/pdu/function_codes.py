@@ -7,28 +7,10 @@ from __future__ import annotations
 from typing import Any, TypeVar
 from weakref import WeakSet
 
-from ..callbacks import checked_callback, log_failure
+from ..checks import checked_callback, log_failure
 from ..errors import IllegalDataAddress, IllegalDataValue, IllegalFunction
-from .fields import IN_C, MAX_PDU, AddressError, LengthRule
-from .files import ReadFifoQueue, ReadFileRecords, WriteFileRecords
-from .interface import EncapsulatedTransport
-from .reads import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
-from .request import Request
-from .serial import (
-    Diagnostics,
-    ReadCommEventCounter,
-    ReadCommEventLog,
-    ReadExceptionStatus,
-    ReportServerId,
-)
-from .writes import (
-    MaskWriteRegister,
-    ReadWriteRegisters,
-    WriteCoil,
-    WriteCoils,
-    WriteRegister,
-    WriteRegisters,
-)
+from . import files, interface, reads, serial, writes
+from .request import IN_C, MAX_PDU, AddressError, LengthRule, Request
 
 __all__ = ["REQUESTS", "decode_request", "register", "request_length", "response_length"]
 
@@ -43,25 +25,14 @@ _mistaken: WeakSet[type[Request[Any]]] = WeakSet()
 REQUESTS: dict[int, type[Request[Any]]] = {
     request.function: request
     for request in (
-        ReadCoils,
-        ReadDiscreteInputs,
-        ReadHoldingRegisters,
-        ReadInputRegisters,
-        WriteCoil,
-        WriteRegister,
-        ReadExceptionStatus,
-        Diagnostics,
-        ReadCommEventCounter,
-        ReadCommEventLog,
-        WriteCoils,
-        WriteRegisters,
-        ReportServerId,
-        ReadFileRecords,
-        WriteFileRecords,
-        MaskWriteRegister,
-        ReadWriteRegisters,
-        ReadFifoQueue,
-        EncapsulatedTransport,
+        *(reads.ReadCoils, reads.ReadDiscreteInputs),
+        *(reads.ReadHoldingRegisters, reads.ReadInputRegisters),
+        *(writes.WriteCoil, writes.WriteRegister, writes.WriteCoils, writes.WriteRegisters),
+        *(writes.MaskWriteRegister, writes.ReadWriteRegisters),
+        *(serial.ReadExceptionStatus, serial.Diagnostics, serial.ReadCommEventCounter),
+        *(serial.ReadCommEventLog, serial.ReportServerId),
+        *(files.ReadFileRecords, files.WriteFileRecords, files.ReadFifoQueue),
+        interface.EncapsulatedTransport,
     )
 }
 """Function code -> request class."""
@@ -165,13 +136,8 @@ def response_length(head: bytes) -> int | None:
 
 
 def _told(request: type[Request[Any]], rule: LengthRule, head: bytes) -> int | None:
-    """
-    Return what a length rule of a class returns; `NO_LENGTH` if it raises or returns nonsense.
-
-    The rules of the package, which are in `IN_C`, do neither, and are called without this. A
-    mistake in one rule must not leave a line deaf for all other functions. It is logged once for
-    each class.
-    """
+    """Return what a rule of a program returns; `NO_LENGTH` if it raises or returns nonsense."""
+    # A mistake in one rule must not leave a line deaf for all other functions.
     try:
         length = rule(head)
         if length is None or (isinstance(length, int) and length >= 0):

@@ -13,14 +13,13 @@ from typing import ClassVar, NamedTuple, Self
 from ..checks import integer
 from ..errors import ExceptionResponse, IllegalFunction, InvalidResponse
 from ..scan import lib
-from .fields import MAX_PDU, LengthRule, checked_data, in_c, store, unknown_length
-from .request import Request, Result
+from .request import MAX_PDU, LengthRule, Request, Result, checked_data, in_c, store, unknown_length
 
 # fmt: off
 __all__ = [
-    "DEVICE_IDENTIFICATION", "LEVELS", "MANDATORY", "OBJECT_NAMES", "DeviceIdentification",
-    "EncapsulatedTransport", "IdentificationPage", "RawRequest", "ReadDeviceIdCode",
-    "ReadDeviceIdentification", "pages",
+    "LEVELS", "MANDATORY", "OBJECT_NAMES", "DeviceIdentification", "EncapsulatedTransport",
+    "IdentificationPage", "MeiType", "RawRequest", "ReadDeviceIdCode", "ReadDeviceIdentification",
+    "pages",
 ]
 # fmt: on
 
@@ -58,20 +57,17 @@ class RawRequest(Request[bytes]):
         return pdu[1:]
 
 
-# MEI types (section 6.19).
-CANOPEN = 0x0D
-DEVICE_IDENTIFICATION = 0x0E
-"""The MEI type of device identification."""
+class MeiType(IntEnum):
+    """The interfaces of function 43 (section 6.19)."""
 
-OBJECT_NAMES = {
-    0: "VendorName",
-    1: "ProductCode",
-    2: "MajorMinorRevision",
-    3: "VendorUrl",
-    4: "ProductName",
-    5: "ModelName",
-    6: "UserApplicationName",
-}
+    CANOPEN = 0x0D
+    DEVICE_IDENTIFICATION = 0x0E
+
+
+OBJECT_NAMES = dict(enumerate((
+    "VendorName", "ProductCode", "MajorMinorRevision", "VendorUrl", "ProductName", "ModelName",
+    "UserApplicationName",
+)))  # fmt: skip
 """Object id -> the name that section 6.21 gives it."""
 
 
@@ -84,8 +80,8 @@ class ReadDeviceIdCode(IntEnum):
     INDIVIDUAL = 4
 
 
+# The objects that every device has (section 6.21).
 MANDATORY = {0, 1, 2}
-"""The objects of the basic level, which every device has (section 6.21)."""
 
 # From here on a response may lack an object because there was no room for it.
 FULL_MESSAGE = 244
@@ -116,28 +112,23 @@ class IdentificationPage(NamedTuple):
     complete: bool = True
 
 
-def _identification_length(head: bytes) -> int | None:
-    """Walk over the objects of a response."""
+def _request_length(head: bytes) -> int | None:
+    if len(head) < 2:
+        return None
+    return 4 if head[1] == MeiType.DEVICE_IDENTIFICATION else 0
+
+
+def _response_length(head: bytes) -> int | None:
+    if len(head) >= 2 and head[1] != MeiType.DEVICE_IDENTIFICATION:
+        return 0
     if len(head) < 7:
         return None
     end = 7
-    for _ in range(head[6]):
+    for _ in range(head[6]):  # objects
         if len(head) < end + 2:
             return None
         end += 2 + head[end + 1]
     return end
-
-
-def _request_length(head: bytes) -> int | None:
-    if len(head) < 2:
-        return None
-    return 4 if head[1] == DEVICE_IDENTIFICATION else 0
-
-
-def _response_length(head: bytes) -> int | None:
-    if len(head) < 2:
-        return None
-    return _identification_length(head) if head[1] == DEVICE_IDENTIFICATION else 0
 
 
 class _Encapsulated(Request[Result]):
@@ -178,9 +169,9 @@ class EncapsulatedTransport(_Encapsulated[bytes]):
 
     @classmethod
     def decode(cls, pdu: bytes) -> EncapsulatedTransport | ReadDeviceIdentification:  # type: ignore[override]
-        if pdu[1] == DEVICE_IDENTIFICATION:
+        if pdu[1] == MeiType.DEVICE_IDENTIFICATION:
             return ReadDeviceIdentification.decode(pdu)
-        if pdu[1] != CANOPEN:
+        if pdu[1] != MeiType.CANOPEN:
             raise IllegalFunction(f"no MEI type {pdu[1]}", function=cls.function)
         return cls(pdu[1], pdu[2:])
 
@@ -217,7 +208,7 @@ class ReadDeviceIdentification(_Encapsulated[IdentificationPage]):
         )
 
     def encode(self) -> bytes:
-        return bytes([self.function, DEVICE_IDENTIFICATION, self.code, self.object_id])
+        return bytes([self.function, MeiType.DEVICE_IDENTIFICATION, self.code, self.object_id])
 
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
@@ -228,7 +219,7 @@ class ReadDeviceIdentification(_Encapsulated[IdentificationPage]):
         if not self._answers(objects):
             raise ValueError(f"result must hold object {self.object_id} alone")
         more, following = (0, 0) if next_object is None else (0xFF, next_object)
-        head = [self.function, DEVICE_IDENTIFICATION, self.code, conformity]
+        head = [self.function, MeiType.DEVICE_IDENTIFICATION, self.code, conformity]
         body = b"".join(bytes([at, len(value)]) + value for at, value in objects.items())
         if len(body) > self.room:
             raise ValueError(f"objects take {len(body)} bytes, more than {self.room}")
@@ -246,7 +237,7 @@ class ReadDeviceIdentification(_Encapsulated[IdentificationPage]):
         return self._decode_response(pdu)._replace(complete=False)
 
     def _decode_response(self, pdu: bytes) -> IdentificationPage:
-        if pdu[1] != DEVICE_IDENTIFICATION or pdu[2] != self.code:
+        if pdu[1] != MeiType.DEVICE_IDENTIFICATION or pdu[2] != self.code:
             raise self._invalid(f"{pdu[:4].hex(' ')}")
         objects: dict[int, bytes] = {}
         at = 7

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from typing import ClassVar, Self, TypeVar
 
 from ..checks import integer
-from .fields import (
+from .request import (
     REGISTERS,
     TABLE_SIZE,
     LengthRule,
+    Request,
     checked_bits,
     checked_span,
     counted,
@@ -24,7 +25,6 @@ from .fields import (
     store,
     unpack_bits,
 )
-from .request import Request
 
 Values = TypeVar("Values", list[bool], list[int])
 

@@ -1,16 +1,174 @@
 """
-The base of all requests, and of those that are echoed.
+The base of all requests, and of those that are echoed; the fields of messages: checked arguments,
+and their bytes.
 """
 
 from __future__ import annotations
 
 import reprlib
-from typing import Any, ClassVar, Generic, Self, TypeVar
+import struct
+from collections.abc import Iterable, Mapping, Sequence, Set
+from itertools import islice
+from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
+from ..checks import are_registers, integer
 from ..errors import ExceptionResponse, InvalidResponse, in_hex
-from .fields import LengthRule
+from ..mistakes import WrongType, WrongValue
+from ..scan import MAX_PDU as MAX_PDU
+from ..scan import lib
 
 Result = TypeVar("Result")
+
+TABLE_SIZE = 65536  # section 4.4: addresses are 16 bits
+
+MAX_WRITTEN = {"coils": 1968, "holding_registers": 123}
+"""Table -> the most cells of one write (6.11, 6.12); here, because readers do not import writes."""
+
+
+class LengthRule(Protocol):
+    """
+    Given the first bytes of a PDU: its whole length.
+
+    None until that is known; 0 if nothing in it tells.
+    """
+
+    def __call__(self, head: bytes) -> int | None: ...
+
+
+# --- arguments ---------------------------------------------------------------------
+
+
+class AddressError(WrongValue):
+    """An address that no table has: a server answers 2 to it, not 3."""
+
+
+def checked_bit(name: str, value: object) -> bool:
+    if isinstance(value, bool):
+        return value
+    return bool(integer(name, value, 0, 1))
+
+
+def checked_register(name: str, value: object) -> int:
+    return integer(name, value, 0, 0xFFFF)
+
+
+def checked_sequence(name: str, values: object, limit: int) -> tuple[Any, ...]:
+    # Text, sets and mappings are iterable, but never a run of registers.
+    unfit = isinstance(values, str | bytes | bytearray | Set | Mapping)
+    if unfit or not isinstance(values, Iterable):
+        given = type(values).__name__
+        raise WrongType(name, f"must be a sequence of 1..{limit} values, not {given}")
+    taken = tuple(islice(values, limit + 1))
+    if not 1 <= len(taken) <= limit:
+        given = f"{len(taken)}" if len(taken) <= limit else f"more than {limit}"
+        raise WrongValue(name, f"must hold 1..{limit} values, not {given}")
+    return taken
+
+
+def checked_bits(name: str, values: object, limit: int) -> tuple[bool, ...]:
+    taken = checked_sequence(name, values, limit)
+    if set(map(type, taken)) == {bool}:
+        return taken
+    return tuple(checked_bit(f"{name}[{at}]", value) for at, value in enumerate(taken))
+
+
+def checked_registers(name: str, values: object, limit: int) -> tuple[int, ...]:
+    taken = checked_sequence(name, values, limit)
+    if are_registers(taken):
+        return taken
+    return tuple(checked_register(f"{name}[{at}]", value) for at, value in enumerate(taken))
+
+
+def checked_data(name: str, value: object, limit: int) -> bytes:
+    if not isinstance(value, bytes):
+        raise WrongType(name, f"must be bytes, not {type(value).__name__}")
+    if len(value) > limit:
+        raise WrongValue(name, f"must be up to {limit} bytes, not {len(value)}")
+    return value
+
+
+def checked_span(name: str, address: object, count_name: str, count: int) -> int:
+    start = integer(name, address, 0, TABLE_SIZE - 1)
+    if start + count > TABLE_SIZE:
+        raise AddressError(
+            name, f"+ {count_name} must not pass {TABLE_SIZE}, but {start} + {count} does"
+        )
+    return start
+
+
+def store(request: object, **values: object) -> None:
+    for name, value in values.items():
+        object.__setattr__(request, name, value)
+
+
+# --- bytes -------------------------------------------------------------------------
+
+
+def pack_bits(bits: Sequence[bool]) -> bytes:
+    value = 0
+    for position, bit in enumerate(bits):
+        if bit:
+            value |= 1 << position
+    return value.to_bytes((len(bits) + 7) // 8, "little")
+
+
+def unpack_bits(data: bytes, count: int) -> list[bool]:
+    return [bool(data[position >> 3] >> (position & 7) & 1) for position in range(count)]
+
+
+REGISTERS: list[struct.Struct] = [struct.Struct(f">{count}H") for count in range(MAX_PDU // 2 + 1)]
+"""By the number of registers; made once, because bulk reads do little else."""
+
+
+def pack_registers(values: Sequence[int]) -> bytes:
+    return REGISTERS[len(values)].pack(*values)
+
+
+def unpack_registers(data: bytes) -> tuple[int, ...]:
+    return REGISTERS[len(data) // 2].unpack(data)
+
+
+def exactly(count: int, values: tuple[Any, ...]) -> tuple[Any, ...]:
+    if len(values) != count:
+        raise WrongValue("result", f"must hold {count} values, not {len(values)}")
+    return values
+
+
+def encode_registers(function: int, result: Sequence[int], count: int) -> bytes:
+    data = pack_registers(exactly(count, checked_registers("result", result, count)))
+    return bytes([function, len(data)]) + data
+
+
+# Rule -> the same for scan.c: how, `base` and `at`. It asks Python for all others.
+IN_C: dict[LengthRule, tuple[int, int, int]] = {}
+
+
+def in_c(rule: LengthRule, told: int, base: int = 0, at: int = 0) -> LengthRule:
+    """Note that C knows this rule, too."""
+    if 0 <= base <= MAX_PDU and 0 <= at < MAX_PDU:
+        IN_C[rule] = told, base, at
+    return rule
+
+
+def fixed(length: int) -> LengthRule:
+    """A rule: always `length` bytes."""
+    return in_c(lambda head: length, lib.FIXED, length)
+
+
+def counted(base: int, at: int) -> LengthRule:
+    """A rule: the byte at `at` counts those that follow the first `base`."""
+    return in_c(lambda head: base + head[at] if len(head) > at else None, lib.COUNTED, base, at)
+
+
+def unknown_length(head: bytes) -> int:
+    """A rule: nothing in the PDU determines its length."""
+    return 0
+
+
+in_c(unknown_length, lib.BY_CRC)
+
+
+# --- requests ----------------------------------------------------------------------
 
 
 class Request(Generic[Result]):

@@ -11,8 +11,18 @@ from typing import ClassVar, NamedTuple, Self
 
 from ..checks import integer
 from ..scan import lib
-from .fields import MAX_PDU, LengthRule, checked_data, checked_register, counted, fixed, in_c, store
-from .request import Request, Result
+from .request import (
+    MAX_PDU,
+    LengthRule,
+    Request,
+    Result,
+    checked_data,
+    checked_register,
+    counted,
+    fixed,
+    in_c,
+    store,
+)
 
 # fmt: off
 __all__ = [

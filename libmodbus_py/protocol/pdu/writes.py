@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
 from ..checks import integer
-from .fields import (
-    MOST_COILS_WRITTEN,
-    MOST_REGISTERS_WRITTEN,
+from .request import (
+    MAX_WRITTEN,
     REGISTERS,
+    Echoed,
     LengthRule,
+    Request,
     checked_bit,
     checked_bits,
     checked_register,
@@ -29,7 +30,6 @@ from .fields import (
     unpack_bits,
     unpack_registers,
 )
-from .request import Echoed, Request
 
 Value = TypeVar("Value", bool, int)
 
@@ -111,7 +111,7 @@ class WriteCoils(_WriteSeveral[bool]):
 
     __slots__ = ()
     function = 0x0F
-    limit = MOST_COILS_WRITTEN
+    limit = MAX_WRITTEN["coils"]
     _check, _pack = staticmethod(checked_bits), staticmethod(pack_bits)
 
     @classmethod
@@ -127,7 +127,7 @@ class WriteRegisters(_WriteSeveral[int]):
 
     __slots__ = ()
     function = 0x10
-    limit = MOST_REGISTERS_WRITTEN
+    limit = MAX_WRITTEN["holding_registers"]
     _check, _pack = staticmethod(checked_registers), staticmethod(pack_registers)
 
     @classmethod

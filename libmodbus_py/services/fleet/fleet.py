@@ -13,8 +13,8 @@ from typing import Any, Self
 
 from ...maps.register_map import RegisterMap
 from ...maps.typed import json_value
-from ...protocol.close_names import named_arguments
 from ...protocol.logs import HarmlessLogger
+from ...protocol.mistakes import named_arguments
 from .commands import Commands
 from .config import DeviceConfig, by_connection, checked
 from .files import load

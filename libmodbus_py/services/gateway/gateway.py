@@ -11,9 +11,9 @@ from collections.abc import AsyncIterator, Iterable
 from ...device.authorization import Authorize
 from ...ports.endpoint import Endpoint
 from ...ports.trace import OnTraced
-from ...protocol.callbacks import checked_callback
-from ...protocol.close_names import named_arguments
+from ...protocol.checks import checked_callback
 from ...protocol.logs import HarmlessLogger
+from ...protocol.mistakes import named_arguments
 from ...security.security import Security
 from ...server.audit import Audit, OnAudited
 from ...server.limits import Limits

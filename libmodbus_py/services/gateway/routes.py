@@ -16,9 +16,8 @@ from ...ports.endpoint import Endpoint, parse
 from ...ports.hosts import EVERYWHERE, is_loopback, is_this_machine
 from ...ports.port import make_port
 from ...protocol.checks import integer, seconds
-from ...protocol.close_names import named_arguments
-from ...protocol.mistakes import Path, WrongType, WrongValue, inside, placed
-from ...protocol.spelling import units_of as units_in
+from ...protocol.mistakes import Path, WrongType, WrongValue, inside, named_arguments, placed
+from ...protocol.plain import units_of as units_in
 
 __all__ = ["GatewayOptions", "Route", "check_line", "check_routes", "parse_route"]
 

@@ -16,8 +16,7 @@ from typing import Literal, Self, get_args
 
 from ...device.access import Touched
 from ...protocol.checks import integer, number, seconds
-from ...protocol.close_names import named_arguments
-from ...protocol.mistakes import WrongType, WrongValue
+from ...protocol.mistakes import WrongType, WrongValue, named_arguments
 from ...protocol.tables import TABLE_SIZE, TABLES, Table
 
 __all__ = [

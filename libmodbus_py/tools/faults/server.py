@@ -16,8 +16,8 @@ from ...device.access import Touched, touched_by
 from ...device.device import Device
 from ...ports.trace import OnTraced, Trace
 from ...protocol.checks import integer
-from ...protocol.close_names import named_arguments
 from ...protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
+from ...protocol.mistakes import named_arguments
 from ...server.limits import Limits
 from ...server.server import DeviceServer
 from ...server.service import Channel, Intercepted

@@ -17,8 +17,7 @@ from typing import Any
 from ...device.access import Access
 from ...device.rules import Allow, Rules
 from ...protocol.checks import integer, shown
-from ...protocol.close_names import close_option
-from ...protocol.mistakes import Path, WrongType, WrongValue, inside, item
+from ...protocol.mistakes import Path, WrongType, WrongValue, close_option, inside, item
 from .texts import shown_key
 
 # fmt: off

@@ -17,9 +17,9 @@ from ...ports.endpoint import Endpoint, parse_to_listen
 from ...ports.port import REOPEN_AFTER, Outage
 from ...ports.waiting import READ, Ready, Steps, Waker, Woken, of_system, run
 from ...ports.waiting_async import run_async
-from ...protocol.close_names import named_parameters
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.logs import HarmlessLogger
+from ...protocol.mistakes import named_parameters
 from ...system import make_poller
 from .capture import CaptureReader, CaptureWriter
 from .separator import LineFraming, Separator

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from math import sqrt
 from typing import Literal, NamedTuple
 
-from ...protocol.callbacks import checked_callback
+from ...protocol.checks import checked_callback
 from ...protocol.errors import MAX_RECEIVED, FrameError
 from ...protocol.framing import AsciiFramer, Frame, Framer, Overheard, RtuFramer, delimiter_after
 from ...protocol.pdu import Diagnostics

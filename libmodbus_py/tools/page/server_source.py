@@ -13,7 +13,7 @@ from ...device.named_values import cells_after
 from ...maps.point import Point
 from ...maps.typed import typed_register, typed_value, typed_values
 from ...protocol.checks import integer, number
-from ...protocol.spelling import text_of
+from ...protocol.plain import text_of
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...protocol.values import ORDERS, TYPES, readings, value_type
 from ..faults.fault import KINDS, OPTIONAL, Fault, FaultSwitch

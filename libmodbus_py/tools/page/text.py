@@ -8,7 +8,7 @@ import reprlib
 from typing import Any
 
 from ...maps.point import Point
-from ...protocol.spelling import text_of
+from ...protocol.plain import text_of
 
 __all__ = ["cell_text", "judged_point", "point_text", "value_text"]
 

@@ -10,10 +10,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from ...ports.endpoint import parse
-from ...protocol.callbacks import checked_callback
-from ...protocol.checks import integer
-from ...protocol.close_names import named_parameters
+from ...protocol.checks import checked_callback, integer
 from ...protocol.errors import ModbusConnectionError
+from ...protocol.mistakes import named_parameters
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...security.security import Security
 from .places import FIRST_UNITS, USUAL_UNITS, Place, listed, places

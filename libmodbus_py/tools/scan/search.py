@@ -16,9 +16,7 @@ from typing import Any, NamedTuple
 
 from ...ports.endpoint import parse
 from ...ports.schemes import SERIAL_DEFAULTS
-from ...protocol.callbacks import checked_callback
-from ...protocol.checks import integer
-from ...protocol.close_names import named_parameters
+from ...protocol.checks import checked_callback, integer
 from ...protocol.errors import (
     NO_UNIT,
     Acknowledge,
@@ -28,6 +26,7 @@ from ...protocol.errors import (
     ModbusError,
     ServerDeviceBusy,
 )
+from ...protocol.mistakes import named_parameters
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...security.security import Security
 from .places import Place, places

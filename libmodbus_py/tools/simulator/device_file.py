@@ -23,8 +23,7 @@ from ...device.mapping import Mapping as Tables
 from ...maps.point import Point
 from ...maps.point_plan import scale_mistakes
 from ...protocol.checks import integer
-from ...protocol.close_names import close_to
-from ...protocol.mistakes import Path, WrongValue, inside, placed
+from ...protocol.mistakes import Path, WrongValue, close_to, inside, placed
 from ...protocol.pdu.interface import OBJECT_NAMES
 from ...protocol.tables import TABLES
 from ..faults.fault import Fault

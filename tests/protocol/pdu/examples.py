@@ -10,71 +10,48 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from libmodbus_py import pdu
-from libmodbus_py.protocol.pdu import (
-    Diagnostics,
-    EncapsulatedTransport,
-    MaskWriteRegister,
-    RawRequest,
-    ReadCoils,
-    ReadCommEventCounter,
-    ReadCommEventLog,
-    ReadDeviceIdentification,
-    ReadDiscreteInputs,
-    ReadExceptionStatus,
-    ReadFifoQueue,
-    ReadFileRecords,
-    ReadHoldingRegisters,
-    ReadInputRegisters,
-    ReadWriteRegisters,
-    ReportServerId,
-    Request,
-    SubFunction,
-    WriteCoil,
-    WriteCoils,
-    WriteFileRecords,
-    WriteRegister,
-    WriteRegisters,
-)
 
 Fields = dict[str, Any]
 
 
-def _read(kind: type[Request[Any]]) -> Callable[[Fields], Request[Any]]:
+def _read(kind: type[pdu.Request[Any]]) -> Callable[[Fields], pdu.Request[Any]]:
     return lambda fields: kind(fields["address"], fields["quantity"])  # type: ignore[call-arg]
 
 
-def _encapsulated(fields: Fields) -> Request[Any]:
+def _encapsulated(fields: Fields) -> pdu.Request[Any]:
     if fields["mei"] == 14:
-        return ReadDeviceIdentification(fields["read_code"], fields["object_id"])
-    return EncapsulatedTransport(fields["mei"], bytes.fromhex(fields["data"]))
+        return pdu.ReadDeviceIdentification(fields["read_code"], fields["object_id"])
+    return pdu.EncapsulatedTransport(fields["mei"], bytes.fromhex(fields["data"]))
 
 
 # Function -> the request that an example's fields describe.
-FROM_FIELDS: dict[int, Callable[[Fields], Request[Any]]] = {
-    1: _read(ReadCoils),
-    2: _read(ReadDiscreteInputs),
-    3: _read(ReadHoldingRegisters),
-    4: _read(ReadInputRegisters),
-    5: lambda fields: WriteCoil(fields["address"], fields["value"] == "ON"),
-    6: lambda fields: WriteRegister(fields["address"], fields["value"]),
-    7: lambda fields: ReadExceptionStatus(),
-    8: lambda fields: Diagnostics(fields["sub_function"], bytes.fromhex(fields["data"])),
-    11: lambda fields: ReadCommEventCounter(),
-    12: lambda fields: ReadCommEventLog(),
-    15: lambda fields: WriteCoils(fields["address"], fields["values"]),
-    16: lambda fields: WriteRegisters(fields["address"], fields["values"]),
-    17: lambda fields: ReportServerId(),
-    20: lambda fields: ReadFileRecords(
+FROM_FIELDS: dict[int, Callable[[Fields], pdu.Request[Any]]] = {
+    1: _read(pdu.ReadCoils),
+    2: _read(pdu.ReadDiscreteInputs),
+    3: _read(pdu.ReadHoldingRegisters),
+    4: _read(pdu.ReadInputRegisters),
+    5: lambda fields: pdu.WriteCoil(fields["address"], fields["value"] == "ON"),
+    6: lambda fields: pdu.WriteRegister(fields["address"], fields["value"]),
+    7: lambda fields: pdu.ReadExceptionStatus(),
+    8: lambda fields: pdu.Diagnostics(fields["sub_function"], bytes.fromhex(fields["data"])),
+    11: lambda fields: pdu.ReadCommEventCounter(),
+    12: lambda fields: pdu.ReadCommEventLog(),
+    15: lambda fields: pdu.WriteCoils(fields["address"], fields["values"]),
+    16: lambda fields: pdu.WriteRegisters(fields["address"], fields["values"]),
+    17: lambda fields: pdu.ReportServerId(),
+    20: lambda fields: pdu.ReadFileRecords(
         [(sub["file"], sub["record"], sub["length"]) for sub in fields["sub_requests"]]
     ),
-    21: lambda fields: WriteFileRecords(
+    21: lambda fields: pdu.WriteFileRecords(
         [(sub["file"], sub["record"], sub["values"]) for sub in fields["sub_requests"]]
     ),
-    22: lambda fields: MaskWriteRegister(fields["address"], fields["and_mask"], fields["or_mask"]),
-    23: lambda fields: ReadWriteRegisters(
+    22: lambda fields: pdu.MaskWriteRegister(
+        fields["address"], fields["and_mask"], fields["or_mask"]
+    ),
+    23: lambda fields: pdu.ReadWriteRegisters(
         fields["read_address"], fields["read_quantity"], fields["write_address"], fields["values"]
     ),
-    24: lambda fields: ReadFifoQueue(fields["address"]),
+    24: lambda fields: pdu.ReadFifoQueue(fields["address"]),
     43: _encapsulated,
 }
 
@@ -88,41 +65,41 @@ def words(*values: int) -> bytes:
     return struct.pack(f">{len(values)}H", *values)
 
 
-def one_of_each() -> list[Request[Any]]:
+def one_of_each() -> list[pdu.Request[Any]]:
     return [
-        ReadCoils(0, 10),
-        ReadDiscreteInputs(0, 8),
-        ReadHoldingRegisters(0, 2),
-        ReadInputRegisters(0, 2),
-        WriteCoil(1, True),
-        WriteRegister(1, 2),
-        WriteCoils(1, [True, False]),
-        WriteRegisters(1, [2, 3]),
-        ReadFileRecords([(1, 2, 1), (3, 4, 2)]),
-        WriteFileRecords([(1, 2, [3]), (4, 5, [6, 7])]),
-        MaskWriteRegister(1, 2, 3),
-        ReadWriteRegisters(1, 2, 3, [4]),
-        ReadExceptionStatus(),
-        Diagnostics(0, b"\xa5\x37\1\2"),
-        Diagnostics(SubFunction.BUS_MESSAGE_COUNT),
-        ReadCommEventCounter(),
-        ReadCommEventLog(),
-        ReportServerId(),
-        ReadFifoQueue(1246),
-        ReadDeviceIdentification(2),
+        pdu.ReadCoils(0, 10),
+        pdu.ReadDiscreteInputs(0, 8),
+        pdu.ReadHoldingRegisters(0, 2),
+        pdu.ReadInputRegisters(0, 2),
+        pdu.WriteCoil(1, True),
+        pdu.WriteRegister(1, 2),
+        pdu.WriteCoils(1, [True, False]),
+        pdu.WriteRegisters(1, [2, 3]),
+        pdu.ReadFileRecords([(1, 2, 1), (3, 4, 2)]),
+        pdu.WriteFileRecords([(1, 2, [3]), (4, 5, [6, 7])]),
+        pdu.MaskWriteRegister(1, 2, 3),
+        pdu.ReadWriteRegisters(1, 2, 3, [4]),
+        pdu.ReadExceptionStatus(),
+        pdu.Diagnostics(0, b"\xa5\x37\1\2"),
+        pdu.Diagnostics(pdu.SubFunction.BUS_MESSAGE_COUNT),
+        pdu.ReadCommEventCounter(),
+        pdu.ReadCommEventLog(),
+        pdu.ReportServerId(),
+        pdu.ReadFifoQueue(1246),
+        pdu.ReadDeviceIdentification(2),
     ]
 
 
 # These take whatever follows the code, or the MEI type.
-UNJUDGED: list[Request[bytes]] = [
-    EncapsulatedTransport(13, b"\1\2"),
-    RawRequest(65, b"\1\2"),
-    RawRequest(3, b"\0\0\0\1"),
+UNJUDGED: list[pdu.Request[bytes]] = [
+    pdu.EncapsulatedTransport(13, b"\1\2"),
+    pdu.RawRequest(65, b"\1\2"),
+    pdu.RawRequest(3, b"\0\0\0\1"),
 ]
 
 
 @dataclass(frozen=True, slots=True)
-class Doubled(Request[list[int]]):
+class Doubled(pdu.Request[list[int]]):
     """A request of some registers, an answer with twice as many."""
 
     values: tuple[int, ...]

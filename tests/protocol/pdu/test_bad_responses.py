@@ -9,78 +9,42 @@ from typing import Any
 import pytest
 
 from libmodbus_py import pdu
-from libmodbus_py.protocol.errors import (
-    Acknowledge,
-    ExceptionResponse,
-    GatewayPathUnavailable,
-    GatewayTargetFailedToRespond,
-    IllegalDataAddress,
-    IllegalDataValue,
-    IllegalFunction,
-    InvalidResponse,
-    MemoryParityError,
-    NegativeAcknowledge,
-    ServerDeviceBusy,
-    ServerDeviceFailure,
-)
-from libmodbus_py.protocol.pdu import (
-    CommEventCounter,
-    CommEventLog,
-    Diagnostics,
-    EncapsulatedTransport,
-    IdentificationPage,
-    RawRequest,
-    ReadCoils,
-    ReadCommEventCounter,
-    ReadCommEventLog,
-    ReadDeviceIdentification,
-    ReadDiscreteInputs,
-    ReadExceptionStatus,
-    ReadFifoQueue,
-    ReadFileRecords,
-    ReadHoldingRegisters,
-    ReadInputRegisters,
-    ReadWriteRegisters,
-    ReportServerId,
-    Request,
-    ServerId,
-    WriteCoils,
-)
+from libmodbus_py.protocol import errors
 from tests.protocol.pdu.examples import UNJUDGED, one_of_each
 from tests.support.cases import each_case
 
 
-def good_result(request: Request[Any]) -> Any:
+def good_result(request: pdu.Request[Any]) -> Any:
     match request:
-        case ReadCoils() | ReadDiscreteInputs():
+        case pdu.ReadCoils() | pdu.ReadDiscreteInputs():
             return [True] * request.count
-        case ReadHoldingRegisters() | ReadInputRegisters():
+        case pdu.ReadHoldingRegisters() | pdu.ReadInputRegisters():
             return [7] * request.count
-        case ReadWriteRegisters():
+        case pdu.ReadWriteRegisters():
             return [7] * request.read_count
-        case ReadFileRecords():
+        case pdu.ReadFileRecords():
             return [[7] * length for _, _, length in request.records]
-        case ReadExceptionStatus():
+        case pdu.ReadExceptionStatus():
             return 0x6D
-        case Diagnostics():
+        case pdu.Diagnostics():
             return request.data
-        case ReadCommEventCounter():
-            return CommEventCounter(0xFFFF, 264)
-        case ReadCommEventLog():
-            return CommEventLog(0, 264, 289, b"\x20\0")
-        case ReportServerId():
-            return ServerId(b"\1", True, b"abc")
-        case ReadFifoQueue():
+        case pdu.ReadCommEventCounter():
+            return pdu.CommEventCounter(0xFFFF, 264)
+        case pdu.ReadCommEventLog():
+            return pdu.CommEventLog(0, 264, 289, b"\x20\0")
+        case pdu.ReportServerId():
+            return pdu.ServerId(b"\1", True, b"abc")
+        case pdu.ReadFifoQueue():
             return [440, 4740]
-        case ReadDeviceIdentification():
-            return IdentificationPage(0x83, 4, {0: b"vendor", 3: b""})
-        case EncapsulatedTransport() | RawRequest():
+        case pdu.ReadDeviceIdentification():
+            return pdu.IdentificationPage(0x83, 4, {0: b"vendor", 3: b""})
+        case pdu.EncapsulatedTransport() | pdu.RawRequest():
             return b"\3\4\5"
         case _:
             return None
 
 
-def the_name(request: Request[Any]) -> str:
+def the_name(request: pdu.Request[Any]) -> str:
     return type(request).__name__
 
 
@@ -90,109 +54,111 @@ every_request = each_case("request_", one_of_each() + UNJUDGED, ids=the_name)
 
 class TestBadResponses:
     @each_request
-    def test_empty_cut_and_prolonged_responses_are_invalid(self, request_: Request[Any]) -> None:
+    def test_empty_cut_and_prolonged_responses_are_invalid(
+        self, request_: pdu.Request[Any]
+    ) -> None:
         good = request_.encode_response(good_result(request_))
         assert request_.decode_response(good) == good_result(request_)
         for end in range(len(good)):
-            with pytest.raises(InvalidResponse):
+            with pytest.raises(errors.InvalidResponse):
                 request_.decode_response(good[:end])
-        with pytest.raises(InvalidResponse):
+        with pytest.raises(errors.InvalidResponse):
             request_.decode_response(good + b"\0")
 
     @every_request
     def test_other_function_is_invalid_and_the_error_names_the_request(
-        self, request_: Request[Any]
+        self, request_: pdu.Request[Any]
     ) -> None:
         good = request_.encode_response(good_result(request_))
         for other in {0, *pdu.REQUESTS, 0x7F} - {request_.function}:
-            with pytest.raises(InvalidResponse) as caught:
+            with pytest.raises(errors.InvalidResponse) as caught:
                 request_.decode_response(bytes([other]) + good[1:])
             assert str(request_) in str(caught.value)
             assert caught.value.function == request_.function
 
     @every_request
-    def test_refusal_of_another_function_is_invalid(self, request_: Request[Any]) -> None:
+    def test_refusal_of_another_function_is_invalid(self, request_: pdu.Request[Any]) -> None:
         for other in {*pdu.REQUESTS, 0, 0x7F} - {request_.function}:
-            with pytest.raises(InvalidResponse):
+            with pytest.raises(errors.InvalidResponse):
                 request_.decode_response(bytes([other | 0x80, 2]))
 
     @every_request
-    def test_refusal_of_other_length_is_invalid(self, request_: Request[Any]) -> None:
+    def test_refusal_of_other_length_is_invalid(self, request_: pdu.Request[Any]) -> None:
         for tail in (b"", b"\2\0", b"\2\0\0\0"):
-            with pytest.raises(InvalidResponse):
+            with pytest.raises(errors.InvalidResponse):
                 request_.decode_response(bytes([request_.function | 0x80]) + tail)
 
     def test_refusal_keeps_its_code(self) -> None:
         kinds = {
-            1: IllegalFunction,
-            2: IllegalDataAddress,
-            3: IllegalDataValue,
-            4: ServerDeviceFailure,
-            5: Acknowledge,
-            6: ServerDeviceBusy,
-            7: NegativeAcknowledge,
-            8: MemoryParityError,
-            10: GatewayPathUnavailable,
-            11: GatewayTargetFailedToRespond,
+            1: errors.IllegalFunction,
+            2: errors.IllegalDataAddress,
+            3: errors.IllegalDataValue,
+            4: errors.ServerDeviceFailure,
+            5: errors.Acknowledge,
+            6: errors.ServerDeviceBusy,
+            7: errors.NegativeAcknowledge,
+            8: errors.MemoryParityError,
+            10: errors.GatewayPathUnavailable,
+            11: errors.GatewayTargetFailedToRespond,
         }
         for code in range(256):
-            with pytest.raises(ExceptionResponse) as caught:
-                ReadCoils(0, 1).decode_response(bytes([0x81, code]))
-            assert type(caught.value) is kinds.get(code, ExceptionResponse)
+            with pytest.raises(errors.ExceptionResponse) as caught:
+                pdu.ReadCoils(0, 1).decode_response(bytes([0x81, code]))
+            assert type(caught.value) is kinds.get(code, errors.ExceptionResponse)
             assert caught.value.code == code
             assert f"exception {code})" in str(caught.value)
 
     @each_case(
         ("request_", "response"),
         [
-            (ReadCoils(0, 10), b"\1\1\1"),  # bytes for 8
-            (ReadCoils(0, 10), b"\1\3\1\1\1"),  # bytes for 24
-            (ReadCoils(0, 8), b"\1\0"),
-            (ReadHoldingRegisters(0, 2), b"\3\2\0\1"),
-            (ReadHoldingRegisters(0, 2), b"\3\6" + bytes(6)),
-            (ReadHoldingRegisters(0, 2), b"\3\3" + bytes(3)),
-            (ReadHoldingRegisters(0, 2), b"\3\0"),
-            (ReadWriteRegisters(0, 2, 0, [1]), b"\x17\2\0\1"),
-            (ReadFileRecords([(1, 0, 1)]), b"\x14\0"),
-            (ReadFileRecords([(1, 0, 1)]), b"\x14\4\3\5\0\1"),  # reference type
-            (ReadFileRecords([(1, 0, 1)]), b"\x14\4\4\6\0\1"),  # length of the piece
-            (ReadFileRecords([(1, 0, 1)]), b"\x14\6\5\6\0\1\0\1"),  # one register more
-            (ReadFileRecords([(1, 0, 1)]), b"\x14\x08" + b"\3\6\0\1" * 2),  # one piece more
-            (ReadFileRecords([(1, 0, 1)] * 2), b"\x14\4\3\6\0\1"),  # one piece less
-            (ReadFileRecords([(1, 0, 1), (1, 0, 2)]), b"\x14\x0a\5\6\0\1\0\2\3\6\0\1"),  # order
-            (Diagnostics(0, b"\1\2"), b"\x08\0\0\1\2\3\4"),
-            (Diagnostics(0, b"\1\2\3\4"), b"\x08\0\0\1\2"),
-            (Diagnostics(0, b"\1\2"), b"\x08\0\1\1\2"),  # another sub-function
-            (Diagnostics(11), b"\x08\0\x0c\0\0"),
-            (Diagnostics(11), b"\x08\0\0\0\0"),
-            (ReadCommEventLog(), b"\x0c\0"),
-            (ReadCommEventLog(), b"\x0c\5" + bytes(5)),
-            (ReadCommEventLog(), b"\x0c\x47" + bytes(71)),  # 65 events
-            (ReportServerId(), b"\x11\0"),
-            (ReportServerId(), b"\x11\1\1"),
-            (ReadFifoQueue(1), b"\x18\0\0"),
-            (ReadFifoQueue(1), b"\x18\0\1\0"),
-            (ReadFifoQueue(1), b"\x18\0\4\0\0\0\7"),  # count too small
-            (ReadFifoQueue(1), b"\x18\0\2\0\1"),  # count too large
-            (ReadFifoQueue(1), b"\x18\0\2\0\1\0\7"),  # byte count too small
-            (ReadFifoQueue(1), b"\x18\0\6\0\1\0\7"),  # byte count too large
-            (ReadFifoQueue(1), b"\x18\0\5\0\1\0\7\0"),  # odd
-            (ReadFifoQueue(1), b"\x18\2\0\0\0"),
-            (ReadFifoQueue(1), b"\x18\0\x42\0\x20" + bytes(64)),  # 32 registers
-            (ReadDeviceIdentification(1), b"\x2b\x0d\1\1\0\0\0"),  # another MEI type
-            (ReadDeviceIdentification(1), b"\x2b\x0e\2\1\0\0\0"),  # another code
-            (ReadDeviceIdentification(1), b"\x2b\x0e\1\1\0\0\1"),  # an object is missing
-            (ReadDeviceIdentification(1), b"\x2b\x0e\1\1\0\0\1\0\2a"),
-            (ReadDeviceIdentification(1), b"\x2b\x0e\1\1\0\0\0\0\1a"),  # an object too many
-            (ReadDeviceIdentification(1), b"\x2b\x0e\1\1\0\0\2\0\1a"),
-            (EncapsulatedTransport(13, b""), b"\x2b\x0e\1\1\0\0\0"),
-            (EncapsulatedTransport(13, b""), b"\x2b"),
+            (pdu.ReadCoils(0, 10), b"\1\1\1"),  # bytes for 8
+            (pdu.ReadCoils(0, 10), b"\1\3\1\1\1"),  # bytes for 24
+            (pdu.ReadCoils(0, 8), b"\1\0"),
+            (pdu.ReadHoldingRegisters(0, 2), b"\3\2\0\1"),
+            (pdu.ReadHoldingRegisters(0, 2), b"\3\6" + bytes(6)),
+            (pdu.ReadHoldingRegisters(0, 2), b"\3\3" + bytes(3)),
+            (pdu.ReadHoldingRegisters(0, 2), b"\3\0"),
+            (pdu.ReadWriteRegisters(0, 2, 0, [1]), b"\x17\2\0\1"),
+            (pdu.ReadFileRecords([(1, 0, 1)]), b"\x14\0"),
+            (pdu.ReadFileRecords([(1, 0, 1)]), b"\x14\4\3\5\0\1"),  # reference type
+            (pdu.ReadFileRecords([(1, 0, 1)]), b"\x14\4\4\6\0\1"),  # length of the piece
+            (pdu.ReadFileRecords([(1, 0, 1)]), b"\x14\6\5\6\0\1\0\1"),  # one register more
+            (pdu.ReadFileRecords([(1, 0, 1)]), b"\x14\x08" + b"\3\6\0\1" * 2),  # one piece more
+            (pdu.ReadFileRecords([(1, 0, 1)] * 2), b"\x14\4\3\6\0\1"),  # one piece less
+            (pdu.ReadFileRecords([(1, 0, 1), (1, 0, 2)]), b"\x14\x0a\5\6\0\1\0\2\3\6\0\1"),  # order
+            (pdu.Diagnostics(0, b"\1\2"), b"\x08\0\0\1\2\3\4"),
+            (pdu.Diagnostics(0, b"\1\2\3\4"), b"\x08\0\0\1\2"),
+            (pdu.Diagnostics(0, b"\1\2"), b"\x08\0\1\1\2"),  # another sub-function
+            (pdu.Diagnostics(11), b"\x08\0\x0c\0\0"),
+            (pdu.Diagnostics(11), b"\x08\0\0\0\0"),
+            (pdu.ReadCommEventLog(), b"\x0c\0"),
+            (pdu.ReadCommEventLog(), b"\x0c\5" + bytes(5)),
+            (pdu.ReadCommEventLog(), b"\x0c\x47" + bytes(71)),  # 65 events
+            (pdu.ReportServerId(), b"\x11\0"),
+            (pdu.ReportServerId(), b"\x11\1\1"),
+            (pdu.ReadFifoQueue(1), b"\x18\0\0"),
+            (pdu.ReadFifoQueue(1), b"\x18\0\1\0"),
+            (pdu.ReadFifoQueue(1), b"\x18\0\4\0\0\0\7"),  # count too small
+            (pdu.ReadFifoQueue(1), b"\x18\0\2\0\1"),  # count too large
+            (pdu.ReadFifoQueue(1), b"\x18\0\2\0\1\0\7"),  # byte count too small
+            (pdu.ReadFifoQueue(1), b"\x18\0\6\0\1\0\7"),  # byte count too large
+            (pdu.ReadFifoQueue(1), b"\x18\0\5\0\1\0\7\0"),  # odd
+            (pdu.ReadFifoQueue(1), b"\x18\2\0\0\0"),
+            (pdu.ReadFifoQueue(1), b"\x18\0\x42\0\x20" + bytes(64)),  # 32 registers
+            (pdu.ReadDeviceIdentification(1), b"\x2b\x0d\1\1\0\0\0"),  # another MEI type
+            (pdu.ReadDeviceIdentification(1), b"\x2b\x0e\2\1\0\0\0"),  # another code
+            (pdu.ReadDeviceIdentification(1), b"\x2b\x0e\1\1\0\0\1"),  # an object is missing
+            (pdu.ReadDeviceIdentification(1), b"\x2b\x0e\1\1\0\0\1\0\2a"),
+            (pdu.ReadDeviceIdentification(1), b"\x2b\x0e\1\1\0\0\0\0\1a"),  # an object too many
+            (pdu.ReadDeviceIdentification(1), b"\x2b\x0e\1\1\0\0\2\0\1a"),
+            (pdu.EncapsulatedTransport(13, b""), b"\x2b\x0e\1\1\0\0\0"),
+            (pdu.EncapsulatedTransport(13, b""), b"\x2b"),
         ],
     )
     def test_byte_counts_that_do_not_fit_the_request_are_invalid(
-        self, request_: Request[Any], response: bytes
+        self, request_: pdu.Request[Any], response: bytes
     ) -> None:
-        with pytest.raises(InvalidResponse):
+        with pytest.raises(errors.InvalidResponse):
             request_.decode_response(response)
 
     @each_case(
@@ -200,24 +166,24 @@ class TestBadResponses:
         [request for request in one_of_each() if request.may_be_broadcast],
         ids=the_name,
     )
-    def test_every_byte_of_an_echo_counts(self, request_: Request[Any]) -> None:
+    def test_every_byte_of_an_echo_counts(self, request_: pdu.Request[Any]) -> None:
         good = request_.encode_response(None)
         for at in range(1, len(good)):
             spoilt = bytearray(good)
             spoilt[at] ^= 1
-            with pytest.raises(InvalidResponse):
+            with pytest.raises(errors.InvalidResponse):
                 request_.decode_response(bytes(spoilt))
 
     def test_padding_bits_of_coils_are_ignored(self) -> None:
-        assert ReadCoils(0, 3).decode_response(b"\1\1\xfd") == [True, False, True]
+        assert pdu.ReadCoils(0, 3).decode_response(b"\1\1\xfd") == [True, False, True]
 
     def test_padding_bits_are_sent_as_0(self) -> None:
-        assert ReadCoils(0, 3).encode_response([True] * 3) == b"\1\1\7"
-        assert WriteCoils(0, [True] * 9).encode()[-2:] == b"\xff\1"
+        assert pdu.ReadCoils(0, 3).encode_response([True] * 3) == b"\1\1\7"
+        assert pdu.WriteCoils(0, [True] * 9).encode()[-2:] == b"\xff\1"
 
     def test_client_takes_more_from_files_than_a_server_may_send(self) -> None:
         """The table of section 6.14 ends at 245 bytes, the PDU at 251."""
-        request = ReadFileRecords([(1, 0, 124)])
+        request = pdu.ReadFileRecords([(1, 0, 124)])
         response = request.encode_response([range(124)])
         assert len(response) == 252
         assert request.decode_response(response) == [list(range(124))]

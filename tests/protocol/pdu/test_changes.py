@@ -1,5 +1,6 @@
 """
-Which requests may change a device: the clients, the audit and gateways ask the request itself.
+Which requests may change a device, and which may be sent twice: the clients, the audit and gateways
+ask the request itself.
 """
 
 from __future__ import annotations
@@ -9,7 +10,9 @@ from typing import Any
 import pytest
 
 from libmodbus_py import pdu
+from libmodbus_py.protocol.pdu import RawRequest, ReadDeviceIdentification
 from libmodbus_py.services.gateway.raw_request import request_of
+from tests.protocol.pdu.examples import Doubled
 
 READING = [
     pdu.ReadCoils(0, 1),
@@ -44,3 +47,15 @@ CHANGING = [
 def test_a_request_says_whether_it_changes_a_device(request_: pdu.Request[Any]) -> None:
     assert request_.changes is (request_ in CHANGING)
     assert request_of(request_.encode()).changes is (request_ in CHANGING)
+
+
+# --- requests that may be sent twice -----------------------------------------------------------
+
+
+def test_reads_and_writes_of_absolute_values_are_repeatable() -> None:
+    once = {8, 43}
+    for function, kind in pdu.REQUESTS.items():
+        assert kind.repeatable is (function not in once), kind
+    assert ReadDeviceIdentification.repeatable is True
+    assert RawRequest.repeatable is False
+    assert Doubled.repeatable is False

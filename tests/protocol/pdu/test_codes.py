@@ -7,8 +7,7 @@ from __future__ import annotations
 from libmodbus_py import pdu
 from libmodbus_py.protocol import errors
 from libmodbus_py.protocol.pdu.interface import (
-    CANOPEN,
-    DEVICE_IDENTIFICATION,
+    MeiType,
     ReadDeviceIdCode,
 )
 
@@ -78,7 +77,7 @@ def test_sub_functions_have_the_codes_of_the_specification() -> None:
 
 
 def test_mei_types_have_the_codes_of_the_specification() -> None:
-    assert (CANOPEN, DEVICE_IDENTIFICATION) == (0x0D, 0x0E)
+    assert list(MeiType) == [0x0D, 0x0E]
     assert {each.value for each in ReadDeviceIdCode} == {1, 2, 3, 4}
 
 

@@ -11,27 +11,6 @@ from typing import Any
 import pytest
 
 from libmodbus_py import pdu
-from libmodbus_py.protocol.pdu import (
-    Diagnostics,
-    EncapsulatedTransport,
-    MaskWriteRegister,
-    RawRequest,
-    ReadCoils,
-    ReadDeviceIdentification,
-    ReadDiscreteInputs,
-    ReadFifoQueue,
-    ReadFileRecords,
-    ReadHoldingRegisters,
-    ReadInputRegisters,
-    ReadWriteRegisters,
-    Request,
-    SubFunction,
-    WriteCoil,
-    WriteCoils,
-    WriteFileRecords,
-    WriteRegister,
-    WriteRegisters,
-)
 from tests.protocol.pdu.examples import one_of_each
 from tests.support.cases import each_case
 
@@ -43,72 +22,74 @@ class Seven:
         return 7
 
 
+# Makes a request with this argument; and with an address before it.
+Make = Callable[[Any], pdu.Request[Any]]
+MakeAt = Callable[[int, Any], pdu.Request[Any]]
+
 NO_INTEGERS: list[Any] = [1.5, "1", None, True, b"1", [1]]
 NO_SEQUENCES: list[Any] = ["12", b"12", bytearray(b"12"), {1: 2}, {1, 2}, frozenset({1}), 5, None]
 
 # Constructors with one address, and what makes the rest of their arguments.
-ADDRESSED: list[tuple[str, Callable[[Any], Request[Any]]]] = [
-    ("address", lambda address: ReadCoils(address, 1)),
-    ("address", lambda address: ReadDiscreteInputs(address, 1)),
-    ("address", lambda address: ReadHoldingRegisters(address, 1)),
-    ("address", lambda address: ReadInputRegisters(address, 1)),
-    ("address", lambda address: WriteCoil(address, True)),
-    ("address", lambda address: WriteRegister(address, 1)),
-    ("address", lambda address: WriteCoils(address, [True])),
-    ("address", lambda address: WriteRegisters(address, [1])),
-    ("address", lambda address: MaskWriteRegister(address, 0, 0)),
-    ("address", ReadFifoQueue),
-    ("read_address", lambda address: ReadWriteRegisters(address, 1, 0, [1])),
-    ("write_address", lambda address: ReadWriteRegisters(0, 1, address, [1])),
+ADDRESSED: list[tuple[str, Make]] = [
+    ("address", lambda address: pdu.ReadCoils(address, 1)),
+    ("address", lambda address: pdu.ReadDiscreteInputs(address, 1)),
+    ("address", lambda address: pdu.ReadHoldingRegisters(address, 1)),
+    ("address", lambda address: pdu.ReadInputRegisters(address, 1)),
+    ("address", lambda address: pdu.WriteCoil(address, True)),
+    ("address", lambda address: pdu.WriteRegister(address, 1)),
+    ("address", lambda address: pdu.WriteCoils(address, [True])),
+    ("address", lambda address: pdu.WriteRegisters(address, [1])),
+    ("address", lambda address: pdu.MaskWriteRegister(address, 0, 0)),
+    ("address", pdu.ReadFifoQueue),
+    ("read_address", lambda address: pdu.ReadWriteRegisters(address, 1, 0, [1])),
+    ("write_address", lambda address: pdu.ReadWriteRegisters(0, 1, address, [1])),
 ]
 
-COUNTED: list[tuple[str, int, Callable[[int, Any], Request[Any]]]] = [
-    ("count", 2000, ReadCoils),
-    ("count", 2000, ReadDiscreteInputs),
-    ("count", 125, ReadHoldingRegisters),
-    ("count", 125, ReadInputRegisters),
-    ("read_count", 125, lambda address, count: ReadWriteRegisters(address, count, 0, [1])),
+COUNTED: list[tuple[str, int, MakeAt]] = [
+    ("count", 2000, pdu.ReadCoils),
+    ("count", 2000, pdu.ReadDiscreteInputs),
+    ("count", 125, pdu.ReadHoldingRegisters),
+    ("count", 125, pdu.ReadInputRegisters),
+    ("read_count", 125, lambda address, count: pdu.ReadWriteRegisters(address, count, 0, [1])),
 ]
 
-SEQUENCED: list[tuple[str, int, Callable[[int, Any], Request[Any]]]] = [
-    ("values", 1968, WriteCoils),
-    ("values", 123, WriteRegisters),
-    ("values", 121, lambda address, values: ReadWriteRegisters(0, 1, address, values)),
+SEQUENCED: list[tuple[str, int, MakeAt]] = [
+    ("values", 1968, pdu.WriteCoils),
+    ("values", 123, pdu.WriteRegisters),
+    ("values", 121, lambda address, values: pdu.ReadWriteRegisters(0, 1, address, values)),
 ]
 
 # Other numbers: name, range, and what makes the rest.
-NUMBERS: list[tuple[str, int, int, Callable[[Any], Request[Any]]]] = [
-    ("sub_function", 0, 65535, Diagnostics),
-    ("code", 1, 4, ReadDeviceIdentification),
-    ("object_id", 0, 255, lambda number: ReadDeviceIdentification(4, number)),
-    ("mei_type", 0, 255, lambda number: EncapsulatedTransport(number, b"")),
-    ("function", 1, 127, RawRequest),
+NUMBERS: list[tuple[str, int, int, Make]] = [
+    ("sub_function", 0, 65535, pdu.Diagnostics),
+    ("code", 1, 4, pdu.ReadDeviceIdentification),
+    ("object_id", 0, 255, lambda number: pdu.ReadDeviceIdentification(4, number)),
+    ("mei_type", 0, 255, lambda number: pdu.EncapsulatedTransport(number, b"")),
+    ("function", 1, 127, pdu.RawRequest),
 ]
 
 # Constructors with bytes: how many there may be.
-BYTES: list[tuple[list[int], list[int], Callable[[Any], Request[Any]]]] = [
-    ([2, 4, 248, 250], [0, 1, 3, 249, 251, 252], lambda data: Diagnostics(0, data)),
-    ([2], [0, 1, 3, 4, 250], lambda data: Diagnostics(1, data)),
-    ([2], [0, 1, 3, 4, 250], lambda data: Diagnostics(0xFFFF, data)),
-    ([0, 1, 250, 251], [252, 1000], lambda data: EncapsulatedTransport(13, data)),
-    ([0, 1, 251, 252], [253, 1000], lambda data: RawRequest(65, data)),
+BYTES: list[tuple[list[int], list[int], Make]] = [
+    ([2, 4, 248, 250], [0, 1, 3, 249, 251, 252], lambda data: pdu.Diagnostics(0, data)),
+    ([2], [0, 1, 3, 4, 250], lambda data: pdu.Diagnostics(1, data)),
+    ([2], [0, 1, 3, 4, 250], lambda data: pdu.Diagnostics(0xFFFF, data)),
+    ([0, 1, 250, 251], [252, 1000], lambda data: pdu.EncapsulatedTransport(13, data)),
+    ([0, 1, 251, 252], [253, 1000], lambda data: pdu.RawRequest(65, data)),
 ]
 
-REGISTERS: list[tuple[str, Callable[[Any], Request[Any]]]] = [
-    ("value", lambda value: WriteRegister(0, value)),
-    ("and_mask", lambda value: MaskWriteRegister(0, value, 0)),
-    ("or_mask", lambda value: MaskWriteRegister(0, 0, value)),
-    (r"values\[2\]", lambda value: WriteRegisters(0, [1, 2, value])),
-    (r"values\[2\]", lambda value: ReadWriteRegisters(0, 1, 0, [1, 2, value])),
-    (r"records\[0\] values\[1\]", lambda value: WriteFileRecords([(1, 0, [1, value])])),
+REGISTERS: list[tuple[str, Make]] = [
+    ("value", lambda value: pdu.WriteRegister(0, value)),
+    ("and_mask", lambda value: pdu.MaskWriteRegister(0, value, 0)),
+    ("or_mask", lambda value: pdu.MaskWriteRegister(0, 0, value)),
+    (r"values\[2\]", lambda value: pdu.WriteRegisters(0, [1, 2, value])),
+    (r"values\[2\]", lambda value: pdu.ReadWriteRegisters(0, 1, 0, [1, 2, value])),
+    (r"records\[0\] values\[1\]", lambda value: pdu.WriteFileRecords([(1, 0, [1, value])])),
 ]
 
 
 class TestConstructors:
     @each_case(("name", "make"), ADDRESSED)
-    def test_address_goes_from_0_to_65535(
-        self, name: str, make: Callable[[Any], Request[Any]]
-    ) -> None:
+    def test_address_goes_from_0_to_65535(self, name: str, make: Make) -> None:
         for good in (0, 65535):
             assert getattr(make(good), name) == good
         for bad in (-1, 65536, 1 << 40):
@@ -117,23 +98,19 @@ class TestConstructors:
 
     @each_case("bad", NO_INTEGERS, ids=repr)
     @each_case(("name", "make"), ADDRESSED)
-    def test_address_is_an_integer(
-        self, name: str, make: Callable[[Any], Request[Any]], bad: Any
-    ) -> None:
+    def test_address_is_an_integer(self, name: str, make: Make, bad: Any) -> None:
         with pytest.raises(TypeError, match=rf"^{name} must be an integer"):
             make(bad)
 
     @each_case(("name", "make"), ADDRESSED)
-    def test_other_kinds_of_integers_become_int(
-        self, name: str, make: Callable[[Any], Request[Any]]
-    ) -> None:
+    def test_other_kinds_of_integers_become_int(self, name: str, make: Make) -> None:
         address = getattr(make(Seven()), name)
         assert address == 7
         assert type(address) is int
 
     @each_case(("name", "low", "high", "make"), NUMBERS)
     def test_other_numbers_have_their_ranges(
-        self, name: str, low: int, high: int, make: Callable[[Any], Request[Any]]
+        self, name: str, low: int, high: int, make: Make
     ) -> None:
         for good in (low, high):
             assert getattr(make(good), name) == good
@@ -145,9 +122,7 @@ class TestConstructors:
                 make(wrong)
 
     @each_case(("name", "low", "high", "make"), NUMBERS)
-    def test_other_numbers_become_int(
-        self, name: str, low: int, high: int, make: Callable[[Any], Request[Any]]
-    ) -> None:
+    def test_other_numbers_become_int(self, name: str, low: int, high: int, make: Make) -> None:
         if high >= 7:
             number = getattr(make(Seven()), name)
             assert number == 7
@@ -155,7 +130,7 @@ class TestConstructors:
 
     @each_case(("good", "bad", "make"), BYTES)
     def test_data_are_bytes_of_some_sizes(
-        self, good: list[int], bad: list[int], make: Callable[[Any], Request[Any]]
+        self, good: list[int], bad: list[int], make: Make
     ) -> None:
         for size in good:
             assert len(make(bytes(size)).encode()) <= pdu.MAX_PDU
@@ -167,19 +142,17 @@ class TestConstructors:
                 make(wrong)
 
     def test_diagnostics_have_a_zero_word_unless_told(self) -> None:
-        assert Diagnostics(SubFunction.CLEAR_COUNTERS) == Diagnostics(10, b"\0\0")
-        assert Diagnostics(10).encode() == b"\x08\0\x0a\0\0"
+        assert pdu.Diagnostics(pdu.SubFunction.CLEAR_COUNTERS) == pdu.Diagnostics(10, b"\0\0")
+        assert pdu.Diagnostics(10).encode() == b"\x08\0\x0a\0\0"
 
     def test_only_force_listen_only_is_not_answered(self) -> None:
-        silent = [each for each in range(65536) if not Diagnostics(each).expects_response]
-        assert silent == [SubFunction.FORCE_LISTEN_ONLY]
+        silent = [each for each in range(65536) if not pdu.Diagnostics(each).expects_response]
+        assert silent == [pdu.SubFunction.FORCE_LISTEN_ONLY]
         for request in one_of_each():
             assert request.expects_response
 
     @each_case(("name", "limit", "make"), COUNTED)
-    def test_count_goes_from_1_to_its_limit(
-        self, name: str, limit: int, make: Callable[[int, Any], Request[Any]]
-    ) -> None:
+    def test_count_goes_from_1_to_its_limit(self, name: str, limit: int, make: MakeAt) -> None:
         for good in (1, limit):
             assert getattr(make(0, good), name) == good
         for bad in (0, -1, limit + 1, 65536):
@@ -188,16 +161,12 @@ class TestConstructors:
 
     @each_case("bad", NO_INTEGERS, ids=repr)
     @each_case(("name", "limit", "make"), COUNTED)
-    def test_count_is_an_integer(
-        self, name: str, limit: int, make: Callable[[int, Any], Request[Any]], bad: Any
-    ) -> None:
+    def test_count_is_an_integer(self, name: str, limit: int, make: MakeAt, bad: Any) -> None:
         with pytest.raises(TypeError, match=rf"^{name} must be an integer in 1\.\.{limit}"):
             make(0, bad)
 
     @each_case(("name", "limit", "make"), COUNTED)
-    def test_address_and_count_do_not_pass_65536(
-        self, name: str, limit: int, make: Callable[[int, Any], Request[Any]]
-    ) -> None:
+    def test_address_and_count_do_not_pass_65536(self, name: str, limit: int, make: MakeAt) -> None:
         make(65535, 1)
         make(65536 - limit, limit)
         for address, count in ((65535, 2), (65536 - limit + 1, limit)):
@@ -205,9 +174,7 @@ class TestConstructors:
                 make(address, count)
 
     @pytest.mark.parametrize(("name", "limit", "make"), SEQUENCED)
-    def test_values_hold_1_to_their_limit(
-        self, name: str, limit: int, make: Callable[[int, Any], Request[Any]]
-    ) -> None:
+    def test_values_hold_1_to_their_limit(self, name: str, limit: int, make: MakeAt) -> None:
         for good in (1, limit):
             assert len(getattr(make(0, [1] * good), name)) == good
         for bad in ([], [1] * (limit + 1), itertools.repeat(1)):
@@ -217,14 +184,14 @@ class TestConstructors:
     @each_case("bad", NO_SEQUENCES, ids=repr)
     @each_case(("name", "limit", "make"), SEQUENCED)
     def test_values_are_no_text_set_mapping_or_number(
-        self, name: str, limit: int, make: Callable[[int, Any], Request[Any]], bad: Any
+        self, name: str, limit: int, make: MakeAt, bad: Any
     ) -> None:
         with pytest.raises(TypeError, match=rf"^{name} must be a sequence of 1\.\.{limit} values"):
             make(0, bad)
 
     @pytest.mark.parametrize(("name", "limit", "make"), SEQUENCED)
     def test_values_of_any_iterable_are_kept_as_a_tuple(
-        self, name: str, limit: int, make: Callable[[int, Any], Request[Any]]
+        self, name: str, limit: int, make: MakeAt
     ) -> None:
         for values in ([1, 0], (1, 0), range(1, -1, -1), (value for value in (1, 0))):
             kept = getattr(make(0, values), name)
@@ -232,20 +199,18 @@ class TestConstructors:
             assert type(kept) is tuple
 
     def test_registers_of_other_kinds_of_integers_become_int(self) -> None:
-        assert repr(WriteRegisters(0, [1, Seven()]).values) == "(1, 7)"
+        assert repr(pdu.WriteRegisters(0, [1, Seven()]).values) == "(1, 7)"
 
     @pytest.mark.parametrize(("name", "limit", "make"), SEQUENCED)
     def test_address_and_values_do_not_pass_65536(
-        self, name: str, limit: int, make: Callable[[int, Any], Request[Any]]
+        self, name: str, limit: int, make: MakeAt
     ) -> None:
         make(65536 - limit, [1] * limit)
         with pytest.raises(ValueError, match=rf"address \+ len\({name}\) .* 65536"):
             make(65536 - limit + 1, [1] * limit)
 
     @each_case(("name", "make"), REGISTERS)
-    def test_registers_go_from_0_to_65535(
-        self, name: str, make: Callable[[Any], Request[Any]]
-    ) -> None:
+    def test_registers_go_from_0_to_65535(self, name: str, make: Make) -> None:
         make(0)
         make(65535)
         for bad in (-1, 65536):
@@ -258,13 +223,11 @@ class TestConstructors:
     @pytest.mark.parametrize(
         ("name", "make"),
         [
-            ("value", lambda value: WriteCoil(0, value)),
-            (r"values\[1\]", lambda value: WriteCoils(0, [True, value])),
+            ("value", lambda value: pdu.WriteCoil(0, value)),
+            (r"values\[1\]", lambda value: pdu.WriteCoils(0, [True, value])),
         ],
     )
-    def test_coils_are_true_false_1_or_0(
-        self, name: str, make: Callable[[Any], Request[Any]]
-    ) -> None:
+    def test_coils_are_true_false_1_or_0(self, name: str, make: Make) -> None:
         assert make(1) == make(True)
         assert make(0) == make(False)
         assert make(0) != make(1)
@@ -298,7 +261,7 @@ class TestConstructors:
         self, record: Any, error: type[Exception], words: str
     ) -> None:
         with pytest.raises(error, match=f"^{words}"):
-            ReadFileRecords([(1, 0, 1), record])
+            pdu.ReadFileRecords([(1, 0, 1), record])
 
     @each_case(
         ("record", "error", "words"),
@@ -318,9 +281,9 @@ class TestConstructors:
         self, record: Any, error: type[Exception], words: str
     ) -> None:
         with pytest.raises(error, match=f"^{words}"):
-            WriteFileRecords([(1, 0, [1]), record])
+            pdu.WriteFileRecords([(1, 0, [1]), record])
 
-    @pytest.mark.parametrize("kind", [ReadFileRecords, WriteFileRecords])
+    @pytest.mark.parametrize("kind", [pdu.ReadFileRecords, pdu.WriteFileRecords])
     def test_records_are_a_sequence_of_at_least_one(self, kind: Any) -> None:
         with pytest.raises(ValueError, match=r"^records must hold 1"):
             kind([])
@@ -330,42 +293,44 @@ class TestConstructors:
 
     def test_file_pieces_fit_one_message(self) -> None:
         """Section 6.14 and 6.15: what the PDU of 253 bytes holds, to the last register."""
-        ReadFileRecords([(1, 0, 124)])
-        ReadFileRecords([(1, 0, 1)] * 35)
-        ReadFileRecords([(1, 0, 61)] * 2)  # 2 * (2 + 122) = 248
+        pdu.ReadFileRecords([(1, 0, 124)])
+        pdu.ReadFileRecords([(1, 0, 1)] * 35)
+        pdu.ReadFileRecords([(1, 0, 61)] * 2)  # 2 * (2 + 122) = 248
         with pytest.raises(ValueError, match=r"^records ask for a response of 252 bytes"):
-            ReadFileRecords([(1, 0, 62)] * 2)
+            pdu.ReadFileRecords([(1, 0, 62)] * 2)
         with pytest.raises(ValueError, match=r"^records must hold 1\.\.35"):
-            ReadFileRecords([(1, 0, 1)] * 36)
-        assert len(WriteFileRecords([(1, 0, [1] * 122)]).encode()) == 253
-        WriteFileRecords([(1, 0, [1])] * 27)
+            pdu.ReadFileRecords([(1, 0, 1)] * 36)
+        assert len(pdu.WriteFileRecords([(1, 0, [1] * 122)]).encode()) == 253
+        pdu.WriteFileRecords([(1, 0, [1])] * 27)
         with pytest.raises(ValueError, match=r"^records take 252 bytes, more than 251"):
-            WriteFileRecords([(1, 0, [1] * 59), (2, 0, [1] * 60)])
+            pdu.WriteFileRecords([(1, 0, [1] * 59), (2, 0, [1] * 60)])
         with pytest.raises(ValueError, match=r"^records must hold 1\.\.27"):
-            WriteFileRecords([(1, 0, [1])] * 28)
+            pdu.WriteFileRecords([(1, 0, [1])] * 28)
 
     def test_requests_are_values(self) -> None:
-        request = WriteRegisters(1, [1, 2])
-        assert request == WriteRegisters(1, (1, 2))
-        assert hash(request) == hash(WriteRegisters(1, (1, 2)))
-        assert request != WriteRegisters(1, [1, 3])
-        assert ReadCoils(0, 1) != ReadDiscreteInputs(0, 1)
+        request = pdu.WriteRegisters(1, [1, 2])
+        assert request == pdu.WriteRegisters(1, (1, 2))
+        assert hash(request) == hash(pdu.WriteRegisters(1, (1, 2)))
+        assert request != pdu.WriteRegisters(1, [1, 3])
+        assert pdu.ReadCoils(0, 1) != pdu.ReadDiscreteInputs(0, 1)
         with pytest.raises(AttributeError):
             request.address = 2  # type: ignore[misc]
 
     def test_list_given_is_not_kept(self) -> None:
         values = [1, 2]
-        request = WriteRegisters(1, values)
+        request = pdu.WriteRegisters(1, values)
         values.append(3)
         assert request.values == (1, 2)
 
     def test_text_names_the_arguments_and_stays_short(self) -> None:
-        assert str(ReadCoils(3, 5)) == "ReadCoils(address=3, count=5)"
-        assert len(str(WriteCoils(0, [True] * 1968))) < 200
-        assert len(str(WriteFileRecords([(1, 0, [1])] * 27))) < 300
+        assert str(pdu.ReadCoils(3, 5)) == "ReadCoils(address=3, count=5)"
+        assert len(str(pdu.WriteCoils(0, [True] * 1968))) < 200
+        assert len(str(pdu.WriteFileRecords([(1, 0, [1])] * 27))) < 300
 
     def test_only_requests_that_change_the_device_alone_can_be_broadcast(self) -> None:
         writes = {code for code, request in pdu.REQUESTS.items() if request.may_be_broadcast}
         assert writes == {5, 6, 15, 16, 21, 22}
         assert all(pdu.REQUESTS[code].changes for code in writes)
-        assert not any(kind.may_be_broadcast for kind in (ReadDeviceIdentification, RawRequest))
+        assert not any(
+            kind.may_be_broadcast for kind in (pdu.ReadDeviceIdentification, pdu.RawRequest)
+        )

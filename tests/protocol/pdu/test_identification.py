@@ -127,15 +127,6 @@ class TestIdentification:
                     assert next(iter(page.objects)) == number
                     assert min(page.objects) == number
 
-    def test_names_are_those_of_the_specification(self) -> None:
-        found = pdu.DeviceIdentification(1, {0: b"a", 1: b"b", 2: b"c\xff", 6: b"d", 128: b"e"})
-        assert found.names == {
-            "VendorName": "a",
-            "ProductCode": "b",
-            "MajorMinorRevision": "c\ufffd",
-            "UserApplicationName": "d",
-        }
-
     def test_single_object_is_asked_for_once(self) -> None:
         for number in (0, 6, 200, 255):
             steps = identify(number)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import pytest
 
 from libmodbus_py import pdu
+from libmodbus_py.protocol.pdu.request import IN_C
 from tests.protocol.pdu.examples import tells_its_length
 from tests.support.cases import each_case
 from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES, FrameVector, rows
@@ -69,3 +70,15 @@ class TestLengthRules:
         assert pdu.counted(3, at=2)(b"ab") is None
         assert pdu.counted(3, at=2)(b"ab\5") == 8
         assert pdu.unknown_length(b"abc") == 0
+
+
+def test_c_knows_the_length_rule_of_each_function_code() -> None:
+    rules = {
+        (code, name): rule
+        for code, request in pdu.REQUESTS.items()
+        for name, rule in (
+            ("request", request.request_length),
+            ("response", request.response_length),
+        )
+    }
+    assert [place for place, rule in rules.items() if rule not in IN_C] == []

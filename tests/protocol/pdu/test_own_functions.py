@@ -1,5 +1,5 @@
 """
-Functions of one's own, registered with the package.
+Functions of one's own, registered with the package; raw requests; and reads of one's own.
 """
 
 from __future__ import annotations
@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, Device, Mapping, Server, pdu
+from libmodbus_py import Context, Device, InvalidResponse, Mapping, Server, pdu
 from libmodbus_py.protocol.errors import (
+    IllegalDataAddress,
     IllegalDataValue,
     IllegalFunction,
-    InvalidResponse,
     MemoryParityError,
     ServerDeviceFailure,
 )
@@ -152,3 +152,62 @@ class TestRegister:
             assert type(decode_request(bytes([code, 2, 0, 1]))) is other
         finally:
             pdu.REQUESTS.pop(code)
+
+
+# --- raw requests ------------------------------------------------------------------------------
+
+
+class TestRawRequest:
+    def test_data_go_and_come_as_they_are(self) -> None:
+        for function in range(1, 128):
+            request = RawRequest(function, b"\0\xff")
+            assert request.encode() == bytes([function, 0, 0xFF])
+            assert request.decode_response(bytes([function])) == b""
+            assert request.decode_response(bytes([function]) + bytes(252)) == bytes(252)
+            assert RawRequest.decode(request.encode()) == request
+            assert request.encode_response(b"\7") == bytes([function, 7])
+
+    def test_refusals_are_exceptions(self) -> None:
+        with pytest.raises(IllegalDataAddress) as caught:
+            RawRequest(65, b"\1").decode_response(b"\xc1\2")
+        assert caught.value.function == 65
+        assert "RawRequest(function=65, data=b'\\x01')" in str(caught.value)
+
+    def test_it_is_no_write_and_is_answered(self) -> None:
+        assert RawRequest(6).may_be_broadcast is False
+        assert RawRequest(6).expects_response
+
+    def test_it_takes_no_place_in_the_table(self) -> None:
+        assert RawRequest not in pdu.REQUESTS.values()
+
+
+# --- classes of users that read as functions 1 to 4 do -----------------------------------------
+
+
+# Application protocol, 6.3: three registers.
+RESPONSE = bytes.fromhex("03 06 022B00000064")
+
+
+class Signed(pdu.ReadHoldingRegisters):
+    def _decode_response(self, pdu: bytes) -> list[int]:
+        return [each - 65536 * (each > 32767) for each in super()._decode_response(pdu)]
+
+
+class Padded(pdu.ReadHoldingRegisters):
+    """Of a device whose responses are all as long as the longest."""
+
+    response_length = pdu.fixed(12)
+
+    def _decode_response(self, pdu: bytes) -> list[int]:
+        return super()._decode_response(pdu[: 2 + pdu[1]])
+
+
+def test_a_class_decodes_what_is_as_long_as_the_specification_says() -> None:
+    assert Signed(0, 1).decode_response(bytes.fromhex("03 02 FFFE")) == [-2]
+    assert Signed(107, 3).decode_response(RESPONSE) == [555, 0, 100]
+
+
+def test_a_length_of_its_own_is_the_only_one() -> None:
+    assert Padded(107, 3).decode_response(RESPONSE + bytes(4)) == [555, 0, 100]
+    with pytest.raises(InvalidResponse):
+        Padded(107, 3).decode_response(RESPONSE)

@@ -18,34 +18,6 @@ from libmodbus_py.protocol.errors import (
     IllegalFunction,
     InvalidResponse,
 )
-from libmodbus_py.protocol.pdu import (
-    CommEventCounter,
-    CommEventLog,
-    Diagnostics,
-    EncapsulatedTransport,
-    IdentificationPage,
-    MaskWriteRegister,
-    ReadCoils,
-    ReadCommEventCounter,
-    ReadCommEventLog,
-    ReadDeviceIdentification,
-    ReadDiscreteInputs,
-    ReadExceptionStatus,
-    ReadFifoQueue,
-    ReadFileRecords,
-    ReadHoldingRegisters,
-    ReadInputRegisters,
-    ReadWriteRegisters,
-    ReportServerId,
-    Request,
-    ServerId,
-    WriteCoil,
-    WriteCoils,
-    WriteFileRecords,
-    WriteRegister,
-    WriteRegisters,
-    decode_request,
-)
 from libmodbus_py.protocol.pdu.interface import LAST_OBJECT, pages
 from tests.protocol.pdu.examples import FROM_FIELDS, UNJUDGED, one_of_each, tells_its_length
 from tests.protocol.pdu.test_identification import served
@@ -59,49 +31,49 @@ def at(count: int) -> st.SearchStrategy[int]:
 
 
 @st.composite
-def requests(draw: st.DrawFn) -> Request[Any]:
+def requests(draw: st.DrawFn) -> pdu.Request[Any]:
     function = draw(st.sampled_from(sorted(FROM_FIELDS)))
     if function in (1, 2, 3, 4):
         count = draw(st.integers(1, 2000 if function < 3 else 125))
         return pdu.REQUESTS[function](draw(at(count)), count)  # type: ignore[call-arg]
     if function == 5:
-        return WriteCoil(draw(registers), draw(st.booleans()))
+        return pdu.WriteCoil(draw(registers), draw(st.booleans()))
     if function == 6:
-        return WriteRegister(draw(registers), draw(registers))
+        return pdu.WriteRegister(draw(registers), draw(registers))
     if function == 15:
         bits = draw(st.lists(st.booleans(), min_size=1, max_size=1968))
-        return WriteCoils(draw(at(len(bits))), bits)
+        return pdu.WriteCoils(draw(at(len(bits))), bits)
     if function == 16:
         values = draw(st.lists(registers, min_size=1, max_size=123))
-        return WriteRegisters(draw(at(len(values))), values)
+        return pdu.WriteRegisters(draw(at(len(values))), values)
     if function == 20:
         lengths = draw(st.lists(st.integers(1, 5), min_size=1, max_size=20))
-        return ReadFileRecords(
+        return pdu.ReadFileRecords(
             [(draw(st.integers(1, 65535)), draw(st.integers(0, 9995)), n) for n in lengths]
         )
     if function == 21:
         pieces = draw(
             st.lists(st.lists(registers, min_size=1, max_size=5), min_size=1, max_size=14)
         )
-        return WriteFileRecords(
+        return pdu.WriteFileRecords(
             [(draw(st.integers(1, 65535)), draw(st.integers(0, 9995)), v) for v in pieces]
         )
     if function == 22:
-        return MaskWriteRegister(draw(registers), draw(registers), draw(registers))
+        return pdu.MaskWriteRegister(draw(registers), draw(registers), draw(registers))
     if function in (7, 11, 12, 17):
         return pdu.REQUESTS[function]()
     if function == 8:
         sub_function = draw(registers | st.integers(0, 21))
-        return Diagnostics(sub_function, bytes(draw(word_bytes(1 if sub_function else 125))))
+        return pdu.Diagnostics(sub_function, bytes(draw(word_bytes(1 if sub_function else 125))))
     if function == 24:
-        return ReadFifoQueue(draw(registers))
+        return pdu.ReadFifoQueue(draw(registers))
     if function == 43 and draw(st.booleans()):
-        return EncapsulatedTransport(13, draw(st.binary(max_size=251)))
+        return pdu.EncapsulatedTransport(13, draw(st.binary(max_size=251)))
     if function == 43:
-        return ReadDeviceIdentification(draw(st.integers(1, 4)), draw(st.integers(0, 255)))
+        return pdu.ReadDeviceIdentification(draw(st.integers(1, 4)), draw(st.integers(0, 255)))
     values = draw(st.lists(registers, min_size=1, max_size=121))
     count = draw(st.integers(1, 125))
-    return ReadWriteRegisters(draw(at(count)), count, draw(at(len(values))), values)
+    return pdu.ReadWriteRegisters(draw(at(count)), count, draw(at(len(values))), values)
 
 
 def word_bytes(most: int) -> st.SearchStrategy[bytes]:
@@ -115,44 +87,44 @@ identifications = st.dictionaries(st.integers(0, 255), st.binary(max_size=244), 
 
 def one_page(objects: dict[int, bytes]) -> dict[int, bytes]:
     """The first of the objects, as many as fit."""
-    return pages(ReadDeviceIdentification(3), objects).objects
+    return pages(pdu.ReadDeviceIdentification(3), objects).objects
 
 
-def results(request: Request[Any]) -> st.SearchStrategy[Any]:
+def results(request: pdu.Request[Any]) -> st.SearchStrategy[Any]:
     def exactly(item: st.SearchStrategy[Any], count: int) -> st.SearchStrategy[list[Any]]:
         return st.lists(item, min_size=count, max_size=count)
 
     match request:
-        case ReadCoils() | ReadDiscreteInputs():
+        case pdu.ReadCoils() | pdu.ReadDiscreteInputs():
             return st.binary(min_size=1, max_size=1).map(
                 lambda pattern: [bool(pattern[0] >> at % 8 & 1) for at in range(request.count)]
             )
-        case ReadHoldingRegisters() | ReadInputRegisters():
+        case pdu.ReadHoldingRegisters() | pdu.ReadInputRegisters():
             return exactly(registers, request.count)
-        case ReadWriteRegisters():
+        case pdu.ReadWriteRegisters():
             return exactly(registers, request.read_count)
-        case ReadFileRecords():
+        case pdu.ReadFileRecords():
             return st.tuples(*(exactly(registers, n) for _, _, n in request.records)).map(list)
-        case ReadExceptionStatus():
+        case pdu.ReadExceptionStatus():
             return st.integers(0, 255)
-        case Diagnostics():
+        case pdu.Diagnostics():
             return st.binary(min_size=len(request.data), max_size=len(request.data))
-        case ReadCommEventCounter():
-            return st.builds(CommEventCounter, registers, registers)
-        case ReadCommEventLog():
+        case pdu.ReadCommEventCounter():
+            return st.builds(pdu.CommEventCounter, registers, registers)
+        case pdu.ReadCommEventLog():
             events = st.binary(max_size=64)
-            return st.builds(CommEventLog, registers, registers, registers, events)
-        case ReportServerId():
+            return st.builds(pdu.CommEventLog, registers, registers, registers, events)
+        case pdu.ReportServerId():
             byte = st.binary(min_size=1, max_size=1)
-            return st.builds(ServerId, byte, st.booleans(), st.binary(max_size=249))
-        case ReadFifoQueue():
+            return st.builds(pdu.ServerId, byte, st.booleans(), st.binary(max_size=249))
+        case pdu.ReadFifoQueue():
             return st.lists(registers, max_size=31)
-        case ReadDeviceIdentification(code, object_id):
+        case pdu.ReadDeviceIdentification(code, object_id):
             byte = st.integers(0, 255)
             alone = st.binary(max_size=244).map(lambda value: {object_id: value})
             page = alone if code == 4 else identifications.map(one_page)
-            return st.builds(IdentificationPage, byte, st.none() | byte, page, st.just(True))
-        case EncapsulatedTransport():
+            return st.builds(pdu.IdentificationPage, byte, st.none() | byte, page, st.just(True))
+        case pdu.EncapsulatedTransport():
             return st.binary(max_size=251)
         case _:
             return st.none()
@@ -169,9 +141,9 @@ def attempt(decode: Callable[[bytes], Any], data: bytes) -> Any:
 class TestProperties:
     @settings(max_examples=60)
     @given(requests())
-    def test_requests_survive_the_wire(self, request_: Request[Any]) -> None:
+    def test_requests_survive_the_wire(self, request_: pdu.Request[Any]) -> None:
         encoded = request_.encode()
-        assert decode_request(encoded) == request_
+        assert pdu.decode_request(encoded) == request_
         assert len(encoded) <= pdu.MAX_PDU
         right = len(encoded) if tells_its_length(encoded) else 0
         assert pdu.request_length(encoded) == right
@@ -207,7 +179,7 @@ class TestProperties:
     @example(b"\x15\x0a\x06\0\1\0\0\0\2\0\0\0")
     @example(b"\x14\x07" + bytes(7))
     def test_any_request_is_decoded_or_refused(self, data: bytes) -> None:
-        outcome = attempt(decode_request, data)
+        outcome = attempt(pdu.decode_request, data)
         if isinstance(outcome, ExceptionResponse):
             assert type(outcome) in (IllegalFunction, IllegalDataAddress, IllegalDataValue)
         elif isinstance(outcome, ValueError):
@@ -225,7 +197,7 @@ class TestProperties:
         st.sampled_from([0, 0x80]),
     )
     def test_any_response_is_decoded_or_an_error(
-        self, request_: Request[Any], data: bytes, with_function: bool, mark: int
+        self, request_: pdu.Request[Any], data: bytes, with_function: bool, mark: int
     ) -> None:
         if with_function:
             data = bytes([request_.function | mark]) + data

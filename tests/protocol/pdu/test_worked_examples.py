@@ -10,26 +10,17 @@ import pytest
 
 from libmodbus_py import pdu
 from libmodbus_py.protocol.errors import IllegalDataAddress, IllegalFunction
-from libmodbus_py.protocol.pdu import (
-    CommEventCounter,
-    CommEventLog,
-    IdentificationPage,
-    ReadHoldingRegisters,
-    Request,
-    ServerId,
-    decode_request,
-)
 from tests.protocol.pdu.examples import FROM_FIELDS
 from tests.support.cases import each_case
 from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES, FrameVector, rows
 
 
-def _request_of(response: FrameVector) -> Request[Any]:
+def _request_of(response: FrameVector) -> pdu.Request[Any]:
     """The request that a response answers; one that fits where the example has none."""
     for vector in REQUESTS:
         if vector.id == response.request:
             return FROM_FIELDS[vector.function](vector.fields)
-    return ReadHoldingRegisters(0, len(response.fields.get("values", [0])))
+    return pdu.ReadHoldingRegisters(0, len(response.fields.get("values", [0])))
 
 
 def _result_of(response: FrameVector) -> Any:
@@ -44,14 +35,14 @@ def _result_of(response: FrameVector) -> Any:
         case 8:
             return bytes.fromhex(fields["data"])
         case 11:
-            return CommEventCounter(fields["status"], fields["event_count"])
+            return pdu.CommEventCounter(fields["status"], fields["event_count"])
         case 12:
             counters = (fields[name] for name in ("status", "event_count", "message_count"))
-            return CommEventLog(*counters, bytes(fields["events"]))
+            return pdu.CommEventLog(*counters, bytes(fields["events"]))
         case 17:
             texts = (bytes.fromhex(fields[name]) for name in ("identifier", "additional"))
             identifier, additional = texts
-            return ServerId(identifier, fields["running"], additional)
+            return pdu.ServerId(identifier, fields["running"], additional)
         case 20:
             return [sub["values"] for sub in fields["sub_responses"]]
         case 24:
@@ -61,7 +52,7 @@ def _result_of(response: FrameVector) -> Any:
         case 43:
             objects = {int(number): text.encode() for number, text in fields["objects"].items()}
             following = fields["next_object_id"] if fields["more_follows"] else None
-            return IdentificationPage(fields["conformity"], following, objects)
+            return pdu.IdentificationPage(fields["conformity"], following, objects)
     return None
 
 
@@ -76,7 +67,7 @@ class TestWorkedExamples:
 
     @each_case("vector", rows(REQUESTS))
     def test_request_decodes_from_the_bytes(self, vector: FrameVector) -> None:
-        assert decode_request(vector.pdu) == FROM_FIELDS[vector.function](vector.fields)
+        assert pdu.decode_request(vector.pdu) == FROM_FIELDS[vector.function](vector.fields)
 
     @each_case("vector", rows(RESPONSES))
     def test_response_encodes_to_the_bytes(self, vector: FrameVector) -> None:
@@ -99,7 +90,7 @@ class TestWorkedExamples:
                 for asked in REQUESTS
                 if asked.id == vector.request
             ),
-            ReadHoldingRegisters(0, 1),
+            pdu.ReadHoldingRegisters(0, 1),
         )
         with pytest.raises(kinds[vector.fields["exception"]]) as caught:
             request.decode_response(vector.pdu)
@@ -109,7 +100,7 @@ class TestWorkedExamples:
 
     @each_case("vector", rows(REQUESTS))
     def test_decoded_request_encodes_to_the_same_bytes(self, vector: FrameVector) -> None:
-        request = decode_request(vector.pdu)
+        request = pdu.decode_request(vector.pdu)
         assert type(request) is type(FROM_FIELDS[vector.function](vector.fields))
         assert request.function == vector.function
         assert request.encode() == vector.pdu
