@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from ...protocol.logs import HarmlessLogger
 from ...server.forever import Handler, frozen_garbage, signal_handlers
 from ...services.fleet.config import DeviceConfig
-from ...services.fleet.files import FleetFile, load
+from ...services.fleet.files import FleetFile, FleetFileError, load
 from ...services.fleet.fleet import Fleet
 from ...services.fleet.journal.errors import JournalError
 from ...services.fleet.outputs.exclusive import check_exclusive
@@ -112,17 +112,23 @@ def _poll(options: argparse.Namespace) -> int:
 def _poll_logged(options: argparse.Namespace) -> int:
     if options.push and options.engine is None:
         raise ValueError("--push needs --engine")
-    if options.check:
-        devices = load(options.file).devices
-        allow_all_descriptors()
-        return asyncio.run(_check(devices))
     with noted() as hangup:
-        return _start(options, hangup)
+        try:
+            file = load(options.file)
+        except FleetFileError as error:
+            for each in (error, *error.others):
+                complain(str(each))
+            return 2
+        for note in file.notes:
+            complain(note)
+        allow_all_descriptors()
+        if not options.check:
+            return _start(options, file, hangup)
+        hangup.give_back()
+        return asyncio.run(_check(file.devices))
 
 
-def _start(options: argparse.Namespace, hangup: Hangup) -> int:
-    file = load(options.file)
-    allow_all_descriptors()
+def _start(options: argparse.Namespace, file: FleetFile, hangup: Hangup) -> int:
     for each in overloads(file.devices):
         logger.warning("%s", each)
     values = LastValues()
