@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "SCHEMES_OF_URLS", "URLS", "add_client", "add_client_options", "add_csv", "add_defaults",
-    "add_json", "add_requests", "add_security_options", "add_serial_options", "add_units",
-    "add_url", "add_verbose", "checked", "flag", "given", "with_forms",
+    "SCHEMES_OF_URLS", "URLS", "add_client", "add_client_options", "add_columns", "add_csv",
+    "add_defaults", "add_json", "add_requests", "add_security_options", "add_serial_options",
+    "add_units", "add_url", "add_verbose", "checked", "flag", "given", "with_forms",
 ]
 # fmt: on
 
@@ -207,6 +207,30 @@ def _forms(parser: argparse.ArgumentParser) -> set[str]:
         if action.nargs == argparse.PARSER:
             found = found.union(*map(_forms, dict(action.choices or {}).values()))
     return found
+
+
+def add_columns(group: Any) -> argparse.Action:
+    """Add the headings of columns of register maps in CSV."""
+    action: argparse.Action = group.add_argument(
+        "--column",
+        dest="columns",
+        action="append",
+        type=_column,
+        default=[],
+        metavar="KEY=HEADING",
+        help="the heading of a column of the map that is not recognised, such as"
+        " name=Bezeichnung; may be repeated",
+    )
+    return action
+
+
+def _column(text: str) -> tuple[str, str]:
+    key, _, heading = text.partition("=")
+    if not (key and heading):
+        raise argparse.ArgumentTypeError(
+            f"must be KEY=HEADING, such as name=Bezeichnung, not {text!r}"
+        )
+    return key, heading
 
 
 def _read_as(option: Option) -> Callable[[str], Any]:

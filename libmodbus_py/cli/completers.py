@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 # fmt: off
 __all__ = [
     "behind", "completing", "encodings", "examples", "levels", "lists_of_parities", "maps",
-    "orders", "parities", "sub_functions", "types",
+    "names_of_maps", "orders", "parities", "sub_functions", "types",
 ]
 # fmt: on
 
@@ -82,13 +82,18 @@ def examples(**_: Any) -> list[str]:
     return [*DEVICES]
 
 
+def names_of_maps(**_: Any) -> list[str]:
+    """Return the names of the register maps that come with the package."""
+    from ..tools.simulator import example_files
+
+    return [*example_files.maps()]
+
+
 def maps(prefix: str, **_: Any) -> list[str]:
     """Return the register maps that come with the package, and files."""
     from argcomplete.completers import FilesCompleter
 
-    from ..tools.simulator import example_files
-
-    return [*example_files.maps(), *FilesCompleter((".csv", ".toml"))(prefix)]
+    return [*names_of_maps(), *FilesCompleter((".csv", ".toml"))(prefix)]
 
 
 def behind(option: str) -> str:

@@ -137,7 +137,7 @@ class Words:
     The words on the command line, taken one after the other.
 
     Args:
-        options: those of the command: `type`, `order`, `encoding`, `padding`, `map`,
+        options: those of the command: `type`, `order`, `encoding`, `padding`, `map`, `columns`,
             `count_from_1`.
         words: the words that say what is read or written.
         have_values: True if values follow the items, to write.
@@ -153,7 +153,7 @@ class Words:
     def __init__(
         self, options: argparse.Namespace, words: Sequence[str], *, have_values: bool = False
     ) -> None:
-        self.map: RegisterMap | None = map_of(options.map) if options.map is not None else None
+        self.map: RegisterMap | None = map_of(options)
         self.is_all: bool = options.type == ALL and not have_values
         self._words = deque(words)
         self._have_values = have_values
@@ -346,17 +346,21 @@ def _table_word(text: str) -> str:
     return WORD_OF.get(name or "", text.lower() if text.lower() in TABLE_WORDS else "")
 
 
-def map_of(file: str) -> RegisterMap:
+def map_of(options: argparse.Namespace) -> RegisterMap | None:
     """
-    Load a register map from a file, or an example by its name, which has no suffix.
+    Load the register map of --map: a file, or an example by its name; None without the option.
 
     Raises:
         ValueError: the file cannot be read or contains a mistake, or the example does not exist.
     """
+    if options.map is None:
+        if options.columns:
+            raise ValueError("--column needs --map")
+        return None
     from ...tools.files.maps.map_file import load_map
     from ...tools.simulator.example_files import map_file
 
-    return load_map(map_file(file))
+    return load_map(map_file(options.map), columns=dict(options.columns))
 
 
 def _hint(word: str, table: str, typed: str) -> str:

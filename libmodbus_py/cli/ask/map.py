@@ -11,10 +11,10 @@ from textwrap import fill
 from typing import Any
 
 from .. import arguments
-from ..completers import completing, maps
+from ..completers import completing, maps, names_of_maps
 from ..foreign import place
 from ..help import VerbatimHelp
-from ..output import counted
+from ..output import complain, counted
 
 __all__ = ["add_command"]
 
@@ -48,9 +48,11 @@ examples:
 {arguments.URLS}"""
 
 OF_LIST = """\
+The exit code is 0, or 1 if nothing has the words of --search.
+
 examples:
   libmodbus-py map list
-  libmodbus-py map list | grep Eastron
+  libmodbus-py map list --search eastron
   libmodbus-py map check sdm120
   libmodbus-py read 192.0.2.10 --map sdm120"""
 
@@ -99,7 +101,7 @@ def add_command(commands: Any) -> None:
         return action
 
     _add_check(add("check", _check, CHECK, OF_CHECK))
-    add("list", _list, LIST, OF_LIST, "; --map takes their names")
+    _add_list(add("list", _list, LIST, OF_LIST, "; --map takes their names"))
     _add_class(add("class", _class, CLASS, OF_CLASS))
     _add_from_device(add("from-device", _from_device, FROM_DEVICE, OF_DEVICE, TO_FILL_IN))
     from_sunspec = add("from-sunspec", _from_sunspec, FROM_SUNSPEC, OF_SUNSPEC)
@@ -112,6 +114,7 @@ def _add_check(check: argparse.ArgumentParser) -> None:
         "files", metavar="FILE", nargs="+", help="such as meter.csv, or a name that list prints"
     )
     completing(files, maps)
+    arguments.add_columns(check)
     check.add_argument(
         "--device",
         metavar="URL",
@@ -121,11 +124,24 @@ def _add_check(check: argparse.ArgumentParser) -> None:
     arguments.add_requests(check)
 
 
+def _add_list(listed: argparse.ArgumentParser) -> None:
+    search = listed.add_argument(
+        "--search",
+        metavar="WORD",
+        nargs="+",
+        default=[],
+        help="print those alone whose name or description, which begins with the vendor, has all"
+        " these words",
+    )
+    completing(search, names_of_maps)
+
+
 def _add_class(typed: argparse.ArgumentParser) -> None:
     file = typed.add_argument(
         "file", metavar="FILE", help="such as meter.csv, or a name that list prints"
     )
     completing(file, maps)
+    arguments.add_columns(typed)
     typed.add_argument(
         "-o",
         "--output",
@@ -163,8 +179,13 @@ def _check(options: argparse.Namespace) -> int:
 def _list(options: argparse.Namespace) -> int:
     from ...tools.simulator import example_files
 
-    for name, about in example_files.maps().items():
-        print(f"{name:<12} {about}")
+    words = [word.casefold() for word in options.search]
+    lines = [f"{name:<12} {about}" for name, about in example_files.maps().items()]
+    found = [line for line in lines if all(word in line.casefold() for word in words)]
+    if not found:
+        complain(f"no register map of the {len(lines)} has {' and '.join(options.search)}")
+        return 1
+    print("\n".join(found))
     return 0
 
 
@@ -176,7 +197,7 @@ def _class(options: argparse.Namespace) -> int:
     from ...tools.files.maps.map_file import load_map
     from ...tools.simulator.example_files import map_file
 
-    map = load_map(map_file(options.file))
+    map = load_map(map_file(options.file), columns=dict(options.columns))
     text = class_text(map, PurePath(options.file).stem)
     if options.output is None:
         print(text, end="", flush=True)

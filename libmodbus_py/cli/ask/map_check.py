@@ -40,18 +40,19 @@ def check(options: argparse.Namespace) -> int:
     Raises:
         ValueError: an option of requests without a device.
     """
+    columns = dict(options.columns)
     if options.device is None:
         if typed := arguments.given(options, OF_DEVICES):
             raise ValueError(f"{arguments.flag(next(iter(typed)))} needs --device")
-        return max([_check_file(file) for file in options.files])
+        return max([_check_file(file, columns) for file in options.files])
     options.url = options.device
     with closing(connected(options)) as context:
-        return max([_check_file(file, context) for file in options.files])
+        return max([_check_file(file, columns, context) for file in options.files])
 
 
-def _check_file(file: str, context: Context | None = None) -> int:
+def _check_file(file: str, columns: dict[str, str], context: Context | None = None) -> int:
     try:
-        contents = contents_of(map_file(file), MOST_MISTAKES)
+        contents = contents_of(map_file(file), MOST_MISTAKES, columns)
     except ValueError as error:
         return _wrong([str(error)])
     if contents.mistakes:

@@ -103,6 +103,7 @@ def add_item_arguments(
         help="register map, CSV or TOML, or an example such as meter",
     )
     completing(file, completers.maps)
+    make_rare(arguments.add_columns(group))
     group.add_argument(
         "--count-from-1", action="store_true", help="addresses count from 1, both typed and printed"
     )
@@ -122,9 +123,9 @@ def names(parsed_args: argparse.Namespace, **_: Any) -> list[str]:
     from .items import TABLE_WORDS, map_of
 
     found: list[str] = []
-    file = parsed_args.map or behind("--map")
+    parsed_args.map = parsed_args.map or behind("--map") or None
     with contextlib.suppress(OSError, ValueError):
-        found = list(map_of(file)) if file else []
+        found = [*(map_of(parsed_args) or ())]
     return [*TABLE_WORDS, *found]
 
 

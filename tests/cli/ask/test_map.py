@@ -167,3 +167,53 @@ def test_the_maps_that_come_with_the_package() -> None:
     for line in listed:
         assert mapped("check", EXAMPLES / f"{line.split()[0]}.csv").code == 0
         assert len(line.split()) > 2
+
+
+@each_case(
+    ("words", "names"),
+    [
+        (["sdm120"], ["sdm120"]),
+        (["EASTRON", "single"], ["sdm120", "sdm230"]),
+        (["heat", "pumps"], ["nibe_s"]),
+    ],
+)
+def test_maps_are_found_by_words(words: list[str], names: list[str]) -> None:
+    lines = mapped("list", "--search", *words).out.splitlines()
+    assert [line.split()[0] for line in lines] == names
+
+
+def test_maps_that_lack_a_word_are_not_found() -> None:
+    done = mapped("list", "--search", "eastron", "toaster", code=1)
+    assert done.out == ""
+    assert done.err.endswith(" has eastron and toaster\n")
+    assert done.err.count("\n") == 1
+
+
+GERMAN = "Zähler;;\nBezeichnung;Register;Datentyp\nSpannung;40001;U16\n".encode("cp1252")
+
+
+def test_columns_are_named_on_the_command_line(url: str, tmp_path: Path) -> None:
+    (tmp_path / "zähler.csv").write_bytes(GERMAN)
+    file, named = tmp_path / "zähler.csv", ["--column", "name=Bezeichnung"]
+    named += ["--column", "type=Datentyp"]
+    assert mapped("check", file, *named).out.splitlines()[0] == f"{file}: 1 point"
+    assert "Spannung" in mapped("class", file, *named).out
+    assert run("read", url, "-u", 3, "--map", file, *named).out == "Spannung  7\n"
+    assert run("write", url, "-u", 3, "--map", file, *named, "Spannung=8").code == 0
+    assert "no column name" in mapped("check", file, code=2).err
+
+
+@each_case(
+    ("words", "said"),
+    [
+        (["read", "127.0.0.1", "hr", "0", "--column", "name=x"], "--column needs --map"),
+        (["serve", "127.0.0.1", "--column", "name=x"], "--column needs --map"),
+        (["map", "check", "meter", "--column", "name"], "must be KEY=HEADING"),
+        (["map", "check", "meter", "--column", "name=x"], "no column x, which is named for name"),
+        (["map", "check", "meter", "--column", "nam=x"], "columns must name some of name"),
+    ],
+)
+def test_what_is_wrong_with_columns(words: list[str], said: str) -> None:
+    done = run(*words)
+    assert done.code == 2
+    assert said in done.err

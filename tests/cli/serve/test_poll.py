@@ -106,6 +106,26 @@ def test_check_prints_a_table_and_what_is_too_much(fleet: Path) -> None:
     assert done.code == 1
 
 
+def test_all_mistakes_in_devices_are_printed(fleet: Path) -> None:
+    fleet.write_text(fleet.read_text() + "unit = 300\n" + '[[device]]\nname = "a"\nurl = "x:"\n')
+    done = run("poll", fleet)
+    assert (done.code, done.out) == (2, "")
+    lines = done.err.splitlines()
+    assert [re.sub(".*: (device.*?) .*", r"\1", line) for line in lines] == [
+        "device[2].unit",
+        "device[3].url:",
+    ]
+
+
+def test_it_is_said_how_a_list_of_devices_was_read(fleet: Path) -> None:
+    rows = "Geräte;\nname;url\ndrei;tcp://127.0.0.1:1\n"
+    (fleet.parent / "list.csv").write_bytes(rows.encode("cp1252"))
+    fleet.write_text('devices = "list.csv"\n' + fleet.read_text())
+    said = run("poll", fleet, "--check").err.splitlines()
+    assert "list.csv: read as cp1252" in said[0]
+    assert said[1].endswith("list.csv: rows above the headings that are skipped: 1")
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_with_a_summary(fleet: Path, number: signal.Signals) -> None:
     with started(fleet) as polling:
