@@ -25,10 +25,16 @@ if TYPE_CHECKING:
 __all__ = ["COMMANDS", "PROGRAM", "parsed", "parser_of", "whole_parser"]
 
 COMMANDS = {
-    "read": ("ask.read", "read registers, coils, records and named points, once or repeatedly"),
-    "write": ("ask.write", "write registers, coils, records and named points"),
-    "identify": ("ask.identify", "print the identification of a device"),
-    "diagnose": ("ask.diagnose", "print the counters, event log and status of a device"),
+    "read": (
+        "ask.values:add_read",
+        "read registers, coils, records and named points, once or repeatedly",
+    ),
+    "write": ("ask.values:add_write", "write registers, coils, records and named points"),
+    "identify": ("ask.reports:add_identify", "print the identification of a device"),
+    "diagnose": (
+        "ask.reports:add_diagnose",
+        "print the counters, event log and status of a device",
+    ),
     "raw": ("ask.raw", "send any function code, and print the response"),
     "scan": ("find.scan", "find the units on a line or behind an address, and their settings"),
     "ports": ("find.ports", "list the serial ports of this machine"),
@@ -46,7 +52,7 @@ COMMANDS = {
     "completion": ("completion", "print the completion script for bash, zsh or fish"),
     "demo": ("demo", "show a client and a server talking over three kinds of lines"),
 }
-"""Name -> module in this package, and the purpose."""
+"""Name -> module in this package, its function unless that is `add_command`, and the purpose."""
 
 EXAMPLES = """\
 examples:
@@ -133,7 +139,9 @@ def parser_of(name: str) -> _Parser:
 
 
 def _fill(parser: argparse.ArgumentParser, name: str) -> None:
-    import_module(f".{COMMANDS[name][0]}", __package__).add_command(_Wanted(parser))
+    module, _, function = COMMANDS[name][0].partition(":")
+    found = import_module(f".{module}", __package__)
+    getattr(found, function or "add_command")(_Wanted(parser))
     parser.set_defaults(parser=parser)
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py.cli.ask.items import TABLE_WORDS
-from libmodbus_py.cli.ask.read import names as names_of_map
+from libmodbus_py.cli.ask.values import names as names_of_map
 from libmodbus_py.protocol.extras import how_to_add
 from tests.support.commands import PROGRAM, run
 
@@ -107,7 +107,7 @@ def test_the_map_may_stand_behind_the_name(
 ) -> None:
     monkeypatch.chdir(place)
     monkeypatch.setenv("COMP_LINE", line)
-    names = names_of_map(argparse.Namespace(map=None))
+    names = names_of_map(argparse.Namespace(map=None, columns=[]))
     assert set(names) - {*TABLE_WORDS} == found
 
 

@@ -1,24 +1,26 @@
 """
-The command map: the arguments of its actions, and the actions list and class.
+The command map: the arguments of its actions, and the action list.
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable
 from textwrap import fill
 from typing import Any
 
 from .. import arguments
+from ..arguments import run_late
 from ..completers import completing, maps, names_of_maps
 from ..foreign import place
 from ..help import VerbatimHelp
-from ..output import complain, counted
+from ..output import complain
 
 __all__ = ["add_command"]
 
 Run = Callable[[argparse.Namespace], int]
+
+ACTIONS = "ask.map_actions"
 
 CHECK = "check register maps, and print their points and requests"
 LIST = "list the register maps that come with the package"
@@ -100,11 +102,13 @@ def add_command(commands: Any) -> None:
         action.set_defaults(run=run, parser=action)
         return action
 
-    _add_check(add("check", _check, CHECK, OF_CHECK))
+    _add_check(add("check", run_late(ACTIONS, "check"), CHECK, OF_CHECK))
     _add_list(add("list", _list, LIST, OF_LIST, "; --map takes their names"))
-    _add_class(add("class", _class, CLASS, OF_CLASS))
-    _add_from_device(add("from-device", _from_device, FROM_DEVICE, OF_DEVICE, TO_FILL_IN))
-    from_sunspec = add("from-sunspec", _from_sunspec, FROM_SUNSPEC, OF_SUNSPEC)
+    _add_class(add("class", run_late(ACTIONS, "class_of"), CLASS, OF_CLASS))
+    _add_from_device(
+        add("from-device", run_late(ACTIONS, "from_device"), FROM_DEVICE, OF_DEVICE, TO_FILL_IN)
+    )
+    from_sunspec = add("from-sunspec", run_late(ACTIONS, "from_sunspec"), FROM_SUNSPEC, OF_SUNSPEC)
     arguments.add_client(from_sunspec)
     _add_output(from_sunspec)
 
@@ -170,12 +174,6 @@ def _timeouts() -> dict[str, str]:
     return {"timeout": f"{ON_LINES:g}; on networks {ON_NETWORKS:g}"}
 
 
-def _check(options: argparse.Namespace) -> int:
-    from .map_check import check
-
-    return check(options)
-
-
 def _list(options: argparse.Namespace) -> int:
     from ...tools.simulator import example_files
 
@@ -187,54 +185,3 @@ def _list(options: argparse.Namespace) -> int:
         return 1
     print("\n".join(found))
     return 0
-
-
-def _class(options: argparse.Namespace) -> int:
-    """Write a class for a register map to a file, or print it."""
-    from pathlib import Path, PurePath
-
-    from ...tools.files.maps.class_text import class_text
-    from ...tools.files.maps.map_file import load_map
-    from ...tools.simulator.example_files import map_file
-
-    map = load_map(map_file(options.file), columns=dict(options.columns))
-    text = class_text(map, PurePath(options.file).stem)
-    if options.output is None:
-        print(text, end="", flush=True)
-        return 0
-    _check_output(options.output)
-    Path(options.output).write_text(text, encoding="utf-8")
-    print(f"{options.output}: {counted(len(map), 'point')}", file=sys.stderr)
-    return 0
-
-
-def _check_output(output: str) -> None:
-    """Refuse to overwrite a file that this command has not written."""
-    from pathlib import Path
-
-    from ...tools.files.maps.class_text import MARK
-
-    path = Path(output)
-    if path.suffix != ".py":
-        raise ValueError(f"{output}: it must end with .py")
-    if not path.absolute().parent.is_dir():
-        raise ValueError(f"{output}: the folder does not exist")
-    try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            start = file.read(2000)
-    except FileNotFoundError:
-        return
-    if MARK not in start:
-        raise ValueError(f"{output} exists, and would be overwritten")
-
-
-def _from_device(options: argparse.Namespace) -> int:
-    from .map_making import from_device
-
-    return from_device(options)
-
-
-def _from_sunspec(options: argparse.Namespace) -> int:
-    from .map_making import from_sunspec
-
-    return from_sunspec(options)

@@ -1,5 +1,8 @@
 """
-The command diagnose: status, counters and events of a device (functions 7, 8, 11 and 12).
+The commands identify and diagnose: what a device says of itself.
+
+identify asks for the device identification and the server id (functions 43/14 and 17), diagnose for
+status, counters and events (functions 7, 8, 11 and 12).
 """
 
 from __future__ import annotations
@@ -11,16 +14,27 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from .. import arguments
-from ..completers import completing, sub_functions
+from ..completers import completing, levels, sub_functions
 from ..output import print_json
 
 if TYPE_CHECKING:
     from ...client.blocking import Context
+    from ...protocol.pdu import ServerId
     from .units import Named
 
-__all__ = ["add_command"]
+__all__ = ["add_diagnose", "add_identify"]
 
-EXAMPLES = """\
+MANDATORY = {0, 1, 2}
+"""Numbers of the objects of the basic level, which every device has (section 6.21)."""
+
+OF_IDENTIFY = """\
+examples:
+  libmodbus-py identify 192.0.2.10
+  libmodbus-py identify /dev/ttyUSB0 -b 9600 -u 1-9,17
+  libmodbus-py identify 192.0.2.10 --level extended --json
+  libmodbus-py identify 'tcp://192.0.2.10?unit=7&timeout=0.5' --level 4"""
+
+OF_DIAGNOSE = """\
 examples:
   libmodbus-py diagnose /dev/ttyUSB0 -b 9600 -u 7
   libmodbus-py diagnose 192.0.2.10 return-query-data 0x1234
@@ -28,14 +42,79 @@ examples:
   libmodbus-py diagnose 'rtu:///dev/ttyUSB0?baudrate=9600&unit=7' 11"""
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to argparse."""
+def add_identify(commands: Any) -> None:
+    """Add the command identify to argparse."""
+    command = commands.add_parser(
+        "identify",
+        description="Print the device identification (function 43/14) and the server id\n"
+        "(function 17). Devices have one, both or neither; with neither the exit code\n"
+        "is 1.",
+        epilog=f"{OF_IDENTIFY}\n\n{arguments.URLS}",
+    )
+    arguments.add_client(command, several=True)
+    level = command.add_argument(
+        "--level",
+        default="regular",
+        metavar="L",
+        help="basic, regular, extended, or the number of one object (regular)",
+    )
+    completing(level, levels)
+    arguments.add_json(command)
+    command.set_defaults(run=_identify)
+
+
+def _identify(options: argparse.Namespace) -> int:
+    from ...protocol.spelling import number_of
+    from .units import print_report, report_units
+
+    level = options.level
+    wanted: str | int = number_of("level", level) if level[:1].isdigit() else level
+
+    def report(context: Context, several: bool) -> int:
+        questions = {
+            "identification": lambda: _objects(_identification(context, wanted)),
+            "server id": lambda: _server_id(context.report_server_id()),
+        }
+        return print_report(context, questions, as_json=options.json, several=several)
+
+    return report_units(options, report)
+
+
+def _identification(context: Context, wanted: str | int) -> dict[int, bytes]:
+    """Return the objects of a level; some devices leave out those of the basic level in others."""
+    found = context.read_device_identification(wanted).objects
+    if wanted in ("regular", "extended") and MANDATORY - found.keys():
+        found = {**context.read_device_identification("basic").objects, **found}
+    return found
+
+
+def _objects(objects: dict[int, bytes]) -> list[tuple[str, bytes]]:
+    from ...protocol.pdu.interface import OBJECT_NAMES
+
+    return [
+        (OBJECT_NAMES.get(number, f"object {number}"), value)
+        for number, value in sorted(objects.items())
+    ]
+
+
+def _server_id(server_id: ServerId) -> list[tuple[str, Any]]:
+    told: list[tuple[str, Any]] = [("server id", server_id.data)]
+    if server_id.running is not None:
+        told.append(("running", server_id.running))
+    return told
+
+
+# --- diagnose ------------------------------------------------------------------------
+
+
+def add_diagnose(commands: Any) -> None:
+    """Add the command diagnose to argparse."""
     command = commands.add_parser(
         "diagnose",
         description="Print the exception status (function 7), the counters (8), the event\n"
         "counter (11) and the event log (12), as far as the device has them. Nothing in\n"
         "the device changes, unless SUB-FUNCTION is given and changes something.",
-        epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
+        epilog=f"{OF_DIAGNOSE}\n\n{arguments.URLS}",
     )
     arguments.add_client(command, several=True)
     sub_function = command.add_argument(

@@ -1,5 +1,5 @@
 """
-The command read: its arguments.
+The commands read and write: their arguments. What they do is imported when they run.
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ from typing import Any, get_args
 from ...protocol.checks import DURATION, duration_of
 from ...protocol.type_names import BitsType, NumberType, Order
 from .. import arguments, completers
+from ..arguments import run_late
 from ..completers import behind, completing
 from ..help import make_rare
 from ..serve import page
 
-__all__ = ["WHAT", "add_command", "add_item_arguments", "names"]
+__all__ = ["add_read", "add_write", "names"]
 
 WHAT = """\
 WHAT is one of
@@ -24,16 +25,23 @@ WHAT is one of
   REFERENCE      such as 40123, which is holding register 122
   NAME           a point of the register map that --map gives"""
 
-EXAMPLES = """\
+READING = """\
 examples:
   libmodbus-py read 192.0.2.10 hr 0-9 coils 0 8 hr 100:float32
   libmodbus-py read /dev/ttyUSB0 -b 9600 -p none -u 7 30001 2 --type float32
   libmodbus-py read 192.0.2.10 -u 1-3,17 --map meter.csv voltage current --watch
   libmodbus-py read 'tcp://192.0.2.10?unit=7&timeout=0.5' ir 0 9 --csv log.csv"""
 
+WRITING = """\
+examples:
+  libmodbus-py write 192.0.2.10 40001=555 hr 4:float32=3.5 coils 7 on --verify
+  libmodbus-py write /dev/ttyUSB0 -b 9600 40123 3.14 --type float32 --order CDAB
+  libmodbus-py write 192.0.2.10 --map meter.csv setpoint 21.5 --dry-run -v
+  libmodbus-py write 'tcp://192.0.2.10?unit=7&timeout=0.5' hr 4 --mask 0xFFF0 5"""
 
-def add_command(commands: Any) -> None:
-    """Add the command to argparse."""
+
+def add_read(commands: Any) -> None:
+    """Add the command read to argparse."""
     command = commands.add_parser(
         "read",
         description="Read values of a device, in as few requests as possible.\n\n"
@@ -41,7 +49,7 @@ def add_command(commands: Any) -> None:
         "and may be followed by a number of values (1). Several may follow each other.\n"
         "An address may have a type (hr 100:float32) and be a range (hr 100-105).\n"
         "With --map and without WHAT, all points of the map are read.",
-        epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
+        epilog=f"{READING}\n\n{arguments.URLS}",
     )
     arguments.add_url(command)
     what = command.add_argument("what", metavar="WHAT", nargs="*", help="the values to read")
@@ -52,7 +60,7 @@ def add_command(commands: Any) -> None:
         action="append",
         help="read the points of a group of the map; may be repeated",
     )
-    add_item_arguments(command, ", or all, which shows every interpretation", can_show_all=True)
+    _add_item_arguments(command, ", or all, which shows every interpretation", can_show_all=True)
     group = command.add_argument_group("output")
     form = group.add_mutually_exclusive_group()
     form.add_argument("--hex", action="store_true", help="print registers in hexadecimal")
@@ -81,7 +89,52 @@ def add_command(commands: Any) -> None:
     command.set_defaults(run=_read)
 
 
-def add_item_arguments(
+def add_write(commands: Any) -> None:
+    """Add the command write to argparse."""
+    command = commands.add_parser(
+        "write",
+        description="Write values to a device, one request for each WHAT. All values are\n"
+        f"checked before the first request.\n\n{WHAT}\n"
+        "followed by its values, as in hr 10 5 6, or 40011=5. Several may follow each\n"
+        "other. Values of coils are 0, 1, off, on, false and true. After -- a text may\n"
+        "begin with -; options must be before it.",
+        epilog=f"{WRITING}\n\n{arguments.URLS}",
+    )
+    arguments.add_url(command)
+    what = command.add_argument("what", metavar="WHAT VALUE", nargs="+", help="the values to write")
+    completing(what, names)
+    _add_item_arguments(command)
+    group = command.add_argument_group("writing")
+    group.add_argument(
+        "--multiple",
+        action="store_true",
+        help="write single values with functions 15 and 16, not with 5 and 6",
+    )
+    group.add_argument(
+        "--mask",
+        nargs=2,
+        metavar=("AND", "OR"),
+        help="in place of values: keep the bits of AND, take the others from OR (function 22)",
+    )
+    group.add_argument(
+        "--and-read",
+        nargs=2,
+        metavar=("ADDRESS", "COUNT"),
+        help="holding registers that are read after the write, by the same request (23)",
+    )
+    group.add_argument(
+        "--verify",
+        action="store_true",
+        help="read back what was written, and compare; the exit code is 1 if anything differs",
+    )
+    group.add_argument(
+        "--dry-run", action="store_true", help="print the frames instead of sending them"
+    )
+    arguments.add_requests(command)
+    command.set_defaults(run=run_late("ask.writing", "write"))
+
+
+def _add_item_arguments(
     command: argparse.ArgumentParser, more: str = "", *, can_show_all: bool = False
 ) -> None:
     """Add the arguments that say how values are stored in a device."""
@@ -151,9 +204,5 @@ def _read(options: argparse.Namespace) -> int:
     if options.watch is None and (options.count or options.lasts or options.page):
         options.watch = 1.0
     if options.watch is None:
-        from .reading import read
-
-        return read(options)
-    from .watching import watch
-
-    return watch(options)
+        return run_late("ask.reading", "read")(options)
+    return run_late("ask.watching", "watch")(options)
