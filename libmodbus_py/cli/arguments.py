@@ -8,7 +8,6 @@ hyphens. Options that are not typed are None, so that the URL or the default app
 from __future__ import annotations
 
 import argparse
-from importlib import import_module
 
 from ..ports.schemes import (
     CLIENT_OPTIONS,
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
 __all__ = [
     "SCHEMES_OF_URLS", "URLS", "add_client", "add_client_options", "add_columns", "add_csv",
     "add_defaults", "add_json", "add_requests", "add_security_options", "add_serial_options",
-    "add_units", "add_url", "add_verbose", "checked", "flag", "given", "run_late", "with_forms",
+    "add_units", "add_url", "add_verbose", "checked", "flag", "given", "with_forms",
 ]
 # fmt: on
 
@@ -127,22 +126,6 @@ def _wrong(
                 return []
             found += [(name, error) for name in only]
     return found
-
-
-def run_late(module: str, function: str) -> Callable[[argparse.Namespace], int]:
-    """
-    Return what runs a command: a function of a module that is imported only then.
-
-    Args:
-        module: its name in this package.
-    """
-
-    def run(options: argparse.Namespace) -> int:
-        found = import_module(f".{module}", __package__)
-        code: int = getattr(found, function)(options)
-        return code
-
-    return run
 
 
 # --- single arguments ---------------------------------------------------------------------------

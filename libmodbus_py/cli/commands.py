@@ -26,13 +26,13 @@ __all__ = ["COMMANDS", "PROGRAM", "parsed", "parser_of", "whole_parser"]
 
 COMMANDS = {
     "read": (
-        "ask.values:add_read",
+        "ask.values",
         "read registers, coils, records and named points, once or repeatedly",
     ),
-    "write": ("ask.values:add_write", "write registers, coils, records and named points"),
-    "identify": ("ask.reports:add_identify", "print the identification of a device"),
+    "write": ("ask.values", "write registers, coils, records and named points"),
+    "identify": ("ask.reports", "print the identification of a device"),
     "diagnose": (
-        "ask.reports:add_diagnose",
+        "ask.reports",
         "print the counters, event log and status of a device",
     ),
     "raw": ("ask.raw", "send any function code, and print the response"),
@@ -52,7 +52,7 @@ COMMANDS = {
     "completion": ("completion", "print the completion script for bash, zsh or fish"),
     "demo": ("demo", "show a client and a server talking over three kinds of lines"),
 }
-"""Name -> module in this package, its function unless that is `add_command`, and the purpose."""
+"""Name -> module in this package, and the purpose."""
 
 EXAMPLES = """\
 examples:
@@ -139,17 +139,21 @@ def parser_of(name: str) -> _Parser:
 
 
 def _fill(parser: argparse.ArgumentParser, name: str) -> None:
-    module, _, function = COMMANDS[name][0].partition(":")
-    found = import_module(f".{module}", __package__)
-    getattr(found, function or "add_command")(_Wanted(parser))
+    import_module(f".{COMMANDS[name][0]}", __package__).add_command(_Wanted(parser, name))
     parser.set_defaults(parser=parser)
 
 
 class _Wanted:
-    """Argument of `add_command`: looks like the subparsers of argparse, and fills one parser."""
+    """
+    Argument of `add_command`: looks like the subparsers of argparse, and fills one parser.
 
-    def __init__(self, parser: argparse.ArgumentParser) -> None:
+    Attributes:
+        name: the command whose arguments are added, for modules of two.
+    """
+
+    def __init__(self, parser: argparse.ArgumentParser, name: str) -> None:
         self._parser = parser
+        self.name = name
 
     def add_parser(self, name: str, **texts: Any) -> argparse.ArgumentParser:
         for attribute, text in texts.items():

@@ -8,6 +8,7 @@ before it. Options behind it are looked up in the whole line.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import shlex
 from collections.abc import Callable, Iterable
@@ -98,10 +99,10 @@ def maps(prefix: str, **_: Any) -> list[str]:
 
 def behind(option: str) -> str:
     """Return the value of an option in the line that is completed; empty if it is not there."""
-    try:
-        words = shlex.split(os.environ.get("COMP_LINE", ""))
-    except ValueError:  # a quote that is still open
-        return ""
+    words: list[str] = []
+    for quote in ("", "'", '"'):  # one may be open still
+        with contextlib.suppress(ValueError):
+            words = words or shlex.split(f"{os.environ.get('COMP_LINE', '')}{quote}")
     for at, word in enumerate(words):
         if word.startswith(f"{option}="):
             return word.removeprefix(f"{option}=")

@@ -6,6 +6,7 @@ what a terminal shows meanwhile.
 from __future__ import annotations
 
 import contextlib
+import os
 import resource
 from collections.abc import Iterator
 from pathlib import Path
@@ -80,3 +81,35 @@ def test_errors_of_such_a_watch_are_seen(tmp_path: Path) -> None:
     done = run(*words[:-1], tmp_path / "again.json")
     assert (done.code, done.out) == (1, "")
     assert done.err.count("Connection refused") == 1  # said once, not at each poll
+
+
+PRINTING = [
+    "read URL hr 0",
+    "read URL hr 0 --json",
+    "read URL hr 0 --watch 0.01 --count 3",
+    "write URL hr 0 5 --dry-run",
+    "identify URL",
+    "diagnose URL",
+    "raw URL 03 00 00 00 01",
+    "map list",
+    "map check meter",
+    "map class meter",
+    "serve --example",
+]
+"""What is typed to print something."""
+
+
+@each_case("words", PRINTING)
+def test_an_output_that_is_full_or_that_nobody_reads(url: str, words: str) -> None:
+    typed = words.replace("URL", url).split()
+    with open("/dev/full", "w") as full:
+        done = run(*typed, out=full)
+    assert (done.code, done.err) == (
+        1,
+        "libmodbus-py: standard output: No space left on device\n",
+    )
+    reading, writing = os.pipe()
+    os.close(reading)
+    with open(writing, "w") as pipe:
+        done = run(*typed, out=pipe)
+    assert (done.code, done.err) == (1, "")

@@ -20,18 +20,23 @@ from typing import TYPE_CHECKING, Any
 
 from ...maps.plan import Plan, Read
 from ...protocol import pdu
-from ...protocol.errors import ModbusError
+from ...protocol.errors import IllegalDataAddress, ModbusError
 from ...protocol.spelling import number_of
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...protocol.values import ValueType, parse_reference, value_type
 from ...protocol.words import TABLE_WORDS as VENDORS
 from ...protocol.words import close_word, plain, table_named
+from ..failing import advice
 
 if TYPE_CHECKING:
     from ...maps.point import Point
     from ...maps.register_map import RegisterMap
 
-__all__ = ["ALL", "REGISTERS", "TABLE_WORDS", "Cells", "Item", "ItemPlan", "Words", "map_of"]
+# fmt: off
+__all__ = [
+    "ALL", "REGISTERS", "TABLE_WORDS", "Cells", "Item", "ItemPlan", "Words", "map_of", "reason_of",
+]
+# fmt: on
 
 TABLE_WORDS = {
     "coils": "coils",
@@ -361,6 +366,11 @@ def map_of(options: argparse.Namespace) -> RegisterMap | None:
     from ...tools.simulator.example_files import map_file
 
     return load_map(map_file(options.map), columns=dict(options.columns))
+
+
+def reason_of(error: ModbusError, item: Item) -> str:
+    """Return why a request for an item failed, and what to try."""
+    return f"{error}{item.hint if isinstance(error, IllegalDataAddress) else advice(error)}"
 
 
 def _hint(word: str, table: str, typed: str) -> str:

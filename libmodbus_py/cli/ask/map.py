@@ -10,7 +10,6 @@ from textwrap import fill
 from typing import Any
 
 from .. import arguments
-from ..arguments import run_late
 from ..completers import completing, maps, names_of_maps
 from ..foreign import place
 from ..help import VerbatimHelp
@@ -19,8 +18,6 @@ from ..output import complain
 __all__ = ["add_command"]
 
 Run = Callable[[argparse.Namespace], int]
-
-ACTIONS = "ask.map_actions"
 
 CHECK = "check register maps, and print their points and requests"
 LIST = "list the register maps that come with the package"
@@ -102,13 +99,21 @@ def add_command(commands: Any) -> None:
         action.set_defaults(run=run, parser=action)
         return action
 
-    _add_check(add("check", run_late(ACTIONS, "check"), CHECK, OF_CHECK))
+    _add_check(add("check", lambda options: _actions().check(options), CHECK, OF_CHECK))
     _add_list(add("list", _list, LIST, OF_LIST, "; --map takes their names"))
-    _add_class(add("class", run_late(ACTIONS, "class_of"), CLASS, OF_CLASS))
+    _add_class(add("class", lambda options: _actions().class_of(options), CLASS, OF_CLASS))
     _add_from_device(
-        add("from-device", run_late(ACTIONS, "from_device"), FROM_DEVICE, OF_DEVICE, TO_FILL_IN)
+        add(
+            "from-device",
+            lambda options: _actions().from_device(options),
+            FROM_DEVICE,
+            OF_DEVICE,
+            TO_FILL_IN,
+        )
     )
-    from_sunspec = add("from-sunspec", run_late(ACTIONS, "from_sunspec"), FROM_SUNSPEC, OF_SUNSPEC)
+    from_sunspec = add(
+        "from-sunspec", lambda options: _actions().from_sunspec(options), FROM_SUNSPEC, OF_SUNSPEC
+    )
     arguments.add_client(from_sunspec)
     _add_output(from_sunspec)
 
@@ -172,6 +177,12 @@ def _timeouts() -> dict[str, str]:
     from ...tools.scan.places import ON_LINES, ON_NETWORKS
 
     return {"timeout": f"{ON_LINES:g}; on networks {ON_NETWORKS:g}"}
+
+
+def _actions() -> Any:
+    from . import map_actions
+
+    return map_actions
 
 
 def _list(options: argparse.Namespace) -> int:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ...protocol.pdu import ServerId
     from .units import Named
 
-__all__ = ["add_diagnose", "add_identify"]
+__all__ = ["add_command"]
 
 MANDATORY = {0, 1, 2}
 """Numbers of the objects of the basic level, which every device has (section 6.21)."""
@@ -42,8 +42,15 @@ examples:
   libmodbus-py diagnose 'rtu:///dev/ttyUSB0?baudrate=9600&unit=7' 11"""
 
 
-def add_identify(commands: Any) -> None:
-    """Add the command identify to argparse."""
+def add_command(commands: Any) -> None:
+    """Add the command that is wanted to argparse."""
+    if commands.name == "identify":
+        _add_identify(commands)
+    else:
+        _add_diagnose(commands)
+
+
+def _add_identify(commands: Any) -> None:
     command = commands.add_parser(
         "identify",
         description="Print the device identification (function 43/14) and the server id\n"
@@ -107,8 +114,7 @@ def _server_id(server_id: ServerId) -> list[tuple[str, Any]]:
 # --- diagnose ------------------------------------------------------------------------
 
 
-def add_diagnose(commands: Any) -> None:
-    """Add the command diagnose to argparse."""
+def _add_diagnose(commands: Any) -> None:
     command = commands.add_parser(
         "diagnose",
         description="Print the exception status (function 7), the counters (8), the event\n"

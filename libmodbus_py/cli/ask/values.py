@@ -12,12 +12,11 @@ from typing import Any, get_args
 from ...protocol.checks import DURATION, duration_of
 from ...protocol.type_names import BitsType, NumberType, Order
 from .. import arguments, completers
-from ..arguments import run_late
 from ..completers import behind, completing
 from ..help import make_rare
 from ..serve import page
 
-__all__ = ["add_read", "add_write", "names"]
+__all__ = ["add_command", "names"]
 
 WHAT = """\
 WHAT is one of
@@ -40,8 +39,15 @@ examples:
   libmodbus-py write 'tcp://192.0.2.10?unit=7&timeout=0.5' hr 4 --mask 0xFFF0 5"""
 
 
-def add_read(commands: Any) -> None:
-    """Add the command read to argparse."""
+def add_command(commands: Any) -> None:
+    """Add the command that is wanted to argparse."""
+    if commands.name == "read":
+        _add_read(commands)
+    else:
+        _add_write(commands)
+
+
+def _add_read(commands: Any) -> None:
     command = commands.add_parser(
         "read",
         description="Read values of a device, in as few requests as possible.\n\n"
@@ -89,8 +95,7 @@ def add_read(commands: Any) -> None:
     command.set_defaults(run=_read)
 
 
-def add_write(commands: Any) -> None:
-    """Add the command write to argparse."""
+def _add_write(commands: Any) -> None:
     command = commands.add_parser(
         "write",
         description="Write values to a device, one request for each WHAT. All values are\n"
@@ -131,7 +136,7 @@ def add_write(commands: Any) -> None:
         "--dry-run", action="store_true", help="print the frames instead of sending them"
     )
     arguments.add_requests(command)
-    command.set_defaults(run=run_late("ask.writing", "write"))
+    command.set_defaults(run=_write)
 
 
 def _add_item_arguments(
@@ -204,5 +209,15 @@ def _read(options: argparse.Namespace) -> int:
     if options.watch is None and (options.count or options.lasts or options.page):
         options.watch = 1.0
     if options.watch is None:
-        return run_late("ask.reading", "read")(options)
-    return run_late("ask.watching", "watch")(options)
+        from .reading import read
+
+        return read(options)
+    from .watching import watch
+
+    return watch(options)
+
+
+def _write(options: argparse.Namespace) -> int:
+    from .writing import write
+
+    return write(options)

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ...client.blocking import Context
 from ...maps.typed import typed_register, typed_value
 from ...protocol import pdu
-from ...protocol.errors import IllegalDataAddress
+from ...protocol.errors import ModbusError
 from ...protocol.framing import Frame, make_framer
 from ...protocol.spelling import bit_of, number_of, value_of
 from ..connecting import connected, endpoint_of
 from ..failing import CommandError
 from ..output import complain, counted
 from .formatters import Formatter, aligned, formatter_of
-from .items import REGISTERS, Item, Words
+from .items import REGISTERS, Item, Words, reason_of
 
 if TYPE_CHECKING:
     from ...maps.register_map import RegisterMap
@@ -47,14 +47,15 @@ def write(options: argparse.Namespace) -> int:
     if options.verify:
         _check_unit(options)
     with closing(connected(options)) as context:
-        for each in writes:
-            for request in each.requests:
-                try:
-                    result = context.execute(request)
-                except IllegalDataAddress as error:
-                    raise CommandError(f"{error}{each.item.hint}") from None
-                if options.and_read:
-                    _print_registers(options, request, result)
+        requests = [(each.item, request) for each in writes for request in each.requests]
+        for done, (item, request) in enumerate(requests):
+            try:
+                result = context.execute(request)
+            except ModbusError as error:
+                earlier = f"; carried out before: {counted(done, 'request')}" * bool(done)
+                raise CommandError(f"{reason_of(error, item)}{earlier}") from None
+            if options.and_read:
+                _print_registers(options, request, result)
         # After the last write, because one may change what another wrote.
         differing: list[str] = []
         for each in writes:

@@ -135,3 +135,12 @@ def test_what_is_read_behind_a_write_is_shown_as_it_was_typed(url: str) -> None:
     done = run("write", url, *words.split())
     assert [line.split()[0] for line in done.out.splitlines()] == ["1", "2"]
     assert done.out.split()[1] == "77"
+
+
+def test_a_write_that_fails_says_what_was_carried_out_before_it(url: str) -> None:
+    done = run("write", url, "hr", 0, 7, "coils", 1, 1, "hr", 9999, 1)
+    assert (done.code, done.out) == (1, "")
+    assert done.err.endswith("; carried out before: 2 requests\n")
+    assert "illegal data address" in done.err
+    assert run("read", url, "hr", 0).out.split() == ["0", "7"]
+    assert "carried out" not in run("write", url, "hr", 9999, 1).err
