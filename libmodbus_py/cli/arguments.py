@@ -17,24 +17,22 @@ from ..ports.schemes import (
     SERIAL_OPTIONS,
     shape_of,
 )
-from . import completers
+from .completers import PARITY_WORDS, completing
 from .foreign import place
 from .help import VerbatimHelp, make_rare
 
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-    from typing import Any, TypeVar
+    from typing import Any
 
     from ..ports.schemes import Option
-
-    T = TypeVar("T")
 
 # fmt: off
 __all__ = [
     "SCHEMES_OF_URLS", "URLS", "add_client", "add_client_options", "add_columns", "add_csv",
     "add_defaults", "add_json", "add_requests", "add_security_options", "add_serial_options",
-    "add_units", "add_url", "add_verbose", "checked", "flag", "given", "with_forms",
+    "add_units", "add_url", "add_verbose", "flag", "given", "with_forms",
 ]
 # fmt: on
 
@@ -95,37 +93,6 @@ def flag(name: str) -> str:
 def given(options: argparse.Namespace, names: Collection[str]) -> dict[str, Any]:
     """Return the options that were typed."""
     return {name: value for name in names if (value := getattr(options, name, None)) is not None}
-
-
-def checked(make: Callable[[Mapping[str, Any]], T], typed: Mapping[str, Any]) -> T:
-    """
-    Make something of the options that were typed.
-
-    Raises:
-        TypeError, ValueError: as of `make`; an option that is wrong whatever the others are is
-            named as it is typed.
-    """
-    try:
-        return make(typed)
-    except (TypeError, ValueError):
-        for name, error in _wrong(make, typed):
-            raise ValueError(f"{flag(name)}: {error}") from None
-        raise
-
-
-def _wrong(
-    make: Callable[[Mapping[str, Any]], Any], typed: Mapping[str, Any]
-) -> list[tuple[str, Exception]]:
-    """Return the options that are wrong alone, if no options at all would be right."""
-    found: list[tuple[str, Exception]] = []
-    for only in ({}, *({name: value} for name, value in typed.items())):
-        try:
-            make(only)
-        except (TypeError, ValueError) as error:
-            if not only:
-                return []
-            found += [(name, error) for name in only]
-    return found
 
 
 # --- single arguments ---------------------------------------------------------------------------
@@ -335,7 +302,7 @@ def _add(group: Any, options: Mapping[str, Option]) -> list[argparse.Action]:
         if name in RARE:
             make_rare(added[-1])
         if name == "parity":
-            completers.completing(added[-1], completers.parities)
+            completing(added[-1], PARITY_WORDS)
     return added
 
 

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import argparse
 import re
-import sys
 from importlib import import_module
 
 from ..version import __version__
-from .help import Help, HelpAll, VerbatimHelp, coloured, shown, tell_defaults
+from .help import Help, HelpAll, VerbatimHelp, shown, tell_defaults
 from .output import PROGRAM
 from .output import message as printed
 
@@ -202,17 +201,13 @@ class _Parser(argparse.ArgumentParser):
         super().__init__(**{"formatter_class": Help, "allow_abbrev": False, **options})
         # argparse would take -1e5 and -inf for options.
         self.add_argument("--help-all", action=HelpAll, nargs=0)
-        self.color = False  # of newer versions of Python; `coloured` does it in all
+        self.color = False  # of newer versions of Python
         self._negative_number_matcher = re.compile(r"-(\.?[0-9]|inf|nan)", re.IGNORECASE)
 
     def format_help(self) -> str:
         tell_defaults(self)
         with shown(self, all=self.shows_all):
             return super().format_help()
-
-    def print_help(self, file: Any = None) -> None:
-        stream = file or sys.stdout
-        self._print_message(coloured(self.format_help(), stream), stream)
 
     def _print_message(self, message: str, file: Any = None) -> None:
         # argparse would ignore a full disk.

@@ -1,5 +1,5 @@
 """
-Colour in help and errors: on terminals only, and only if the user wants it.
+Colour in errors: on terminals only, and only if the user wants it.
 """
 
 from __future__ import annotations
@@ -19,22 +19,6 @@ def without_styles(text: str) -> str:
     return re.sub(r"\x1b\[[0-9;]*m", "", text)
 
 
-@each_case("words", [("read",), ("map", "check"), ()])
-def test_help_has_bold_headings_and_coloured_options(words: tuple[str, ...]) -> None:
-    shown = shown_on_terminal(*words, "--help")
-    assert shown.startswith("\x1b[1musage:\x1b[0m libmodbus-py")
-    assert "\n\x1b[1moptions:\x1b[0m\n" in shown
-    assert "\n\x1b[1mexamples:\x1b[0m\n" in shown
-    assert "  \x1b[36m-h, --help\x1b[0m  " in shown
-    assert without_styles(shown) == run(*words, "--help", environment={"COLUMNS": "80"}).out
-
-
-def test_help_colours_commands_and_leaves_examples() -> None:
-    shown = shown_on_terminal("--help")
-    assert "    \x1b[36mread\x1b[0m          read registers" in shown
-    assert "\n  libmodbus-py serve --example meter\n" in shown
-
-
 @each_case(
     "words",
     [
@@ -52,9 +36,8 @@ def test_an_error_begins_in_red(words: tuple[str, ...]) -> None:
 
 @each_case("environment", [{"NO_COLOR": "1"}, {"TERM": "dumb"}])
 def test_colour_is_left_out_where_it_is_not_wanted(environment: dict[str, str]) -> None:
-    assert "\x1b" not in shown_on_terminal("read", "--help", **environment)
     assert "\x1b" not in shown_on_terminal("read", "--nonsense", **environment)
 
 
-def test_colour_of_errors_follows_stderr_and_that_of_help_stdout() -> None:
-    assert "\x1b" not in run("read", "--help").out + run("read", "--nonsense").err
+def test_colour_of_errors_follows_stderr() -> None:
+    assert "\x1b" not in run("read", "--nonsense").err

@@ -14,7 +14,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from .. import arguments
-from ..completers import completing, levels, sub_functions
+from ..completers import completing, sub_functions
 from ..output import print_json
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def _add_identify(commands: Any) -> None:
         metavar="L",
         help="basic, regular, extended, or the number of one object (regular)",
     )
-    completing(level, levels)
+    completing(level, ["basic", "regular", "extended"])
     arguments.add_json(command)
     command.set_defaults(run=_identify)
 

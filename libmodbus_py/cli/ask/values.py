@@ -10,9 +10,9 @@ import math
 from typing import Any, get_args
 
 from ...protocol.checks import DURATION, duration_of
-from ...protocol.type_names import BitsType, NumberType, Order
-from .. import arguments, completers
-from ..completers import behind, completing
+from ...protocol.type_names import BitsType, NumberType, Order, TimeType
+from .. import arguments
+from ..completers import behind, completing, encodings, maps
 from ..help import make_rare
 from ..serve import page
 
@@ -147,20 +147,20 @@ def _add_item_arguments(
     types = ", ".join((*get_args(NumberType), *get_args(BitsType)))
     orders = ", ".join(get_args(Order))
     kind = group.add_argument("--type", metavar="T", help=f"type: {types}, string:N{more}")
-    completing(kind, completers.types)
+    completing(kind, [*get_args(NumberType), *get_args(BitsType), *get_args(TimeType), "string:"])
     order = group.add_argument("--order", metavar="O", help=f"byte order: {orders}")
     encoding = group.add_argument("--encoding", metavar="E", help="encoding of text")
     padding = group.add_argument("--padding", metavar="C", help="character that fills up text")
     make_rare(encoding, padding)
     arguments.add_defaults([order, encoding, padding], _of_reads)
-    completing(order, completers.orders)
-    completing(encoding, completers.encodings)
+    completing(order, get_args(Order))
+    completing(encoding, encodings)
     file = group.add_argument(
         "--map",
         metavar="FILE",
         help="register map, CSV or TOML, or an example such as meter",
     )
-    completing(file, completers.maps)
+    completing(file, maps)
     make_rare(arguments.add_columns(group))
     group.add_argument(
         "--count-from-1", action="store_true", help="addresses count from 1, both typed and printed"
