@@ -99,6 +99,7 @@ def given(options: argparse.Namespace, names: Collection[str]) -> dict[str, Any]
 
 
 def add_url(command: argparse.ArgumentParser) -> None:
+    """Add the URL of a device."""
     command.formatter_class = VerbatimHelp
     command.add_argument(
         "url",
@@ -154,11 +155,6 @@ def with_forms(parser: argparse.ArgumentParser, words: Sequence[str]) -> list[st
     ]
 
 
-def _is_form(action: argparse.Action) -> bool:
-    """Return True if an option is a form of output, which a file may follow."""
-    return isinstance(action, _Form)
-
-
 def _is_of_form(word: str) -> bool:
     """Return True if the word behind a form of output is a file for it."""
     is_path = word.startswith(("/", "./", "../")) and not word.startswith("/dev/")
@@ -167,10 +163,10 @@ def _is_of_form(word: str) -> bool:
 
 def _forms(parser: argparse.ArgumentParser) -> set[str]:
     """Return the options of a command and of its actions that a file may follow."""
-    found = {
-        flag for action in parser._actions if _is_form(action) for flag in action.option_strings
-    }
+    found: set[str] = set()
     for action in parser._actions:
+        if isinstance(action, _Form):
+            found.update(action.option_strings)
         if action.nargs == argparse.PARSER:
             found = found.union(*map(_forms, dict(action.choices or {}).values()))
     return found

@@ -144,10 +144,8 @@ def _fill(parser: argparse.ArgumentParser, name: str) -> None:
 
 class _Wanted:
     """
-    Argument of `add_command`: looks like the subparsers of argparse, and fills one parser.
-
-    Attributes:
-        name: the command whose arguments are added, for modules of two.
+    Argument of `add_command`: looks like the subparsers of argparse, and fills one parser, that of
+    the command `name`.
     """
 
     def __init__(self, parser: argparse.ArgumentParser, name: str) -> None:

@@ -107,13 +107,7 @@ def _check_device(points: RegisterMap, context: Context) -> int:
 
 
 def _read(plan: PointPlan, context: Context) -> tuple[dict[str, Any], int]:
-    """
-    Return all values of a device, or their errors, and how many requests a poll takes without the
-    points that it refuses.
-
-    Raises:
-        ModbusError: the device does not answer.
-    """
+    """Return all values, or their errors, and how many requests read those without an error."""
 
     def ask(requests: list[Any]) -> list[Any]:
         outcomes = context.execute_many(requests, max_in_flight=1, return_exceptions=True)

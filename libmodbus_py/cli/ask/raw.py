@@ -58,12 +58,7 @@ def _raw(options: argparse.Namespace) -> int:
 
 
 def _function_of(byte: str) -> str:
-    """
-    Return a function code that stands before bytes as in manuals, such as 03 in 03 00 64 00 02.
-
-    Raises:
-        ValueError: it could be decimal and hexadecimal.
-    """
+    """Return a function code that stands before bytes as in manuals, such as 03 in 03 00 64."""
     if not re.fullmatch("[1-9][0-9]", byte):
         return f"0x{byte}"
     decimal = f"0x{int(byte):02x}"
@@ -71,12 +66,7 @@ def _function_of(byte: str) -> str:
 
 
 def _bytes_of(word: str) -> bytes:
-    """
-    Return the bytes of one word, such as 000a, "00 0a", 0x00,0x0a or 00:0a.
-
-    Raises:
-        ValueError: it is not made of pairs of hex digits; digits of two words make no byte.
-    """
+    """Return the bytes of one word, such as 000a, "00 0a", 0x00,0x0a or 00:0a."""
     data = b""
     for part in re.split("[ ,:]+", word.strip(" ,")):
         digits = part[2:] if part[:2] in ("0x", "0X") else part

@@ -308,12 +308,7 @@ class TextLines:
 
 
 class JsonLines:
-    """
-    Prints an object for each poll of a unit.
-
-    Args:
-        has_time: True if it begins with the time.
-    """
+    """Prints an object for each poll of a unit, which may begin with the time."""
 
     def __init__(self, *, has_time: bool) -> None:
         self._has_time = has_time
@@ -329,16 +324,7 @@ class JsonLines:
 
 
 class CsvRows:
-    """
-    Prints a header, then a row for each poll: the time, the values and the error.
-
-    Args:
-        formatters: those of the items, which name the columns.
-        has_unit: True for a column with the unit that was asked.
-
-    Raises:
-        ValueError: an item has no fixed number of columns.
-    """
+    """Prints a header, then a row for each poll: the time, the unit, the values and the error."""
 
     def __init__(self, formatters: Sequence[Formatter], *, has_unit: bool = False) -> None:
         self._titles = [title for formatter in formatters for title in formatter.titles()]

@@ -169,9 +169,7 @@ def _answer(context: Context, sub: int, data: int) -> int:
     """
     Return the data of the answer, or `data` if a device that shall listen only is silent.
 
-    Raises:
-        ModbusError: as of `Context.diagnostics`, and if a device refuses to listen only. The
-            client would not wait for that, because the specification has no answer there.
+    The client would not wait for its refusal, because the specification has no answer there.
     """
     from ...protocol.errors import ModbusTimeoutError
     from ...protocol.pdu import RawRequest, SubFunction

@@ -55,13 +55,7 @@ def watch(options: argparse.Namespace) -> int:
 
 
 class _Polls:
-    """
-    Polls units, one after the other.
-
-    Attributes:
-        done: polls of all units.
-        answered: those to which the unit that was asked answered.
-    """
+    """Polls units, one after the other, and counts the polls and those that were answered."""
 
     def __init__(self, readers: Sequence[Reader], context: Any, printer: Printer) -> None:
         self.done = self.answered = 0
@@ -212,12 +206,7 @@ class TerminalTable:
 
 
 class _Group:
-    """
-    The lines of one unit.
-
-    Attributes:
-        lines: each with True if its value has just changed.
-    """
+    """The lines of one unit, each with True if its value has just changed."""
 
     def __init__(self, *, has_sparks: bool) -> None:
         self.lines: list[tuple[str, bool]] = []

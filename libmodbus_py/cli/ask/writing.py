@@ -69,10 +69,7 @@ def write(options: argparse.Namespace) -> int:
 
 
 def _check_unit(options: argparse.Namespace) -> None:
-    """
-    Raises:
-        ValueError: nothing could be read back.
-    """
+    """Refuse to verify what nothing answers."""
     endpoint = endpoint_of(options)
     if not endpoint.has_transactions and endpoint.client_options.get("unit") == 0:
         raise ValueError("--verify cannot be used with unit 0: nothing answers a broadcast")
@@ -98,12 +95,7 @@ def _print_registers(options: argparse.Namespace, request: Request, values: list
 
 
 def _say(context: Context, map: RegisterMap | None, write: Write, cells: list[int] | None) -> None:
-    """
-    Print what was written, and what was read back.
-
-    Args:
-        cells: those that --verify read; None without it.
-    """
+    """Print what was written, and the cells that --verify read; None without it."""
     item = write.item
     name = item.label() if item.point is None else item.point.name
     line = f"{name}: wrote {' '.join(write.texts) or 'the bits of the mask'}"
@@ -251,15 +243,7 @@ def _advice(text: str) -> str:
 
 
 def _verified(context: Context, write: Write) -> tuple[list[int], list[str]]:
-    """
-    Read what was written.
-
-    Returns:
-        The cells, and what differs, a line for each cell.
-
-    Raises:
-        ModbusError: it cannot be read.
-    """
+    """Read what was written; return the cells, and a line for each cell that differs."""
     item = write.item
     found: list[int] = []
     differing: list[str] = []

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.tools.testing.recording import ServerMaker
 from tests.support.cases import each_case
 from tests.support.commands import Started, ended, on_terminal, run
 from tests.support.peers import dead
@@ -290,3 +291,54 @@ def test_the_standard_output_has_the_readings_of_this_run_only(fleet: Path) -> N
         code, out, _ = ended("poll", file, "--once", "--json")
         assert code == 1  # one device does not answer
         assert out.count('"voltage"') == 3
+
+
+# --- --once and outputs -----------------------------------------------------------
+
+
+FLEET_OF_ONE = """
+[[device]]
+name = "one"
+url = "{url}"
+[[device.point]]
+name = "volts"
+table = "holding_registers"
+address = 0
+[[device.point]]
+name = "amperes"
+table = "holding_registers"
+address = 1
+"""
+
+
+@pytest.fixture
+def one_device(tmp_path: Path) -> Iterator[Path]:
+    with ServerMaker() as maker:
+        path = tmp_path / "one_device.toml"
+        path.write_text(FLEET_OF_ONE.format(url=maker().url))
+        yield path
+
+
+def test_an_output_that_takes_nothing(one_device: Path) -> None:
+    done = ended("poll", one_device, "--once", "--json", "/nowhere/at/all", "--csv")
+    assert done.code == 1
+    assert "json /nowhere/at/all: 2 readings lost: /nowhere/at/all: No such file" in done.err
+    assert done.out.count("\n") == 3  # the other output got all
+
+
+def test_nothing_is_lost(one_device: Path) -> None:
+    path = one_device.with_name("readings.jsonl")
+    done = ended("poll", one_device, "--once", "--json", path)
+    assert (done.code, done.err) == (0, "")
+    assert [json.loads(line)["name"] for line in path.read_text().splitlines()] == [
+        "volts",
+        "amperes",
+    ]
+
+
+def test_an_output_that_takes_nothing_while_a_journal_keeps_all(one_device: Path) -> None:
+    one_device.write_text(f'journal = "one_device.db"\n{one_device.read_text()}')
+    done = ended("poll", one_device, "--once", "--json", "/nowhere/at/all")
+    assert done.code == 1
+    waiting = "json /nowhere/at/all: 2 readings wait in the journal: /nowhere/at/all: No such file"
+    assert waiting in done.err
