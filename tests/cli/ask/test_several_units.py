@@ -153,16 +153,6 @@ def test_durations(typed: str, seconds: float) -> None:
     client.close()
 
 
-def test_a_terminal_shows_the_range_and_the_last_values(url: str) -> None:
-    end = ["--watch", "0.02"]
-    with on_terminal("read", url, "-u", "1", "hr", "0", "2", *end) as terminal:
-        terminal.until(lambda shown: "1 polls" in shown)
-        assert run("write", url, "hr", 0, 9).code == 0
-        terminal.until(lambda shown: "9  1..9  " in shown and "█" in shown)
-        terminal.process.terminate()
-        terminal.process.wait()
-
-
 # --- identify and diagnose of several units ---------------------------------------
 
 
