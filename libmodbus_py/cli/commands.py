@@ -34,7 +34,7 @@ COMMANDS = {
         "ask.reports",
         "print the counters, event log and status of a device",
     ),
-    "raw": ("ask.raw", "send any function code, and print the response"),
+    "raw": ("ask.reports", "send any function code, and print the response"),
     "scan": ("find.scan", "find the units on a line or behind an address, and their settings"),
     "ports": ("find.ports", "list the serial ports of this machine"),
     "sunspec": ("find.sunspec", "print the SunSpec models of a device, and their values"),

@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import shlex
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
@@ -78,6 +77,8 @@ def maps(prefix: str, **_: Any) -> list[str]:
 
 def behind(option: str) -> str:
     """Return the value of an option in the line that is completed; empty if it is not there."""
+    import shlex  # which a command does not need
+
     words: list[str] = []
     for quote in ("", "'", '"'):  # one may be open still
         with contextlib.suppress(ValueError):

@@ -11,8 +11,7 @@ Commands that ask one device: read, write, identify, diagnose, raw and map.
     formatters       values as lines, cells of CSV and fields of JSON
     units            several units, asked one after the other, and reports of their answers
     shown_watch      the values of read --watch as the live page shows them
-    reports          identify and diagnose
-    raw              raw
+    reports          identify, diagnose and raw
     map              the arguments of map
     map_actions      its actions
 """
