@@ -30,9 +30,11 @@ from libmodbus_py.protocol.framing import (
 )
 from libmodbus_py.security.role import RoleError, decode_role, encode_role, role_of
 from libmodbus_py.services.fleet import files as fleet_files
-from libmodbus_py.services.fleet.devices_csv import device_rows
+from libmodbus_py.services.fleet.devices_csv import device_rows, opened
 from libmodbus_py.services.gateway import config as gateway_file
+from libmodbus_py.tools.files.csv_text import CsvText
 from libmodbus_py.tools.files.maps import map_file
+from libmodbus_py.tools.files.schema import Keys
 from libmodbus_py.tools.files.texts import FileError, read_toml
 from libmodbus_py.tools.listener.separator import LineFraming, Separator
 from libmodbus_py.tools.listener.transaction import Heard
@@ -193,10 +195,14 @@ FILES: dict[str, Callable[[str], list[Exception]]] = {
     "gateway.toml": lambda text: _mistakes(lambda: gateway_file.parse(text)),
     "fleet.toml": lambda text: _mistakes(lambda: fleet_files.FILE.read((), read_toml(text))),
     "devices.csv": lambda text: _mistakes(
-        lambda: list(device_rows(text, fleet_files.DEVICE, FileError))
+        lambda: [row.keys() for row in device_rows(*_table(text))]
     ),
 }
 """Kind of file -> returns what is wrong in a text."""
+
+
+def _table(text: str) -> tuple[CsvText, Keys, type[FileError]]:
+    return opened(text, fleet_files.DEVICE, FileError), fleet_files.DEVICE, FileError
 
 
 def _mistakes(read: Callable[[], object]) -> list[Exception]:

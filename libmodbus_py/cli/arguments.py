@@ -17,24 +17,22 @@ from ..ports.schemes import (
     SERIAL_OPTIONS,
     shape_of,
 )
-from . import completers
+from .completers import PARITY_WORDS, completing
 from .foreign import place
 from .help import VerbatimHelp, make_rare
 
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-    from typing import Any, TypeVar
+    from typing import Any
 
     from ..ports.schemes import Option
 
-    T = TypeVar("T")
-
 # fmt: off
 __all__ = [
-    "SCHEMES_OF_URLS", "URLS", "add_client", "add_client_options", "add_csv", "add_defaults",
-    "add_json", "add_requests", "add_security_options", "add_serial_options", "add_units",
-    "add_url", "add_verbose", "checked", "flag", "given", "with_forms",
+    "SCHEMES_OF_URLS", "URLS", "add_client", "add_client_options", "add_columns", "add_csv",
+    "add_defaults", "add_json", "add_requests", "add_security_options", "add_serial_options",
+    "add_units", "add_url", "add_verbose", "flag", "given", "with_forms",
 ]
 # fmt: on
 
@@ -97,41 +95,11 @@ def given(options: argparse.Namespace, names: Collection[str]) -> dict[str, Any]
     return {name: value for name in names if (value := getattr(options, name, None)) is not None}
 
 
-def checked(make: Callable[[Mapping[str, Any]], T], typed: Mapping[str, Any]) -> T:
-    """
-    Make something of the options that were typed.
-
-    Raises:
-        TypeError, ValueError: as of `make`; an option that is wrong whatever the others are is
-            named as it is typed.
-    """
-    try:
-        return make(typed)
-    except (TypeError, ValueError):
-        for name, error in _wrong(make, typed):
-            raise ValueError(f"{flag(name)}: {error}") from None
-        raise
-
-
-def _wrong(
-    make: Callable[[Mapping[str, Any]], Any], typed: Mapping[str, Any]
-) -> list[tuple[str, Exception]]:
-    """Return the options that are wrong alone, if no options at all would be right."""
-    found: list[tuple[str, Exception]] = []
-    for only in ({}, *({name: value} for name, value in typed.items())):
-        try:
-            make(only)
-        except (TypeError, ValueError) as error:
-            if not only:
-                return []
-            found += [(name, error) for name in only]
-    return found
-
-
 # --- single arguments ---------------------------------------------------------------------------
 
 
 def add_url(command: argparse.ArgumentParser) -> None:
+    """Add the URL of a device."""
     command.formatter_class = VerbatimHelp
     command.add_argument(
         "url",
@@ -187,11 +155,6 @@ def with_forms(parser: argparse.ArgumentParser, words: Sequence[str]) -> list[st
     ]
 
 
-def _is_form(action: argparse.Action) -> bool:
-    """Return True if an option is a form of output, which a file may follow."""
-    return isinstance(action, _Form)
-
-
 def _is_of_form(word: str) -> bool:
     """Return True if the word behind a form of output is a file for it."""
     is_path = word.startswith(("/", "./", "../")) and not word.startswith("/dev/")
@@ -200,13 +163,37 @@ def _is_of_form(word: str) -> bool:
 
 def _forms(parser: argparse.ArgumentParser) -> set[str]:
     """Return the options of a command and of its actions that a file may follow."""
-    found = {
-        flag for action in parser._actions if _is_form(action) for flag in action.option_strings
-    }
+    found: set[str] = set()
     for action in parser._actions:
+        if isinstance(action, _Form):
+            found.update(action.option_strings)
         if action.nargs == argparse.PARSER:
             found = found.union(*map(_forms, dict(action.choices or {}).values()))
     return found
+
+
+def add_columns(group: Any) -> argparse.Action:
+    """Add the headings of columns of register maps in CSV."""
+    action: argparse.Action = group.add_argument(
+        "--column",
+        dest="columns",
+        action="append",
+        type=_column,
+        default=[],
+        metavar="KEY=HEADING",
+        help="the heading of a column of the map that is not recognised, such as"
+        " name=Bezeichnung; may be repeated",
+    )
+    return action
+
+
+def _column(text: str) -> tuple[str, str]:
+    key, _, heading = text.partition("=")
+    if not (key and heading):
+        raise argparse.ArgumentTypeError(
+            f"must be KEY=HEADING, such as name=Bezeichnung, not {text!r}"
+        )
+    return key, heading
 
 
 def _read_as(option: Option) -> Callable[[str], Any]:
@@ -311,7 +298,7 @@ def _add(group: Any, options: Mapping[str, Option]) -> list[argparse.Action]:
         if name in RARE:
             make_rare(added[-1])
         if name == "parity":
-            completers.completing(added[-1], completers.parities)
+            completing(added[-1], PARITY_WORDS)
     return added
 
 

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import argparse
 import re
-import sys
 from importlib import import_module
 
 from ..version import __version__
-from .help import Help, HelpAll, VerbatimHelp, coloured, shown, tell_defaults
+from .help import Help, HelpAll, VerbatimHelp, shown, tell_defaults
 from .output import PROGRAM, complain
 
 TYPE_CHECKING = False  # typing alone takes a twentieth of what --version may
@@ -24,11 +23,17 @@ if TYPE_CHECKING:
 __all__ = ["COMMANDS", "PROGRAM", "parsed", "parser_of", "whole_parser"]
 
 COMMANDS = {
-    "read": ("ask.read", "read registers, coils, records and named points, once or repeatedly"),
-    "write": ("ask.write", "write registers, coils, records and named points"),
-    "identify": ("ask.identify", "print the identification of a device"),
-    "diagnose": ("ask.diagnose", "print the counters, event log and status of a device"),
-    "raw": ("ask.raw", "send any function code, and print the response"),
+    "read": (
+        "ask.values",
+        "read registers, coils, records and named points, once or repeatedly",
+    ),
+    "write": ("ask.values", "write registers, coils, records and named points"),
+    "identify": ("ask.reports", "print the identification of a device"),
+    "diagnose": (
+        "ask.reports",
+        "print the counters, event log and status of a device",
+    ),
+    "raw": ("ask.reports", "send any function code, and print the response"),
     "scan": ("find.scan", "find the units on a line or behind an address, and their settings"),
     "ports": ("find.ports", "list the serial ports of this machine"),
     "sunspec": ("find.sunspec", "print the SunSpec models of a device, and their values"),
@@ -132,15 +137,19 @@ def parser_of(name: str) -> _Parser:
 
 
 def _fill(parser: argparse.ArgumentParser, name: str) -> None:
-    import_module(f".{COMMANDS[name][0]}", __package__).add_command(_Wanted(parser))
+    import_module(f".{COMMANDS[name][0]}", __package__).add_command(_Wanted(parser, name))
     parser.set_defaults(parser=parser)
 
 
 class _Wanted:
-    """Argument of `add_command`: looks like the subparsers of argparse, and fills one parser."""
+    """
+    Argument of `add_command`: looks like the subparsers of argparse, and fills one parser, that of
+    the command `name`.
+    """
 
-    def __init__(self, parser: argparse.ArgumentParser) -> None:
+    def __init__(self, parser: argparse.ArgumentParser, name: str) -> None:
         self._parser = parser
+        self.name = name
 
     def add_parser(self, name: str, **texts: Any) -> argparse.ArgumentParser:
         for attribute, text in texts.items():
@@ -189,17 +198,13 @@ class _Parser(argparse.ArgumentParser):
         super().__init__(**{"formatter_class": Help, "allow_abbrev": False, **options})
         # argparse would take -1e5 and -inf for options.
         self.add_argument("--help-all", action=HelpAll, nargs=0)
-        self.color = False  # of newer versions of Python; `coloured` does it in all
+        self.color = False  # of newer versions of Python
         self._negative_number_matcher = re.compile(r"-(\.?[0-9]|inf|nan)", re.IGNORECASE)
 
     def format_help(self) -> str:
         tell_defaults(self)
         with shown(self, all=self.shows_all):
             return super().format_help()
-
-    def print_help(self, file: Any = None) -> None:
-        stream = file or sys.stdout
-        self._print_message(coloured(self.format_help(), stream), stream)
 
     def _print_message(self, message: str, file: Any = None) -> None:
         # argparse would ignore a full disk.

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from .commands import COMMANDS, whole_parser
+from .foreign import is_place
 from .help import VerbatimHelp
 from .output import PROGRAM
 
@@ -52,6 +53,10 @@ def complete() -> None:
     Raises:
         ImportError: argcomplete is not installed.
     """
+    name, _, others = os.environ.get("COMP_LINE", "").partition(" ")
+    if is_place(others.split(" ")[0]):  # the command read, which may be left out
+        os.environ["COMP_LINE"] = f"{name} read {others}"
+        os.environ["COMP_POINT"] = str(int(os.environ.get("COMP_POINT", "0")) + len("read "))
     words = os.environ.get("COMP_LINE", "").split()
     parser = whole_parser([word for word in words[1:2] if word in COMMANDS])
     argcomplete = _argcomplete()
@@ -81,7 +86,7 @@ def _without_options(parser: argparse.ArgumentParser, words: Sequence[str]) -> l
             continue
         count = 1 if action.nargs is None else action.nargs if isinstance(action.nargs, int) else 0
         end = at + 1 + count
-        may_have_one = action.nargs == "?" and hasattr(action, "completer")
+        may_have_one = action.nargs in ("?", "+") and hasattr(action, "completer")
         if end > len(words) or (may_have_one and end == len(words)):
             return [*found, *words[at:]]
         at = end

@@ -14,7 +14,7 @@ from ..ports.schemes import (
     TRANSPORTS,
     options_of,
 )
-from .arguments import REPEATED, checked, flag, given
+from .arguments import REPEATED, flag, given
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
@@ -54,20 +54,14 @@ def connected(options: argparse.Namespace) -> Context:
         TypeError, ValueError: the URL or an option is wrong.
     """
     from ..client.blocking import Context
-    from ..ports.endpoint import parse
 
-    endpoint_of(options)  # refuses options that do not apply
+    endpoint = endpoint_of(options)
     hooks: dict[str, Any] = {}
     if options.verbose:
         from .tracing import Tracing
 
         hooks["trace"] = Tracing()
-    plain = parse(options.url)
-
-    def make(typed: Mapping[str, Any]) -> Context:
-        return Context.from_url(_overridden(plain, typed).url, **hooks)
-
-    return checked(make, _typed(options, ALL))
+    return Context.from_url(endpoint.url, **hooks)
 
 
 def with_options(

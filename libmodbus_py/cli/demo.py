@@ -130,6 +130,13 @@ LINES: dict[str, Callable[[], Any]] = {
 }
 
 
+NEXT = """
+To try next, the second and the third in another terminal:
+  libmodbus-py serve 127.0.0.1:1502 --example meter
+  libmodbus-py read 127.0.0.1:1502 --map meter
+  libmodbus-py identify 127.0.0.1:1502"""
+
+
 def _demo(_: argparse.Namespace) -> int:
     """Run every example on every line; return 0 if all responses are as expected, otherwise 1."""
     version = ".".join(map(str, loaded_version()))
@@ -141,6 +148,7 @@ def _demo(_: argparse.Namespace) -> int:
             for example in EXAMPLES:
                 right &= _show(name, example, context.for_unit(example.unit), wire)
     print(f"\n{'all answers are right' if right else 'WRONG ANSWERS: see above'}")
+    print(NEXT)
     return 0 if right else 1
 
 

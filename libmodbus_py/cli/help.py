@@ -10,26 +10,13 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import re
-
-from .output import has_styles, styled
 
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
-    from typing import Any, TextIO
+    from typing import Any
 
-__all__ = ["Help", "HelpAll", "VerbatimHelp", "coloured", "make_rare", "shown", "tell_defaults"]
-
-PARTS = (
-    r"(?m)(?P<heading>^usage:|^[a-z][^\n]*:$)"
-    r"|(?P<option>(?<=^  )--?[a-zA-Z](?:(?!  )[^\n])*)"
-    r"|(?P<command>(?<=^    )[a-z][\w-]*(?=  |$))"
-)
-"""The parts of a help text that have a style."""
-
-STYLES = {"heading": "1", "option": "36", "command": "36"}
-"""Bold, and cyan."""
+__all__ = ["Help", "HelpAll", "VerbatimHelp", "make_rare", "shown", "tell_defaults"]
 
 
 class Help(argparse.HelpFormatter):
@@ -119,13 +106,6 @@ def _about_all(parser: argparse.ArgumentParser, rare: list[argparse.Action]) -> 
     ]
     names = [group[0].option_strings[0] for group in groups if group]
     return f"show rare options, too: {', '.join(dict.fromkeys([*names[:1], *names[-1:]]))}, ..."
-
-
-def coloured(text: str, stream: TextIO) -> str:
-    """Return a help text with bold headings and coloured options, if the stream shows styles."""
-    if not has_styles(stream):
-        return text
-    return re.sub(PARTS, lambda part: styled(part[0], STYLES[part.lastgroup or ""], stream), text)
 
 
 def tell_defaults(parser: argparse.ArgumentParser) -> None:

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "PROGRAM", "abandon", "complain", "counted", "harmless", "has_styles", "inform", "log_line",
-    "prepare", "print_json", "print_log_lines", "styled", "written_to",
+    "PROGRAM", "abandon", "complain", "counted", "harmless", "inform", "log_line", "prepare",
+    "print_json", "print_log_lines", "styled", "written_to",
 ]
 # fmt: on
 
@@ -173,10 +173,10 @@ def styled(text: str, style: str, stream: TextIO | None = None) -> str:
         style: SGR parameters, such as "1" for bold or "31" for red; empty for none.
         stream: where the text will be written; None for stdout.
     """
-    return f"\x1b[{style}m{text}\x1b[0m" if style and has_styles(stream or sys.stdout) else text
+    return f"\x1b[{style}m{text}\x1b[0m" if style and _has_styles(stream or sys.stdout) else text
 
 
-def has_styles(stream: TextIO) -> bool:
+def _has_styles(stream: TextIO) -> bool:
     """Return True if a stream is a terminal that shows styles, and its user wants them."""
     is_plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
     return stream.isatty() and not is_plain

@@ -69,12 +69,7 @@ class _WireHandler(logging.Handler):
 
 
 def _in_columns(traced: Traced, took: float | None = None) -> str:
-    """
-    Return a frame as one line.
-
-    Args:
-        took: seconds since the request.
-    """
+    """Return a frame as one line, with the seconds since its request."""
     clock = clock_text(traced.time, with_milliseconds=True)
     arrow = ">" if traced.direction == "sent" else "<"
     unit = "" if traced.unit is None else traced.unit

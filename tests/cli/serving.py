@@ -4,7 +4,7 @@ Servers of the command line, and a fleet file, for the tests of other commands.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from tests.support.commands import Started
@@ -22,8 +22,8 @@ address = 0
 
 
 @contextmanager
-def serving(*urls: str) -> Iterator[list[str]]:
-    with Started("serve", *urls) as process:
+def serving(*urls: str, options: Sequence[str] = ()) -> Iterator[list[str]]:
+    with Started("serve", *urls, *options) as process:
         lines = [process.stdout.readline() for _ in urls]
         yield [line.removeprefix("listening on ").rstrip("\n") for line in lines]
         process.terminate()

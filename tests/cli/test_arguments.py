@@ -81,26 +81,26 @@ def test_defaults_are_those_of_clients() -> None:
     [
         ("read h holding 0 --unit 256", "-u/--unit/--units: '256' must be within 0..255"),
         ("read h holding 0 -u x", "'x' must be a unit, or a range such as 1-247"),
-        ("read h holding 0 --timeout 0", "--timeout: timeout must be"),
-        ("read h holding 0 --retries 101", "--retries: retries must be in 0..100, not 101"),
-        ("read h holding 0 --delimiter 300", "--delimiter: delimiter must be in 0..255"),
+        ("read h holding 0 --timeout 0", "timeout must be"),
+        ("read h holding 0 --retries 101", "retries must be in 0..100, not 101"),
+        ("read h holding 0 --delimiter 300", "delimiter must be in 0..255"),
         ("read h holding 0 --keepalive x", "argument --keepalive: must be a number of seconds, or"),
-        ("read /dev/x holding 0 -d 9", "--data-bits: data_bits must be in 5..8, not 9"),
+        ("read /dev/x holding 0 -d 9", "data_bits must be in 5..8, not 9"),
         ("read /dev/x holding 0 -p mark", "argument -p/--parity: must be none, even or odd"),
-        ("read /dev/x holding 0 --rs485 up", '--rs485: rs485 must be "kernel"'),
-        ("read /dev/x holding 0 --max-in-flight 2", "--max-in-flight: max_in_flight must be 1 on"),
+        ("read /dev/x holding 0 --rs485 up", 'rs485 must be "kernel"'),
+        ("read /dev/x holding 0 --max-in-flight 2", "max_in_flight must be 1 on"),
         ("read h holding 0 --echo", "--echo applies to serial ports only, not to tcp://h:502"),
         ("read h?unit=256 holding 0 --timeout 1", "unit must be in 0..255, not 256"),
         ("identify h --cert own.pem", "--cert applies to tls:// URLs only, not to tcp://h:502"),
         ("serve tcp://h -b 9600", "--baudrate applies to serial ports only, not to tcp://h:502"),
-        ("serve tcp://h --max-connections 0", "--max-connections: max_connections must be"),
-        ("serve tcp://h --frame-timeout 0", "--frame-timeout: frame_timeout must be"),
-        ("gateway tcp://h --to tcp://b --queue 0", "--queue: queue must be in 1..1024, not 0"),
+        ("serve tcp://h --max-connections 0", "max_connections must be"),
+        ("serve tcp://h --frame-timeout 0", "frame_timeout must be"),
+        ("gateway tcp://h --to tcp://b --queue 0", "queue must be in 1..1024, not 0"),
         ("gateway tcp://h --to tcp://b -s 1", "--stop-bits applies to serial ports only"),
         ("listen x.pcapng -b 9600", "--baudrate applies to serial ports only, not to x.pcapng"),
     ],
 )
-def test_what_is_wrong_is_told_by_the_name_of_the_option(arguments: str, said: str) -> None:
+def test_what_is_wrong_names_the_option(arguments: str, said: str) -> None:
     done = run(*arguments.split())
     assert (done.code, done.out) == (2, "")
     assert done.err.startswith("libmodbus-py: ")

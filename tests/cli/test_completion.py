@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -14,8 +15,9 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py.cli.ask.items import TABLE_WORDS
-from libmodbus_py.cli.ask.read import names as names_of_map
+from libmodbus_py.cli.ask.values import names as names_of_map
 from libmodbus_py.protocol.extras import how_to_add
+from tests.support.cases import each_case
 from tests.support.commands import PROGRAM, run
 
 argcomplete = pytest.importorskip("argcomplete")
@@ -107,8 +109,37 @@ def test_the_map_may_stand_behind_the_name(
 ) -> None:
     monkeypatch.chdir(place)
     monkeypatch.setenv("COMP_LINE", line)
-    names = names_of_map(argparse.Namespace(map=None))
+    names = names_of_map(argparse.Namespace(map=None, columns=[]))
     assert set(names) - {*TABLE_WORDS} == found
+
+
+@each_case(
+    ("line", "found"),
+    [
+        ("read h --map 'my meter.csv' Lei", ["Leistung L1"]),
+        ("read h --map 'my meter.csv' 'Lei", ["Leistung L1"]),
+        ('read h --map "my meter.csv" "Lei', ["Leistung L1"]),
+        ("read h --map my\\ meter.csv -u 3 s", ["spannung's"]),
+        ("127.0.0.1 --map 'my meter.csv' 'Leistung L1' $", ["$x"]),
+        ("127.0.0.1 --map 'my me", ["my meter.csv"]),
+        ("map check --column name=x my", ["my meter.csv"]),
+        ("map list --search sdm1", ["sdm120"]),
+    ],
+)
+def test_quotes_and_spaces(place: Path, line: str, found: list[str]) -> None:
+    names = ["Leistung L1", "spannung's", "$x"]
+    rows = "".join(f"{name},holding,{at}\n" for at, name in enumerate(names))
+    (place / "my meter.csv").write_text(f"name,table,address\n{rows}")
+    line = f"libmodbus-py {line}"
+    asked = {"COMP_LINE": line, "COMP_POINT": str(len(line.encode())), "COMP_TYPE": "9"}
+    asked |= {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "|", "_ARGCOMPLETE_SHELL": "bash"}
+    asked |= {"_ARGCOMPLETE_STDOUT_FILENAME": str(place / "answer")}
+    done = subprocess.run(
+        PROGRAM, cwd=place, env=os.environ | asked, capture_output=True, text=True
+    )
+    assert done.stderr == ""
+    answers = (place / "answer").read_text().split("|")
+    assert [re.sub(r"\\(.)", r"\1", each).strip() for each in answers] == found
 
 
 MAP = "name,table,address\nvoltage,input,0\ncurrent,input,1\n"

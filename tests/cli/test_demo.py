@@ -4,8 +4,11 @@ The command demo.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
+from tests.cli.serving import serving
 from tests.support.commands import on_terminal, run
 
 
@@ -26,6 +29,23 @@ def test_demo_shows_every_example_on_every_line() -> None:
     assert done.out.count("789  12345  -567") == 3
     assert done.out.count("0DFE 0020   33CD 0040") == 3
     assert done.out.count("refused: illegal data address (exception 2)") == 3
+
+
+def test_the_commands_that_demo_prints_at_its_end_work_in_any_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    lines = [line.split() for line in run("demo").out.splitlines() if "libmodbus-py " in line]
+    serve, read, identify = [words[1:] for words in lines if words[0] == "libmodbus-py"]
+    assert {words[1] for words in (serve, read, identify)} == {"127.0.0.1:1502"}
+    with serving("127.0.0.1:0", options=serve[2:]) as (url,):
+        done = run("read", url, *read[2:])
+        assert (done.code, done.err) == (0, "")
+        assert "voltage" in done.out
+        done = run("identify", url, *identify[2:])
+        assert (done.code, done.err) == (0, "")
+        assert "METER" in done.out
+    assert [*tmp_path.iterdir()] == []
 
 
 @pytest.mark.parametrize(("environment", "colour"), [({}, True), ({"NO_COLOR": "1"}, False)])

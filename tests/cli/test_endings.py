@@ -18,6 +18,7 @@ import pytest
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.commands import PROGRAM, Started
+from tests.support.peers import FakeServer, until
 
 FLEET = """
 [[device]]
@@ -103,3 +104,32 @@ def test_a_serial_port_gets_its_settings_back(number: int) -> None:
             process.send_signal(number)
             process.communicate()
         assert termios.tcgetattr(port) == before
+
+
+@pytest.mark.parametrize(
+    ("words", "answered"),
+    [
+        ("read URL hr 0 --json", 0),
+        ("write URL hr 0 5 --verify", 0),
+        ("write URL hr 0 5 --verify", 1),
+        ("identify URL", 0),
+        ("raw URL 3 00000001", 0),
+        ("map check meter --device URL", 0),
+    ],
+)
+def test_ctrl_c_while_an_answer_is_awaited(words: str, answered: int) -> None:
+    """Nothing is said, whether it is the first answer, or that behind a write."""
+    asked: list[bytes] = []
+
+    def answer(request: bytes) -> list[bytes]:
+        asked.append(request)
+        return [request] if len(asked) <= answered else []
+
+    with FakeServer(answer) as server:
+        typed = words.replace("URL", server.url).split()
+        with Started(*typed, "--timeout", "20") as process:
+            until(lambda: len(asked) > answered)
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate()
+            assert (process.wait(), err) == (130, "")
+            assert "meter" in out if typed[0] == "map" else out == ""

@@ -6,12 +6,18 @@ what a terminal shows meanwhile.
 from __future__ import annotations
 
 import contextlib
+import json
+import os
+import re
 import resource
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
+from libmodbus_py import Device, Mapping, Server
 from tests.support.cases import each_case
-from tests.support.commands import on_terminal, run
+from tests.support.commands import ended, on_terminal, run
 
 FULL_BYTES = 100
 
@@ -80,3 +86,81 @@ def test_errors_of_such_a_watch_are_seen(tmp_path: Path) -> None:
     done = run(*words[:-1], tmp_path / "again.json")
     assert (done.code, done.out) == (1, "")
     assert done.err.count("Connection refused") == 1  # said once, not at each poll
+
+
+PRINTING = [
+    "read URL hr 0",
+    "read URL hr 0 --json",
+    "read URL hr 0 --watch 0.01 --count 3",
+    "write URL hr 0 5 --dry-run",
+    "identify URL",
+    "diagnose URL",
+    "raw URL 03 00 00 00 01",
+    "map list",
+    "map check meter",
+    "map class meter",
+    "serve --example",
+]
+"""What is typed to print something."""
+
+
+@each_case("words", PRINTING)
+def test_an_output_that_is_full_or_that_nobody_reads(url: str, words: str) -> None:
+    typed = words.replace("URL", url).split()
+    with open("/dev/full", "w") as full:
+        done = run(*typed, out=full)
+    assert (done.code, done.err) == (
+        1,
+        "libmodbus-py: standard output: No space left on device\n",
+    )
+    reading, writing = os.pipe()
+    os.close(reading)
+    with open(writing, "w") as pipe:
+        done = run(*typed, out=pipe)
+    assert (done.code, done.err) == (1, "")
+
+
+# --- times have one form ----------------------------------------------------------
+
+
+FORM = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z")
+
+CAPTURE = Path(__file__).parents[1] / "tools" / "listener" / "decoded.pcapng"
+
+
+@pytest.fixture
+def registers() -> Iterator[str]:
+    with Server(Device(Mapping(holding_registers=2))).background("tcp://127.0.0.1:0") as running:
+        yield running.urls[0]
+
+
+def test_a_watch_in_json_csv_and_text(registers: str) -> None:
+    watch = ("read", registers, "hr", 0, "--watch", "0.01", "--count", "1")
+    assert FORM.fullmatch(json.loads(run(*watch, "--json").out)["time"])
+    assert FORM.fullmatch(run(*watch, "--csv").out.splitlines()[1].split(",")[0])
+    assert FORM.fullmatch(run(*watch).out.split()[0])
+
+
+def test_a_poll_that_failed() -> None:
+    done = run("read", "127.0.0.1:1", "hr", 0, "--watch", "0.01", "--count", "1", "--json")
+    assert FORM.fullmatch(json.loads(done.out)["time"])
+
+
+def test_transactions_that_were_heard() -> None:
+    lines = [json.loads(line) for line in run("listen", CAPTURE, "--json").out.splitlines()]
+    times = [line["time"] for line in lines if "time" in line]
+    assert times
+    assert all(FORM.fullmatch(each) for each in times)
+    assert times == sorted(times)
+
+
+def test_readings_of_a_fleet(registers: str, tmp_path: Path) -> None:
+    (tmp_path / "map.csv").write_text("name,table,address\nlevel,holding,0\n")
+    (tmp_path / "fleet.toml").write_text(
+        f'[[device]]\nname = "one"\nurl = "{registers}"\nmap = "map.csv"\n'
+    )
+    done = ended("poll", tmp_path / "fleet.toml", "--once", "--json", "--log", "debug")
+    assert FORM.fullmatch(json.loads(done.out.splitlines()[0])["time"])
+    for line in done.err.splitlines():
+        assert FORM.fullmatch(line.split()[0])
+    assert done.err

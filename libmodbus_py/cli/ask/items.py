@@ -20,18 +20,23 @@ from typing import TYPE_CHECKING, Any
 
 from ...maps.plan import Plan, Read
 from ...protocol import pdu
-from ...protocol.errors import ModbusError
+from ...protocol.errors import IllegalDataAddress, ModbusError
 from ...protocol.plain import number_of
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...protocol.values import ValueType, parse_reference, value_type
 from ...protocol.words import TABLE_WORDS as VENDORS
 from ...protocol.words import close_word, plain, table_named
+from ..failing import advice
 
 if TYPE_CHECKING:
     from ...maps.point import Point
     from ...maps.register_map import RegisterMap
 
-__all__ = ["ALL", "REGISTERS", "TABLE_WORDS", "Cells", "Item", "ItemPlan", "Words", "map_of"]
+# fmt: off
+__all__ = [
+    "ALL", "REGISTERS", "TABLE_WORDS", "Cells", "Item", "ItemPlan", "Words", "map_of", "reason_of",
+]
+# fmt: on
 
 TABLE_WORDS = {
     "coils": "coils",
@@ -137,7 +142,7 @@ class Words:
     The words on the command line, taken one after the other.
 
     Args:
-        options: those of the command: `type`, `order`, `encoding`, `padding`, `map`,
+        options: those of the command: `type`, `order`, `encoding`, `padding`, `map`, `columns`,
             `count_from_1`.
         words: the words that say what is read or written.
         have_values: True if values follow the items, to write.
@@ -153,7 +158,7 @@ class Words:
     def __init__(
         self, options: argparse.Namespace, words: Sequence[str], *, have_values: bool = False
     ) -> None:
-        self.map: RegisterMap | None = map_of(options.map) if options.map is not None else None
+        self.map: RegisterMap | None = map_of(options)
         self.is_all: bool = options.type == ALL and not have_values
         self._words = deque(words)
         self._have_values = have_values
@@ -346,17 +351,26 @@ def _table_word(text: str) -> str:
     return WORD_OF.get(name or "", text.lower() if text.lower() in TABLE_WORDS else "")
 
 
-def map_of(file: str) -> RegisterMap:
+def map_of(options: argparse.Namespace) -> RegisterMap | None:
     """
-    Load a register map from a file, or an example by its name, which has no suffix.
+    Load the register map of --map: a file, or an example by its name; None without the option.
 
     Raises:
         ValueError: the file cannot be read or contains a mistake, or the example does not exist.
     """
+    if options.map is None:
+        if options.columns:
+            raise ValueError("--column needs --map")
+        return None
     from ...tools.files.maps.map_file import load_map
     from ...tools.simulator.example_files import map_file
 
-    return load_map(map_file(file))
+    return load_map(map_file(options.map), columns=dict(options.columns))
+
+
+def reason_of(error: ModbusError, item: Item) -> str:
+    """Return why a request for an item failed, and what to try."""
+    return f"{error}{item.hint if isinstance(error, IllegalDataAddress) else advice(error)}"
 
 
 def _hint(word: str, table: str, typed: str) -> str:

@@ -1,20 +1,19 @@
 """
-The command map: the arguments of its actions, and the actions list and class.
+The command map: the arguments of its actions, and the action list.
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable
 from textwrap import fill
 from typing import Any
 
 from .. import arguments
-from ..completers import completing, maps
+from ..completers import completing, maps, names_of_maps
 from ..foreign import place
 from ..help import VerbatimHelp
-from ..output import counted
+from ..output import complain
 
 __all__ = ["add_command"]
 
@@ -48,9 +47,11 @@ examples:
 {arguments.URLS}"""
 
 OF_LIST = """\
+The exit code is 0, or 1 if nothing has the words of --search.
+
 examples:
   libmodbus-py map list
-  libmodbus-py map list | grep Eastron
+  libmodbus-py map list --search eastron
   libmodbus-py map check sdm120
   libmodbus-py read 192.0.2.10 --map sdm120"""
 
@@ -98,11 +99,21 @@ def add_command(commands: Any) -> None:
         action.set_defaults(run=run, parser=action)
         return action
 
-    _add_check(add("check", _check, CHECK, OF_CHECK))
-    add("list", _list, LIST, OF_LIST, "; --map takes their names")
-    _add_class(add("class", _class, CLASS, OF_CLASS))
-    _add_from_device(add("from-device", _from_device, FROM_DEVICE, OF_DEVICE, TO_FILL_IN))
-    from_sunspec = add("from-sunspec", _from_sunspec, FROM_SUNSPEC, OF_SUNSPEC)
+    _add_check(add("check", lambda options: _actions().check(options), CHECK, OF_CHECK))
+    _add_list(add("list", _list, LIST, OF_LIST, "; --map takes their names"))
+    _add_class(add("class", lambda options: _actions().class_of(options), CLASS, OF_CLASS))
+    _add_from_device(
+        add(
+            "from-device",
+            lambda options: _actions().from_device(options),
+            FROM_DEVICE,
+            OF_DEVICE,
+            TO_FILL_IN,
+        )
+    )
+    from_sunspec = add(
+        "from-sunspec", lambda options: _actions().from_sunspec(options), FROM_SUNSPEC, OF_SUNSPEC
+    )
     arguments.add_client(from_sunspec)
     _add_output(from_sunspec)
 
@@ -112,6 +123,7 @@ def _add_check(check: argparse.ArgumentParser) -> None:
         "files", metavar="FILE", nargs="+", help="such as meter.csv, or a name that list prints"
     )
     completing(files, maps)
+    arguments.add_columns(check)
     check.add_argument(
         "--device",
         metavar="URL",
@@ -121,11 +133,24 @@ def _add_check(check: argparse.ArgumentParser) -> None:
     arguments.add_requests(check)
 
 
+def _add_list(listed: argparse.ArgumentParser) -> None:
+    search = listed.add_argument(
+        "--search",
+        metavar="WORD",
+        nargs="+",
+        default=[],
+        help="print those alone whose name or description, which begins with the vendor, has all"
+        " these words",
+    )
+    completing(search, names_of_maps)
+
+
 def _add_class(typed: argparse.ArgumentParser) -> None:
     file = typed.add_argument(
         "file", metavar="FILE", help="such as meter.csv, or a name that list prints"
     )
     completing(file, maps)
+    arguments.add_columns(typed)
     typed.add_argument(
         "-o",
         "--output",
@@ -154,66 +179,20 @@ def _timeouts() -> dict[str, str]:
     return {"timeout": f"{ON_LINES:g}; on networks {ON_NETWORKS:g}"}
 
 
-def _check(options: argparse.Namespace) -> int:
-    from .map_check import check
+def _actions() -> Any:
+    from . import map_actions
 
-    return check(options)
+    return map_actions
 
 
 def _list(options: argparse.Namespace) -> int:
     from ...tools.simulator import example_files
 
-    for name, about in example_files.maps().items():
-        print(f"{name:<12} {about}")
+    words = [word.casefold() for word in options.search]
+    lines = [f"{name:<12} {about}" for name, about in example_files.maps().items()]
+    found = [line for line in lines if all(word in line.casefold() for word in words)]
+    if not found:
+        complain(f"no register map of the {len(lines)} has {' and '.join(options.search)}")
+        return 1
+    print("\n".join(found))
     return 0
-
-
-def _class(options: argparse.Namespace) -> int:
-    """Write a class for a register map to a file, or print it."""
-    from pathlib import Path, PurePath
-
-    from ...tools.files.maps.map_file import load_map
-    from ...tools.files.maps.texts import class_text
-    from ...tools.simulator.example_files import map_file
-
-    map = load_map(map_file(options.file))
-    text = class_text(map, PurePath(options.file).stem)
-    if options.output is None:
-        print(text, end="", flush=True)
-        return 0
-    _check_output(options.output)
-    Path(options.output).write_text(text, encoding="utf-8")
-    print(f"{options.output}: {counted(len(map), 'point')}", file=sys.stderr)
-    return 0
-
-
-def _check_output(output: str) -> None:
-    """Refuse to overwrite a file that this command has not written."""
-    from pathlib import Path
-
-    from ...tools.files.maps.texts import MARK
-
-    path = Path(output)
-    if path.suffix != ".py":
-        raise ValueError(f"{output}: it must end with .py")
-    if not path.absolute().parent.is_dir():
-        raise ValueError(f"{output}: the folder does not exist")
-    try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            start = file.read(2000)
-    except FileNotFoundError:
-        return
-    if MARK not in start:
-        raise ValueError(f"{output} exists, and would be overwritten")
-
-
-def _from_device(options: argparse.Namespace) -> int:
-    from .map_making import from_device
-
-    return from_device(options)
-
-
-def _from_sunspec(options: argparse.Namespace) -> int:
-    from .map_making import from_sunspec
-
-    return from_sunspec(options)

@@ -16,14 +16,14 @@ from typing import Any, Protocol
 from ...client.blocking import Context
 from ...maps.holes import Holes, carried_out, reading
 from ...maps.watched import PointIntervals, Totals
-from ...protocol.errors import ExceptionResponse, IllegalDataAddress, ModbusError
+from ...protocol.errors import ExceptionResponse, ModbusError
 from ...protocol.plain import time_text, without_controls
 from ..connecting import connected, endpoint_of
-from ..failing import CommandError, advice
+from ..failing import CommandError
 from ..output import complain, print_json
 from ..screen import Status
 from .formatters import Formatter, ReadResult, aligned, formatter_of, in_line
-from .items import Cells, Item, ItemPlan, Words
+from .items import Cells, Item, ItemPlan, Words, reason_of
 from .units import ask_units, client_of, fail, units_of
 
 __all__ = ["Printer", "Reader", "printer_of", "read", "readers_of"]
@@ -169,7 +169,7 @@ class Reader:
             if isinstance(answer, ModbusError) and not isinstance(answer, ExceptionResponse):
                 raise answer
             if isinstance(answer, ModbusError) and len(self.formatters) == 1:
-                raise CommandError(_reason(answer, self.formatters[0].item))
+                raise CommandError(reason_of(answer, self.formatters[0].item))
 
 
 # --- read once -----------------------------------------------------------------------
@@ -229,19 +229,13 @@ def _typed_items(words: Words) -> list[Item]:
 
 def _result(formatter: Formatter, cells: Cells) -> ReadResult:
     if isinstance(cells, ModbusError):
-        return ReadResult(
-            formatter, [], {**formatter.whence, "error": str(cells)}, _reason(cells, formatter.item)
-        )
+        fields = {**formatter.whence, "error": str(cells)}
+        return ReadResult(formatter, [], fields, reason_of(cells, formatter.item))
     try:
         rows, fields = formatter.rows(cells), formatter.fields(cells)
         return ReadResult(formatter, rows, fields, remark=formatter.remark(cells))
     except CommandError as error:
         return ReadResult(formatter, [], {**formatter.whence, "error": str(error)}, str(error))
-
-
-def _reason(error: ModbusError, item: Item) -> str:
-    hint = item.hint if isinstance(error, IllegalDataAddress) else advice(error)
-    return f"{error}{hint}"
 
 
 # --- printers ------------------------------------------------------------------------
@@ -314,12 +308,7 @@ class TextLines:
 
 
 class JsonLines:
-    """
-    Prints an object for each poll of a unit.
-
-    Args:
-        has_time: True if it begins with the time.
-    """
+    """Prints an object for each poll of a unit, which may begin with the time."""
 
     def __init__(self, *, has_time: bool) -> None:
         self._has_time = has_time
@@ -335,16 +324,7 @@ class JsonLines:
 
 
 class CsvRows:
-    """
-    Prints a header, then a row for each poll: the time, the values and the error.
-
-    Args:
-        formatters: those of the items, which name the columns.
-        has_unit: True for a column with the unit that was asked.
-
-    Raises:
-        ValueError: an item has no fixed number of columns.
-    """
+    """Prints a header, then a row for each poll: the time, the unit, the values and the error."""
 
     def __init__(self, formatters: Sequence[Formatter], *, has_unit: bool = False) -> None:
         self._titles = [title for formatter in formatters for title in formatter.titles()]

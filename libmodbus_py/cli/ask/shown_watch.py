@@ -106,12 +106,7 @@ class ShownWatch:
 
 
 class WatchedUnit:
-    """
-    See `GroupRow`: whether a unit answers, since when, and why not.
-
-    Args:
-        name: the name of the unit.
-    """
+    """See `GroupRow`: whether a unit answers, since when, and why not."""
 
     def __init__(self, name: str) -> None:
         self.name: str = name

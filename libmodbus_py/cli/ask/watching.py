@@ -11,7 +11,6 @@ import argparse
 import os
 import sys
 import time
-from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from typing import Any, TextIO
@@ -23,18 +22,13 @@ from ..failing import CommandError
 from ..output import complain, counted
 from ..screen import Redrawn
 from ..serve import page
-from .formatters import FormattedValue, ReadResult, aligned
+from .formatters import ReadResult, aligned
 from .reading import Printer, Reader, printer_of, readers_of
 from .units import reason_of
 
 __all__ = ["watch"]
 
 CHANGED = "*"
-
-SPARKS = "▁▂▃▄▅▆▇█"
-
-MAX_SPARKS = 24
-"""Values that a line of sparks shows: few enough to fit a terminal behind a name."""
 
 
 def watch(options: argparse.Namespace) -> int:
@@ -55,13 +49,7 @@ def watch(options: argparse.Namespace) -> int:
 
 
 class _Polls:
-    """
-    Polls units, one after the other.
-
-    Attributes:
-        done: polls of all units.
-        answered: those to which the unit that was asked answered.
-    """
+    """Polls units, one after the other, and counts the polls and those that were answered."""
 
     def __init__(self, readers: Sequence[Reader], context: Any, printer: Printer) -> None:
         self.done = self.answered = 0
@@ -161,21 +149,13 @@ def _on_page(
 
 class TerminalTable:
     """
-    Draws a title, a line for each value with a mark after a change, and failures.
-
-    Behind a number that has changed are the lowest and the highest one so far, and a bar for each
-    of the last ones. The table fits the current size of the terminal.
-
-    Args:
-        title: the device, units and interval.
-        units: those that are polled, one after the other.
-        screen: the terminal.
+    Draws a title, a line for each value with a mark after a change, and failures, within the
+    current size of the terminal.
     """
 
     def __init__(self, title: str, units: Sequence[int], screen: TextIO) -> None:
         self._title = title
-        has_sparks = _has_sparks(screen)
-        self._groups = {unit: _Group(has_sparks=has_sparks) for unit in units}
+        self._groups = {unit: _Group() for unit in units}
         self._polls = self._failed = 0
         self._last_failure = ""
         self._redrawn = Redrawn(screen)
@@ -212,32 +192,19 @@ class TerminalTable:
 
 
 class _Group:
-    """
-    The lines of one unit.
+    """The lines of one unit, each with True if its value has just changed."""
 
-    Attributes:
-        lines: each with True if its value has just changed.
-    """
-
-    def __init__(self, *, has_sparks: bool) -> None:
+    def __init__(self) -> None:
         self.lines: list[tuple[str, bool]] = []
-        self._has_sparks = has_sparks
         self._before: list[str] = []
-        self._histories: list[_History] = []
 
     def take(self, results: Sequence[ReadResult]) -> None:
         rows = [row for each in results for row in each.rows]
         lines = aligned([(each.formatter, each.rows) for each in results])
         changed = self._changed([row.text for row in rows])
-        if len(self._histories) != len(rows):
-            self._histories = [_History() for _ in rows]
-        for history, row in zip(self._histories, rows, strict=True):
-            history.take(row)
-        tails = [history.tail(has_sparks=self._has_sparks) for history in self._histories]
-        width = max((len(line) for line, tail in zip(lines, tails, strict=True) if tail), default=0)
         self.lines = [
-            (f"{CHANGED if at in changed else ' '} {line:<{width}}  {tail}".rstrip(), at in changed)
-            for at, (line, tail) in enumerate(zip(lines, tails, strict=True))
+            (f"{CHANGED if at in changed else ' '} {line}", at in changed)
+            for at, line in enumerate(lines)
         ]
         self.lines += [(each.failure, False) for each in results if each.failure]
 
@@ -247,46 +214,6 @@ class _Group:
         if len(before) != len(texts):
             return set()
         return {at for at, (text, old) in enumerate(zip(texts, before, strict=True)) if text != old}
-
-
-class _History:
-    """The lowest, the highest and the last numbers of a value."""
-
-    def __init__(self) -> None:
-        self._last: deque[float] = deque(maxlen=MAX_SPARKS)
-        self._lowest: tuple[float, str] | None = None
-        self._highest: tuple[float, str] | None = None
-
-    def take(self, row: FormattedValue) -> None:
-        try:
-            number = float(row.plain)
-        except ValueError:  # text, or no value
-            return
-        if number - number != 0:  # nan and the infinities
-            return
-        self._last.append(number)
-        told = (number, row.text)
-        if self._lowest is None or number < self._lowest[0]:
-            self._lowest = told
-        if self._highest is None or number > self._highest[0]:
-            self._highest = told
-
-    def tail(self, *, has_sparks: bool) -> str:
-        """Return what is shown behind the value; empty before it has changed."""
-        if self._lowest is None or self._highest is None or self._lowest == self._highest:
-            return ""
-        (low, least), (high, most) = self._lowest, self._highest
-        steps = [int((each - low) / (high - low) * (len(SPARKS) - 1)) for each in self._last]
-        bars = "".join(SPARKS[step] for step in steps) if has_sparks else ""
-        return f"{least}..{most}  {bars}".rstrip()
-
-
-def _has_sparks(screen: TextIO) -> bool:
-    try:
-        SPARKS.encode(screen.encoding or "ascii")
-    except (LookupError, UnicodeError):
-        return False
-    return True
 
 
 def _clock() -> str:

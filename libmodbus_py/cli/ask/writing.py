@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ...client.blocking import Context
 from ...maps.typed import typed_register, typed_value
 from ...protocol import pdu
-from ...protocol.errors import IllegalDataAddress
+from ...protocol.errors import ModbusError
 from ...protocol.framing import Frame, make_framer
 from ...protocol.plain import bit_of, number_of, value_of
 from ..connecting import connected, endpoint_of
 from ..failing import CommandError
 from ..output import complain, counted
 from .formatters import Formatter, aligned, formatter_of
-from .items import REGISTERS, Item, Words
+from .items import REGISTERS, Item, Words, reason_of
 
 if TYPE_CHECKING:
     from ...maps.register_map import RegisterMap
@@ -47,14 +47,15 @@ def write(options: argparse.Namespace) -> int:
     if options.verify:
         _check_unit(options)
     with closing(connected(options)) as context:
-        for each in writes:
-            for request in each.requests:
-                try:
-                    result = context.execute(request)
-                except IllegalDataAddress as error:
-                    raise CommandError(f"{error}{each.item.hint}") from None
-                if options.and_read:
-                    _print_registers(options, request, result)
+        requests = [(each.item, request) for each in writes for request in each.requests]
+        for done, (item, request) in enumerate(requests):
+            try:
+                result = context.execute(request)
+            except ModbusError as error:
+                earlier = f"; carried out before: {counted(done, 'request')}" * bool(done)
+                raise CommandError(f"{reason_of(error, item)}{earlier}") from None
+            if options.and_read:
+                _print_registers(options, request, result)
         # After the last write, because one may change what another wrote.
         differing: list[str] = []
         for each in writes:
@@ -68,10 +69,7 @@ def write(options: argparse.Namespace) -> int:
 
 
 def _check_unit(options: argparse.Namespace) -> None:
-    """
-    Raises:
-        ValueError: nothing could be read back.
-    """
+    """Refuse to verify what nothing answers."""
     endpoint = endpoint_of(options)
     if not endpoint.has_transactions and endpoint.client_options.get("unit") == 0:
         raise ValueError("--verify cannot be used with unit 0: nothing answers a broadcast")
@@ -97,12 +95,7 @@ def _print_registers(options: argparse.Namespace, request: Request, values: list
 
 
 def _say(context: Context, map: RegisterMap | None, write: Write, cells: list[int] | None) -> None:
-    """
-    Print what was written, and what was read back.
-
-    Args:
-        cells: those that --verify read; None without it.
-    """
+    """Print what was written, and the cells that --verify read; None without it."""
     item = write.item
     name = item.label() if item.point is None else item.point.name
     line = f"{name}: wrote {' '.join(write.texts) or 'the bits of the mask'}"
@@ -250,15 +243,7 @@ def _advice(text: str) -> str:
 
 
 def _verified(context: Context, write: Write) -> tuple[list[int], list[str]]:
-    """
-    Read what was written.
-
-    Returns:
-        The cells, and what differs, a line for each cell.
-
-    Raises:
-        ModbusError: it cannot be read.
-    """
+    """Read what was written; return the cells, and a line for each cell that differs."""
     item = write.item
     found: list[int] = []
     differing: list[str] = []

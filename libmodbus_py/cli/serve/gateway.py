@@ -8,7 +8,7 @@ import argparse
 import contextlib
 import inspect
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -145,13 +145,11 @@ def _gateway_logged(options: argparse.Namespace, hangup: Hangup) -> int:
     if bounds := limits.limits_of(options):
         hooks["limits"] = bounds
 
-    def make(given: Mapping[str, Any]) -> Gateway:
-        usual = file.options if file else {}
-        return Gateway(file.routes if file else routes, **{**usual, **hooks, **given})
-
     with audit.audited(options) as (trail, on_hangup):
         hooks["audit"] = trail
-        gateway = arguments.checked(make, arguments.given(options, OPTIONS))
+        typed = arguments.given(options, OPTIONS)
+        usual = file.options if file else {}
+        gateway = Gateway(file.routes if file else routes, **{**usual, **hooks, **typed})
         if file is not None:
             on_hangup.insert(0, partial(_read_again, gateway, str(options.config), file))
         has_files = on_hangup or is_secure([*urls, *(route.to for route in routes)])

@@ -11,7 +11,7 @@ from dataclasses import fields
 from typing import Any
 
 from ...server.limits import FULL_POLICIES, Limits
-from ..arguments import add_defaults, checked, flag, given
+from ..arguments import add_defaults, flag, given
 from ..help import make_rare
 
 __all__ = ["add_arguments", "limits_of"]
@@ -82,4 +82,4 @@ def limits_of(options: argparse.Namespace) -> Limits | None:
     typed = given(options, NAMES)
     if typed.get("idle_timeout") == math.inf:
         typed["idle_timeout"] = None
-    return checked(lambda limits: Limits(**limits), typed) if typed else None
+    return Limits(**typed) if typed else None

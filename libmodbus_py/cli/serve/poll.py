@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from ...protocol.logs import HarmlessLogger
 from ...server.running import Handler, frozen_garbage, signal_handlers
 from ...services.fleet.config import DeviceConfig
-from ...services.fleet.files import FleetFile, load
+from ...services.fleet.files import FleetFile, FleetFileError, load
 from ...services.fleet.fleet import Fleet
 from ...services.fleet.journal.schema import JournalError
 from ...services.fleet.outputs.output import KINDS, Output, OutputError, check_exclusive, made
@@ -110,34 +110,38 @@ def _poll(options: argparse.Namespace) -> int:
 def _poll_logged(options: argparse.Namespace) -> int:
     if options.push and options.engine is None:
         raise ValueError("--push needs --engine")
-    if options.check:
-        devices = load(options.file).devices
-        allow_all_descriptors()
-        return asyncio.run(_check(devices))
     with noted() as hangup:
-        return _start(options, hangup)
+        try:
+            file = load(options.file)
+        except FleetFileError as error:
+            for each in (error, *error.others):
+                complain(str(each))
+            return 2
+        for note in file.notes:
+            complain(note)
+        allow_all_descriptors()
+        if not options.check:
+            return _start(options, file, hangup)
+        hangup.give_back()
+        return asyncio.run(_check(file.devices))
 
 
-def _start(options: argparse.Namespace, hangup: Hangup) -> int:
-    file = load(options.file)
-    allow_all_descriptors()
+def _start(options: argparse.Namespace, file: FleetFile, hangup: Hangup) -> int:
     for each in overloads(file.devices):
         logger.warning("%s", each)
-    values = LastValues()
-    outputs = _outputs(file, options)
-    if options.engine is not None:
-        return _poll_with_others(options, file, outputs, values, hangup)
-    shown = _page_output(options)
-    fleet = Fleet(
-        file.devices,
-        outputs=[*outputs, *_looks(options, values, shown)],
-        journal=file.made_journal(),
-    )
+    values, shown, outputs = LastValues(), _page_output(options), _outputs(file, options)
     is_printed = any(map(_prints, outputs))
     has_screen = sys.stderr.isatty() and not (is_printed and sys.stdout.isatty())
-    with _seen(options, file, values, shown)(fleet):
+    outputs += _looks(options, values, shown)
+    seen, show = _seen(options, file, values, shown), _screen(options, values, has_screen)
+    if options.engine is not None:
+        if options.once:
+            raise ValueError("--once cannot be used with --engine")
+        return workers.poll(options, file, outputs, seen, show, hangup)
+    fleet = Fleet(file.devices, outputs=outputs, journal=file.made_journal())
+    with seen(fleet):
         try:
-            asyncio.run(_run(fleet, options, file, hangup, _screen(options, values, has_screen)))
+            asyncio.run(_run(fleet, options, file, hangup, show))
         except OutputError as error:
             if isinstance(error.__cause__, OSError):
                 raise error.__cause__ from None
@@ -168,27 +172,6 @@ def _is_anything_left(fleet: Fleet) -> bool:
 
 def _behind(trouble: str) -> str:
     return f": {trouble}" if trouble else ""
-
-
-def _poll_with_others(
-    options: argparse.Namespace,
-    file: FleetFile,
-    outputs: list[Output],
-    values: LastValues,
-    hangup: Hangup,
-) -> int:
-    if options.once:
-        raise ValueError("--once cannot be used with --engine")
-    shown = _page_output(options)
-    has_screen = sys.stderr.isatty() and not (any(map(_prints, outputs)) and sys.stdout.isatty())
-    return workers.poll(
-        options,
-        file,
-        [*outputs, *_looks(options, values, shown)],
-        _seen(options, file, values, shown),
-        _screen(options, values, has_screen),
-        hangup,
-    )
 
 
 def _page_output(options: argparse.Namespace) -> PageOutput | None:

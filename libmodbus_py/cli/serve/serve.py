@@ -24,7 +24,7 @@ from ...tools.simulator.reloading import Reloader
 from .. import arguments, completers, logs
 from ..connecting import OF_SERVERS, with_options
 from ..foreign import place
-from ..help import VerbatimHelp
+from ..help import VerbatimHelp, make_rare
 from ..tracing import print_frame
 from . import audit, limits, metrics, page
 from .announcing import announcing
@@ -111,6 +111,7 @@ def _add_sources(command: argparse.ArgumentParser) -> None:
         help="serve the points of a register map, or of one that comes with the package: with"
         " their names, access and bounds",
     )
+    make_rare(arguments.add_columns(command))
     completers.completing(of_map, completers.maps)
     completers.completing(example, completers.examples)
 
@@ -169,7 +170,10 @@ def _serve_logged(options: argparse.Namespace, hangup: Hangup) -> int:
 
 def _simulation(options: argparse.Namespace, path: str | None) -> device_file.Simulation | None:
     if options.map is not None:
-        return device_file.mapped_simulation(options.map, options.units or ())
+        columns = dict(options.columns)
+        return device_file.mapped_simulation(options.map, options.units or (), columns)
+    if options.columns:
+        raise ValueError("--column needs --map")
     return None if path is None else device_file.load(path)
 
 

@@ -1,5 +1,5 @@
 """
-Devices in CSV: a row for each device, for fleets of thousands.
+Devices in CSV: a row for each device, for fleets of thousands, as spreadsheets save them.
 
 The headings are keys of ``[[device]]``, in any order, and ``labels.NAME``. Several items are
 separated by semicolons; for an empty cell the default is used.
@@ -8,26 +8,32 @@ separated by semicolons; for an empty cell the default is used.
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 from ...protocol.mistakes import Path, WrongValue, inside
-from ...tools.files.csv_text import CELLS, CsvText
+from ...tools.files.csv_text import CELLS, CsvRow, CsvText, number_in
 from ...tools.files.schema import Keys
 from ...tools.files.texts import FileError, FilePlace
 
-__all__ = ["DeviceRow", "device_rows"]
+__all__ = ["DeviceRow", "device_rows", "opened"]
 
 LABEL = "labels."
 
 
 class DeviceRow(NamedTuple):
     """
-    A row of a file: the keys of the device, the line number from 1, and the headings of all
-    columns.
+    A row of a file.
+
+    Attributes:
+        keys: returns the keys of the device; raises a TypeError or ValueError with the path of the
+            key if the row contains a mistake.
+        line: the line number in the file, from 1.
+        headings: the headings of all columns.
     """
 
-    keys: dict[str, Any]
+    keys: Callable[[], dict[str, Any]]
     line: int
     headings: list[str]
 
@@ -37,28 +43,35 @@ class DeviceRow(NamedTuple):
         return FilePlace(line=self.line, column=heading if heading in self.headings else "")
 
 
-def device_rows(text: str, keys: Keys, kind: type[FileError]) -> Iterator[DeviceRow]:
+def opened(text: str, keys: Keys, kind: type[FileError]) -> CsvText:
     """
-    Yield the rows, with the keys of the device of each.
+    Return a text as CSV with headings.
 
     Raises:
-        FileError: of class `kind`: the text is not CSV, or a row contains a mistake.
+        FileError: of class `kind`: the text is not CSV, or a heading is wrong.
     """
     columns = [key.name for key in keys.values() if key.kind in CELLS or key.name == "map"]
-    opened = CsvText(text, lambda heading: _is_column(heading, columns), kind, names_first=True)
-    headings = opened.head.cells
+    found = CsvText(text, lambda heading: _is_column(heading, columns), kind, names_first=True)
     try:
-        _check(headings, columns)
+        _check(found.head.cells, columns)
     except ValueError as error:
-        raise kind.of(error, FilePlace(line=opened.head.line)) from None
-    for row in opened.rows():
-        found = DeviceRow({}, row.line, headings)
-        try:
-            _read(found.keys, opened.cells(row), headings, keys)
-        except (TypeError, ValueError) as error:
-            path = getattr(error, "path", ())
-            raise kind.of(error, found.place(path)) from None
-        yield found
+        raise kind.of(error, FilePlace(line=found.head.line)) from None
+    return found
+
+
+def device_rows(text: CsvText, keys: Keys, kind: type[FileError]) -> Iterator[DeviceRow]:
+    """
+    Yield the rows below the headings.
+
+    Args:
+        text, keys, kind: as `opened` returns and takes them.
+
+    Raises:
+        FileError: of class `kind`: the rest of the text is not CSV.
+    """
+    headings = text.head.cells
+    for row in text.rows():
+        yield DeviceRow(partial(_keys, text, row, keys), row.line, headings)
 
 
 def _is_column(heading: str, columns: list[str]) -> bool:
@@ -75,12 +88,15 @@ def _check(headings: list[str], columns: list[str]) -> None:
             raise WrongValue((), f"two columns {heading}")
 
 
-def _read(found: dict[str, Any], cells: list[str], headings: list[str], keys: Keys) -> None:
-    for heading, cell in zip(headings, cells, strict=False):
+def _keys(text: CsvText, row: CsvRow, keys: Keys) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for heading, cell in zip(text.head.cells, text.cells(row), strict=False):
         if not (heading and cell):
             continue
         if heading.startswith(LABEL):
             found.setdefault("labels", {})[heading.removeprefix(LABEL)] = cell
             continue
         with inside(heading):
-            found[heading] = CELLS.get(keys[heading].kind, str)(cell)
+            read = CELLS.get(keys[heading].kind, str)
+            found[heading] = read(text.number_cell(cell) if read is number_in else cell)
+    return found

@@ -5,8 +5,9 @@ Fleet files: devices and outputs, described in TOML.
 
     devices                     a file of devices in CSV, see `devices_csv`
     [defaults]                  keys of devices, used where a device does not set them
-    [[device]]                  as `DeviceConfig`; map is a file; instead of it there may be
-                                [[device.point]] tables with the keys of `Point`
+    [[device]]                  as `DeviceConfig`; map is a file, columns are as for `load_map`;
+                                instead there may be [[device.point]] tables, with the keys of
+                                `Point`
     journal, keep, journal_size
                                 as `journal.Journal`: path, keep, size
     [engine]                    for several machines, see `config.ENGINE`
@@ -19,8 +20,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from os import PathLike
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple
@@ -39,11 +41,11 @@ from ...protocol.mistakes import (
 )
 from ...tools.files.maps.contents import POINT
 from ...tools.files.maps.map_file import load_map
-from ...tools.files.schema import REQUIRED, Key, Keys, in_bytes, in_seconds, keys_of, tables
-from ...tools.files.texts import FileError, load_file, read_text, read_toml
+from ...tools.files.schema import REQUIRED, Key, Keys, in_bytes, in_seconds, keys_of, table, tables
+from ...tools.files.texts import FileError, FilePlace, line_of, load_file, read_table, read_toml
 from ...tools.simulator.example_files import map_file
 from .config import ENGINE, DeviceConfig, checked
-from .devices_csv import DeviceRow, device_rows
+from .devices_csv import DeviceRow, device_rows, opened
 from .journal.journal import KEEP_BOUNDS, SIZE_BOUNDS, Journal
 from .outputs.credentials import SecretFile
 from .outputs.output import KINDS, Output, file_at, made, output_keys, shared, used
@@ -53,11 +55,21 @@ __all__ = ["DEVICE", "FILE", "FleetFile", "FleetFileError", "load"]
 # Keys whose values must not be written in the fleet file, which many can read.
 SECRET = ("password", "token")
 
+MOST_MISTAKES = 20
+"""Mistakes in the devices of a file that are reported at once: about a page."""
+
 _NAME = re.compile(r"\$\{(\w*)\}")
 
 
 class FleetFileError(FileError):
-    """A mistake in a fleet file; it names the file, the line, the key and the allowed values."""
+    """
+    A mistake in a fleet file; it names the file, the line, the key and the allowed values.
+
+    Attributes:
+        others: further mistakes in the devices of the file, up to 20 in all.
+    """
+
+    others: tuple[FleetFileError, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -71,6 +83,7 @@ class FleetFile:
         journal: the arguments of the `Journal`; empty if there is none.
         sources: the files that were read, which no output may use.
         engine: the table ``[engine]``, for fleets on several machines; empty if there is none.
+        notes: how the list of devices was read, where that is not the usual way.
     """
 
     devices: list[DeviceConfig]
@@ -78,6 +91,7 @@ class FleetFile:
     journal: dict[str, str] = field(default_factory=dict)
     sources: frozenset[str] = field(default=frozenset(), repr=False)
     engine: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def made_outputs(self) -> list[Output]:
         """Return new outputs; each can be used by one fleet only."""
@@ -95,7 +109,12 @@ def load(path: str | PathLike[str]) -> FleetFile:
     Raises:
         FleetFileError: a file cannot be read or contains a mistake.
     """
-    return load_file(path, _Reader(FilePath(path)).parse, FleetFileError)
+    reader = _Reader(FilePath(path))
+    try:
+        return load_file(path, reader.parse, FleetFileError)
+    except FleetFileError as error:
+        error.others = reader.other_mistakes()
+        raise
 
 
 class _Origin(NamedTuple):
@@ -124,81 +143,111 @@ class _Reader:
     """Reads one fleet file."""
 
     def __init__(self, path: FilePath) -> None:
+        self._path = path
         self._folder = path.parent
         self._sources = {file_at(str(path))}
-        self._maps: dict[FilePath, RegisterMap] = {}
-        self._origins: list[_Origin] = []
+        self._maps: dict[tuple[FilePath, str], RegisterMap] = {}
+        self._text = ""
+        self._notes: list[str] = []
         self._defaults: dict[str, Any] = {}
-        self._devices: dict[str, DeviceConfig] = {}
+        self._devices: list[DeviceConfig] = []
+        self._origins: list[_Origin] = []
+        self._mistakes: list[Mistake] = []
 
     def parse(self, text: str) -> FleetFile:
         """Return the contents of a text in TOML."""
+        self._text = text
         given = FILE.read((), read_toml(text))
         self._defaults = given.get("defaults", {})
-        devices = [*self._of_toml(given.get("device", [])), *self._of_csv(given.get("devices"))]
-        if not devices:
+        self._add_tables(given.get("device", []))
+        self._add_rows(given.get("devices"))
+        self._check()
+        if self._mistakes:
+            raise self._mistakes[0]
+        if not self._devices:
             raise WrongValue("device", "must hold at least one table: [[device]]")
-        self._check(devices)
-        self._devices = {each.name: each for each in devices}
         outputs = self._outputs(given.get("output", {}))
         journal, engine = self._journal(given), given.get("engine", {})
-        return FleetFile(devices, outputs, journal, frozenset(self._sources), engine)
+        sources, notes = frozenset(self._sources), tuple(self._notes)
+        return FleetFile(self._devices, outputs, journal, sources, engine, notes)
 
-    def _check(self, devices: list[DeviceConfig]) -> None:
-        try:
-            checked(devices, lambda at: str(self._origins[at]))
-        except ValueError as error:
-            mistake = placed(error, ())
-            at = mistake.path[1]
-            assert isinstance(at, int)
-            raise self._origins[at].of(mistake.renamed(()).renamed(())) from None
+    def other_mistakes(self) -> tuple[FleetFileError, ...]:
+        """Return the mistakes in devices but for the first one."""
+        return tuple(
+            FleetFileError.of(each, FilePlace(str(self._path), line_of(self._text, each.path)))
+            for each in self._mistakes[1:]
+        )
 
     # --- devices ----------------------------------------------------------------------------
 
-    def _of_toml(self, given: list[dict[str, Any]]) -> Iterable[DeviceConfig]:
+    def _add_tables(self, given: list[dict[str, Any]]) -> None:
         for at, raw in enumerate(given):
-            path = ("device", at)
-            keys = TABLE.read(path, raw)
-            if "point" in keys and "map" in keys:
-                raise WrongValue.about((*path, "point"), "the device has a map already")
-            if "point" in keys:
-                keys["map"] = keys.pop("point")
-            yield self._device(keys, self._folder, _Origin(path))
+            self._add(_Origin(("device", at)), partial(_keys_of_table, raw), self._folder)
 
-    def _of_csv(self, given: str | None) -> Iterable[DeviceConfig]:
+    def _add_rows(self, given: str | None) -> None:
         if given is None:
             return
         path = self._folder / given
         self._sources.add(file_at(str(path)))
         with inside("devices"):
-            text = read_text(path, FleetFileError)
+            text, note = read_table(path, FleetFileError)
+        self._notes += [f"{path}: {note}"] * bool(note)
         try:
-            for row in device_rows(text, DEVICE, FleetFileError):
-                origin = _Origin(("devices",), str(path), row)
-                yield self._device(row.keys, path.parent, origin)
+            rows = opened(text, DEVICE, FleetFileError)
+            if rows.skipped:
+                self._notes.append(
+                    f"{path}: rows above the headings that are skipped: {rows.skipped}"
+                )
+            for row in device_rows(rows, DEVICE, FleetFileError):
+                self._add(_Origin(("devices",), str(path), row), row.keys, path.parent)
         except FleetFileError as error:
-            raise error.in_file(str(path)).under(("devices",)) from None
+            self._mistakes.append(error.in_file(str(path)).under(("devices",)))
 
-    def _device(self, given: dict[str, Any], folder: FilePath, origin: _Origin) -> DeviceConfig:
-        self._origins.append(origin)
+    def _add(self, origin: _Origin, keys: Callable[[], dict[str, Any]], folder: FilePath) -> None:
+        """Add a device, or the mistake in it."""
+        if len(self._mistakes) == MOST_MISTAKES:
+            return
         try:
-            keys = _with_defaults(self._defaults, given)
-            for key in DEVICE.values():
-                if key.default is REQUIRED and key.name not in keys:
-                    raise WrongValue(key.name, "is missing")
-            if not isinstance(keys["map"], RegisterMap):
-                base = self._folder if keys["map"] is self._defaults.get("map") else folder
-                with inside("map"):
-                    keys["map"] = self._map(base / map_file(keys["map"]))
-            return _with_default_bands(DeviceConfig(**keys), self._defaults.get("dead_bands", {}))
+            device = self._device(keys(), folder)
         except (TypeError, ValueError) as error:
-            raise origin.of(error) from None
+            self._mistakes.append(origin.of(error))
+        else:
+            self._devices.append(device)
+            self._origins.append(origin)
 
-    def _map(self, path: FilePath) -> RegisterMap:
-        if path not in self._maps:
+    def _check(self) -> None:
+        """Add the mistakes of devices that do not fit to those before them."""
+        devices, origins = [*self._devices], [*self._origins]
+        while len(self._mistakes) < MOST_MISTAKES:
+            try:
+                checked(devices, lambda at: str(origins[at]))
+            except ValueError as error:
+                mistake = placed(error, ())
+                at = mistake.path[1]
+                assert isinstance(at, int)
+                self._mistakes.append(origins[at].of(mistake.renamed(()).renamed(())))
+                del devices[at], origins[at]
+            else:
+                return
+
+    def _device(self, given: dict[str, Any], folder: FilePath) -> DeviceConfig:
+        keys = _with_defaults(self._defaults, given)
+        columns = keys.pop("columns", {})
+        for key in DEVICE.values():
+            if key.default is REQUIRED and key.name not in keys:
+                raise WrongValue(key.name, "is missing")
+        if not isinstance(keys["map"], RegisterMap):
+            base = self._folder if keys["map"] is self._defaults.get("map") else folder
+            with inside("map"):
+                keys["map"] = self._map(base / map_file(keys["map"]), columns)
+        return _with_default_bands(DeviceConfig(**keys), self._defaults.get("dead_bands", {}))
+
+    def _map(self, path: FilePath, columns: Mapping[str, str]) -> RegisterMap:
+        key = path, repr(columns)
+        if key not in self._maps:
             self._sources.add(file_at(str(path)))
-            self._maps[path] = load_map(path)
-        return self._maps[path]
+            self._maps[key] = load_map(path, columns=columns)
+        return self._maps[key]
 
     # --- journal and outputs ----------------------------------------------------------------
 
@@ -239,7 +288,7 @@ class _Reader:
                 keys["path"] = str(self._folder / keys["path"])
             output = made(kind, keys)
             if hasattr(output, "describe"):
-                output.describe(self._devices)
+                output.describe({each.name: each for each in self._devices})
             return keys, output
 
     def _secrets(self, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -270,6 +319,16 @@ def _filled(key: str, value: Any) -> Any:
         return os.environ[found[1]]
 
     return _NAME.sub(variable, value) if isinstance(value, str) else value
+
+
+def _keys_of_table(given: dict[str, Any]) -> dict[str, Any]:
+    """Return the keys of a table [[device]], whose points are its map."""
+    keys: dict[str, Any] = TABLE.read((), given)
+    if "point" in keys and keys.keys() & {"map", "columns"}:
+        raise WrongValue.about("point", "the device has a map already")
+    if "point" in keys:
+        keys["map"] = keys.pop("point")
+    return keys
 
 
 def _with_defaults(defaults: Mapping[str, Any], keys: dict[str, Any]) -> dict[str, Any]:
@@ -320,6 +379,14 @@ def _points(path: Path, given: object) -> RegisterMap:
         return RegisterMap(points)
 
 
+def _columns(path: Path, given: object) -> dict[str, str]:
+    found = table(path, given)
+    for key, heading in found.items():
+        if not isinstance(heading, str):
+            raise WrongType((*path, key), f"must be the heading of a column, not {heading!r}")
+    return {**found}
+
+
 def _output_tables(path: Path, given: object) -> dict[str, Any]:
     return Keys(Key(kind, _one_or_several) for kind in KINDS).read(path, given)  # type: ignore[no-any-return]
 
@@ -338,7 +405,11 @@ DEVICE = keys_of(DeviceConfig, map=_file_name)
 
 POINTS = Key("point", _points, "a table for each point, [[device.point]], instead of a map")
 
-TABLE = (DEVICE | Keys([POINTS])).optional()
+COLUMNS = Key("columns", _columns, "headings of a map that are not recognised, by their meaning")
+
+TABLE = (DEVICE | Keys([COLUMNS, POINTS])).optional()
+
+DEFAULTS = (DEVICE.but("name") | Keys([COLUMNS])).optional()
 
 JOURNAL: dict[str, str] = {"journal": "path", "keep": "keep", "journal_size": "size"}
 """Keys of the file -> arguments of `Journal`."""
@@ -349,7 +420,7 @@ FILE = Keys(
         Key("keep", _keep, "how long the journal keeps readings, such as 90 days"),
         Key("journal_size", _size, "the size of the journal, such as 2 GB"),
         Key("devices", _file_name, "a file of devices in CSV"),
-        Key("defaults", DEVICE.but("name").optional().read, "defaults of the keys of devices"),
+        Key("defaults", DEFAULTS.read, "defaults of the keys of devices"),
         Key("device", tables, "a table for each device: [[device]]"),
         Key(
             "output",

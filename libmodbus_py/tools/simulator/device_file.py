@@ -103,20 +103,23 @@ def parse(
         raise DeviceFileError.of(error) from None
 
 
-def mapped_simulation(map: str, units: Iterable[int] = ()) -> Simulation:
+def mapped_simulation(
+    map: str, units: Iterable[int] = (), columns: Mapping[str, str] | None = None
+) -> Simulation:
     """
     Return a simulation of devices that have the points of a register map, all zero.
 
     Args:
         map: path of the map, or the name of one that comes with the package.
         units: the units, 0..247 or 255; empty for one device that answers every unit.
+        columns: as for `load_map`.
 
     Raises:
         DeviceFileError: the map cannot be read or contains a mistake, or a unit is wrong.
     """
     described = [{"id": unit, "map": map} for unit in units] or [{"map": map}]
     try:
-        return _simulation({"unit": described}, maps=Maps(""), clock=time.monotonic)
+        return _simulation({"unit": described}, maps=Maps("", columns), clock=time.monotonic)
     except (TypeError, ValueError) as error:
         mistake = placed(error, ())
         # There is no file whose keys the path could name.

@@ -244,13 +244,15 @@ class Maps:
 
     Args:
         folder: the folder to which their paths are relative.
+        columns: of all of them, as for `load_map`.
 
     Attributes:
         files: paths of the maps that were read, or could not be.
     """
 
-    def __init__(self, folder: str) -> None:
+    def __init__(self, folder: str, columns: Mapping[str, str] | None = None) -> None:
         self._folder = folder
+        self._columns = columns
         self._maps: dict[str, RegisterMap] = {}
 
     @property
@@ -272,7 +274,7 @@ class Maps:
         if path not in self._maps:
             self._maps[path] = RegisterMap(())
             with inside(*where):  # a path with a 0 in it is not a MapError
-                self._maps[path] = load_map(path)
+                self._maps[path] = load_map(path, columns=self._columns)
         return self._maps[path]
 
 

@@ -4,7 +4,9 @@ The command map: what it says of files and makes of devices.
 
 from __future__ import annotations
 
+import os
 import signal
+import stat
 import struct
 import time
 from collections.abc import Iterator
@@ -12,10 +14,13 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py import Device, Mapping, Server, TcpContext, load_map
+from libmodbus_py import Client, Device, Fault, Mapping, Server, TcpContext, load_map, sunspec
+from libmodbus_py.tools.testing.recording import ServerMaker
 from tests.support.cases import each_case
 from tests.support.commands import Done, Started, run
 from tests.support.peers import FakeServer, mbap, until
+from tests.support.sunspec import file_device
+from tests.support.sunspec import serving as sunspec_device
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
@@ -167,3 +172,221 @@ def test_the_maps_that_come_with_the_package() -> None:
     for line in listed:
         assert mapped("check", EXAMPLES / f"{line.split()[0]}.csv").code == 0
         assert len(line.split()) > 2
+
+
+@each_case(
+    ("words", "names"),
+    [
+        (["sdm120"], ["sdm120"]),
+        (["EASTRON", "single"], ["sdm120", "sdm230"]),
+        (["heat", "pumps"], ["nibe_s"]),
+    ],
+)
+def test_maps_are_found_by_words(words: list[str], names: list[str]) -> None:
+    lines = mapped("list", "--search", *words).out.splitlines()
+    assert [line.split()[0] for line in lines] == names
+
+
+def test_maps_that_lack_a_word_are_not_found() -> None:
+    done = mapped("list", "--search", "eastron", "toaster", code=1)
+    assert done.out == ""
+    assert done.err.endswith(" has eastron and toaster\n")
+    assert done.err.count("\n") == 1
+
+
+GERMAN = "Zähler;;\nBezeichnung;Register;Datentyp\nSpannung;40001;U16\n".encode("cp1252")
+
+
+def test_columns_are_named_on_the_command_line(url: str, tmp_path: Path) -> None:
+    (tmp_path / "zähler.csv").write_bytes(GERMAN)
+    file, named = tmp_path / "zähler.csv", ["--column", "name=Bezeichnung"]
+    named += ["--column", "type=Datentyp"]
+    assert mapped("check", file, *named).out.splitlines()[0] == f"{file}: 1 point"
+    assert "Spannung" in mapped("class", file, *named).out
+    assert run("read", url, "-u", 3, "--map", file, *named).out == "Spannung  7\n"
+    assert run("write", url, "-u", 3, "--map", file, *named, "Spannung=8").code == 0
+    assert "no column name" in mapped("check", file, code=2).err
+
+
+@each_case(
+    ("words", "said"),
+    [
+        (["read", "127.0.0.1", "hr", "0", "--column", "name=x"], "--column needs --map"),
+        (["serve", "127.0.0.1", "--column", "name=x"], "--column needs --map"),
+        (["map", "check", "meter", "--column", "name"], "must be KEY=HEADING"),
+        (["map", "check", "meter", "--column", "name=x"], "no column x, which is named for name"),
+        (["map", "check", "meter", "--column", "nam=x"], "columns must name some of name"),
+    ],
+)
+def test_what_is_wrong_with_columns(words: list[str], said: str) -> None:
+    done = run(*words)
+    assert done.code == 2
+    assert said in done.err
+
+
+# --- map class --------------------------------------------------------------------
+
+
+MAP = "name,table,address,type,access\nvoltage,input,0,uint16,read\nset point,holding,1,,\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "meter.csv").write_text(MAP)
+    return tmp_path
+
+
+def test_it_writes_and_prints_the_same(folder: Path) -> None:
+    printed = run("map", "class", folder / "meter.csv")
+    assert (printed.code, printed.err) == (0, "")
+    assert "class Meter(" in printed.out
+    assert "def set_point(self) -> int:" in printed.out
+    for _ in range(2):  # it takes the place of what the command itself has written
+        done = run("map", "class", folder / "meter.csv", "-o", folder / "plant.py")
+        assert (done.code, done.out, done.err) == (0, "", f"{folder / 'plant.py'}: 2 points\n")
+        assert (folder / "plant.py").read_text() == printed.out
+    assert sorted(os.listdir(folder)) == ["meter.csv", "plant.py"]
+
+
+@each_case(
+    ("output", "message"),
+    [
+        ("mine.py", "mine.py exists, and would be overwritten"),
+        ("meter.txt", "meter.txt: it must end with .py"),
+        ("none/meter.py", "none/meter.py: the folder does not exist"),
+    ],
+)
+def test_other_files_are_not_overwritten(output: str, message: str, folder: Path) -> None:
+    (folder / "mine.py").write_text("x = 1\n")
+    done = run("map", "class", folder / "meter.csv", "-o", folder / output)
+    assert done.code == 2
+    assert message in done.err
+    assert (folder / "mine.py").read_text() == "x = 1\n"
+
+
+def test_a_wrong_map_is_told_with_its_line(folder: Path) -> None:
+    (folder / "meter.csv").write_text(MAP.replace("uint16", "unit16"))
+    done = run("map", "class", folder / "meter.csv", "-o", folder / "meter.py")
+    assert done.code == 2
+    assert "meter.csv, line 2, column type" in done.err
+    assert not (folder / "meter.py").exists()
+
+
+def test_the_names_of_files_stay_texts(folder: Path) -> None:
+    for name in ('x"""\nimport os #', "a\\", "import", "7-Eleven \u2028 x", "Any", "ä ö"):
+        path = folder / f"{name}.csv"
+        path.write_text(MAP)
+        done = run("map", "class", path)
+        assert done.code == 0, done.err
+        compile(done.out, "made.py", "exec")
+
+
+def test_a_new_file_can_be_read_by_others(folder: Path) -> None:
+    before = os.umask(0o022)
+    try:
+        run("map", "class", folder / "meter.csv", "-o", folder / "meter.py")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((folder / "meter.py").stat().st_mode) == 0o644
+
+
+@each_case("action", ["check", "class"])
+def test_maps_of_the_package_have_names(action: str) -> None:
+    done = run("map", action, "sdm120")
+    assert (done.code, done.err) == (0, "")
+    assert "points" in done.out
+    done = run("map", action, "sdm")
+    assert done.code == 2
+    assert "'sdm' is neither the path of a register map" in done.err
+    assert done.err.count("\n") == 1
+
+
+# --- map from-sunspec -------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", ["toml", "csv"])
+def test_the_map_has_the_points_that_are_discovered(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"inverter.{suffix}"
+    with sunspec_device(file_device("device_1547.json")) as url:
+        done = run("map", "from-sunspec", url, "-o", str(path))
+        assert (done.code, done.err) == (0, f"{path}: 415 points\n")
+        with Client(url) as plc:
+            found = sunspec.discover(plc).map
+            assert plc.read_map(load_map(path)) == plc.read_map(found)
+    assert dict(load_map(path)) == dict(found)
+    assert run("map", "from-sunspec", url, "-o", str(path)).code == 2
+
+
+# --- map check --device -----------------------------------------------------------
+
+
+@pytest.fixture
+def points(tmp_path: Path) -> Path:
+    lines = [f"p{at},holding_registers,{at},uint16" for at in range(20)]
+    (tmp_path / "points.csv").write_text("\n".join(["name,table,address,type", *lines]))
+    return tmp_path / "points.csv"
+
+
+def device(*missing: int) -> Device:
+    return Device(Mapping(holding_registers={at: [at] for at in range(20) if at not in missing}))
+
+
+def test_points_that_a_device_lacks_are_told(points: Path) -> None:
+    with ServerMaker() as maker:
+        server = maker(devices=device(3, 11, 12))
+        done = run("map", "check", points, "--device", server.url)
+    assert done.out.splitlines()[-1] == (
+        f"  {server.url}, unit 1: 17 of 20 points can be read, in 3 requests"
+    )
+    told = done.err.splitlines()
+    assert [line.split(":")[1].split()[0] for line in told] == ["p3", "p11", "p12"]
+    assert all("illegal data address (exception 2)" in line for line in told)
+    assert done.code == 1
+    assert len(server.transactions) <= 30
+
+
+def test_a_device_that_has_all_points(points: Path) -> None:
+    with ServerMaker() as maker:
+        server = maker(devices=device())
+        done = run("map", "check", points, "--device", server.url)
+    assert (done.code, done.err) == (0, "")
+    assert done.out.endswith("20 of 20 points can be read, in 1 request\n")
+    assert len(server.transactions) == 1
+
+
+def test_a_device_that_refuses_everything(points: Path) -> None:
+    with ServerMaker() as maker:
+        server = maker(devices=device(*range(20)))
+        done = run("map", "check", points, "--device", server.url)
+    assert done.code == 1
+    assert "all 20 points refused: " in done.err
+    assert done.err.count("\n") == 1
+    assert len(server.transactions) <= 40
+
+
+def test_a_device_that_is_silent_or_busy(points: Path) -> None:
+    with ServerMaker() as maker:
+        silent = maker(faults={None: [Fault("no_answer")]})
+        done = run("map", "check", points, "--device", silent.url, "--timeout", "0.1")
+        assert done.code == 1
+        assert "no answer" in done.err
+        busy = maker(faults={None: [Fault("exception", code=6)]})
+        done = run("map", "check", points, "--device", busy.url)
+        assert done.code == 1
+        assert "server device busy" in done.err
+        assert len(busy.transactions) == 1
+
+
+@pytest.mark.parametrize(
+    ("typed", "name"),
+    [
+        ("-u 17", "--unit"),
+        ("-b 9600", "--baudrate"),
+        ("--ca a.pem", "--ca"),
+        ("--native", "--native"),
+    ],
+)
+def test_options_of_requests_need_a_device(points: Path, typed: str, name: str) -> None:
+    done = run("map", "check", points, *typed.split())
+    assert (done.code, done.out) == (2, "")
+    assert f"{name} needs --device" in done.err

@@ -15,6 +15,7 @@ from libmodbus_py import Context, Device, Mapping, Server
 from libmodbus_py.protocol.checks import duration_of
 from tests.support.cases import each_case
 from tests.support.commands import on_terminal, run
+from tests.support.peers import FakeServer, mbap, refusing, url_of
 
 
 @pytest.fixture
@@ -152,11 +153,79 @@ def test_durations(typed: str, seconds: float) -> None:
     client.close()
 
 
-def test_a_terminal_shows_the_range_and_the_last_values(url: str) -> None:
-    end = ["--watch", "0.02"]
-    with on_terminal("read", url, "-u", "1", "hr", "0", "2", *end) as terminal:
-        terminal.until(lambda shown: "1 polls" in shown)
-        assert run("write", url, "hr", 0, 9).code == 0
-        terminal.until(lambda shown: "9  1..9  " in shown and "█" in shown)
-        terminal.process.terminate()
-        terminal.process.wait()
+# --- identify and diagnose of several units ---------------------------------------
+
+
+@pytest.fixture
+def reporting() -> Iterator[str]:
+    devices = {
+        unit: Device(Mapping(holding_registers=1), identification={"VendorName": f"ACME {unit}"})
+        for unit in (1, 2, 17)
+    }
+    with Server(devices).background("tcp://127.0.0.1:0") as running:
+        yield running.urls[0]
+
+
+def test_units_are_identified_one_after_the_other(reporting: str) -> None:
+    done = run("identify", reporting, "-u", "1-2,17", "--level", "0")
+    assert (done.code, done.err) == (0, "")
+    lines = done.out.splitlines()
+    assert [line for line in lines if not line.startswith("  ")] == [
+        "unit 1:",
+        "unit 2:",
+        "unit 17:",
+    ]
+    assert lines[1].split() == ["VendorName", "ACME", "1"]
+
+
+def test_reports_of_a_unit_that_is_away(reporting: str) -> None:
+    done = run("identify", reporting, "-u", "2,3,17", "--level", "0")
+    assert done.code == 1
+    assert "unit 3: no answer\nunit 17:\n  VendorName" in done.out
+    assert done.err.startswith("libmodbus-py: unit 3")
+    assert done.err.count("\n") == 1
+
+
+def test_json_is_a_line_for_each_unit(reporting: str) -> None:
+    lines = run("identify", reporting, "-u", "2,3", "--level", "0", "--json").out.splitlines()
+    first, second = map(json.loads, lines)
+    assert (first["unit"], first["VendorName"]) == (2, "ACME 2")
+    assert second["unit"] == 3
+    assert "unit 3" in second["error"]
+
+
+def test_a_unit_that_has_neither_is_one_line_of_json() -> None:
+    with FakeServer(lambda request: [mbap(request, bytes([request[7] | 0x80, 1]))]) as server:
+        done = run("identify", server.url, "-u", "4-5", "--json")
+    assert done.code == 1
+    assert [json.loads(line)["unit"] for line in done.out.splitlines()] == [4, 5]
+    assert done.out.count("has none of these") == 2
+
+
+def test_a_single_unit_is_printed_as_before(reporting: str) -> None:
+    assert run("identify", reporting, "-u", 2).out == run("identify", f"{reporting}?unit=2").out
+    assert not run("identify", reporting, "-u", 2).out.startswith("unit")
+
+
+def test_units_are_diagnosed_one_after_the_other(reporting: str) -> None:
+    done = run("diagnose", reporting, "-u", "1,17")
+    assert (done.code, done.err) == (0, "")
+    assert done.out.count("  bus message count ") == 2
+    assert done.out.index("unit 1:\n") < done.out.index("unit 17:\n")
+
+
+def test_a_sub_function_is_sent_to_each_unit(reporting: str) -> None:
+    done = run("diagnose", reporting, "return-query-data", 7, "-u", "1,3,17")
+    assert done.code == 1
+    assert done.out == "unit 1: 7\nunit 3: no answer\nunit 17: 7\n"
+    lines = run("diagnose", reporting, "0", "7", "-u", "1,3", "--json").out.splitlines()
+    assert json.loads(lines[0]) == {"unit": 1, "return query data": 7}
+    assert json.loads(lines[1])["unit"] == 3
+
+
+@each_case("command", ["identify", "diagnose"])
+def test_a_lost_connection_ends_the_command(command: str) -> None:
+    with refusing() as bound:
+        done = run(command, url_of(bound), "-u", "1-9")
+    assert (done.code, done.out) == (1, "")
+    assert done.err.count("\n") == 1

@@ -174,7 +174,7 @@ def test_a_terminal_has_a_table_that_is_drawn_in_place(running: Running, mapping
         terminal.until(lambda shown: shown.count("\x1b[4A\r\x1b[J") >= 2)
         assert "\x1b[1m" not in terminal.output
         mapping.holding_registers[1] = 7
-        terminal.until(lambda shown: "\x1b[1m*     1  7  0..7  " in shown)
+        terminal.until(lambda shown: "\x1b[1m*     1  7\x1b[0m" in shown)
         terminal.until(lambda shown: shown.count("      1  7") >= 1)  # and then it is old
         terminal.process.send_signal(signal.SIGINT)
         assert terminal.process.wait() == 130

@@ -13,8 +13,9 @@ import pytest
 
 from libmodbus_py import Context, Device, GatewayPathUnavailable, Mapping, Server
 from tests.support.cases import each_case
-from tests.support.commands import Started, run
+from tests.support.commands import PAGE_TOKEN, Started, page_url, run
 from tests.support.peers import until
+from tests.tools.page.watching import Visitor
 
 
 @contextlib.contextmanager
@@ -106,3 +107,29 @@ def test_wrong_usage_is_told_in_a_line(arguments: list[str], said: str) -> None:
     assert done.code == 2
     assert said in done.err
     assert done.err.count("\n") == 1
+
+
+# --- its page ---------------------------------------------------------------------
+
+
+def test_the_gateway_is_shown() -> None:
+    with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as behind:
+        place = behind.urls[0]
+        command = ("gateway", "tcp://127.0.0.1:0", "--to", place, "--page", "127.0.0.1:0")
+        with Started(*command, environment=PAGE_TOKEN) as process:
+            page, listening = sorted((process.stdout.readline() for _ in range(2)), reverse=True)
+            with Visitor(page_url(page)).watching() as visitor:
+                assert visitor.seen["head"]["kind"] == "gateway"
+                assert visitor.seen["head"]["title"] == "tcp://127.0.0.1:0"
+                with Context.from_url(listening.split()[-1], unit=5, timeout=10) as plc:
+                    plc.read_holding_registers(0, 2)
+                visitor.receive(lambda: visitor.seen["log"])
+                visitor.look_at(find="127.0.0.1 function")
+                visitor.receive(lambda: visitor.rows("rows"))
+                assert visitor.seen["rows"]["0"][:3] == [
+                    ["127.0.0.1", "unit 5, 3 read holding registers"],
+                    ["client", "", 0],
+                    1,
+                ]
+            process.send_signal(signal.SIGTERM)
+            process.wait()

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.tools.testing.recording import ServerMaker
 from tests.support.cases import each_case
 from tests.support.commands import Started, ended, on_terminal, run
 from tests.support.peers import dead
@@ -104,6 +105,26 @@ def test_check_prints_a_table_and_what_is_too_much(fleet: Path) -> None:
         "libmodbus-py: 2 of 4 devices failed",
     ]
     assert done.code == 1
+
+
+def test_all_mistakes_in_devices_are_printed(fleet: Path) -> None:
+    fleet.write_text(fleet.read_text() + "unit = 300\n" + '[[device]]\nname = "a"\nurl = "x:"\n')
+    done = run("poll", fleet)
+    assert (done.code, done.out) == (2, "")
+    lines = done.err.splitlines()
+    assert [re.sub(".*: (device.*?) .*", r"\1", line) for line in lines] == [
+        "device[2].unit",
+        "device[3].url:",
+    ]
+
+
+def test_it_is_said_how_a_list_of_devices_was_read(fleet: Path) -> None:
+    rows = "Geräte;\nname;url\ndrei;tcp://127.0.0.1:1\n"
+    (fleet.parent / "list.csv").write_bytes(rows.encode("cp1252"))
+    fleet.write_text('devices = "list.csv"\n' + fleet.read_text())
+    said = run("poll", fleet, "--check").err.splitlines()
+    assert "list.csv: read as cp1252" in said[0]
+    assert said[1].endswith("list.csv: rows above the headings that are skipped: 1")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -270,3 +291,54 @@ def test_the_standard_output_has_the_readings_of_this_run_only(fleet: Path) -> N
         code, out, _ = ended("poll", file, "--once", "--json")
         assert code == 1  # one device does not answer
         assert out.count('"voltage"') == 3
+
+
+# --- --once and outputs -----------------------------------------------------------
+
+
+FLEET_OF_ONE = """
+[[device]]
+name = "one"
+url = "{url}"
+[[device.point]]
+name = "volts"
+table = "holding_registers"
+address = 0
+[[device.point]]
+name = "amperes"
+table = "holding_registers"
+address = 1
+"""
+
+
+@pytest.fixture
+def one_device(tmp_path: Path) -> Iterator[Path]:
+    with ServerMaker() as maker:
+        path = tmp_path / "one_device.toml"
+        path.write_text(FLEET_OF_ONE.format(url=maker().url))
+        yield path
+
+
+def test_an_output_that_takes_nothing(one_device: Path) -> None:
+    done = ended("poll", one_device, "--once", "--json", "/nowhere/at/all", "--csv")
+    assert done.code == 1
+    assert "json /nowhere/at/all: 2 readings lost: /nowhere/at/all: No such file" in done.err
+    assert done.out.count("\n") == 3  # the other output got all
+
+
+def test_nothing_is_lost(one_device: Path) -> None:
+    path = one_device.with_name("readings.jsonl")
+    done = ended("poll", one_device, "--once", "--json", path)
+    assert (done.code, done.err) == (0, "")
+    assert [json.loads(line)["name"] for line in path.read_text().splitlines()] == [
+        "volts",
+        "amperes",
+    ]
+
+
+def test_an_output_that_takes_nothing_while_a_journal_keeps_all(one_device: Path) -> None:
+    one_device.write_text(f'journal = "one_device.db"\n{one_device.read_text()}')
+    done = ended("poll", one_device, "--once", "--json", "/nowhere/at/all")
+    assert done.code == 1
+    waiting = "json /nowhere/at/all: 2 readings wait in the journal: /nowhere/at/all: No such file"
+    assert waiting in done.err

@@ -5,9 +5,13 @@ The command serve: what it serves, and what it says when it starts.
 from __future__ import annotations
 
 import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
+from libmodbus_py.cli.serve.announcing import announcing
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.cli.serving import serving
 from tests.support.cases import each_case
@@ -67,3 +71,62 @@ def test_serve_says_in_one_line_that_anybody_may_write(arguments: list[str], nam
     assert said.count("\n") == (named > 0)
     assert [url for url in listening if url in said] == listening[:named]
     assert ("anyone" in said) == ("--allow" in said) == (named > 0)
+
+
+# --- one address to listen on -----------------------------------------------------
+
+
+COMMANDS = [
+    ("serve", "tcp://127.0.0.1:0"),
+    ("gateway", "tcp://127.0.0.1:0", "--route", "1=tcp://127.0.0.1:1"),
+    ("poll", "fleet.toml"),
+]
+
+
+@each_case(
+    ("option", "command"),
+    [(option, command) for option in ("--metrics", "--page") for command in COMMANDS],
+)
+def test_a_second_address_is_refused(option: str, command: tuple[str, ...]) -> None:
+    given = [option, "127.0.0.1:9400", option, "127.0.0.1:9401"]
+    found = run(*command, *given)
+    assert found.code == 2
+    last = found.err.splitlines()[-1]
+    assert option in last
+    assert "may be given once" in last
+    assert "Traceback" not in found.err
+
+
+# --- what it says when it listens -------------------------------------------------
+
+
+def test_localhost_is_open_to_nobody_else(capsys: pytest.CaptureFixture[str]) -> None:
+    running = SimpleNamespace(urls=["udp://localhost:502", "tcp://plc.example:502"])
+    announcing(None)(cast(Any, running))
+    warning = capsys.readouterr().err
+    assert "tcp://plc.example:502 can read and write" in warning
+    assert "localhost" not in warning
+
+
+# --- wrong device files -----------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "cannot read {}: No such file or directory"),
+        ("[[unit]]\nid = 999", "{}, line 2: unit[0].id must be in 0..255, not 999"),
+        ("[[unit]", "{}: Expected ']]' at the end of an array declaration (at line 1, column 7)"),
+    ],
+)
+def test_a_wrong_file_is_one_line_and_exit_code_2(
+    content: str | None, message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "device.toml"
+    if content is not None:
+        path.write_text(content)
+    done = run("serve", "tcp://127.0.0.1:0", "--device", path)
+    assert done.code == 2
+    assert done.out == ""
+    assert done.err.startswith(f"libmodbus-py: {message.format(path)}")
+    assert done.err.count("\n") == 1

@@ -63,6 +63,13 @@ def test_a_map_of_the_package_is_served_by_its_name_to_some_units() -> None:
         assert run("read", url, "--map", "sdm120", "-u", "3", "voltage").code == 1
 
 
+def test_columns_of_the_map_are_named(path: Path) -> None:
+    path.write_text(MAP.replace("name,", "Bezeichnung,", 1))
+    with serving("--map", path, "--column", "name=Bezeichnung") as url:
+        found = run("read", url, "--map", path, "--column", "name=Bezeichnung", "power")
+        assert found.out == "power  0\n"
+
+
 @each_case(
     ("arguments", "message"),
     [

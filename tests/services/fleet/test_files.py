@@ -334,7 +334,7 @@ ROWS = "name,url,unit,map\na,tcp://h,1,meter.csv\n"
         (ROWS + "b,tcp://i,1,meter.csv,more\n", "line 3: 5 cells below 4 headings"),
         (ROWS + 'b,"tcp\n', "line 3: invalid CSV"),
         ("name,url,map,interval\na,tcp://h,meter.csv,1_0\n", "interval must be a number such"),
-        ("name;url;map;interval\na;tcp://h;meter.csv;1,5\n", "with a point, not a comma, not"),
+        ('name,url,map,interval\na,tcp://h,meter.csv,"1,5"\n', "with a point, not a comma, not"),
         (
             "name,url,map\na,tcp://h,\x1bmeter.csv\n",
             "line 2: contains the control character 0x1b",
@@ -347,6 +347,65 @@ def test_what_is_wrong_in_a_list_of_devices(tmp_path: Path, csv: str, said: str)
         load(path)
     assert str(caught.value).startswith(f"{path}, line 1: devices: {tmp_path / 'more.csv'}, line ")
     assert said in str(caught.value)
+
+
+SPREADSHEET = "Geräte 2026;;;\n\nname;url;map;interval;labels.site\na;tcp://h;meter.csv;1,5;Köln\n"
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (SPREADSHEET.encode(), []),
+        (SPREADSHEET.encode("cp1252"), ["read as cp1252, because it is not UTF-8"]),
+        (SPREADSHEET.encode("utf-16"), ["read as utf-16, because it is not UTF-8"]),
+        (b"sep=;\r\n" + SPREADSHEET.encode("utf-8-sig")[3:].replace(b"\n", b"\r\n"), []),
+    ],
+    ids=["UTF-8", "cp1252", "UTF-16", "sep"],
+)
+def test_a_list_of_devices_is_read_as_spreadsheets_save_it(
+    tmp_path: Path, data: bytes, said: list[str]
+) -> None:
+    path = written(tmp_path, 'devices = "more.csv"')
+    (tmp_path / "more.csv").write_bytes(data)
+    file = load(path)
+    (device,) = file.devices
+    assert (device.interval, device.labels) == (1.5, {"site": "Köln"})
+    notes = [*said, "rows above the headings that are skipped: 1"]
+    assert file.notes == tuple(f"{tmp_path / 'more.csv'}: {each}" for each in notes)
+
+
+def test_all_mistakes_in_devices_are_found_at_once(tmp_path: Path) -> None:
+    rows = ROWS + "b,tcp://i,x,meter.csv\nc,,1,meter.csv\na,tcp://i,2,meter.csv\n"
+    table = SIMPLE.replace('"a"', '"d"') + "unit = 256\n"
+    path = written(tmp_path, f"devices = 'more.csv'\n{table}", rows)
+    with pytest.raises(FleetFileError) as caught:
+        load(path)
+    found = [str(each) for each in (caught.value, *caught.value.others)]
+    wanted = ["device[0].unit", "line 3, column unit", "line 4, column url", "line 5, column name"]
+    for said, text in zip(wanted, found, strict=True):
+        assert text.startswith(f"{path}, line ")
+        assert said in text
+
+
+def test_no_more_than_a_page_of_mistakes_is_found(tmp_path: Path) -> None:
+    path = written(tmp_path, 'devices = "more.csv"', ROWS + "b,tcp://i,x,meter.csv\n" * 100)
+    with pytest.raises(FleetFileError) as caught:
+        load(path)
+    assert len(caught.value.others) == 19
+
+
+@pytest.mark.parametrize("where", ["[[device]]", "[defaults]"])
+def test_columns_of_a_map_are_named(tmp_path: Path, where: str) -> None:
+    points = MAP.replace("name,", "Bezeichnung,", 1)
+    named = "columns = {name = 'Bezeichnung'}\n"
+    fleet = SIMPLE + named if where == "[[device]]" else f"[defaults]\n{named}{SIMPLE}"
+    (device,) = load(written(tmp_path, fleet, points=points)).devices
+    assert "voltage" in device.map
+    with pytest.raises(FleetFileError, match="no column name"):
+        load(written(tmp_path, SIMPLE, points=points))
+    wrong = fleet.replace("'Bezeichnung'", "7")
+    with pytest.raises(FleetFileError, match=r"columns\.name must be the heading of a column"):
+        load(written(tmp_path, wrong, points=points))
 
 
 def test_ten_thousand_devices_are_read_in_time(tmp_path: Path) -> None:

@@ -1,5 +1,5 @@
 """
-The command read: its arguments.
+The commands read and write: their arguments. What they do is imported when they run.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ import math
 from typing import Any, get_args
 
 from ...protocol.checks import DURATION, duration_of
-from ...protocol.words import BitsType, NumberType, Order
-from .. import arguments, completers
-from ..completers import behind, completing
+from ...protocol.words import BitsType, NumberType, Order, TimeType
+from .. import arguments
+from ..completers import behind, completing, encodings, maps
 from ..help import make_rare
 from ..serve import page
 
-__all__ = ["WHAT", "add_command", "add_item_arguments", "names"]
+__all__ = ["add_command", "names"]
 
 WHAT = """\
 WHAT is one of
@@ -24,16 +24,30 @@ WHAT is one of
   REFERENCE      such as 40123, which is holding register 122
   NAME           a point of the register map that --map gives"""
 
-EXAMPLES = """\
+READING = """\
 examples:
   libmodbus-py read 192.0.2.10 hr 0-9 coils 0 8 hr 100:float32
   libmodbus-py read /dev/ttyUSB0 -b 9600 -p none -u 7 30001 2 --type float32
   libmodbus-py read 192.0.2.10 -u 1-3,17 --map meter.csv voltage current --watch
   libmodbus-py read 'tcp://192.0.2.10?unit=7&timeout=0.5' ir 0 9 --csv log.csv"""
 
+WRITING = """\
+examples:
+  libmodbus-py write 192.0.2.10 40001=555 hr 4:float32=3.5 coils 7 on --verify
+  libmodbus-py write /dev/ttyUSB0 -b 9600 40123 3.14 --type float32 --order CDAB
+  libmodbus-py write 192.0.2.10 --map meter.csv setpoint 21.5 --dry-run -v
+  libmodbus-py write 'tcp://192.0.2.10?unit=7&timeout=0.5' hr 4 --mask 0xFFF0 5"""
+
 
 def add_command(commands: Any) -> None:
-    """Add the command to argparse."""
+    """Add the command that is wanted to argparse."""
+    if commands.name == "read":
+        _add_read(commands)
+    else:
+        _add_write(commands)
+
+
+def _add_read(commands: Any) -> None:
     command = commands.add_parser(
         "read",
         description="Read values of a device, in as few requests as possible.\n\n"
@@ -41,7 +55,7 @@ def add_command(commands: Any) -> None:
         "and may be followed by a number of values (1). Several may follow each other.\n"
         "An address may have a type (hr 100:float32) and be a range (hr 100-105).\n"
         "With --map and without WHAT, all points of the map are read.",
-        epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
+        epilog=f"{READING}\n\n{arguments.URLS}",
     )
     arguments.add_url(command)
     what = command.add_argument("what", metavar="WHAT", nargs="*", help="the values to read")
@@ -52,7 +66,7 @@ def add_command(commands: Any) -> None:
         action="append",
         help="read the points of a group of the map; may be repeated",
     )
-    add_item_arguments(command, ", or all, which shows every interpretation", can_show_all=True)
+    _add_item_arguments(command, ", or all, which shows every interpretation", can_show_all=True)
     group = command.add_argument_group("output")
     form = group.add_mutually_exclusive_group()
     form.add_argument("--hex", action="store_true", help="print registers in hexadecimal")
@@ -81,7 +95,51 @@ def add_command(commands: Any) -> None:
     command.set_defaults(run=_read)
 
 
-def add_item_arguments(
+def _add_write(commands: Any) -> None:
+    command = commands.add_parser(
+        "write",
+        description="Write values to a device, one request for each WHAT. All values are\n"
+        f"checked before the first request.\n\n{WHAT}\n"
+        "followed by its values, as in hr 10 5 6, or 40011=5. Several may follow each\n"
+        "other. Values of coils are 0, 1, off, on, false and true. After -- a text may\n"
+        "begin with -; options must be before it.",
+        epilog=f"{WRITING}\n\n{arguments.URLS}",
+    )
+    arguments.add_url(command)
+    what = command.add_argument("what", metavar="WHAT VALUE", nargs="+", help="the values to write")
+    completing(what, names)
+    _add_item_arguments(command)
+    group = command.add_argument_group("writing")
+    group.add_argument(
+        "--multiple",
+        action="store_true",
+        help="write single values with functions 15 and 16, not with 5 and 6",
+    )
+    group.add_argument(
+        "--mask",
+        nargs=2,
+        metavar=("AND", "OR"),
+        help="in place of values: keep the bits of AND, take the others from OR (function 22)",
+    )
+    group.add_argument(
+        "--and-read",
+        nargs=2,
+        metavar=("ADDRESS", "COUNT"),
+        help="holding registers that are read after the write, by the same request (23)",
+    )
+    group.add_argument(
+        "--verify",
+        action="store_true",
+        help="read back what was written, and compare; the exit code is 1 if anything differs",
+    )
+    group.add_argument(
+        "--dry-run", action="store_true", help="print the frames instead of sending them"
+    )
+    arguments.add_requests(command)
+    command.set_defaults(run=_write)
+
+
+def _add_item_arguments(
     command: argparse.ArgumentParser, more: str = "", *, can_show_all: bool = False
 ) -> None:
     """Add the arguments that say how values are stored in a device."""
@@ -89,20 +147,21 @@ def add_item_arguments(
     types = ", ".join((*get_args(NumberType), *get_args(BitsType)))
     orders = ", ".join(get_args(Order))
     kind = group.add_argument("--type", metavar="T", help=f"type: {types}, string:N{more}")
-    completing(kind, completers.types)
+    completing(kind, [*get_args(NumberType), *get_args(BitsType), *get_args(TimeType), "string:"])
     order = group.add_argument("--order", metavar="O", help=f"byte order: {orders}")
     encoding = group.add_argument("--encoding", metavar="E", help="encoding of text")
     padding = group.add_argument("--padding", metavar="C", help="character that fills up text")
     make_rare(encoding, padding)
     arguments.add_defaults([order, encoding, padding], _of_reads)
-    completing(order, completers.orders)
-    completing(encoding, completers.encodings)
+    completing(order, get_args(Order))
+    completing(encoding, encodings)
     file = group.add_argument(
         "--map",
         metavar="FILE",
         help="register map, CSV or TOML, or an example such as meter",
     )
-    completing(file, completers.maps)
+    completing(file, maps)
+    make_rare(arguments.add_columns(group))
     group.add_argument(
         "--count-from-1", action="store_true", help="addresses count from 1, both typed and printed"
     )
@@ -122,9 +181,9 @@ def names(parsed_args: argparse.Namespace, **_: Any) -> list[str]:
     from .items import TABLE_WORDS, map_of
 
     found: list[str] = []
-    file = parsed_args.map or behind("--map")
+    parsed_args.map = parsed_args.map or behind("--map") or None
     with contextlib.suppress(OSError, ValueError):
-        found = list(map_of(file)) if file else []
+        found = [*(map_of(parsed_args) or ())]
     return [*TABLE_WORDS, *found]
 
 
@@ -156,3 +215,9 @@ def _read(options: argparse.Namespace) -> int:
     from .watching import watch
 
     return watch(options)
+
+
+def _write(options: argparse.Namespace) -> int:
+    from .writing import write
+
+    return write(options)

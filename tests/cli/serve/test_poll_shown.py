@@ -1,5 +1,5 @@
 """
-poll on a terminal: the values and what is down, redrawn in place within the terminal's size.
+poll on a terminal and on a page: values and what is down, within the size of the terminal.
 """
 
 from __future__ import annotations
@@ -7,6 +7,8 @@ from __future__ import annotations
 import io
 import os
 import signal
+import socket
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,8 @@ from libmodbus_py.cli.serve.fleet_table import fleet_lines
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.statistics import KeptReadings
 from tests.support.cases import each_case
-from tests.support.commands import on_terminal
+from tests.support.commands import PAGE_TOKEN, Started, on_terminal, page_url, run
+from tests.tools.page.watching import Visitor
 
 METER = "name,table,address,unit,scale\nlevel,holding_registers,0,m,0.1\n"
 
@@ -93,3 +96,68 @@ def test_a_terminal_shows_values_and_is_left_in_order(tmp_path: Path) -> None:
             seen = terminal.read_to_end()
     assert "\r\x1b[J" in seen
     assert "polls in" in seen.rpartition("\x1b[J")[2]  # the summary is what remains
+
+
+# --- on a page ------------------------------------------------------------------------
+
+
+TOKEN = "Bookmarked-by_the-plant-2026"
+
+TANK = "name,table,address,unit\nlevel,holding_registers,0,m\npressure,holding_registers,1,bar\n"
+
+
+@pytest.fixture
+def tank(tmp_path: Path) -> Iterator[Path]:
+    (tmp_path / "meter.csv").write_text(TANK)
+    mapping = Mapping(holding_registers={0: [17, 4]})
+    with Server(Device(mapping)).background("tcp://127.0.0.1:0") as running:
+        text = f"[defaults]\nmap = 'meter.csv'\ninterval = 0.02\nurl = '{running.urls[0]}'\n"
+        (tmp_path / "plant.toml").write_text(text + "[[device]]\nname = 'one'\n")
+        yield tmp_path / "plant.toml"
+
+
+def test_the_fleet_is_shown_and_follows_its_file(tank: Path) -> None:
+    command = ("poll", tank, "--page", "127.0.0.1:0")
+    with Started(*command, environment=PAGE_TOKEN) as process:
+        visitor = Visitor(page_url(process.stderr.readline()))
+        with visitor.watching():
+            head = visitor.seen["head"]
+            assert (head["kind"], head["title"]) == ("fleet", "plant.toml")
+            visitor.look_at()
+            visitor.receive(lambda: len(visitor.rows("rows")) == 3)
+            assert visitor.rows("rows")[0][0][1] == "one"
+            visitor.receive(
+                lambda: (
+                    [[each[0], each[2]] for each in visitor.rows("rows")[1:]]
+                    == [[["one", "level"], ["17", "m"]], [["one", "pressure"], ["4", "bar"]]]
+                )
+            )
+            tank.write_text(tank.read_text().replace("'one'", "'two'"))
+            process.send_signal(signal.SIGHUP)
+            visitor.receive(lambda: visitor.rows("rows")[0][0][1] == "two")
+            visitor.receive(lambda: visitor.rows("rows")[1][2] == ["17", "m"])
+        process.send_signal(signal.SIGINT)
+        assert process.wait() == 0
+        assert process.stdout.read() == ""
+
+
+def test_an_address_in_use_is_told(tank: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        place = f"127.0.0.1:{taken.getsockname()[1]}"
+        done = run("poll", tank, "--page", place, environment=PAGE_TOKEN)
+    assert done.code == 1
+    assert f"cannot show a page on {place}: Address already in use" in done.err
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("poll", "plant.toml"),
+        ("gateway", "tcp://127.0.0.1:0", "--to", "tcp://127.0.0.1:1"),
+        ("read", "tcp://127.0.0.1:9", "holding", "0", "--watch", "1"),
+    ],
+)
+def test_a_token_needs_a_page(tank: Path, command: tuple[str, ...]) -> None:
+    given = [str(tank) if each == "plant.toml" else each for each in command]
+    done = run(*given, "--page-token", "file")
+    assert (done.code, "--page-token needs --page" in done.err) == (2, True)

@@ -1,0 +1,313 @@
+"""
+The commands identify and diagnose, for what a device says of itself, and raw.
+
+identify asks for the device identification and the server id (functions 43/14 and 17), diagnose for
+status, counters and events (functions 7, 8, 11 and 12), raw sends any function code.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Callable
+from contextlib import closing, suppress
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from .. import arguments
+from ..completers import completing, sub_functions
+from ..output import print_json
+
+if TYPE_CHECKING:
+    from ...client.blocking import Context
+    from ...protocol.pdu import ServerId
+    from .units import Named
+
+__all__ = ["add_command"]
+
+OF_IDENTIFY = """\
+examples:
+  libmodbus-py identify 192.0.2.10
+  libmodbus-py identify /dev/ttyUSB0 -b 9600 -u 1-9,17
+  libmodbus-py identify 192.0.2.10 --level extended --json
+  libmodbus-py identify 'tcp://192.0.2.10?unit=7&timeout=0.5' --level 4"""
+
+OF_DIAGNOSE = """\
+examples:
+  libmodbus-py diagnose /dev/ttyUSB0 -b 9600 -u 7
+  libmodbus-py diagnose 192.0.2.10 return-query-data 0x1234
+  libmodbus-py diagnose 192.0.2.10 clear-counters -u 1-9
+  libmodbus-py diagnose 'rtu:///dev/ttyUSB0?baudrate=9600&unit=7' 11"""
+
+OF_RAW = """\
+examples:
+  libmodbus-py raw 192.0.2.10 03 00 64 00 02
+  libmodbus-py raw 192.0.2.10 0x2B "0E 01 00" -v
+  libmodbus-py raw /dev/ttyUSB0 -b 9600 -u 7 43 0D0102
+  libmodbus-py raw 'tcp://192.0.2.10?unit=7&timeout=0.5' 100"""
+
+
+def add_command(commands: Any) -> None:
+    """Add the command that is wanted to argparse."""
+    add = {"identify": _add_identify, "diagnose": _add_diagnose, "raw": _add_raw}
+    add[commands.name](commands)
+
+
+def _add_identify(commands: Any) -> None:
+    command = commands.add_parser(
+        "identify",
+        description="Print the device identification (function 43/14) and the server id\n"
+        "(function 17). Devices have one, both or neither; with neither the exit code\n"
+        "is 1.",
+        epilog=f"{OF_IDENTIFY}\n\n{arguments.URLS}",
+    )
+    arguments.add_client(command, several=True)
+    level = command.add_argument(
+        "--level",
+        default="regular",
+        metavar="L",
+        help="basic, regular, extended, or the number of one object (regular)",
+    )
+    completing(level, ["basic", "regular", "extended"])
+    arguments.add_json(command)
+    command.set_defaults(run=_identify)
+
+
+def _identify(options: argparse.Namespace) -> int:
+    from ...protocol.plain import number_of
+    from .units import print_report, report_units
+
+    level = options.level
+    wanted: str | int = number_of("level", level) if level[:1].isdigit() else level
+
+    def report(context: Context, several: bool) -> int:
+        questions = {
+            "identification": lambda: _objects(_identification(context, wanted)),
+            "server id": lambda: _server_id(context.report_server_id()),
+        }
+        return print_report(context, questions, as_json=options.json, several=several)
+
+    return report_units(options, report)
+
+
+def _identification(context: Context, wanted: str | int) -> dict[int, bytes]:
+    """Return the objects of a level; some devices leave out those of the basic level in others."""
+    from ...protocol.errors import ModbusError
+    from ...protocol.pdu.interface import MANDATORY
+
+    found = context.read_device_identification(wanted).objects
+    if wanted in ("regular", "extended") and MANDATORY - found.keys():
+        with suppress(ModbusError):
+            found = {**context.read_device_identification("basic").objects, **found}
+    return found
+
+
+def _objects(objects: dict[int, bytes]) -> list[tuple[str, bytes]]:
+    from ...protocol.pdu.interface import OBJECT_NAMES
+
+    return [
+        (OBJECT_NAMES.get(number, f"object {number}"), value)
+        for number, value in sorted(objects.items())
+    ]
+
+
+def _server_id(server_id: ServerId) -> list[tuple[str, Any]]:
+    told: list[tuple[str, Any]] = [("server id", server_id.data)]
+    if server_id.running is not None:
+        told.append(("running", server_id.running))
+    return told
+
+
+# --- diagnose ------------------------------------------------------------------------
+
+
+def _add_diagnose(commands: Any) -> None:
+    command = commands.add_parser(
+        "diagnose",
+        description="Print the exception status (function 7), the counters (8), the event\n"
+        "counter (11) and the event log (12), as far as the device has them. Nothing in\n"
+        "the device changes, unless SUB-FUNCTION is given and changes something.",
+        epilog=f"{OF_DIAGNOSE}\n\n{arguments.URLS}",
+    )
+    arguments.add_client(command, several=True)
+    sub_function = command.add_argument(
+        "sub_function",
+        metavar="SUB-FUNCTION",
+        nargs="?",
+        help="sub-function of function 8, by name or number, such as clear-counters or 10",
+    )
+    command.add_argument(
+        "data",
+        metavar="DATA",
+        nargs="?",
+        default="0",
+        help="data of the sub-function, 0..65535 (0)",
+    )
+    completing(sub_function, sub_functions)
+    arguments.add_json(command)
+    command.set_defaults(run=_diagnose)
+
+
+def _diagnose(options: argparse.Namespace) -> int:
+    from ...protocol.plain import number_of
+    from .units import print_report, report_units
+
+    if options.sub_function is None:
+        return report_units(
+            options,
+            lambda context, several: print_report(
+                context, _questions(context), as_json=options.json, several=several
+            ),
+        )
+    sub, data = _sub_function(options.sub_function), number_of("data", options.data)
+
+    def ask(context: Context, several: bool) -> int:
+        answer = _answer(context, sub, data)
+        if options.json:
+            print_json({"unit": context.unit, _name(sub): answer})
+        else:
+            print(f"unit {context.unit}: {answer}" if several else answer, flush=True)
+        return 0
+
+    return report_units(options, ask)
+
+
+def _answer(context: Context, sub: int, data: int) -> int:
+    """
+    Return the data of the answer, or `data` if a device that shall listen only is silent.
+
+    The client would not wait for its refusal, because the specification has no answer there.
+    """
+    from ...protocol.errors import ModbusTimeoutError
+    from ...protocol.pdu import RawRequest, SubFunction
+
+    if sub != SubFunction.FORCE_LISTEN_ONLY:
+        return context.diagnostics(sub, data)
+    request = RawRequest(8, sub.to_bytes(2, "big") + data.to_bytes(2, "big"))
+    with suppress(ModbusTimeoutError):
+        context.execute(request)
+    return data
+
+
+def _questions(context: Context) -> dict[str, Callable[[], Named]]:
+    """Return the requests that change nothing in the device."""
+    from ...protocol.pdu import SubFunction
+
+    counters = range(SubFunction.BUS_MESSAGE_COUNT, SubFunction.BUS_CHARACTER_OVERRUN_COUNT + 1)
+    questions: dict[str, Callable[[], Named]] = {
+        "exception status": lambda: [
+            ("exception status", f"{context.read_exception_status():08b}")
+        ],
+        "event counter": lambda: context.read_comm_event_counter()._asdict().items(),
+        "event log": lambda: context.read_comm_event_log()._asdict().items(),
+    }
+    for sub in (SubFunction.RETURN_DIAGNOSTIC_REGISTER, *map(SubFunction, counters)):
+        questions[_name(sub)] = partial(_counter, context, sub)
+    return questions
+
+
+def _counter(context: Context, sub: int) -> Named:
+    return [(_name(sub), context.diagnostics(sub))]
+
+
+def _sub_function(text: str) -> int:
+    from ...protocol.pdu import SubFunction
+    from ...protocol.plain import number_of
+
+    names = {_name(sub): int(sub) for sub in SubFunction}
+    name = text.lower().replace("-", " ").replace("_", " ")
+    if name in names:
+        return names[name]
+    try:
+        return number_of("sub-function", text)
+    except ValueError:
+        known = ", ".join(each.replace(" ", "-") for each in names)
+        raise ValueError(f"SUB-FUNCTION must be a number or one of {known}, not {text!r}") from None
+
+
+def _name(sub: int) -> str:
+    from ...protocol.pdu import SubFunction
+
+    try:
+        return SubFunction(sub).name.lower().replace("_", " ")
+    except ValueError:
+        return f"sub-function {sub}"
+
+
+# --- raw -----------------------------------------------------------------------------
+
+
+def _add_raw(commands: Any) -> None:
+    command = commands.add_parser(
+        "raw",
+        description="Send a function code and its data as they are. The response is printed in\n"
+        "hexadecimal, and decoded if the function is known.",
+        epilog=f"{OF_RAW}\n\n{arguments.URLS}",
+    )
+    arguments.add_client(command)
+    command.add_argument(
+        "function", metavar="FUNCTION", help="function code, 1..127, or 03 before single bytes"
+    )
+    command.add_argument(
+        "data", metavar="HEX", nargs="*", help="data after the function code, in hexadecimal"
+    )
+    command.set_defaults(run=_raw)
+
+
+def _raw(options: argparse.Namespace) -> int:
+    from ...protocol.pdu import RawRequest
+    from ...protocol.plain import number_of
+    from ..connecting import connected
+
+    function = options.function
+    words = [function, *options.data]
+    if all(re.fullmatch("[0-9A-Fa-f]{2}", word) for word in words) and len(words) > 1:
+        function = _function_of(function)
+    request = RawRequest(number_of("function", function), b"".join(map(_bytes_of, options.data)))
+    with closing(connected(options)) as context:
+        response = request.encode_response(context.execute(request))
+    print(response.hex(" "))
+    if (text := _decoded(request.encode(), response)) is not None:
+        print(text)
+    return 0
+
+
+def _function_of(byte: str) -> str:
+    """Return a function code that stands before bytes as in manuals, such as 03 in 03 00 64."""
+    if not re.fullmatch("[1-9][0-9]", byte):
+        return f"0x{byte}"
+    decimal = f"0x{int(byte):02x}"
+    raise ValueError(f"FUNCTION {byte} can be 0x{byte} or {decimal}; type the one that is meant")
+
+
+def _bytes_of(word: str) -> bytes:
+    """Return the bytes of one word, such as 000a, "00 0a", 0x00,0x0a or 00:0a."""
+    data = b""
+    for part in re.split("[ ,:]+", word.strip(" ,")):
+        digits = part[2:] if part[:2] in ("0x", "0X") else part
+        if not re.fullmatch("(?:[0-9A-Fa-f]{2})+", digits):
+            raise ValueError(f"HEX must be pairs of hex digits, not {part!r}{_hint(digits)}")
+        data += bytes.fromhex(digits)
+    return data
+
+
+def _hint(digits: str) -> str:
+    """Return a hint for half a byte: a number must be typed with both bytes of its field."""
+    if not re.fullmatch("[0-9A-Fa-f]+", digits):
+        return ""
+    try:
+        number = int(digits)
+    except ValueError:
+        return f"; a byte has two digits, such as {digits[-1:]:>02}"
+    return f"; the number {number} of 16 bits is {number & 0xFFFF:04x}"
+
+
+def _decoded(request: bytes, response: bytes) -> str | None:
+    from ...protocol.errors import ModbusError
+    from ...protocol.pdu import decode_request
+
+    try:
+        known = decode_request(request)
+        return f"{known}: {known.decode_response(response)!r}"
+    except (ModbusError, ValueError):
+        return None
