@@ -11,8 +11,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..protocol.checks import shown
+from ..protocol.json_text import each_once
 from ..protocol.mistakes import WrongValue, inside
-from ..protocol.plain import BITS, bit_of, decimal_of, each_once, number_of, value_of
+from ..protocol.plain import BITS, bit_of, decimal_of, number_of, value_of
 
 if TYPE_CHECKING:
     from decimal import Decimal

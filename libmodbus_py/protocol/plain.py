@@ -8,15 +8,13 @@ depend on the place. Lines that a person watches have the clock of the place.
 from __future__ import annotations
 
 import enum
-import json
 import math
 import re
 import reprlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from itertools import count
 from typing import TYPE_CHECKING, Any
 
-from .mistakes import WrongValue
 from .pdu import Request
 from .pdu.request import arguments
 from .value_types import ValueType
@@ -26,25 +24,10 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "BITS", "COMPACT_JSON", "CONTROL", "JSON", "SORTED_JSON", "bit_of", "clock_text", "decimal_of",
-    "each_once", "json_line", "json_text", "number_of", "plain", "text_of", "time_of", "time_text",
-    "units_of", "value_of", "without_controls",
+    "BITS", "CONTROL", "bit_of", "clock_text", "decimal_of", "number_of", "plain", "text_of",
+    "time_of", "time_text", "units_of", "value_of", "without_controls",
 ]
 # fmt: on
-
-# All JSON of the package is encoded by one of these, which raise a ValueError for a nan or an
-# infinity, in place of which `plain` returns None.
-JSON = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
-"""Encodes text as it is."""
-
-COMPACT_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
-"""Encodes text in ASCII, without spaces."""
-
-SORTED_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"), sort_keys=True)
-"""Encodes the same for equal values, without spaces."""
-
-json_text = json.JSONEncoder(allow_nan=False).encode
-"""Returns a value as JSON, in ASCII."""
 
 CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
 """Control characters (Cc of Unicode) beside the line feed: terminals obey them."""
@@ -78,29 +61,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(each) for each in value]
     return value
-
-
-def json_line(value: Any) -> str:
-    """Return a value as JSON, in which text is as it is, but for characters that print nothing."""
-    text = JSON.encode(value)
-    if text.isprintable():
-        return text
-    return "".join(each if each.isprintable() else json_text(each)[1:-1] for each in text)
-
-
-def each_once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    """
-    Return the dict of names and values, as `object_pairs_hook` of ``json.loads``, too.
-
-    Raises:
-        WrongValue: a name occurs twice, of which json would take the last.
-    """
-    found: dict[str, Any] = {}
-    for name, value in pairs:
-        if name in found:
-            raise WrongValue.about((name,), "occurs twice")
-        found[name] = value
-    return found
 
 
 def without_controls(text: str) -> str:

@@ -20,9 +20,10 @@ from typing import Any, Literal
 from ..device.caller import Executed, ValueChange
 from ..protocol.checks import checked_callback, finished
 from ..protocol.errors import ExceptionResponse
+from ..protocol.json_text import json_line
 from ..protocol.logs import HarmlessLogger
 from ..protocol.mistakes import named_arguments
-from ..protocol.plain import json_line, time_text
+from ..protocol.plain import time_text
 from ..security.describing import CertificateHolder
 
 __all__ = ["Audit", "AuditEvent", "AuditFile", "OnAudited", "audit_of"]

@@ -68,7 +68,9 @@ def test_each_line_is_an_object_whoever_prints_it(
     options = ["--log", "info", "--log-format", "json"]
     environment = {**PAGE_TOKEN, "PYTHONIOENCODING": "ascii", "PYTHONWARNINGS": "error::Warning"}
     with Started(*words, *options, environment=environment) as process:
-        lines = [process.stdout.readline()] if code == 0 else []
+        lines = []
+        while code == 0 and not any(sign in "".join(lines) for sign in ("listening on", "volts")):
+            lines.append(process.stdout.readline())
         if "--audit" in words:
             process.send_signal(signal.SIGHUP)
         if code == 0:

@@ -13,7 +13,6 @@ from functools import partial
 from typing import TYPE_CHECKING, TextIO, TypeGuard
 
 from ...protocol.errors import ModbusConnectionError
-from ...security.renewed import read_secret
 from ..help import make_rare
 from ..output import complain, inform
 from .metrics import Address, OneAddress, address_like
@@ -66,6 +65,8 @@ def token_of(file: str | None) -> str | None:
     """
     if file is None:
         return os.environ.get(TOKEN) or None
+    from ...security.renewed import read_secret
+
     try:
         return read_secret(file).strip()
     except OSError as error:

@@ -21,8 +21,8 @@ from ...maps.register_map import RegisterMap
 from ...ports.endpoint import Endpoint, parse
 from ...ports.port import make_port
 from ...protocol.checks import integer, number, seconds
+from ...protocol.json_text import json_text
 from ...protocol.mistakes import Path, WrongType, WrongValue, inside, named_arguments
-from ...protocol.plain import json_text
 from ...tools.files.schema import Key, Keys, flag, one_of, whole
 
 # fmt: off

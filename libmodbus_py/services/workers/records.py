@@ -20,7 +20,7 @@ from functools import cached_property
 from typing import Any, Literal, NamedTuple, get_args
 
 from ...protocol.checks import number
-from ...protocol.plain import SORTED_JSON, json_text
+from ...protocol.json_text import SORTED_JSON, json_text
 from ...tools.files.schema import one_of
 from ..fleet.config import ENGINE, LONGEST_LEASE, SHORTEST_LEASE, OnLoss
 

@@ -22,8 +22,8 @@ from collections.abc import Callable, Hashable, Iterator, Mapping
 from typing import Any, Protocol
 
 from ...ports.hosts import start_thread
+from ...protocol.json_text import COMPACT_JSON
 from ...protocol.logs import HarmlessLogger
-from ...protocol.plain import COMPACT_JSON
 from ...system import Flag
 
 __all__ = [

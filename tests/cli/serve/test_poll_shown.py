@@ -101,8 +101,6 @@ def test_a_terminal_shows_values_and_is_left_in_order(tmp_path: Path) -> None:
 # --- on a page ------------------------------------------------------------------------
 
 
-TOKEN = "Bookmarked-by_the-plant-2026"
-
 TANK = "name,table,address,unit\nlevel,holding_registers,0,m\npressure,holding_registers,1,bar\n"
 
 

@@ -141,6 +141,7 @@ def test_a_new_password_is_used_and_one_that_cannot_be_read_is_told(tmp_path: Pa
         async with await asyncio.start_server(broker.accept, "127.0.0.1", 0) as server:
             port = server.sockets[0].getsockname()[1]
             (tmp_path / "map.csv").write_text("name,table,address,type\npower,holding,0,uint16\n")
+            (tmp_path / "secret").touch(mode=0o600)
             (tmp_path / "secret").write_text("first\n")
             (tmp_path / "fleet.toml").write_text(FLEET.format(port=port))
             with Started("poll", str(tmp_path / "fleet.toml"), "--json") as process:

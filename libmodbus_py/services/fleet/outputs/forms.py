@@ -11,7 +11,8 @@ from functools import lru_cache
 from math import isfinite
 from typing import Any
 
-from ....protocol.plain import JSON, json_text, plain, time_text
+from ....protocol.json_text import JSON, json_text
+from ....protocol.plain import plain, time_text
 from ....tools.files.csv_text import csv_rows
 from ..readings import Reading
 from .output import ReadingsRefused

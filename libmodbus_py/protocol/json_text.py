@@ -1,0 +1,51 @@
+"""
+The encoders of JSON, and the check of names in what is decoded.
+
+All values that the package tells in JSON pass through one of these. They raise a ValueError for a
+nan or an infinity, in place of which `plain.plain` returns None.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from typing import Any
+
+from .mistakes import WrongValue
+
+__all__ = ["COMPACT_JSON", "JSON", "SORTED_JSON", "each_once", "json_line", "json_text"]
+
+JSON = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
+"""Encodes text as it is."""
+
+COMPACT_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
+"""Encodes text in ASCII, without spaces."""
+
+SORTED_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"), sort_keys=True)
+"""Encodes the same for equal values, without spaces."""
+
+json_text = json.JSONEncoder(allow_nan=False).encode
+"""Returns a value as JSON, in ASCII."""
+
+
+def json_line(value: Any) -> str:
+    """Return a value as JSON, in which text is as it is, but for characters that print nothing."""
+    text = JSON.encode(value)
+    if text.isprintable():
+        return text
+    return "".join(each if each.isprintable() else json_text(each)[1:-1] for each in text)
+
+
+def each_once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """
+    Return the dict of names and values, as `object_pairs_hook` of ``json.loads``, too.
+
+    Raises:
+        WrongValue: a name occurs twice, of which json would take the last.
+    """
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise WrongValue.about((name,), "occurs twice")
+        found[name] = value
+    return found
