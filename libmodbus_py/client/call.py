@@ -14,12 +14,17 @@ from __future__ import annotations
 
 import enum
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 from ..protocol.checks import integer, seconds
 from ..protocol.errors import ModbusError
 from ..protocol.pdu import MAX_PDU, Request
+
+if TYPE_CHECKING:
+    from ..ports.trace import Trace
+    from .statistics import Statistics
 
 __all__ = [
     "MAX_IN_FLIGHT",
@@ -102,7 +107,7 @@ class Call:
         on_done: called with the call when it has its outcome; not for calls of a batch.
         reply: the PDU of the answer, or the exception in its place; `answerer`: its unit.
         adu: the frame that was sent last, or nothing; `number`: its transaction id.
-        earlier: the transaction id of the frame sent before, if its answer is still taken; or -1.
+        earlier: the transaction id of the frame sent before, if that was not answered; or -1.
         sent_at: when the frame was sent; `since`: when its time began, which is sooner if the call
             has waited for the connection, for `used` seconds.
         due: when it is to be sent again.
@@ -286,29 +291,84 @@ class Batch:
                 call.settle(error)
 
 
-class Matching(Protocol):
-    """The interface that `Ids` and `Line` implement; see there."""
+class Matching(ABC):
+    """
+    Decides which answer belongs to which request of a connection: `Ids` by transaction ids, `Line`
+    on lines without them, where one request is in flight at a time.
 
-    has_ids: bool
-    alarm: float
-    unanswered: int
-    unasked: int
-    is_in_step: bool
-    is_traced: bool
-    rest: bytes | bytearray
+    Attributes:
+        has_ids: True if frames have transaction ids.
+        pending: requests in flight, by their ids, in the order in which they were sent.
+        alarm: the time at which `expire` must be called; may be too early, but never too late.
+        unanswered: the number of requests without an answer since the last answer arrived.
+        unasked: the number of bytes received since the last request was sent, while no answer was
+            awaited.
+        rest: the beginning of a frame whose end was not received yet.
+        is_in_step: False once the stream of bytes cannot be understood any more.
+        is_traced: True if the trace is told of all frames.
+    """
 
-    @property
-    def pending(self) -> dict[int, Call]: ...
-    def may_start(self, call: Call, now: float) -> bool: ...
-    def ready_at(self, unit: int, function: int | None = None) -> float: ...
-    def start(self, call: Call, now: float) -> None: ...
-    def take_back(self) -> Call: ...
-    def take(self, data: bytes, now: float) -> list[Call]: ...
-    def expire(self, now: float) -> list[Call]: ...
-    def withdraw(self, call: Call, now: float) -> bool: ...
-    def received_with(self, call: Call, pdu: bytes) -> bytes: ...
-    def conclude(self, call: Call, error: Exception | None, now: float) -> None: ...
-    def reset(self, now: float) -> list[Call]: ...
+    has_ids = False
+
+    def __init__(self, statistics: Statistics, trace: Trace) -> None:
+        self.pending: dict[int, Call] = {}
+        self.alarm: float = math.inf
+        self.unanswered: int = 0
+        self.unasked: int = 0
+        self.rest: bytes | bytearray = b""
+        self.is_in_step: bool = True
+        self.is_traced: bool = trace.is_on()
+        self._statistics = statistics
+        self._trace = trace
+
+    def wake(self, at: float) -> None:
+        """Set the alarm, unless there is an earlier one."""
+        if at < self.alarm:
+            self.alarm = at
+
+    def may_start(self, call: Call, now: float) -> bool:
+        """Return True if a request may be sent now; else set `alarm` and the end of its wait."""
+        return True
+
+    def ready_at(self, unit: int, function: int | None = None) -> float:
+        """Return when a unit may get a request of this, or any, function; 0.0 if it may at once."""
+        return 0.0
+
+    @abstractmethod
+    def start(self, call: Call, now: float) -> None:
+        """Encode the frame of a request, and expect the answer from now on."""
+
+    @abstractmethod
+    def take_back(self) -> Call:
+        """Return the only request in flight, which was not sent after all."""
+
+    @abstractmethod
+    def take(self, data: bytes, now: float) -> list[Call]:
+        """Return the requests that received bytes answer, with their replies."""
+
+    @abstractmethod
+    def received_with(self, call: Call, pdu: bytes) -> bytes:
+        """Return the received bytes that contained the PDU of an answer."""
+
+    @abstractmethod
+    def conclude(self, call: Call, error: Exception | None, now: float) -> None:
+        """Draw conclusions from how a request ended."""
+
+    @abstractmethod
+    def expire(self, now: float) -> list[Call]:
+        """Return the requests whose time is over, with their errors, or whose HOLD is."""
+
+    @abstractmethod
+    def withdraw(self, call: Call, now: float) -> bool:
+        """Expect only a late answer to a request; return True if it was in flight."""
+
+    @abstractmethod
+    def reset(self, now: float) -> list[Call]:
+        """Return the requests in flight, and begin with the next connection."""
+
+    def is_missing(self, number: int) -> bool:
+        """Return True if the answer to a request that was given up has not come yet."""
+        return False
 
 
 def encoded(request: object, name: str, index: int, is_broadcast: bool) -> bytes:

@@ -29,7 +29,6 @@ from ..protocol.errors import (
     FrameError,
     ModbusConnectionError,
     ModbusError,
-    ModbusTimeoutError,
     alike,
 )
 from . import reconnecting
@@ -69,7 +68,7 @@ class Transactions:
         most: the most requests in flight, unless the settings contain a number.
 
     Attributes:
-        in_flight: how many requests are in flight now, without reads to be asked again alone.
+        in_flight: how many requests are in flight now.
         broken: the reason to replace the connection by a new one, or None.
         is_flooded: True if so many bytes arrived that belong to no request that it is no accident.
         is_guarded: True if `may_send` was given, and must be called before each request.
@@ -161,7 +160,7 @@ class Transactions:
             if refusal is not None:
                 self._outcomes.refuse(call, refusal)
                 return
-            self._wake(call.deadline)
+            self.matching.wake(call.deadline)
         elif call.request is None:
             call.settle(None)
             return
@@ -177,20 +176,19 @@ class Transactions:
 
     def _let_go(self, call: Call, now: float) -> bool:
         """Stop waiting for a request whose caller is gone; return True if it was in flight."""
-        is_lost = call in self._queue.lost
         self._queue.remove(call)
         was_in_flight = self.matching.withdraw(call, now)
         if was_in_flight:
             self.statistics.note(call.function, "cancelled")
-            self.in_flight -= not is_lost
+            self.in_flight -= 1
         for due, each in self._silent:
             if each is call:
-                self._wake(due)  # it stays in flight until then, because the line is in use
+                self.matching.wake(due)  # it stays in flight until then, because the line is in use
         return was_in_flight
 
     def change_timeout(self, now: float) -> None:
         """Note that some `Timeouts` were changed."""
-        self._wake(now)
+        self.matching.wake(now)
 
     def is_allowed(self) -> bool:
         """Return what `may_send` returns; True without it, False if it fails or returns neither."""
@@ -215,9 +213,7 @@ class Transactions:
             return adus
         if queue.lost and not self.in_flight and queue.alone is None:
             for other in queue.choose_alone(now):
-                if other.state is SENT:  # its time is not over yet
-                    self.in_flight += 1
-                elif isinstance(other.reply, ModbusError):
+                if isinstance(other.reply, ModbusError):
                     self._outcomes.go_on_without(other.reply, other, now)
         matching.is_traced = self._trace.is_on()
         while (call := queue.next(now, self.in_flight)) is not None:
@@ -247,7 +243,7 @@ class Transactions:
                 self._break("given up for a new connection")
             return False
         if now < self._next_start:
-            self._wake(self._next_start)
+            self.matching.wake(self._next_start)
             return False
         return True
 
@@ -281,7 +277,7 @@ class Transactions:
         self.in_flight += 1
         if call.is_silent:
             self._silent.append((now + self._settings.turnaround, call))
-            self._wake(now + self._settings.turnaround)
+            self.matching.wake(now + self._settings.turnaround)
         if call.batch is not None and (follower := call.batch.next()) is not None:
             self._queue.waiting.append(follower)
         if self.matching.is_traced:
@@ -297,10 +293,6 @@ class Transactions:
         self.in_flight = 0
         self.statistics.requests -= 1
         self._queue.waiting.appendleft(call)
-
-    def _wake(self, at: float) -> None:
-        if at < self.matching.alarm:
-            self.matching.alarm = at
 
     # --- the connection -----------------------------------------------------------------------
 
@@ -380,7 +372,7 @@ class Transactions:
         """Return the requests in flight, and reset the state of the previous connection."""
         queue = self._queue
         calls = [*self.matching.reset(now), *(call for _, call in self._silent)]
-        calls += [call for call in queue.lost if call not in calls]
+        calls += queue.lost
         queue.lost.clear()
         self.window.reset()
         self.broken = None
@@ -407,9 +399,7 @@ class Transactions:
     def refuse(self, error: ModbusError, later: Collection[Call] = ()) -> None:
         """Fail all requests that wait, except some."""
         for call in self._queue.drain(later):
-            if call.state is SENT:  # it is not asked again alone, but may still be answered
-                self.in_flight += 1
-            elif call.state is not OVER:
+            if call.state is not OVER:
                 self._outcomes.refuse(call, error)
 
     # --- answers ------------------------------------------------------------------------------
@@ -418,7 +408,7 @@ class Transactions:
         """Take received bytes; `settle` decodes the answers."""
         matching = self.matching
         for data in chunks:
-            self._note_ends(matching.take(data, now), now)
+            self._note_ends(matching.take(data, now))
         if matching.unasked > MAX_UNASKED_BYTES or not matching.is_in_step:
             self._note_flood()
 
@@ -429,18 +419,10 @@ class Transactions:
         elif self._is_socket:
             self._break("flooded with frames that answer no request")
 
-    def _note_ends(self, calls: list[Call], now: float) -> None:
+    def _note_ends(self, calls: list[Call]) -> None:
         """End the time in flight of requests; after a good answer, its batch may go on."""
-        lost = self._queue.lost
         for call in calls:
-            if lost and call in lost:
-                if isinstance(call.reply, ModbusTimeoutError):
-                    call.state = WAITING  # it still waits to be asked again alone
-                    continue
-                lost.remove(call)
-                self.window.slow(now - call.sent_at)
-            else:
-                self.in_flight -= 1
+            self.in_flight -= 1
             if call.state is not OVER:
                 call.state = ANSWERED
             self._answered.append(call)
@@ -480,9 +462,7 @@ class Transactions:
         matching.alarm = math.inf
         self._end_silent(now)
         if self.life.is_open:
-            self._note_ends(matching.expire(now), now)
-            if self.window.is_open and self.in_flight:
-                self.in_flight -= self._queue.find_lost(now)
+            self._note_ends(matching.expire(now))
             if not matching.has_ids:
                 self._end_waits_for_silence(now)
         else:
@@ -500,7 +480,7 @@ class Transactions:
             if call.batch is not None:
                 self._free(call.batch)
         for due, _ in self._silent:
-            self._wake(due)
+            self.matching.wake(due)
 
     def _end_waits(self, now: float) -> None:
         """Fail the requests that have waited too long for a connection."""
@@ -508,7 +488,7 @@ class Transactions:
             if call.state is OVER:
                 continue
             if call.deadline > now:
-                self._wake(call.deadline)
+                self.matching.wake(call.deadline)
                 continue
             self._queue.remove(call)
             self._outcomes.refuse(call, self.life.not_in_time(call.timeouts.timeout))

@@ -67,7 +67,7 @@ class Outcomes:
         if call is self._queue.alone:
             self._queue.alone = None
             if not call.changes:
-                self._end_trial(call, now)
+                self._end_trial(call)
         if call.state is Phase.OVER:
             self._statistics.note(call.function, "cancelled")
         elif isinstance(call.reply, bytes):
@@ -75,13 +75,13 @@ class Outcomes:
         elif isinstance(call.reply, ModbusError):
             self._fail(call.reply, call, now)
 
-    def _end_trial(self, call: Call, now: float) -> None:
+    def _end_trial(self, call: Call) -> None:
         """Note how a read ended that was asked again alone."""
         if isinstance(call.reply, ModbusTimeoutError):
             self._window.missed(call)
-        elif call.earlier >= 0:  # the first one was answered late
-            self._window.slow(now - call.due)
-        elif isinstance(call.reply, bytes) and not _is_busy(call.reply):
+            return
+        was_late = call.earlier >= 0 and not self._matching.is_missing(call.earlier)
+        if isinstance(call.reply, bytes) and not _is_busy(call.reply) and not was_late:
             self._window.take_one()
 
     def fail_unsent(self, call: Call, error: ModbusError) -> None:
@@ -142,7 +142,7 @@ class Outcomes:
         if self._life.fruitless:
             self._life.prove()
         if self._window.is_open:
-            self._window.answered(call, took, self._matching.pending)
+            self._window.answered(call, self._matching.pending)
 
     def _fail(self, error: ModbusError, call: Call, now: float) -> None:
         if isinstance(error, ExceptionResponse):
@@ -156,7 +156,7 @@ class Outcomes:
     def go_on_without(self, error: ModbusError, call: Call, now: float) -> None:
         """Send a request again that failed, or settle it."""
         try:
-            if self._window.refuses(error, call):
+            if self._window.is_lost(error, call):
                 call.state, call.reply = Phase.WAITING, error
                 self._queue.lost.append(call)
             elif not self._is_repeated(error, call, now):

@@ -12,12 +12,10 @@ requests that arrive together, so it is found out:
 
 1. A write is alone: nothing else is in flight while it is, and those before it are over.
 2. Reads: one, then two, four and so on, as long as all of them are answered.
-3. A read that was sent beside others is lost if it gets no answer within a quarter of its timeout,
-   or within twice the time of the slowest answer if that is longer. It is asked again alone, and
-   the answer to either of both is taken.
-4. If the repetition is answered and the first one is not, the device takes one request at a time.
-   Then all clients of this process send one at a time to this endpoint, for the life of the
-   process.
+3. A read that was sent beside others and gets no answer in time, or is refused because the device
+   is busy, is asked again alone.
+4. If it is answered then, and not even late before, the device takes one request at a time. Then
+   all clients of this process send one at a time to this endpoint, for the life of the process.
 5. A unit that does not answer even alone is not asked again alone until it answers.
 
 `max_in_flight`, if it is given, sets the number, and none of these five rules applies; then a write
@@ -44,9 +42,6 @@ OVER = Phase.OVER
 
 ONE_AT_A_TIME: set[Hashable] = set()
 """The places of the endpoints that take one request at a time; see rule 4."""
-
-# Rule 3: this share of the timeout of a read, and this multiple of the slowest answer.
-SHARE, TIMES_SLOWEST = 0.25, 2.0
 
 
 class Window:
@@ -75,7 +70,6 @@ class Window:
         self._now = 1 if self.is_open else most
         self._count = 0  # answers since the number was changed
         self._was_full = self.is_open  # since then; one request is all that may be in flight
-        self._slowest = 0.0
         self._statistics = statistics
 
     @property
@@ -92,37 +86,15 @@ class Window:
         """Begin again for another connection."""
         self.silent.clear()
         if self.is_open:
-            self._now, self._count, self._was_full, self._slowest = 1, 0, True, 0.0
+            self._now, self._count, self._was_full = 1, 0, True
 
     def sent(self, others: int) -> None:
         """Note that a request is sent while so many others are in flight."""
         if others + 1 >= self._now:
             self._was_full = True
 
-    def lost_at(self, call: Call) -> float:
-        """Return when a read that was sent beside others is lost; see rule 3."""
-        return call.sent_at + max(SHARE * call.timeouts.timeout, TIMES_SLOWEST * self._slowest)
-
-    def may_be_lost(self, call: Call) -> bool:
-        """Return True for a read in flight that was sent beside others, and is not asked again."""
-        return (
-            call.company
-            and call.is_wanted
-            and call.earlier < 0
-            and not call.changes
-            and (call.unit, call.pdu[0]) not in self.silent
-        )
-
-    def answered(self, call: Call, took: float, pending: Mapping[int, Call]) -> None:
-        """
-        Note a valid answer; the number doubles once so many, and all before them, were answered.
-
-        Args:
-            took: seconds from the request to the answer.
-            pending: the requests in flight, in the order in which they were sent.
-        """
-        if took > self._slowest:
-            self._slowest = took
+    def answered(self, call: Call, pending: Mapping[int, Call]) -> None:
+        """Note a valid answer; the number doubles once so many, and all before, were answered."""
         if self.silent:
             self.silent.discard((call.unit, call.pdu[0]))
         if self._was_full and self._now < self._most:
@@ -132,18 +104,12 @@ class Window:
                 self._now = min(2 * self._now, self._most)
                 self._count, self._was_full = 0, False
 
-    def slow(self, took: float) -> None:
-        """Note how long an answer took."""
-        if took > self._slowest:
-            self._slowest = took
-
-    def refuses(self, error: ModbusError, call: Call) -> bool:
-        """Return True if a read that failed was lost, or refused, only because of others."""
+    def is_lost(self, error: ModbusError, call: Call) -> bool:
+        """Return True if a read that failed is asked again alone; see rule 3."""
         return (
             self.is_open
             and call.company
             and call.is_wanted
-            and call.earlier < 0
             and not call.changes
             and isinstance(error, TimeoutError | ServerDeviceBusy)
             and (call.unit, call.pdu[0]) not in self.silent
@@ -200,9 +166,6 @@ class Queue:
     def next(self, now: float, in_flight: int) -> Call | None:
         """
         Remove and return the next request to send; None, and the alarm is set, if none may be now.
-
-        Args:
-            in_flight: how many requests are in flight, those in `lost` not counted.
         """
         if not self._matching.has_ids:
             return None if in_flight else self._next_on_line(now)
@@ -230,7 +193,7 @@ class Queue:
                 if call.due <= now:
                     self.again.remove(call)
                     return call
-                self._wake(call.due)
+                self._matching.wake(call.due)
         return None
 
     def _next_on_line(self, now: float) -> Call | None:
@@ -243,7 +206,7 @@ class Queue:
                 elif 0 in held or call.unit in held or (call.unit == 0 and held):
                     held.add(call.unit)
                 elif call.due > now:
-                    self._wake(call.due)
+                    self._matching.wake(call.due)
                     held.add(call.unit)
                 elif self._matching.may_start(call, now):
                     calls.remove(call)
@@ -261,19 +224,6 @@ class Queue:
             for each in self._matching.pending.values():
                 each.company = True
         self._window.sent(others)
-        self._wake(self._window.lost_at(call))
-
-    def find_lost(self, now: float) -> int:
-        """Find the reads in flight that are lost beside others; return how many there are."""
-        before = len(self.lost)
-        for call in self._matching.pending.values():
-            if self._window.may_be_lost(call) and call not in self.lost:
-                at = self._window.lost_at(call)
-                if at > now:
-                    self._wake(at)
-                else:
-                    self.lost.append(call)
-        return len(self.lost) - before
 
     def choose_alone(self, now: float) -> list[Call]:
         """Choose the lost read that is asked again alone; return those that are not asked again."""
@@ -298,7 +248,7 @@ class Queue:
         call.state = Phase.WAITING
         call.due = due
         self.again.append(call)
-        self._wake(due)
+        self._matching.wake(due)
         if call.changes and self._is_ordered:
             self.alone = call
 
@@ -329,7 +279,3 @@ class Queue:
         self.waiting = deque(call for call in self.waiting if call in later)
         self.lost.clear()
         return [call for call in calls if call not in later]
-
-    def _wake(self, at: float) -> None:
-        if at < self._matching.alarm:
-            self._matching.alarm = at

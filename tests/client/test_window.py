@@ -91,16 +91,15 @@ def test_a_device_that_takes_many_gets_many(world: World, scheme: str) -> None:
 def test_a_device_that_loses_requests_loses_no_value(
     world: World, scheme: str, places: int
 ) -> None:
-    """It costs a quarter of the timeout once; from then on one is in flight, and none is lost."""
+    """It costs one timeout; from then on one is in flight, and none is lost."""
     peer = world.peer(scheme, Device(world, places))
-    with world.connect(peer.url, timeout=4) as context:
+    with world.connect(peer.url, timeout=1) as context:
         with world.lasting(200 * 0.005, more=1.2):
             assert context.execute_many(reads(200)) == echoes(200)
         assert context.max_in_flight == 1
         assert context.statistics.falls == 1
-        assert context.statistics.timeouts == 0
         again = context.statistics.retries
-        assert 1 <= again < 16
+        assert 1 <= again == context.statistics.timeouts < 16
         with world.lasting(200 * 0.005, more=0.2):
             assert context.execute_many(reads(200)) == echoes(200)
         assert context.statistics.retries == again
@@ -111,7 +110,6 @@ def test_a_device_that_loses_both_of_two_loses_no_value(world: World) -> None:
     with world.connect(peer.url) as context:
         assert context.execute_many(reads(20), max_in_flight=2) == echoes(20)
         assert context.statistics.falls == 1
-        assert context.statistics.timeouts == 0
 
 
 @each_scheme
@@ -186,7 +184,7 @@ def test_another_connection_begins_with_one(world: World, scheme: str) -> None:
 
 @each_scheme
 def test_a_device_that_stood_still_keeps_what_it_had(world: World, scheme: str) -> None:
-    """The first of both requests is answered: it was not lost, only late."""
+    """The requests are answered, though they were given up: they were not lost, only late."""
     device = Device(world, 16)
     peer = world.peer(scheme, device)
     with world.connect(peer.url, timeout=2) as context:
@@ -199,10 +197,10 @@ def test_a_device_that_stood_still_keeps_what_it_had(world: World, scheme: str) 
             for request, write in held:
                 write(echo(request))
 
-        world.network.events.after(0.8, go_on)  # type: ignore[attr-defined]
+        world.network.events.after(2.3, go_on)  # type: ignore[attr-defined]
         assert context.execute_many(reads(16)) == echoes(16)
         assert context.max_in_flight >= 16
-        assert context.statistics.falls == context.statistics.timeouts == 0
+        assert context.statistics.falls == 0
 
 
 @each_scheme
@@ -214,7 +212,7 @@ def test_one_dead_request_holds_others_up_once(world: World, scheme: str) -> Non
             write(echo(request))
 
     peer = world.peer(scheme, but_five)
-    with world.connect(peer.url, timeout=1) as context, world.lasting(1.25, more=0.1):
+    with world.connect(peer.url, timeout=1) as context, world.lasting(2, more=0.1):
         found = context.execute_many(reads(100), return_exceptions=True)
         assert isinstance(found[5], ModbusTimeoutError)
         assert found[:5] + found[6:] == echoes(5) + echoes(100)[6:]
