@@ -5,20 +5,23 @@ A handle to one unit on a connection, blocking or not.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable
+from collections.abc import Generator, Iterable
 from os import PathLike
-from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Self, Unpack, overload
 
 from ..protocol import pdu
 from ..protocol.checks import integer, seconds
-from ..protocol.errors import InvalidResponse
-from .call import MAX_IN_FLIGHT, Batch, Call, encoded
+from ..protocol.errors import InvalidResponse, ModbusError
+from .call import MAX_IN_FLIGHT, Batch, Call, encoded, raised
+from .polling import Driving, Polls, interval_of, watched
 from .reconnecting import State
+from .requests import LOCK, Several, Steps
 
 if TYPE_CHECKING:
     from ..maps.holes import Holes, Unreadable
-    from ..maps.plan import Plan
+    from ..maps.plan import Item, Items, Key, Named, Plan, PlanOptions, Values
     from ..maps.register_map import AnyMap
+    from ..maps.watched import PolledValues
     from ..ports.endpoint import Endpoint
     from .connection import Transactions
     from .options import CheckedOptions
@@ -27,21 +30,13 @@ if TYPE_CHECKING:
 __all__ = ["Handle"]
 
 
-class Driver(Protocol):
-    """The part of a driver that handles use."""
-
-    def change_timeout(self) -> None: ...
-
-    def now(self) -> float: ...
-
-
-Driving = TypeVar("Driving", bound=Driver)
-
-
 class Handle(Generic[Driving]):
     """
     The base of both clients: a unit, its timeouts, and the connection that handles share.
     """
+
+    if TYPE_CHECKING:
+        _poll: Any  # of `Procedures`
 
     def __init__(
         self,
@@ -241,7 +236,47 @@ class Handle(Generic[Driving]):
         """
         raise NotImplementedError
 
-    def watch(self, *args: Any, **kwargs: Any) -> Any:
+    @overload
+    def watch(
+        self,
+        what: AnyMap,
+        *,
+        every: float,
+        names: Iterable[str] | None = None,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> Polls[Driving, PolledValues]: ...
+    @overload
+    def watch(  # type: ignore[overload-overlap]
+        self,
+        what: Named[Key],
+        *,
+        every: float,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> Polls[Driving, dict[Key, Values | ModbusError]]: ...
+    @overload
+    def watch(
+        self,
+        what: Iterable[Item],
+        *,
+        every: float,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> Polls[Driving, list[Values | ModbusError]]: ...
+    @overload
+    def watch(
+        self, what: Plan, *, every: float, max_in_flight: int = 16
+    ) -> Polls[Driving, Any]: ...
+    def watch(
+        self,
+        what: AnyMap | Plan | Items,
+        *,
+        every: float,
+        names: Iterable[str] | None = None,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> Polls[Driving, Any]:
         """
         Read the same points or items again and again, at a steady pace.
 
@@ -275,7 +310,14 @@ class Handle(Generic[Driving]):
             TypeError, ValueError: an argument is wrong; nothing was sent. If `what` is no map, the
                 iterator itself raises ValueError for registers that hold no value of their type.
         """
-        raise NotImplementedError
+        interval = seconds("every", every, 0.01)
+        polled = watched(what, names, interval, options)
+        integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
+        return Polls(
+            self,
+            interval_of(polled, interval),
+            lambda at: self._poll(polled, max_in_flight, at),
+        )
 
     # --- for procedures ----------------------------------------------------------------
 
@@ -330,7 +372,33 @@ class Handle(Generic[Driving]):
             go_on=bool(go_on),
         )
 
-    def _named(self, error: InvalidResponse) -> InvalidResponse:
-        """Return an error of a procedure with its unit and endpoint."""
-        error.unit, error.endpoint = self.unit, self.url
-        return error
+    def _jobs(self, steps: Steps[Any]) -> Generator[Call | Batch | None, None, Any]:
+        """
+        Follow a procedure, and return its result.
+
+        Yields:
+            What is to be run; None when the lock of the driver is to be held from now on.
+        """
+        job: Call | Batch
+        outcome: Any = None
+        try:
+            while True:
+                step = steps.send(outcome)
+                if step is LOCK:
+                    yield None
+                    continue
+                if isinstance(step, Several):
+                    job = self._batch(step.requests, step.max_in_flight, step.return_exceptions)
+                    yield job
+                    outcome = job.outcomes
+                    raised(outcome, step.returned)
+                else:
+                    job = self._call(step, None, None)
+                    yield job
+                    outcome = job.outcome
+                    raised([outcome])
+        except StopIteration as done:
+            return done.value
+        except InvalidResponse as error:
+            error.unit, error.endpoint = self.unit, self.url
+            raise error from None
