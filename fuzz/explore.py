@@ -39,7 +39,7 @@ from dataclasses import dataclass, field
 from itertools import accumulate, combinations, product
 from typing import Any, NamedTuple
 
-from libmodbus_py.client.call import NOT_ASKED, Call, Timeouts
+from libmodbus_py.client.call import Call, Phase, Timeouts
 from libmodbus_py.client.connection import Transactions
 from libmodbus_py.client.options import CheckedOptions
 from libmodbus_py.client.queue import ONE_AT_A_TIME
@@ -273,7 +273,7 @@ class World:
 
     def wait(self, calls: list[Call], until: float = math.inf) -> None:
         begun, most = self.now, (4 + 3 * len(calls)) * (1 + self.retries) * TIMEOUT
-        while any(call.outcome is NOT_ASKED and call.state.name != "OVER" for call in calls):
+        while self.has_open(calls):
             if not self.step(until) and self.has_open(calls):
                 self.errors.add("endless")
                 return
@@ -284,7 +284,7 @@ class World:
             self.judge(next(each for each in self.asked if each.call is call))
 
     def has_open(self, calls: list[Call]) -> bool:
-        return any(call.outcome is NOT_ASKED and call.state.name != "OVER" for call in calls)
+        return not all(call.is_done for call in calls)
 
     def judge(self, asked: Asked) -> None:
         outcome = asked.call.outcome
@@ -311,7 +311,7 @@ class World:
             self.acts = [act]
             call = self.ask("A")
             self.idle(1.0)
-            if call.state.name == "SENT":
+            if call.state is Phase.SENT:
                 self.doubted[1, 3] = self.now
             connection.withdraw(call, self.now)
             return
@@ -319,7 +319,7 @@ class World:
             self.acts = [act]
             call = self.ask("A")
             self.idle(1.0)
-            was_sent = call.state.name == "SENT"
+            was_sent = call.state is Phase.SENT
             error = ModbusConnectionError("gone")
             connection.lost(error, self.now, by_itself=move == "lost")
             self.arrivals = [] if self.has_ids else self.arrivals

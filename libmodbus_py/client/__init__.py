@@ -21,7 +21,6 @@ From the caller to the wire:
       line             the same on lines, where frames have no ids: a table of states
       answers          earlier answers on a line, with which others are compared
       hints            what errors say, and likely causes of bytes that are not an answer
-    notices            calls of user functions that wait until a change is complete
-    reconnecting       times of attempts to connect again; State
+    reconnecting       times of attempts to connect again; State; calls of user functions
     statistics         counters of a connection; Statistics
 """

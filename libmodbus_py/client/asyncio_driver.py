@@ -205,12 +205,8 @@ class AsyncioDriver:
             alarm.cancel()
 
     def abandon(self) -> None:
-        """
-        Forget the connection and the loop in a forked child: they belong to the parent.
-
-        The child shares the epoll of that loop, so nothing is removed from it. The child may use
-        the client in another loop; the first request there reports that the connection was lost.
-        """
+        """Forget the connection and the loop in a forked child, which may use another loop."""
+        # Nothing is removed from the epoll of the parent's loop, which the child shares.
         self._port.abandon()
         self._callers.clear()
         self._begin_anew()

@@ -4,10 +4,10 @@ One request from its submission to its outcome, and several requests of one call
     WAITING    in the queue, or waiting for its repetition
     SENT       in flight: its answer, or the end of its time, is awaited
     ANSWERED   its reply is here, and not yet decoded
-    OVER       it has its outcome, or no caller waits for it any more
 
-A `Call` belongs to the connection from `Transactions.submit` until it is OVER. A `Batch` only
-counts: it says which of its calls may be submitted next, and when all that matter are over.
+It is over (`is_done`) when it has its outcome, or no caller waits for it any more; until then it
+belongs to the connection. A `Batch` only counts: it says which of its calls may be submitted next,
+and when all that matter are over.
 """
 
 from __future__ import annotations
@@ -81,10 +81,6 @@ class Phase(enum.Enum):
     WAITING = enum.auto()
     SENT = enum.auto()
     ANSWERED = enum.auto()
-    OVER = enum.auto()
-
-
-WAITING, OVER = Phase.WAITING, Phase.OVER
 
 
 class Call:
@@ -122,7 +118,7 @@ class Call:
     batch: Batch | None = None
     is_silent: bool = False
     is_done: bool = False
-    state: Phase = WAITING
+    state: Phase = Phase.WAITING
     outcome: Any = NOT_ASKED
     on_done: Callable[[Call], object] | None = None
     reply: bytes | BaseException | None = None
@@ -175,7 +171,6 @@ class Call:
         if self.is_done:
             return
         self.is_done = True
-        self.state = OVER
         self.outcome = outcome
         if self.batch is not None:
             self.batch.count(self)
@@ -189,7 +184,6 @@ class Call:
     def forget(self) -> None:
         """Note that no caller waits for the outcome any more."""
         self.is_done = True
-        self.state = OVER
 
 
 class Batch:
@@ -272,7 +266,7 @@ class Batch:
     def _cut(self, failed: Call) -> None:
         """Forget the calls behind one that failed."""
         for call in self.calls[self.calls.index(failed) + 1 :]:
-            if call.state is not OVER:
+            if not call.is_done:
                 self._open -= 1
                 call.forget()
         self.waiting.clear()
@@ -287,7 +281,7 @@ class Batch:
     def fail(self, error: BaseException) -> None:
         """End the batch, with this error as the outcome of all requests that have none yet."""
         for call in self.calls:
-            if call.state is not OVER:
+            if not call.is_done:
                 call.settle(error)
 
 

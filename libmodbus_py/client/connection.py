@@ -35,10 +35,9 @@ from . import reconnecting
 from .call import Batch, Call, Matching, Phase
 from .hints import add_hint, explain_end
 from .ids import Ids
-from .notices import Notices
 from .outcomes import Outcomes
 from .queue import Queue, Window
-from .reconnecting import Reconnecting
+from .reconnecting import Notices, Reconnecting
 from .statistics import Statistics
 
 if TYPE_CHECKING:
@@ -48,7 +47,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Transactions", "forbidden"]
 
-WAITING, SENT, ANSWERED, OVER = Phase.WAITING, Phase.SENT, Phase.ANSWERED, Phase.OVER
+WAITING, SENT, ANSWERED = Phase.WAITING, Phase.SENT, Phase.ANSWERED
 
 # A connection is flooded if more bytes than this arrive that belong to no request.
 MAX_UNASKED_BYTES = 1 << 16
@@ -93,7 +92,8 @@ class Transactions:
             str(port),
             settings.max_pause,
             self.statistics,
-            settings.on_state and self.notices.delaying(settings.on_state),
+            self.notices,
+            settings.on_state,
         )
         self.window: Window = Window(
             endpoint, (limit or most) if has_ids else 1, limit is not None, self.statistics
@@ -116,15 +116,7 @@ class Transactions:
         self._is_socket = not endpoint.is_serial
         self._settings = settings
         self._queue = Queue(self.matching, self.window, is_ordered=has_ids and limit is None)
-        self._outcomes = Outcomes(
-            endpoint,
-            port,
-            self._queue,
-            self.matching,
-            self.window,
-            self.life,
-            self.statistics,
-        )
+        self._outcomes = Outcomes(endpoint, port, self._queue, self.life, self.statistics)
         self._silent: list[tuple[float, Call]] = []  # calls without an answer, and when they end
         self._answered: list[Call] = []
         self._next_start = 0.0
@@ -321,40 +313,34 @@ class Transactions:
                 have more time wait for the next attempt.
         """
         later: set[Call] = set()
-        try:
-            self.life.failed(error, now)
-            if error.errno == errno.ETIMEDOUT:
-                later = {
-                    call
-                    for call in self._queue.calls
-                    if call.deadline > until and self.life.refusal(now, call.deadline) is None
-                }
-        finally:  # even if `on_state` raises
-            self.refuse(error, later)
+        self.life.failed(error, now)
+        if error.errno == errno.ETIMEDOUT:
+            later = {
+                call
+                for call in self._queue.calls
+                if call.deadline > until and self.life.refusal(now, call.deadline) is None
+            }
+        self.refuse(error, later)
 
     def lost(self, error: ModbusConnectionError, now: float, *, by_itself: bool = True) -> None:
         """Note the end of the connection: requests in flight fail, others wait for a new one."""
         if by_itself and self.life.fruitless and self.in_flight:
             add_hint(error, explain_end(self._scheme, error.errno))
-        try:
-            self.life.lost(error, now, by_itself=by_itself)
-        finally:
-            self._fail_all(error, now)
+        self.life.lost(error, now, by_itself=by_itself)
+        self._fail_all(error, now)
         # A connection that was given up as dead has taken its time, and the next one may be alive.
         if by_itself and self.life.fruitless >= LOSSES_BEFORE_END:
             self.refuse(error)
         for call in list(self._queue.waiting):  # their time to wait for the next one begins
             self._queue.remove(call)
-            if call.state is not OVER:
+            if not call.is_done:
                 self.submit(call, now)
 
     def closed(self, error: ModbusConnectionError, now: float) -> None:
         """Note that the client was closed: all requests fail, now and later."""
-        try:
-            self.life.close()
-        finally:
-            self._fail_all(error, now)
-            self.refuse(error)
+        self.life.close()
+        self._fail_all(error, now)
+        self.refuse(error)
 
     def interrupted(self, error: ModbusConnectionError, now: float) -> None:
         """Forget all requests, whose callers were interrupted, and give up the connection."""
@@ -399,7 +385,7 @@ class Transactions:
     def refuse(self, error: ModbusError, later: Collection[Call] = ()) -> None:
         """Fail all requests that wait, except some."""
         for call in self._queue.drain(later):
-            if call.state is not OVER:
+            if not call.is_done:
                 self._outcomes.refuse(call, error)
 
     # --- answers ------------------------------------------------------------------------------
@@ -410,21 +396,17 @@ class Transactions:
         for data in chunks:
             self._note_ends(matching.take(data, now))
         if matching.unasked > MAX_UNASKED_BYTES or not matching.is_in_step:
-            self._note_flood()
-
-    def _note_flood(self) -> None:
-        self.is_flooded = self.matching.unasked > MAX_UNASKED_BYTES
-        if not self.matching.is_in_step:
-            self._break("closed, because the received bytes cannot be understood")
-        elif self._is_socket:
-            self._break("flooded with frames that answer no request")
+            self.is_flooded = matching.unasked > MAX_UNASKED_BYTES
+            if not matching.is_in_step:
+                self._break("closed, because the received bytes cannot be understood")
+            elif self._is_socket:
+                self._break("flooded with frames that answer no request")
 
     def _note_ends(self, calls: list[Call]) -> None:
         """End the time in flight of requests; after a good answer, its batch may go on."""
         for call in calls:
             self.in_flight -= 1
-            if call.state is not OVER:
-                call.state = ANSWERED
+            call.state = ANSWERED
             self._answered.append(call)
             batch = call.batch
             if batch is not None and batch.limit > 1 and call.is_under_way and _is_good(call.reply):
@@ -446,7 +428,7 @@ class Transactions:
 
     def _note_batch(self, call: Call, batch: Batch, now: float) -> None:
         """Let a batch go on after one of its requests, or forget those behind one that failed."""
-        if call.state is OVER and call.is_under_way:
+        if call.is_done and call.is_under_way:
             self._free(batch)
         if isinstance(call.outcome, BaseException):
             self._queue.remove_over()
@@ -485,7 +467,7 @@ class Transactions:
     def _end_waits(self, now: float) -> None:
         """Fail the requests that have waited too long for a connection."""
         for call in self._queue.calls:
-            if call.state is OVER:
+            if call.is_done:
                 continue
             if call.deadline > now:
                 self.matching.wake(call.deadline)

@@ -16,9 +16,9 @@ from ..protocol.errors import (
     ServerDeviceBusy,
     alike,
 )
-from .call import Call, Matching, Phase
+from .call import Call, Phase
 from .hints import add_hint, explain, explain_role
-from .queue import Queue, Window
+from .queue import Queue
 from .reconnecting import Reconnecting
 from .statistics import Statistics, result_of
 
@@ -48,8 +48,6 @@ class Outcomes:
         endpoint: Endpoint,
         port: Port,
         queue: Queue,
-        matching: Matching,
-        window: Window,
         life: Reconnecting,
         statistics: Statistics,
     ) -> None:
@@ -57,8 +55,8 @@ class Outcomes:
         self._scheme = endpoint.scheme
         self._port = port
         self._queue = queue
-        self._matching = matching
-        self._window = window
+        self._matching = queue.matching
+        self._window = queue.window
         self._life = life
         self._statistics = statistics
 
@@ -68,7 +66,7 @@ class Outcomes:
             self._queue.alone = None
             if not call.changes:
                 self._end_trial(call)
-        if call.state is Phase.OVER:
+        if call.is_done:
             self._statistics.note(call.function, "cancelled")
         elif isinstance(call.reply, bytes):
             self._decode(call, call.reply, now)

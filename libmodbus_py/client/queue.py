@@ -38,8 +38,6 @@ if TYPE_CHECKING:
 
 __all__ = ["ONE_AT_A_TIME", "Queue", "Window"]
 
-OVER = Phase.OVER
-
 ONE_AT_A_TIME: set[Hashable] = set()
 """The places of the endpoints that take one request at a time; see rule 4."""
 
@@ -75,7 +73,7 @@ class Window:
     @property
     def limit(self) -> int:
         """The number of requests that may be in flight now."""
-        return 1 if self.is_open and self._place in ONE_AT_A_TIME else self._now
+        return 1 if self.is_at_one else self._now
 
     @property
     def is_at_one(self) -> bool:
@@ -154,8 +152,8 @@ class Queue:
         self.lost: list[Call] = []
         self.alone: Call | None = None
         self.last_write: int = 0
-        self._matching = matching
-        self._window = window
+        self.matching = matching
+        self.window = window
         self._is_ordered = is_ordered
 
     @property
@@ -167,18 +165,18 @@ class Queue:
         """
         Remove and return the next request to send; None, and the alarm is set, if none may be now.
         """
-        if not self._matching.has_ids:
+        if not self.matching.has_ids:
             return None if in_flight else self._next_on_line(now)
         if self.alone is not None:
             return self._next_again(now)
-        if self.lost or (in_flight and in_flight >= self._window.limit):
+        if self.lost or (in_flight and in_flight >= self.window.limit):
             return None
         if self.again and (call := self._next_again(now)) is not None:
             return call
         waiting = self.waiting
         while waiting:
             call = waiting.popleft()
-            if call.state is not OVER:
+            if not call.is_done:
                 if call.changes and self._is_ordered and (in_flight or self.again):
                     waiting.appendleft(call)
                     return None
@@ -187,13 +185,13 @@ class Queue:
 
     def _next_again(self, now: float) -> Call | None:
         for call in list(self.again):
-            if call.state is OVER:
+            if call.is_done:
                 self.again.remove(call)
             elif self.alone is None or call is self.alone:
                 if call.due <= now:
                     self.again.remove(call)
                     return call
-                self._matching.wake(call.due)
+                self.matching.wake(call.due)
         return None
 
     def _next_on_line(self, now: float) -> Call | None:
@@ -201,14 +199,14 @@ class Queue:
         held: set[int] = set()
         for calls in (self.again, self.waiting):
             for call in list(calls):
-                if call.state is OVER:
+                if call.is_done:
                     calls.remove(call)
                 elif 0 in held or call.unit in held or (call.unit == 0 and held):
                     held.add(call.unit)
                 elif call.due > now:
-                    self._matching.wake(call.due)
+                    self.matching.wake(call.due)
                     held.add(call.unit)
-                elif self._matching.may_start(call, now):
+                elif self.matching.may_start(call, now):
                     calls.remove(call)
                     return call
                 else:
@@ -221,18 +219,18 @@ class Queue:
         """Note that a read is sent while so many others are in flight."""
         call.company = True
         if others == 1:
-            for each in self._matching.pending.values():
+            for each in self.matching.pending.values():
                 each.company = True
-        self._window.sent(others)
+        self.window.sent(others)
 
     def choose_alone(self, now: float) -> list[Call]:
         """Choose the lost read that is asked again alone; return those that are not asked again."""
         left: list[Call] = []
         while self.lost:
             call = self.lost.pop(0)
-            if call.state is OVER:
+            if call.is_done:
                 continue
-            if call.is_wanted and (call.unit, call.pdu[0]) not in self._window.silent:
+            if call.is_wanted and (call.unit, call.pdu[0]) not in self.window.silent:
                 call.due = now
                 call.company = False
                 self.again.append(call)
@@ -248,7 +246,7 @@ class Queue:
         call.state = Phase.WAITING
         call.due = due
         self.again.append(call)
-        self._matching.wake(due)
+        self.matching.wake(due)
         if call.changes and self._is_ordered:
             self.alone = call
 
@@ -268,7 +266,7 @@ class Queue:
 
     def remove_over(self) -> None:
         """Forget new requests whose callers are gone."""
-        self.waiting = deque(call for call in self.waiting if call.state is not OVER)
+        self.waiting = deque(call for call in self.waiting if not call.is_done)
 
     def drain(self, later: Collection[Call] = ()) -> list[Call]:
         """Remove and return all requests, except some."""
