@@ -35,7 +35,10 @@ __all__ = ["IN_FLIGHT", "MAX_PAUSE", "AsyncClient", "Submitted"]
 
 Result = TypeVar("Result")
 
+# Seconds: a device that was switched on again is back after half a minute at most.
 MAX_PAUSE = 30.0
+
+# Servers need not accept more requests at once (TCP guide, 4.3.3).
 IN_FLIGHT = 16
 
 
