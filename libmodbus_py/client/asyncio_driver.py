@@ -215,8 +215,8 @@ class AsyncioDriver:
 
     def change_timeout(self) -> None:
         """Note that some `Timeouts` were changed."""
-        self._connection.change_timeout(self._now())
-        if self._loop is not None:
+        if self._loop is not None and not self._loop.is_closed():
+            self._connection.change_timeout(self._now())
             self._set_timer()
 
     def _bind(self) -> asyncio.AbstractEventLoop:

@@ -236,6 +236,44 @@ def test_another_device_behind_the_address_is_asked_with_one_request_at_first() 
         assert talk.connection.room == 1
 
 
+def test_a_write_waits_for_the_reads_before_it_that_are_asked_again() -> None:
+    talk = grown()
+    sent = len(talk.sent)
+    reads = [talk.ask(1), talk.ask(2)]
+    write, behind = talk.ask(pdu.WriteRegister(5, 6)), talk.ask(3)
+    talk.wait(1)
+    while not talk.is_at_rest:
+        talk.come(tcp(talk.sent[-1], "06 0005 0006" if talk.sent[-1][7] == 6 else None))
+    assert [adu[7:10] for adu in talk.sent[sent + 2 :]] == [
+        b"\x03\0\x01", b"\x03\0\x02", b"\x06\0\x05", b"\x03\0\x03",
+    ]  # fmt: skip
+    assert [kinds(each) for each in (*reads, write, behind)] == [[[1]], [[2]], [None], [[3]]]
+
+
+def test_reads_that_are_lost_are_asked_again_before_the_connection_counts_as_dead() -> None:
+    talk = grown(timeouts_before_reconnect=1)
+    batches = [talk.ask(1), talk.ask(2)]
+    talk.wait(1)
+    assert talk.connection.broken is None
+    talk.come(tcp(talk.sent[-1]))
+    talk.come(tcp(talk.sent[-1]))
+    assert [each.outcomes for each in batches] == [[[1]], [[2]]]
+
+
+@pytest.mark.parametrize("copies", [1, 2])
+def test_a_late_answer_that_comes_twice_is_the_answer_to_nothing_else(copies: int) -> None:
+    talk = grown()
+    first = len(talk.sent)
+    batches = [talk.ask(1), talk.ask(2)]
+    talk.wait(1)
+    talk.come(*[tcp(talk.sent[first], "03 02 0063")] * copies)
+    assert not any(each.is_done for each in batches)
+    talk.come(tcp(talk.sent[-1]))
+    talk.come(tcp(talk.sent[-1]))
+    assert [each.outcomes for each in batches] == [[[1]], [[2]]]
+    assert talk.statistics.late_answers == copies
+
+
 # --- which requests --------------------------------------------------------------------------
 
 READS = [
