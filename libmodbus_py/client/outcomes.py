@@ -78,9 +78,12 @@ class Outcomes:
         if isinstance(call.reply, ModbusTimeoutError):
             self._window.missed(call)
             return
-        was_late = call.earlier >= 0 and not self._matching.is_missing(call.earlier)
-        if isinstance(call.reply, bytes) and not _is_busy(call.reply) and not was_late:
+        if not isinstance(call.reply, bytes) or _is_busy(call.reply):
+            return
+        if call.earlier < 0 or self._matching.is_missing(call.earlier):
             self._window.take_one()
+        elif not self._queue.lost:  # once for all that were lost together
+            self._window.halve()
 
     def fail_unsent(self, call: Call, error: ModbusError) -> None:
         """Fail a request that is not sent."""

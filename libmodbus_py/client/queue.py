@@ -14,8 +14,9 @@ requests that arrive together, so it is found out:
 2. Reads: one, then two, four and so on, as long as all of them are answered.
 3. A read that was sent beside others and gets no answer in time, or is refused because the device
    is busy, is asked again alone.
-4. If it is answered then, and not even late before, the device takes one request at a time. Then
-   all clients of this process send one at a time to this endpoint, for the life of the process.
+4. If it is answered then, the device takes one request at a time: all clients of this process send
+   one at a time to this endpoint, for the life of the process. If its first answer came meanwhile,
+   too late, the device was only slow: half as many may be in flight on this connection.
 5. A unit that does not answer even alone is not asked again alone until it answers.
 
 `max_in_flight`, if it is given, sets the number, and none of these five rules applies; then a write
@@ -64,7 +65,7 @@ class Window:
         self.silent: set[tuple[int, int]] = set()
         self._place: Hashable = endpoint.key
         self._name = str(endpoint)
-        self._most = most
+        self._most = self._bound = most
         self._now = 1 if self.is_open else most
         self._count = 0  # answers since the number was changed
         self._was_full = self.is_open  # since then; one request is all that may be in flight
@@ -84,7 +85,7 @@ class Window:
         """Begin again for another connection."""
         self.silent.clear()
         if self.is_open:
-            self._now, self._count, self._was_full = 1, 0, True
+            self._now, self._bound, self._count, self._was_full = 1, self._most, 0, True
 
     def sent(self, others: int) -> None:
         """Note that a request is sent while so many others are in flight."""
@@ -95,11 +96,11 @@ class Window:
         """Note a valid answer; the number doubles once so many, and all before, were answered."""
         if self.silent:
             self.silent.discard((call.unit, call.pdu[0]))
-        if self._was_full and self._now < self._most:
+        if self._was_full and self._now < self._bound:
             self._count += 1
             oldest = next(iter(pending.values()), call)
             if self._count >= self._now and oldest.order >= call.order:  # else it may be lost
-                self._now = min(2 * self._now, self._most)
+                self._now = min(2 * self._now, self._bound)
                 self._count, self._was_full = 0, False
 
     def is_lost(self, error: ModbusError, call: Call) -> bool:
@@ -116,6 +117,10 @@ class Window:
     def missed(self, call: Call) -> None:
         """Note that a read was not answered even alone."""
         self.silent.add((call.unit, call.pdu[0]))
+
+    def halve(self) -> None:
+        """Note that reads were answered too late beside others."""
+        self._now = self._bound = max(1, self._now // 2)
 
     def take_one(self) -> None:
         """Note that a read was lost beside others, and answered alone."""
