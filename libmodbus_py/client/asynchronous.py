@@ -12,7 +12,7 @@ from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.errors import ModbusError
 from .asyncio_driver import AsyncioDriver
-from .call import Call, Phase, encoded, raised
+from .call import Call, Phase, raised
 from .handle import Handle
 from .procedures import Procedures
 from .requests import Awaiting
@@ -149,7 +149,7 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
         timeout: float | None = None,
         retries: int | None = None,
     ) -> Result:
-        call = self._call(request, timeout, retries)
+        call = self._call(self._unit, request, timeout, retries)
         await self._driver.run(call)
         result: Result = call.outcome
         if isinstance(result, BaseException):
@@ -180,9 +180,7 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
         """
         if type(unit) is not int or not 0 <= unit <= 255:
             unit = integer("unit", unit, 0, 255)
-        is_broadcast = unit == 0 and self._has_broadcast
-        encoding = encoded(request, "request", 0, is_broadcast)
-        call = Call(unit, request, encoding, self._timeouts, is_broadcast)
+        call = self._call(unit, request, None, None)
         self._driver.ask(call, on_done)
         return Submitted(call, self._driver)
 

@@ -169,7 +169,7 @@ class Context(Handle[BlockingDriver], Procedures, Blocking):
         timeout: float | None = None,
         retries: int | None = None,
     ) -> Result:
-        call = self._call(request, timeout, retries)
+        call = self._call(self._unit, request, timeout, retries)
         self._driver.run(call)
         result: Result = call.outcome
         if isinstance(result, BaseException):

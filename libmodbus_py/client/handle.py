@@ -339,14 +339,13 @@ class Handle(Generic[Driving]):
 
     # --- for the clients ----------------------------------------------------------------
 
-    @property
-    def _is_broadcast(self) -> bool:
-        return self.unit == 0 and self._has_broadcast
-
-    def _call(self, request: pdu.Request[Any], timeout: float | None, retries: int | None) -> Call:
+    def _call(
+        self, unit: int, request: pdu.Request[Any], timeout: float | None, retries: int | None
+    ) -> Call:
         """Check and encode a request."""
-        timeouts = self._timeouts.but(timeout, retries)
-        unit = self._unit
+        timeouts = self._timeouts
+        if timeout is not None or retries is not None:
+            timeouts = timeouts.but(timeout, retries)
         is_broadcast = unit == 0 and self._has_broadcast
         encoding = encoded(request, "request", 0, is_broadcast)
         return Call(unit, request, encoding, timeouts, is_broadcast)
@@ -367,7 +366,7 @@ class Handle(Generic[Driving]):
             list(requests),
             self._timeouts,
             name="requests[{}]",
-            is_broadcast=self._is_broadcast,
+            is_broadcast=self._unit == 0 and self._has_broadcast,
             limit=limit,
             go_on=bool(go_on),
         )
@@ -393,7 +392,7 @@ class Handle(Generic[Driving]):
                     outcome = job.outcomes
                     raised(outcome, step.returned)
                 else:
-                    job = self._call(step, None, None)
+                    job = self._call(self._unit, step, None, None)
                     yield job
                     outcome = job.outcome
                     raised([outcome])

@@ -66,12 +66,26 @@ class Outcomes:
             self._queue.alone = None
             if not call.changes:
                 self._end_trial(call)
+        reply = call.reply
         if call.is_done:
             self._statistics.note(call.function, "cancelled")
-        elif isinstance(call.reply, bytes):
-            self._decode(call, call.reply, now)
-        elif isinstance(call.reply, ModbusError):
-            self._fail(call.reply, call, now)
+        elif isinstance(reply, ModbusError):
+            self._fail(reply, call, now)
+        elif isinstance(reply, bytes):
+            try:
+                outcome = call.request.decode_response(reply)  # type: ignore[union-attr]
+            except ModbusError as error:
+                self._statistics.invalid += isinstance(error, InvalidResponse)
+                error.received = self._matching.received_with(call, reply)
+                self._fail(error, call, now)
+            except BaseException as mistake:  # of the class of the request
+                self._statistics.note(call.function, "invalid")
+                call.settle(mistake)
+            else:
+                self._note_answer(call, "ok", now)
+                call.settle(outcome)
+                if not self._matching.has_ids:
+                    self._matching.conclude(call, None, now)
 
     def _end_trial(self, call: Call) -> None:
         """Note how a read ended that was asked again alone."""
@@ -118,23 +132,6 @@ class Outcomes:
         except BaseException as mistake:
             return mistake
         return error
-
-    def _decode(self, call: Call, reply: bytes, now: float) -> None:
-        """Settle a request with the result that its answer contains."""
-        try:
-            outcome = call.request.decode_response(reply)  # type: ignore[union-attr]
-        except ModbusError as error:
-            self._statistics.invalid += isinstance(error, InvalidResponse)
-            error.received = self._matching.received_with(call, reply)
-            self._fail(error, call, now)
-        except BaseException as mistake:  # of the class of the request
-            self._statistics.note(call.function, "invalid")
-            call.settle(mistake)
-        else:
-            self._note_answer(call, "ok", now)
-            call.settle(outcome)
-            if not self._matching.has_ids:
-                self._matching.conclude(call, None, now)
 
     def _note_answer(self, call: Call, result: str, now: float) -> None:
         """Count a valid answer; it proves that the device is alive."""
