@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Final
 
 from ..protocol.checks import integer, seconds
-from ..protocol.errors import ModbusError
+from ..protocol.errors import MAX_RECEIVED, ModbusError, ModbusTimeoutError, in_hex
 from ..protocol.pdu import MAX_PDU, Request
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MAX_IN_FLIGHT",
+    "MAX_KEPT",
     "NOT_ASKED",
     "Batch",
     "Call",
@@ -35,11 +36,15 @@ __all__ = [
     "Phase",
     "Timeouts",
     "encoded",
+    "no_answer",
     "raised",
 ]
 
 NOT_ASKED: Final = object()
 """The outcome of a request that has none yet, or was never sent."""
+
+MAX_KEPT = MAX_RECEIVED
+"""The most received bytes that errors contain; more bytes would not help."""
 
 # The buffers of two sockets hold this many requests and answers of full length. With more, each
 # side might wait for the other one to read before it goes on.
@@ -363,6 +368,26 @@ class Matching(ABC):
     def is_missing(self, number: int) -> bool:
         """Return True if the answer to a request that was given up has not come yet."""
         return False
+
+
+def no_answer(timeout: float, received: bytes, *, is_held: bool = False) -> ModbusTimeoutError:
+    """
+    Return the error for a request that got no answer, with the bytes received instead.
+
+    Args:
+        is_held: True if an answer came, but too late to see whether another one follows (`Line`).
+    """
+    if is_held:
+        return ModbusTimeoutError(
+            f"within {timeout:g} s it is unknown whether {in_hex(received)} answers this request "
+            "or an earlier one",
+            received=received,
+        )
+    if received:
+        return ModbusTimeoutError(
+            f"no complete answer within {timeout:g} s, but {in_hex(received)}", received=received
+        )
+    return ModbusTimeoutError(f"no answer within {timeout:g} s")
 
 
 def encoded(request: object, name: str, index: int, is_broadcast: bool) -> bytes:

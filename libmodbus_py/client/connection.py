@@ -33,9 +33,8 @@ from ..protocol.errors import (
 )
 from . import reconnecting
 from .call import Batch, Call, Matching, Phase
-from .hints import add_hint, explain_end
 from .ids import Ids
-from .outcomes import Outcomes
+from .outcomes import Outcomes, add_hint, explain_end
 from .queue import Queue, Window
 from .reconnecting import Notices, Reconnecting
 from .statistics import Statistics

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 
 from ..protocol.errors import FrameError, InvalidResponse
 from ..protocol.framing import Frame, Framer, Framing, make_framer, mbap
-from .call import Call, Matching
-from .hints import MAX_KEPT, no_answer
+from .call import MAX_KEPT, Call, Matching, no_answer
 from .statistics import Statistics
 
 if TYPE_CHECKING:

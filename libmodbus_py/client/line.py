@@ -58,8 +58,7 @@ from ..protocol.errors import (
 )
 from ..protocol.framing import LINE_FEED, AsciiFramer, Frame, Framer, delimiter_after, make_framer
 from .answers import Answers
-from .call import Call, Matching, Phase
-from .hints import MAX_KEPT, no_answer
+from .call import MAX_KEPT, Call, Matching, Phase, no_answer
 from .statistics import Statistics
 
 __all__ = ["Line"]

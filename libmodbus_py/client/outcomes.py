@@ -1,11 +1,14 @@
 """
-The outcome of each request: its result, its error, or a repetition.
+The outcome of each request: its result, its error with the likely mistake, or a repetition.
 """
 
 from __future__ import annotations
 
+import errno
+import re
 from typing import TYPE_CHECKING
 
+from ..ports.schemes import SCHEMES
 from ..protocol.errors import (
     Acknowledge,
     ExceptionResponse,
@@ -16,8 +19,8 @@ from ..protocol.errors import (
     ServerDeviceBusy,
     alike,
 )
+from ..protocol.framing import crc16, is_one_frame
 from .call import Call, Phase
-from .hints import add_hint, explain, explain_role
 from .queue import Queue
 from .reconnecting import Reconnecting
 from .statistics import Statistics, result_of
@@ -26,12 +29,18 @@ if TYPE_CHECKING:
     from ..ports.endpoint import Endpoint
     from ..ports.port import Port
 
-__all__ = ["Outcomes"]
+__all__ = ["Outcomes", "add_hint", "explain", "explain_end"]
 
 BUSY = (Acknowledge, ServerDeviceBusy)
 
 # A busy device is asked again after this pause, which is doubled each time up to the longest.
 BUSY_PAUSE_S, LONGEST_BUSY_PAUSE_S = 0.1, 1.0
+
+
+PLAIN = tuple(scheme for scheme, (_, transport) in SCHEMES.items() if transport == "tcp")
+"""The schemes of connections without TLS."""
+
+ASCII_FRAME = rb":[0-9A-Fa-f]{6}"
 
 
 class Outcomes:
@@ -126,7 +135,7 @@ class Outcomes:
             if error.received and call.adu and not is_answer:
                 add_hint(error, explain(self._scheme, call.adu, error.received))
             if isinstance(error, IllegalFunction):
-                add_hint(error, explain_role(self._port.certificate))
+                add_hint(error, _explain_role(self._port.certificate))
             if isinstance(error, ModbusTimeoutError) and self._window.is_at_one:
                 add_hint(error, "this device takes one request at a time (max_in_flight=1)")
         except BaseException as mistake:
@@ -185,3 +194,90 @@ class Outcomes:
 
 def _is_busy(reply: bytes) -> bool:
     return reply[0] >= 0x80 and reply[1:] == bytes([ServerDeviceBusy.code])
+
+
+# --- likely mistakes ---------------------------------------------------------------------------
+
+
+def add_hint(error: ModbusError, hint: str) -> None:
+    """Append a hint, unless it is empty, to the message of an error."""
+    error.args = (f"{error.args[0]}; {hint}",) if hint else error.args
+
+
+def explain(scheme: str, sent: bytes, received: bytes) -> str:
+    """
+    Return the likely mistake; an empty string if none is recognised.
+
+    Args:
+        scheme: the scheme of the endpoint's URL.
+        sent: the request as it was sent.
+        received: the received bytes, which are not an answer.
+    """
+    framing, _ = SCHEMES[scheme]  # type: ignore[index]
+    if scheme in PLAIN and _looks_tls(received):
+        return "this looks like tls://"
+    if framing in ("rtu", "ascii") and received.startswith(sent):
+        return "the request itself came back; echo=True?"
+    for looks_so, other in _LOOKS.items():
+        if other != framing and framing != "udp" and looks_so(received):
+            is_on_tcp = scheme.endswith("tcp") and other != "tcp"
+            return f"this looks like {other}{'+tcp' * is_on_tcp}://"
+    if scheme == "rtu" and not _has_start(sent, received):
+        return "only noise; baud rate, parity, A and B swapped?"
+    return ""
+
+
+def explain_end(scheme: str, number: int | None) -> str:
+    """
+    Return the likely mistake if a connection ended before any answer arrived over it.
+
+    Args:
+        scheme: the scheme of the endpoint's URL.
+        number: the number of the error, or None.
+    """
+    is_ended = number in (errno.ECONNRESET, errno.EPIPE)
+    return "nothing was answered yet; does it want tls://?" if scheme in PLAIN and is_ended else ""
+
+
+def _explain_role(certificate: bytes | None) -> str:
+    """
+    Return why a server may have refused a function: the role in the client's own certificate.
+
+    Args:
+        certificate: the certificate in DER; None without TLS, where there is no reason to give.
+    """
+    if certificate is None:
+        return ""
+    try:
+        from ..security.role import role_of
+
+        role = role_of(certificate)
+    # Without cryptography, or a descriptor to import it; or the SSLContext was given.
+    except (ImportError, OSError, ValueError):
+        return "the server may allow it to other roles only"
+    if role is None:
+        return "the server may allow it to some roles only, and this certificate has none"
+    return f"the server may allow it to other roles than {role!r}"
+
+
+def _looks_tls(data: bytes) -> bool:
+    """Return True if bytes begin like the header of a TLS record (RFC 8446, 5.1)."""
+    return len(data) >= 5 and data[0] in range(20, 24) and data[1] == 3 and data[2] <= 4
+
+
+def _looks_ascii(data: bytes) -> bool:
+    return re.search(ASCII_FRAME, data) is not None
+
+
+def _looks_rtu(data: bytes) -> bool:
+    return any(crc16(data[:end]) == 0 for end in range(5, min(len(data), 256) + 1))
+
+
+_LOOKS = {_looks_ascii: "ascii", is_one_frame: "tcp", _looks_rtu: "rtu"}
+
+
+def _has_start(sent: bytes, received: bytes) -> bool:
+    """Return True if the bytes contain the unit and the function of the request."""
+    unit, function = sent[0], sent[1]
+    starts = (bytes([unit, function]), bytes([unit, function | 0x80]))
+    return any(start in received for start in starts)
