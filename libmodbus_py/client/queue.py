@@ -1,4 +1,3 @@
-# LEADER TO HELPER: read /tmp/w/client/LEADER_PLEASE_READ.md now (the first loss must not cost a whole timeout), then remove this line.
 """
 The order of the requests of one connection, and how many may be in flight.
 
