@@ -86,19 +86,16 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
     """
 
     def __init__(self, url: str, **options: Unpack[AsyncOptions]) -> None:
-        # Imported here, as in `Context`, and `reads` for the same reason as there.
         from ..ports.endpoint import parse
-        from ..ports.port import make_port
-        from ..protocol.pdu import reads  # noqa: F401
-        from .connection import Transactions
-        from .options import CheckedOptions
 
-        endpoint = parse(url)
-        settings = CheckedOptions.of(endpoint, options, max_pause=MAX_PAUSE, may_send=None)
-        port = make_port(endpoint, settings)
-        connection = Transactions(endpoint, settings, port, IN_FLIGHT)
-        driver = AsyncioDriver(port, connection)
-        super().__init__(endpoint, settings, connection, driver)
+        super().__init__(
+            parse(url),
+            options,
+            lambda endpoint, settings, port, connection: AsyncioDriver(port, connection),
+            IN_FLIGHT,
+            max_pause=MAX_PAUSE,
+            may_send=None,
+        )
         self._last = _Last(self._driver)
 
     async def connect(self) -> None:

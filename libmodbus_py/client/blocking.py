@@ -30,8 +30,10 @@ if TYPE_CHECKING:
         Values,
     )
     from ..ports.endpoint import Endpoint
+    from ..ports.port import Port
     from ..ports.serial import LineSettings, SerialSettings
-    from .options import ContextOptions
+    from .connection import Transactions
+    from .options import CheckedOptions, ContextOptions
 
     class RtuOptions(ContextOptions, LineSettings, total=False):
         """The options of contexts on a serial line."""
@@ -95,22 +97,7 @@ class Context(Handle[BlockingDriver], Procedures, Blocking):
         Context._kinds.update(dict.fromkeys(schemes, cls))
 
     def __init__(self, endpoint: Endpoint, options: Mapping[str, Any]) -> None:
-        # Imported here, because the parts of a client take longer to import than this module, and
-        # some programs make no client. A first read may find no descriptor to import `reads` with.
-        from ..ports.port import make_port
-        from ..protocol.pdu import reads  # noqa: F401
-        from .connection import Transactions
-        from .options import CheckedOptions
-
-        settings = CheckedOptions.of(endpoint, options, native=True)
-        port = make_port(endpoint, settings)
-        connection = Transactions(endpoint, settings, port, MAX_IN_FLIGHT)
-        # C reads and writes the descriptor itself, and knows no ASCII.
-        in_c = endpoint.framing != "ascii" and not endpoint.is_secure
-        is_on_libmodbus = endpoint.has_transactions or port.context is not None
-        native = settings.native and in_c and is_on_libmodbus
-        driver = BlockingDriver(port, connection, native=native)
-        super().__init__(endpoint, settings, connection, driver)
+        super().__init__(endpoint, options, _make_driver, MAX_IN_FLIGHT, native=True)
 
     @staticmethod
     def from_url(address: str, **options: Unpack[UrlOptions]) -> Context:
@@ -348,6 +335,15 @@ class AsciiContext(Context, schemes=("ascii",)):
 
     def __init__(self, device: str, baudrate: int = 19200, **options: Unpack[RtuOptions]) -> None:
         super().__init__(*_on_line("ascii", device, baudrate, options))
+
+
+def _make_driver(
+    endpoint: Endpoint, settings: CheckedOptions, port: Port, connection: Transactions
+) -> BlockingDriver:
+    # C reads and writes the descriptor itself, and knows no ASCII.
+    in_c = endpoint.framing != "ascii" and not endpoint.is_secure
+    is_on_libmodbus = endpoint.has_transactions or port.context is not None
+    return BlockingDriver(port, connection, native=settings.native and in_c and is_on_libmodbus)
 
 
 def _parsed(url: str, options: UrlOptions) -> tuple[Endpoint, Mapping[str, Any]]:

@@ -5,7 +5,7 @@ A handle to one unit on a connection, blocking or not.
 from __future__ import annotations
 
 import copy
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Mapping
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Generic, Self, Unpack, overload
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ..maps.register_map import AnyMap
     from ..maps.watched import PolledValues
     from ..ports.endpoint import Endpoint
+    from ..ports.port import Port
     from .connection import Transactions
     from .options import CheckedOptions
     from .statistics import Statistics
@@ -41,9 +42,10 @@ class Handle(Generic[Driving]):
     def __init__(
         self,
         endpoint: Endpoint,
-        settings: CheckedOptions,
-        connection: Transactions,
-        driver: Driving,
+        options: Mapping[str, Any],
+        make_driver: Callable[[Endpoint, CheckedOptions, Port, Transactions], Driving],
+        most: int,
+        **usual: Any,
     ) -> None:
         """
         Make a client. These are the options of all clients, with their defaults; times are in
@@ -76,12 +78,21 @@ class Handle(Generic[Driving]):
             may_send=None               requests are sent only while this function returns True
             max_pause=30.0              the longest pause between two attempts to connect
         """
+        # Imported here, because the parts of a client take longer to import than this module, and
+        # some programs make no client. A first read may find no descriptor to import `reads` with.
+        from ..ports.port import make_port
+        from ..protocol.pdu import reads  # noqa: F401
+        from .connection import Transactions
+        from .options import CheckedOptions
+
+        settings = CheckedOptions.of(endpoint, options, **usual)
+        port = make_port(endpoint, settings)
         self._unit = settings.unit
         self._timeouts = settings.timeouts
         self._endpoint = endpoint
-        self._connection = connection
+        self._connection = Transactions(endpoint, settings, port, most)
         self._has_broadcast = endpoint.framing in ("rtu", "ascii")
-        self._driver = driver
+        self._driver = make_driver(endpoint, settings, port, self._connection)
         self._holes: dict[int, Holes] = {}
 
     def for_unit(
