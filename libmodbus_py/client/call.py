@@ -113,7 +113,7 @@ class Call:
             has waited for the connection, for `used` seconds.
         due: when it is to be sent again.
         order: its number among the frames of the connection.
-        company: True if others were in flight while it was.
+        lost_at: when it is lost beside others, and is asked again alone; infinite if it is not.
         is_wanted: False if it is not to be sent again.
         is_under_way: False if its batch has gone on without its outcome.
         tries, busy_tries: how often it was sent again.
@@ -132,7 +132,7 @@ class Call:
     number: int = 0
     earlier: int = -1
     order: int = 0
-    company: bool = False
+    lost_at: float = math.inf
     is_wanted: bool = True
     is_under_way: bool = True
     used: float = 0.0

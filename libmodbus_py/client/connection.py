@@ -377,7 +377,7 @@ class Transactions:
         for call in self._reset(now):
             call.state = ANSWERED
             call.reply = alike(error)
-            call.company = False
+            call.lost_at = math.inf
             self._answered.append(call)
         self.settle(now)
 

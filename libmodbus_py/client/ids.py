@@ -154,14 +154,17 @@ class Ids(Matching):
     def expire(self, now: float) -> list[Call]:
         overdue: list[Call] = []
         for number, call in list(self.pending.items()):
-            if call.deadline > now:
-                self.wake(call.deadline)
+            deadline = call.deadline
+            at = min(deadline, call.lost_at) if call.is_wanted else deadline
+            if at > now:
+                self.wake(at)
                 continue
             del self.pending[number]
             self._abandon(number)
             call.reply = call.reply or self._no_answer(call)
-            self._statistics.timeouts += 1
-            self.unanswered += call.since >= self._answered_at
+            if deadline <= now:
+                self._statistics.timeouts += 1
+                self.unanswered += call.since >= self._answered_at
             overdue.append(call)
         return overdue
 

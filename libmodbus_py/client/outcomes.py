@@ -149,7 +149,7 @@ class Outcomes:
         if self._life.fruitless:
             self._life.prove()
         if self._window.is_open:
-            self._window.answered(call, self._matching.pending)
+            self._window.answered(call, took, self._matching.pending)
 
     def _fail(self, error: ModbusError, call: Call, now: float) -> None:
         if isinstance(error, ExceptionResponse):

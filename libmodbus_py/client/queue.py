@@ -12,11 +12,12 @@ requests that arrive together, so it is found out:
 
 1. A write is alone: nothing else is in flight while it is, and those before it are over.
 2. Reads: one, then two, four and so on, as long as all of them are answered.
-3. A read that was sent beside others and gets no answer in time, or is refused because the device
-   is busy, is asked again alone.
+3. A read that was sent beside others is lost if it gets no answer within a quarter of its timeout,
+   or within twice the time of the slowest answer if that is longer; or if it is refused because the
+   device is busy. It is asked again alone.
 4. If it is answered then, the device takes one request at a time: all clients of this process send
    one at a time to this endpoint, for the life of the process. If its first answer came meanwhile,
-   too late, the device was only slow: half as many may be in flight on this connection.
+   the device was only slow: half as many may be in flight on this connection.
 5. A unit that does not answer even alone is not asked again alone until it answers.
 
 `max_in_flight`, if it is given, sets the number, and none of these five rules applies; then a write
@@ -25,6 +26,7 @@ is not repeated once another one has been sent.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Collection, Hashable, Mapping
 from typing import TYPE_CHECKING
@@ -41,6 +43,9 @@ __all__ = ["ONE_AT_A_TIME", "Queue", "Window"]
 
 ONE_AT_A_TIME: set[Hashable] = set()
 """The places of the endpoints that take one request at a time; see rule 4."""
+
+# Rule 3: this share of the timeout of a read, and this multiple of the slowest answer.
+SHARE, TIMES_SLOWEST = 0.25, 2.0
 
 
 class Window:
@@ -69,6 +74,7 @@ class Window:
         self._now = 1 if self.is_open else most
         self._count = 0  # answers since the number was changed
         self._was_full = self.is_open  # since then; one request is all that may be in flight
+        self._slowest = 0.0  # seconds
         self._statistics = statistics
 
     @property
@@ -86,14 +92,23 @@ class Window:
         self.silent.clear()
         if self.is_open:
             self._now, self._bound, self._count, self._was_full = 1, self._most, 0, True
+            self._slowest = 0.0
 
     def sent(self, others: int) -> None:
         """Note that a request is sent while so many others are in flight."""
         if others + 1 >= self._now:
             self._was_full = True
 
-    def answered(self, call: Call, pending: Mapping[int, Call]) -> None:
+    def limit_wait(self, call: Call) -> None:
+        """Set when a read that is in flight beside others is lost; see rule 3."""
+        if not call.changes and (call.unit, call.pdu[0]) not in self.silent:
+            wait = max(SHARE * call.timeouts.timeout, TIMES_SLOWEST * self._slowest)
+            call.lost_at = call.sent_at + wait
+
+    def answered(self, call: Call, took: float, pending: Mapping[int, Call]) -> None:
         """Note a valid answer; the number doubles once so many, and all before, were answered."""
+        if took > self._slowest:
+            self._slowest = took
         if self.silent:
             self.silent.discard((call.unit, call.pdu[0]))
         if self._was_full and self._now < self._bound:
@@ -106,10 +121,8 @@ class Window:
     def is_lost(self, error: ModbusError, call: Call) -> bool:
         """Return True if a read that failed is asked again alone; see rule 3."""
         return (
-            self.is_open
-            and call.company
+            call.lost_at < math.inf
             and call.is_wanted
-            and not call.changes
             and isinstance(error, TimeoutError | ServerDeviceBusy)
             and (call.unit, call.pdu[0]) not in self.silent
         )
@@ -222,10 +235,10 @@ class Queue:
 
     def note_company(self, call: Call, others: int) -> None:
         """Note that a read is sent while so many others are in flight."""
-        call.company = True
-        if others == 1:
-            for each in self.matching.pending.values():
-                each.company = True
+        beside = self.matching.pending.values() if others == 1 else [call]
+        for each in beside:
+            self.window.limit_wait(each)
+            self.matching.wake(each.lost_at)
         self.window.sent(others)
 
     def choose_alone(self, now: float) -> list[Call]:
@@ -237,7 +250,7 @@ class Queue:
                 continue
             if call.is_wanted and (call.unit, call.pdu[0]) not in self.window.silent:
                 call.due = now
-                call.company = False
+                call.lost_at = math.inf
                 self.again.append(call)
                 self.alone = call
                 break

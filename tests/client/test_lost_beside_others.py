@@ -46,8 +46,8 @@ def test_the_number_does_not_grow_where_nobody_asks_more() -> None:
     assert talk.connection.room == 2
 
 
-def test_a_read_is_lost_when_its_time_is_over() -> None:
-    talk = grown()
+def test_a_read_is_lost_after_a_quarter_of_its_timeout() -> None:
+    talk = grown(timeout=4)
     sent = len(talk.sent)
     one, other = talk.ask(1), talk.ask(2)
     talk.come(tcp(talk.sent[-1]))
@@ -61,8 +61,23 @@ def test_a_read_is_lost_when_its_time_is_over() -> None:
     assert talk.connection.room == talk.statistics.falls == 1
 
 
+def test_a_read_is_not_lost_before_twice_the_time_of_the_slowest_answer() -> None:
+    talk = grown(timeout=4)
+    slow = talk.ask(1)
+    talk.wait(1.5)
+    talk.come(tcp(talk.sent[-1]))
+    assert slow.outcomes == [[1]]
+    sent = len(talk.sent)
+    talk.ask(1), talk.ask(2)
+    talk.come(tcp(talk.sent[-1]))
+    talk.wait(2.99)
+    assert len(talk.sent) == sent + 2
+    talk.wait(0.01)
+    assert len(talk.sent) == sent + 3
+
+
 def test_nothing_is_sent_beside_the_repetition_nor_before_it() -> None:
-    talk = grown()
+    talk = grown(timeout=4)
     one, other = talk.ask(1), talk.ask(2)
     talk.wait(0.5)
     third = talk.ask(3)
@@ -108,7 +123,7 @@ def test_a_repetition_has_its_own_time() -> None:
     talk = grown()
     one, other = talk.ask(1), talk.ask(2)
     talk.come(tcp(talk.sent[-1]))
-    talk.wait(1.9)
+    talk.wait(1.2)
     assert (one.is_done, other.is_done) == (False, True)
     talk.wait(0.1)
     assert kinds(one) == [ModbusTimeoutError]
@@ -156,9 +171,9 @@ def test_a_caller_who_leaves_holds_nobody_up(when: str) -> None:
     talk = grown()
     one, other = talk.ask(1), talk.ask(2)
     if when == "before the repetition":
-        talk.wait(0.5)
+        talk.wait(0.1)
         third = talk.ask(3)  # in flight while the two are lost
-        talk.wait(0.6)
+        talk.wait(0.2)
         talk.cancel(one)
         talk.come(tcp(talk.sent[-1]))
         assert third.outcomes == [[3]]
@@ -208,7 +223,7 @@ def test_what_was_lost_beside_others_is_counted_as_sent_again() -> None:
         talk.come(tcp(talk.sent[-1]))
     assert [each.outcomes for each in batches] == [[[1]], [[2]], [[3]]]
     assert (len(talk.sent), talk.statistics.retries) == (sent + 6, 3)
-    assert talk.statistics.timeouts == 3
+    assert talk.statistics.timeouts == 0
 
 
 def test_what_nobody_answers_alone_either_is_not_sent_again() -> None:

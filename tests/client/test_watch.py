@@ -81,7 +81,7 @@ class Wall:
         if self.kind == "asyncio":
             return self.loop.run_until_complete(self._await(most, during, what, options))
         found = []
-        with Client(self.device.url, native=False, timeout=0.4) as plc:
+        with Client(self.device.url, native=False, timeout=0.5) as plc:
             for values in plc.watch(what, **options):
                 found.append((self.now, values))
                 if during is not None:
@@ -92,7 +92,7 @@ class Wall:
 
     async def _await(self, most: int, during: Any, what: Any, options: Any) -> list[Any]:
         found = []
-        async with AsyncClient(self.device.url, timeout=0.4, max_pause=0) as plc:
+        async with AsyncClient(self.device.url, timeout=0.5, max_pause=0) as plc:
             async for values in plc.watch(what, **options):
                 found.append((self.now, values))
                 if during is not None and (doing := during(plc)) is not None:

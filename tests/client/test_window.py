@@ -91,15 +91,16 @@ def test_a_device_that_takes_many_gets_many(world: World, scheme: str) -> None:
 def test_a_device_that_loses_requests_loses_no_value(
     world: World, scheme: str, places: int
 ) -> None:
-    """It costs one timeout; from then on one is in flight, and none is lost."""
+    """It costs a quarter of the timeout once; from then on one is in flight, and none is lost."""
     peer = world.peer(scheme, Device(world, places))
-    with world.connect(peer.url, timeout=1) as context:
+    with world.connect(peer.url, timeout=4) as context:
         with world.lasting(200 * 0.005, more=1.2):
             assert context.execute_many(reads(200)) == echoes(200)
         assert context.max_in_flight == 1
         assert context.statistics.falls == 1
+        assert context.statistics.timeouts == 0
         again = context.statistics.retries
-        assert 1 <= again == context.statistics.timeouts < 16
+        assert 1 <= again < 16
         with world.lasting(200 * 0.005, more=0.2):
             assert context.execute_many(reads(200)) == echoes(200)
         assert context.statistics.retries == again
@@ -233,7 +234,7 @@ def test_one_dead_request_holds_others_up_once(world: World, scheme: str) -> Non
             write(echo(request))
 
     peer = world.peer(scheme, but_five)
-    with world.connect(peer.url, timeout=1) as context, world.lasting(2, more=0.1):
+    with world.connect(peer.url, timeout=1) as context, world.lasting(1.25, more=0.1):
         found = context.execute_many(reads(100), return_exceptions=True)
         assert isinstance(found[5], ModbusTimeoutError)
         assert found[:5] + found[6:] == echoes(5) + echoes(100)[6:]
