@@ -289,6 +289,19 @@ def test_a_late_answer_that_comes_twice_is_the_answer_to_nothing_else(copies: in
     assert talk.statistics.late_answers == copies
 
 
+def test_a_read_that_is_not_to_be_sent_again_keeps_its_whole_time() -> None:
+    """As where a gateway's client has left: its answer may still come."""
+    talk = grown()
+    batches = [talk.ask(1), talk.ask(2)]
+    batches[0].calls[0].is_wanted = False
+    talk.wait(0.99)
+    assert not any(each.is_done for each in batches)
+    talk.wait(0.01)
+    assert kinds(batches[0]) == [ModbusTimeoutError]
+    talk.come(tcp(talk.sent[-1]))  # the second one, alone
+    assert batches[1].outcomes == [[2]]
+
+
 # --- which requests --------------------------------------------------------------------------
 
 READS = [
