@@ -14,6 +14,7 @@ Looked at after each event:
     stale       a value of the same request from before it was asked
     told        a write that was told as refused was carried out, or one that succeeded was not
     order       an older write was sent after a newer one
+    beside      a request was in flight beside a write
     doubt       a request was sent in DOUBT
     endless     a wait longer than the timeouts and silences add up to
     spoiled     usual requests still fail after the first few behind the last fault
@@ -100,7 +101,7 @@ ACTS: dict[str, Act] = {
 ONLY_WITH_IDS = {"swallowed": Act((), 0, does=False)}
 
 # What a caller does: the requests that it makes at once, and what comes before or behind.
-MOVES = ("A", "B", "C", "F", "W", "pause A", "cancelled", "AB", "WW", "AW", "lost", "given up")
+MOVES = ("A", "B", "C", "F", "W", "pause A", "cancelled", "AB", "WAW", "AW", "lost", "given up")
 
 
 class Asked(NamedTuple):
@@ -237,6 +238,9 @@ class World:
         self.events += 1
         for adu in connection.start(self.now):
             self.receive(adu)
+        pending = connection.matching.pending.values()
+        if len(pending) > 1 and any(call.changes for call in pending):
+            self.errors.add("beside")
         arrival = self.arrivals[0][0] if self.arrivals else math.inf
         at = min(arrival, connection.alarm)
         if at > until or at == math.inf:
