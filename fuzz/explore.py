@@ -14,6 +14,7 @@ Looked at after each event:
     stale       a value of the same request from before it was asked
     told        a write that was told as refused was carried out, or one that succeeded was not
     order       an older write was sent after a newer one
+    beside      a request was in flight beside a write
     doubt       a request was sent in DOUBT
     endless     a wait longer than the timeouts and silences add up to
     spoiled     usual requests still fail after the first few behind the last fault
@@ -39,7 +40,7 @@ from dataclasses import dataclass, field
 from itertools import accumulate, combinations, product
 from typing import Any, NamedTuple
 
-from libmodbus_py.client.call import NOT_ASKED, Call, Timeouts
+from libmodbus_py.client.call import Call, Phase, Timeouts
 from libmodbus_py.client.connection import Transactions
 from libmodbus_py.client.options import CheckedOptions
 from libmodbus_py.client.queue import ONE_AT_A_TIME
@@ -100,7 +101,7 @@ ACTS: dict[str, Act] = {
 ONLY_WITH_IDS = {"swallowed": Act((), 0, does=False)}
 
 # What a caller does: the requests that it makes at once, and what comes before or behind.
-MOVES = ("A", "B", "C", "F", "W", "pause A", "cancelled", "AB", "WW", "AW", "lost", "given up")
+MOVES = ("A", "B", "C", "F", "W", "pause A", "cancelled", "AB", "WAW", "AW", "lost", "given up")
 
 
 class Asked(NamedTuple):
@@ -237,6 +238,9 @@ class World:
         self.events += 1
         for adu in connection.start(self.now):
             self.receive(adu)
+        pending = connection.matching.pending.values()
+        if len(pending) > 1 and any(call.changes for call in pending):
+            self.errors.add("beside")
         arrival = self.arrivals[0][0] if self.arrivals else math.inf
         at = min(arrival, connection.alarm)
         if at > until or at == math.inf:
@@ -273,7 +277,7 @@ class World:
 
     def wait(self, calls: list[Call], until: float = math.inf) -> None:
         begun, most = self.now, (4 + 3 * len(calls)) * (1 + self.retries) * TIMEOUT
-        while any(call.outcome is NOT_ASKED and call.state.name != "OVER" for call in calls):
+        while self.has_open(calls):
             if not self.step(until) and self.has_open(calls):
                 self.errors.add("endless")
                 return
@@ -284,7 +288,7 @@ class World:
             self.judge(next(each for each in self.asked if each.call is call))
 
     def has_open(self, calls: list[Call]) -> bool:
-        return any(call.outcome is NOT_ASKED and call.state.name != "OVER" for call in calls)
+        return not all(call.is_done for call in calls)
 
     def judge(self, asked: Asked) -> None:
         outcome = asked.call.outcome
@@ -311,7 +315,7 @@ class World:
             self.acts = [act]
             call = self.ask("A")
             self.idle(1.0)
-            if call.state.name == "SENT":
+            if call.state is Phase.SENT:
                 self.doubted[1, 3] = self.now
             connection.withdraw(call, self.now)
             return
@@ -319,7 +323,7 @@ class World:
             self.acts = [act]
             call = self.ask("A")
             self.idle(1.0)
-            was_sent = call.state.name == "SENT"
+            was_sent = call.state is Phase.SENT
             error = ModbusConnectionError("gone")
             connection.lost(error, self.now, by_itself=move == "lost")
             self.arrivals = [] if self.has_ids else self.arrivals

@@ -16,12 +16,11 @@ From the caller to the wire:
     asyncio_driver     waits in an event loop, with one reader and one timer
     connection         when each request is sent, and its outcome; without sockets or clocks
       queue            which request is next, and how many may be in flight
-      outcomes         what becomes of a request: a result, an error, a repetition
+      outcomes         what becomes of a request: a result, an error with the likely mistake, a
+                       repetition
       ids              which answer belongs to which request, by transaction ids
       line             the same on lines, where frames have no ids: a table of states
       answers          earlier answers on a line, with which others are compared
-      hints            what errors say, and likely causes of bytes that are not an answer
-    notices            calls of user functions that wait until a change is complete
-    reconnecting       times of attempts to connect again; State
+    reconnecting       times of attempts to connect again; State; calls of user functions
     statistics         counters of a connection; Statistics
 """

@@ -5,17 +5,17 @@ The asyncio client.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Any, Self, TypeVar, Unpack, overload
 
 from ..protocol import pdu
-from ..protocol.checks import integer, seconds
-from ..protocol.errors import InvalidResponse, ModbusError
+from ..protocol.checks import integer
+from ..protocol.errors import ModbusError
 from .asyncio_driver import AsyncioDriver
-from .call import MAX_IN_FLIGHT, Call, Phase, encoded, raised
+from .call import Call, Phase, raised
 from .handle import Handle
-from .polling import AwaitedPolls, interval_of, watched
 from .procedures import Procedures
-from .requests import Awaiting, ChangeRegister, Several
+from .requests import Awaiting
 
 if TYPE_CHECKING:
     from ..maps.plan import (
@@ -29,15 +29,16 @@ if TYPE_CHECKING:
         Tolerant,
         Values,
     )
-    from ..maps.register_map import AnyMap
-    from ..maps.watched import PolledValues
     from .options import AsyncOptions
 
 __all__ = ["IN_FLIGHT", "MAX_PAUSE", "AsyncClient", "Submitted"]
 
 Result = TypeVar("Result")
 
+# Seconds: a device that was switched on again is back after half a minute at most.
 MAX_PAUSE = 30.0
+
+# Servers need not accept more requests at once (TCP guide, 4.3.3).
 IN_FLIGHT = 16
 
 
@@ -85,19 +86,16 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
     """
 
     def __init__(self, url: str, **options: Unpack[AsyncOptions]) -> None:
-        # Imported here, as in `Context`, and `reads` for the same reason as there.
         from ..ports.endpoint import parse
-        from ..ports.port import make_port
-        from ..protocol.pdu import reads  # noqa: F401
-        from .connection import Transactions
-        from .options import CheckedOptions
 
-        endpoint = parse(url)
-        settings = CheckedOptions.of(endpoint, options, max_pause=MAX_PAUSE, may_send=None)
-        port = make_port(endpoint, settings)
-        connection = Transactions(endpoint, settings, port, IN_FLIGHT)
-        driver = AsyncioDriver(port, connection)
-        super().__init__(endpoint, settings, connection, driver)
+        super().__init__(
+            parse(url),
+            options,
+            lambda endpoint, settings, port, connection: AsyncioDriver(port, connection),
+            IN_FLIGHT,
+            max_pause=MAX_PAUSE,
+            may_send=None,
+        )
         self._last = _Last(self._driver)
 
     async def connect(self) -> None:
@@ -148,7 +146,7 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
         timeout: float | None = None,
         retries: int | None = None,
     ) -> Result:
-        call = self._call(request, timeout, retries)
+        call = self._call(self._unit, request, timeout, retries)
         await self._driver.run(call)
         result: Result = call.outcome
         if isinstance(result, BaseException):
@@ -179,9 +177,7 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
         """
         if type(unit) is not int or not 0 <= unit <= 255:
             unit = integer("unit", unit, 0, 255)
-        is_broadcast = unit == 0 and self._has_broadcast
-        encoding = encoded(request, "request", 0, is_broadcast)
-        call = Call(unit, request, encoding, self._timeouts, is_broadcast)
+        call = self._call(unit, request, None, None)
         self._driver.ask(call, on_done)
         return Submitted(call, self._driver)
 
@@ -244,80 +240,18 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
     ) -> Any:
         return await self._read_many(items, max_in_flight, return_exceptions, options)
 
-    @overload
-    def watch(
-        self,
-        what: AnyMap,
-        *,
-        every: float,
-        names: Iterable[str] | None = None,
-        max_in_flight: int = 16,
-        **options: Unpack[PlanOptions],
-    ) -> AwaitedPolls[PolledValues]: ...
-    @overload
-    def watch(  # type: ignore[overload-overlap]
-        self,
-        what: Named[Key],
-        *,
-        every: float,
-        max_in_flight: int = 16,
-        **options: Unpack[PlanOptions],
-    ) -> AwaitedPolls[dict[Key, Values | ModbusError]]: ...
-    @overload
-    def watch(
-        self,
-        what: Iterable[Item],
-        *,
-        every: float,
-        max_in_flight: int = 16,
-        **options: Unpack[PlanOptions],
-    ) -> AwaitedPolls[list[Values | ModbusError]]: ...
-    @overload
-    def watch(self, what: Plan, *, every: float, max_in_flight: int = 16) -> AwaitedPolls[Any]: ...
-    def watch(
-        self,
-        what: AnyMap | Plan | Items,
-        *,
-        every: float,
-        names: Iterable[str] | None = None,
-        max_in_flight: int = 16,
-        **options: Unpack[PlanOptions],
-    ) -> AwaitedPolls[Any]:
-        interval = seconds("every", every, 0.01)
-        polled = watched(what, names, interval, options)
-        integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
-        return AwaitedPolls(
-            interval_of(polled, interval),
-            lambda at: self._poll(polled, max_in_flight, at),
-            self._driver.loop_time,
-            self._driver.wait_until,
-            lambda: self.closed,
-        )
-
     async def _follow(self, make: Any, arguments: Any, named: Any) -> Any:
-        """Carry out a procedure."""
-        steps = make(self, *arguments, **named)
-        try:
-            step = next(steps)
-            while True:
-                step = steps.send(await self._take(step))
-        except StopIteration as done:
-            return done.value
-        except InvalidResponse as error:
-            raise self._named(error) from None
-
-    async def _take(self, step: pdu.Request[Any] | Several | ChangeRegister) -> Any:
-        if isinstance(step, ChangeRegister):
-            async with self._driver.changing:
-                (register,) = await self.execute(pdu.ReadHoldingRegisters(step.request.address, 1))
-                return await self.execute(step.write(register))
-        if not isinstance(step, Several):
-            return await self.execute(step)
-        batch = self._batch(step.requests, step.max_in_flight, step.return_exceptions)
-        await self._driver.run(batch)
-        outcomes = batch.outcomes
-        raised(outcomes, step.returned)
-        return outcomes
+        jobs = self._jobs(make(self, *arguments, **named))
+        async with AsyncExitStack() as stack:
+            try:
+                while True:
+                    job = next(jobs)
+                    if job is None:
+                        await stack.enter_async_context(self._driver.lock)
+                    else:
+                        await self._driver.run(job)
+            except StopIteration as done:
+                return done.value
 
 
 class Submitted:

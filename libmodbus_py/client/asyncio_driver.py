@@ -24,7 +24,6 @@ from ..protocol.checks import finished, log_failure
 from ..protocol.errors import ModbusConnectionError
 from .call import Batch, Call
 from .connection import Transactions, forbidden
-from .polling import PollWaits
 from .reconnecting import FORKED, State
 
 if TYPE_CHECKING:
@@ -48,8 +47,8 @@ class AsyncioDriver:
 
     def _begin_anew(self) -> None:
         self._loop: asyncio.AbstractEventLoop | None = None
-        # Held by the task that reads, changes and writes a register.
-        self.changing: asyncio.Lock = asyncio.Lock()
+        # Held by a task that reads, changes and writes registers.
+        self.lock: asyncio.Lock = asyncio.Lock()
         self._now: Callable[[], float] = monotonic  # the clock of the loop, once there is one
         self._attempt: asyncio.Task[None] | None = None
         self._attempt_until = 0.0
@@ -62,7 +61,7 @@ class AsyncioDriver:
         self._is_inside = False
         self._is_telling = False
         self._ended: deque[Call | Batch] = deque()
-        self._pauses = PollWaits()
+        self._closed = asyncio.Event()
 
     def now(self) -> float:
         """Return the time by which timeouts are measured."""
@@ -85,8 +84,10 @@ class AsyncioDriver:
             RuntimeError: the client belongs to another event loop.
         """
         loop = self._bind()
-        if self._life.state is not State.CLOSED:
-            await self._pauses.until(at, loop)
+        if at > loop.time():
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout_at(at):
+                    await self._closed.wait()
         return self._life.state is not State.CLOSED
 
     async def run(self, job: Call | Batch) -> None:
@@ -190,7 +191,7 @@ class AsyncioDriver:
         self._close_port()
         self._connection.closed(closed, self._now())
         self._cancel_timers()
-        self._pauses.end()
+        self._closed.set()
 
     def _forget(self) -> None:
         if self._attempt is not None and self._loop is not None and not self._loop.is_closed():
@@ -204,12 +205,8 @@ class AsyncioDriver:
             alarm.cancel()
 
     def abandon(self) -> None:
-        """
-        Forget the connection and the loop in a forked child: they belong to the parent.
-
-        The child shares the epoll of that loop, so nothing is removed from it. The child may use
-        the client in another loop; the first request there reports that the connection was lost.
-        """
+        """Forget the connection and the loop in a forked child, which may use another loop."""
+        # Nothing is removed from the epoll of the parent's loop, which the child shares.
         self._port.abandon()
         self._callers.clear()
         self._begin_anew()
@@ -218,8 +215,8 @@ class AsyncioDriver:
 
     def change_timeout(self) -> None:
         """Note that some `Timeouts` were changed."""
-        self._connection.change_timeout(self._now())
-        if self._loop is not None:
+        if self._loop is not None and not self._loop.is_closed():
+            self._connection.change_timeout(self._now())
             self._set_timer()
 
     def _bind(self) -> asyncio.AbstractEventLoop:

@@ -5,18 +5,17 @@ The blocking client: a context for each kind of endpoint.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar, Unpack, overload
 
 from ..ports.schemes import DEFAULT_PORT, PARITIES, SECURE_PORT, SERIAL_OPTIONS, Scheme, options_of
 from ..protocol import pdu
-from ..protocol.checks import integer, seconds
-from ..protocol.errors import InvalidResponse, ModbusError
+from ..protocol.errors import ModbusError
 from .blocking_driver import BlockingDriver
 from .call import MAX_IN_FLIGHT, raised
 from .handle import Handle
-from .polling import Polls, interval_of, watched
 from .procedures import Procedures
-from .requests import Blocking, ChangeRegister, Several
+from .requests import Blocking
 
 if TYPE_CHECKING:
     from ..maps.plan import (
@@ -30,11 +29,11 @@ if TYPE_CHECKING:
         Tolerant,
         Values,
     )
-    from ..maps.register_map import AnyMap
-    from ..maps.watched import PolledValues
     from ..ports.endpoint import Endpoint
+    from ..ports.port import Port
     from ..ports.serial import LineSettings, SerialSettings
-    from .options import ContextOptions
+    from .connection import Transactions
+    from .options import CheckedOptions, ContextOptions
 
     class RtuOptions(ContextOptions, LineSettings, total=False):
         """The options of contexts on a serial line."""
@@ -98,22 +97,7 @@ class Context(Handle[BlockingDriver], Procedures, Blocking):
         Context._kinds.update(dict.fromkeys(schemes, cls))
 
     def __init__(self, endpoint: Endpoint, options: Mapping[str, Any]) -> None:
-        # Imported here, because the parts of a client take longer to import than this module, and
-        # some programs make no client. A first read may find no descriptor to import `reads` with.
-        from ..ports.port import make_port
-        from ..protocol.pdu import reads  # noqa: F401
-        from .connection import Transactions
-        from .options import CheckedOptions
-
-        settings = CheckedOptions.of(endpoint, options, native=True)
-        port = make_port(endpoint, settings)
-        connection = Transactions(endpoint, settings, port, MAX_IN_FLIGHT)
-        # C reads and writes the descriptor itself, and knows no ASCII.
-        in_c = endpoint.framing != "ascii" and not endpoint.is_secure
-        is_on_libmodbus = endpoint.has_transactions or port.context is not None
-        native = settings.native and in_c and is_on_libmodbus
-        driver = BlockingDriver(port, connection, native=native)
-        super().__init__(endpoint, settings, connection, driver)
+        super().__init__(endpoint, options, _make_driver, MAX_IN_FLIGHT, native=True)
 
     @staticmethod
     def from_url(address: str, **options: Unpack[UrlOptions]) -> Context:
@@ -172,7 +156,7 @@ class Context(Handle[BlockingDriver], Procedures, Blocking):
         timeout: float | None = None,
         retries: int | None = None,
     ) -> Result:
-        call = self._call(request, timeout, retries)
+        call = self._call(self._unit, request, timeout, retries)
         self._driver.run(call)
         result: Result = call.outcome
         if isinstance(result, BaseException):
@@ -207,80 +191,18 @@ class Context(Handle[BlockingDriver], Procedures, Blocking):
     ) -> Any:
         return self._read_many(items, max_in_flight, return_exceptions, options)
 
-    @overload
-    def watch(
-        self,
-        what: AnyMap,
-        *,
-        every: float,
-        names: Iterable[str] | None = None,
-        max_in_flight: int = 16,
-        **options: Unpack[PlanOptions],
-    ) -> Polls[PolledValues]: ...
-    @overload
-    def watch(  # type: ignore[overload-overlap]
-        self,
-        what: Named[Key],
-        *,
-        every: float,
-        max_in_flight: int = 16,
-        **options: Unpack[PlanOptions],
-    ) -> Polls[dict[Key, Values | ModbusError]]: ...
-    @overload
-    def watch(
-        self,
-        what: Iterable[Item],
-        *,
-        every: float,
-        max_in_flight: int = 16,
-        **options: Unpack[PlanOptions],
-    ) -> Polls[list[Values | ModbusError]]: ...
-    @overload
-    def watch(self, what: Plan, *, every: float, max_in_flight: int = 16) -> Polls[Any]: ...
-    def watch(
-        self,
-        what: AnyMap | Plan | Items,
-        *,
-        every: float,
-        names: Iterable[str] | None = None,
-        max_in_flight: int = 16,
-        **options: Unpack[PlanOptions],
-    ) -> Polls[Any]:
-        interval = seconds("every", every, 0.01)
-        polled = watched(what, names, interval, options)
-        integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
-        return Polls(
-            interval_of(polled, interval),
-            lambda at: self._poll(polled, max_in_flight, at),
-            self._driver.now,
-            self._driver.wait_until,
-            lambda: self.closed,
-        )
-
     def _follow(self, make: Any, arguments: Any, named: Any) -> Any:
-        """Carry out a procedure."""
-        steps = make(self, *arguments, **named)
-        try:
-            step = next(steps)
-            while True:
-                step = steps.send(self._take(step))
-        except StopIteration as done:
-            return done.value
-        except InvalidResponse as error:
-            raise self._named(error) from None
-
-    def _take(self, step: pdu.Request[Any] | Several | ChangeRegister) -> Any:
-        if isinstance(step, ChangeRegister):
-            with self._driver.lock:  # requests of other threads wait
-                (register,) = self.execute(pdu.ReadHoldingRegisters(step.request.address, 1))
-                return self.execute(step.write(register))
-        if not isinstance(step, Several):
-            return self.execute(step)
-        batch = self._batch(step.requests, step.max_in_flight, step.return_exceptions)
-        self._driver.run(batch)
-        outcomes = batch.outcomes
-        raised(outcomes, step.returned)
-        return outcomes
+        jobs = self._jobs(make(self, *arguments, **named))
+        with ExitStack() as stack:
+            try:
+                while True:
+                    job = next(jobs)
+                    if job is None:
+                        stack.enter_context(self._driver.lock)
+                    else:
+                        self._driver.run(job)
+            except StopIteration as done:
+                return done.value
 
 
 class Client(Context):
@@ -413,6 +335,15 @@ class AsciiContext(Context, schemes=("ascii",)):
 
     def __init__(self, device: str, baudrate: int = 19200, **options: Unpack[RtuOptions]) -> None:
         super().__init__(*_on_line("ascii", device, baudrate, options))
+
+
+def _make_driver(
+    endpoint: Endpoint, settings: CheckedOptions, port: Port, connection: Transactions
+) -> BlockingDriver:
+    # C reads and writes the descriptor itself, and knows no ASCII.
+    in_c = endpoint.framing != "ascii" and not endpoint.is_secure
+    is_on_libmodbus = endpoint.has_transactions or port.context is not None
+    return BlockingDriver(port, connection, native=settings.native and in_c and is_on_libmodbus)
 
 
 def _parsed(url: str, options: UrlOptions) -> tuple[Endpoint, Mapping[str, Any]]:

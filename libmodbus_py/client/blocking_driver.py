@@ -83,6 +83,7 @@ class BlockingDriver:
 
     Attributes:
         waker: waits, on the clock of the port.
+        lock: while a thread holds it, only that thread can send.
     """
 
     def __init__(self, port: Port, connection: Transactions, *, native: bool) -> None:
@@ -102,7 +103,7 @@ class BlockingDriver:
     def _start_anew(self) -> None:
         # Reentrant, so that a signal handler that sends a request during another one gets an error
         # and does not wait forever.
-        self._lock = threading.RLock()
+        self.lock = threading.RLock()
         self._is_busy = False
         self._is_left = False
 
@@ -130,16 +131,6 @@ class BlockingDriver:
             self._pauses.discard(waker)
             waker.close()
 
-    @property
-    def lock(self) -> threading.RLock:
-        """The lock of the connection: while a thread holds it, only that thread can send."""
-        return self._lock
-
-    @property
-    def closed(self) -> bool:
-        """True once `close` was called."""
-        return self._closed
-
     def run(self, job: Call | Batch) -> None:
         """
         Send requests; return when they are over.
@@ -150,7 +141,7 @@ class BlockingDriver:
         Raises:
             RuntimeError: called from within a request of the same thread.
         """
-        lock = self._lock
+        lock = self.lock
         with lock:
             if self._is_busy:
                 raise RuntimeError(
@@ -184,13 +175,13 @@ class BlockingDriver:
         self.waker.wake()
         for waker in tuple(self._pauses):
             waker.wake()
-        if self._lock.acquire(timeout=LEAVING_S):
+        if self.lock.acquire(timeout=LEAVING_S):
             try:
                 if not self._is_busy:
                     self._shut()
                     self._notices.give()
             finally:
-                self._lock.release()
+                self.lock.release()
 
     def abandon(self) -> None:
         """Forget the connection in a forked child: it belongs to the parent."""
@@ -231,7 +222,7 @@ class BlockingDriver:
             carrier = self._carrier if isinstance(job, Call) and not job.is_silent else None
             while not job.is_done:
                 now = now or self._now()
-                if lock is not self._lock:  # a callback or a signal handler forked
+                if lock is not self.lock:  # a callback or a signal handler forked
                     raise ModbusConnectionError(FORKED, errno=errno.EBADF)
                 try:
                     if self._life.is_open:

@@ -4,25 +4,31 @@ One request from its submission to its outcome, and several requests of one call
     WAITING    in the queue, or waiting for its repetition
     SENT       in flight: its answer, or the end of its time, is awaited
     ANSWERED   its reply is here, and not yet decoded
-    OVER       it has its outcome, or no caller waits for it any more
 
-A `Call` belongs to the connection from `Transactions.submit` until it is OVER. A `Batch` only
-counts: it says which of its calls may be submitted next, and when all that matter are over.
+It is over (`is_done`) when it has its outcome, or no caller waits for it any more; until then it
+belongs to the connection. A `Batch` only counts: it says which of its calls may be submitted next,
+and when all that matter are over.
 """
 
 from __future__ import annotations
 
 import enum
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 from ..protocol.checks import integer, seconds
-from ..protocol.errors import ModbusError
+from ..protocol.errors import MAX_RECEIVED, ModbusError, ModbusTimeoutError, in_hex
 from ..protocol.pdu import MAX_PDU, Request
+
+if TYPE_CHECKING:
+    from ..ports.trace import Trace
+    from .statistics import Statistics
 
 __all__ = [
     "MAX_IN_FLIGHT",
+    "MAX_KEPT",
     "NOT_ASKED",
     "Batch",
     "Call",
@@ -30,11 +36,15 @@ __all__ = [
     "Phase",
     "Timeouts",
     "encoded",
+    "no_answer",
     "raised",
 ]
 
 NOT_ASKED: Final = object()
 """The outcome of a request that has none yet, or was never sent."""
+
+MAX_KEPT = MAX_RECEIVED
+"""The most received bytes that errors contain; more bytes would not help."""
 
 # The buffers of two sockets hold this many requests and answers of full length. With more, each
 # side might wait for the other one to read before it goes on.
@@ -76,10 +86,6 @@ class Phase(enum.Enum):
     WAITING = enum.auto()
     SENT = enum.auto()
     ANSWERED = enum.auto()
-    OVER = enum.auto()
-
-
-WAITING, OVER = Phase.WAITING, Phase.OVER
 
 
 class Call:
@@ -102,12 +108,12 @@ class Call:
         on_done: called with the call when it has its outcome; not for calls of a batch.
         reply: the PDU of the answer, or the exception in its place; `answerer`: its unit.
         adu: the frame that was sent last, or nothing; `number`: its transaction id.
-        earlier: the transaction id of the frame sent before, if its answer is still taken; or -1.
+        earlier: the transaction id of the frame sent before, if that was not answered; or -1.
         sent_at: when the frame was sent; `since`: when its time began, which is sooner if the call
             has waited for the connection, for `used` seconds.
         due: when it is to be sent again.
         order: its number among the frames of the connection.
-        company: True if others were in flight while it was.
+        lost_at: when it is lost beside others, and is asked again alone; infinite if it is not.
         is_wanted: False if it is not to be sent again.
         is_under_way: False if its batch has gone on without its outcome.
         tries, busy_tries: how often it was sent again.
@@ -117,7 +123,7 @@ class Call:
     batch: Batch | None = None
     is_silent: bool = False
     is_done: bool = False
-    state: Phase = WAITING
+    state: Phase = Phase.WAITING
     outcome: Any = NOT_ASKED
     on_done: Callable[[Call], object] | None = None
     reply: bytes | BaseException | None = None
@@ -126,7 +132,7 @@ class Call:
     number: int = 0
     earlier: int = -1
     order: int = 0
-    company: bool = False
+    lost_at: float = math.inf
     is_wanted: bool = True
     is_under_way: bool = True
     used: float = 0.0
@@ -170,7 +176,6 @@ class Call:
         if self.is_done:
             return
         self.is_done = True
-        self.state = OVER
         self.outcome = outcome
         if self.batch is not None:
             self.batch.count(self)
@@ -184,7 +189,6 @@ class Call:
     def forget(self) -> None:
         """Note that no caller waits for the outcome any more."""
         self.is_done = True
-        self.state = OVER
 
 
 class Batch:
@@ -267,7 +271,7 @@ class Batch:
     def _cut(self, failed: Call) -> None:
         """Forget the calls behind one that failed."""
         for call in self.calls[self.calls.index(failed) + 1 :]:
-            if call.state is not OVER:
+            if not call.is_done:
                 self._open -= 1
                 call.forget()
         self.waiting.clear()
@@ -282,33 +286,108 @@ class Batch:
     def fail(self, error: BaseException) -> None:
         """End the batch, with this error as the outcome of all requests that have none yet."""
         for call in self.calls:
-            if call.state is not OVER:
+            if not call.is_done:
                 call.settle(error)
 
 
-class Matching(Protocol):
-    """The interface that `Ids` and `Line` implement; see there."""
+class Matching(ABC):
+    """
+    Decides which answer belongs to which request of a connection: `Ids` by transaction ids, `Line`
+    on lines without them, where one request is in flight at a time.
 
-    has_ids: bool
-    alarm: float
-    unanswered: int
-    unasked: int
-    is_in_step: bool
-    is_traced: bool
-    rest: bytes | bytearray
+    Attributes:
+        has_ids: True if frames have transaction ids.
+        pending: requests in flight, by their ids, in the order in which they were sent.
+        alarm: the time at which `expire` must be called; may be too early, but never too late.
+        unanswered: the number of requests without an answer since the last answer arrived.
+        unasked: the number of bytes received since the last request was sent, while no answer was
+            awaited.
+        rest: the beginning of a frame whose end was not received yet.
+        is_in_step: False once the stream of bytes cannot be understood any more.
+        is_traced: True if the trace is told of all frames.
+    """
 
-    @property
-    def pending(self) -> dict[int, Call]: ...
-    def may_start(self, call: Call, now: float) -> bool: ...
-    def ready_at(self, unit: int, function: int | None = None) -> float: ...
-    def start(self, call: Call, now: float) -> None: ...
-    def take_back(self) -> Call: ...
-    def take(self, data: bytes, now: float) -> list[Call]: ...
-    def expire(self, now: float) -> list[Call]: ...
-    def withdraw(self, call: Call, now: float) -> bool: ...
-    def received_with(self, call: Call, pdu: bytes) -> bytes: ...
-    def conclude(self, call: Call, error: Exception | None, now: float) -> None: ...
-    def reset(self, now: float) -> list[Call]: ...
+    has_ids = False
+
+    def __init__(self, statistics: Statistics, trace: Trace) -> None:
+        self.pending: dict[int, Call] = {}
+        self.alarm: float = math.inf
+        self.unanswered: int = 0
+        self.unasked: int = 0
+        self.rest: bytes | bytearray = b""
+        self.is_in_step: bool = True
+        self.is_traced: bool = trace.is_on()
+        self._statistics = statistics
+        self._trace = trace
+
+    def wake(self, at: float) -> None:
+        """Set the alarm, unless there is an earlier one."""
+        if at < self.alarm:
+            self.alarm = at
+
+    def may_start(self, call: Call, now: float) -> bool:
+        """Return True if a request may be sent now; else set `alarm` and the end of its wait."""
+        return True
+
+    def ready_at(self, unit: int, function: int | None = None) -> float:
+        """Return when a unit may get a request of this, or any, function; 0.0 if it may at once."""
+        return 0.0
+
+    @abstractmethod
+    def start(self, call: Call, now: float) -> None:
+        """Encode the frame of a request, and expect the answer from now on."""
+
+    @abstractmethod
+    def take_back(self) -> Call:
+        """Return the only request in flight, which was not sent after all."""
+
+    @abstractmethod
+    def take(self, data: bytes, now: float) -> list[Call]:
+        """Return the requests that received bytes answer, with their replies."""
+
+    @abstractmethod
+    def received_with(self, call: Call, pdu: bytes) -> bytes:
+        """Return the received bytes that contained the PDU of an answer."""
+
+    @abstractmethod
+    def conclude(self, call: Call, error: Exception | None, now: float) -> None:
+        """Draw conclusions from how a request ended."""
+
+    @abstractmethod
+    def expire(self, now: float) -> list[Call]:
+        """Return the requests whose time is over, with their errors, or whose HOLD is."""
+
+    @abstractmethod
+    def withdraw(self, call: Call, now: float) -> bool:
+        """Expect only a late answer to a request; return True if it was in flight."""
+
+    @abstractmethod
+    def reset(self, now: float) -> list[Call]:
+        """Return the requests in flight, and begin with the next connection."""
+
+    def is_missing(self, number: int) -> bool:
+        """Return True if the answer to a request that was given up has not come yet."""
+        return False
+
+
+def no_answer(timeout: float, received: bytes, *, is_held: bool = False) -> ModbusTimeoutError:
+    """
+    Return the error for a request that got no answer, with the bytes received instead.
+
+    Args:
+        is_held: True if an answer came, but too late to see whether another one follows (`Line`).
+    """
+    if is_held:
+        return ModbusTimeoutError(
+            f"within {timeout:g} s it is unknown whether {in_hex(received)} answers this request "
+            "or an earlier one",
+            received=received,
+        )
+    if received:
+        return ModbusTimeoutError(
+            f"no complete answer within {timeout:g} s, but {in_hex(received)}", received=received
+        )
+    return ModbusTimeoutError(f"no answer within {timeout:g} s")
 
 
 def encoded(request: object, name: str, index: int, is_broadcast: bool) -> bytes:

@@ -29,17 +29,14 @@ from ..protocol.errors import (
     FrameError,
     ModbusConnectionError,
     ModbusError,
-    ModbusTimeoutError,
     alike,
 )
 from . import reconnecting
 from .call import Batch, Call, Matching, Phase
-from .hints import add_hint, explain_end
 from .ids import Ids
-from .notices import Notices
-from .outcomes import Outcomes
+from .outcomes import Outcomes, add_hint, explain_end
 from .queue import Queue, Window
-from .reconnecting import Reconnecting
+from .reconnecting import Notices, Reconnecting
 from .statistics import Statistics
 
 if TYPE_CHECKING:
@@ -49,7 +46,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Transactions", "forbidden"]
 
-WAITING, SENT, ANSWERED, OVER = Phase.WAITING, Phase.SENT, Phase.ANSWERED, Phase.OVER
+WAITING, SENT, ANSWERED = Phase.WAITING, Phase.SENT, Phase.ANSWERED
 
 # A connection is flooded if more bytes than this arrive that belong to no request.
 MAX_UNASKED_BYTES = 1 << 16
@@ -69,7 +66,7 @@ class Transactions:
         most: the most requests in flight, unless the settings contain a number.
 
     Attributes:
-        in_flight: how many requests are in flight now, without reads to be asked again alone.
+        in_flight: how many requests are in flight now.
         broken: the reason to replace the connection by a new one, or None.
         is_flooded: True if so many bytes arrived that belong to no request that it is no accident.
         is_guarded: True if `may_send` was given, and must be called before each request.
@@ -94,7 +91,8 @@ class Transactions:
             str(port),
             settings.max_pause,
             self.statistics,
-            settings.on_state and self.notices.delaying(settings.on_state),
+            self.notices,
+            settings.on_state,
         )
         self.window: Window = Window(
             endpoint, (limit or most) if has_ids else 1, limit is not None, self.statistics
@@ -117,15 +115,7 @@ class Transactions:
         self._is_socket = not endpoint.is_serial
         self._settings = settings
         self._queue = Queue(self.matching, self.window, is_ordered=has_ids and limit is None)
-        self._outcomes = Outcomes(
-            endpoint,
-            port,
-            self._queue,
-            self.matching,
-            self.window,
-            self.life,
-            self.statistics,
-        )
+        self._outcomes = Outcomes(endpoint, port, self._queue, self.life, self.statistics)
         self._silent: list[tuple[float, Call]] = []  # calls without an answer, and when they end
         self._answered: list[Call] = []
         self._next_start = 0.0
@@ -161,7 +151,7 @@ class Transactions:
             if refusal is not None:
                 self._outcomes.refuse(call, refusal)
                 return
-            self._wake(call.deadline)
+            self.matching.wake(call.deadline)
         elif call.request is None:
             call.settle(None)
             return
@@ -177,20 +167,19 @@ class Transactions:
 
     def _let_go(self, call: Call, now: float) -> bool:
         """Stop waiting for a request whose caller is gone; return True if it was in flight."""
-        is_lost = call in self._queue.lost
         self._queue.remove(call)
         was_in_flight = self.matching.withdraw(call, now)
         if was_in_flight:
             self.statistics.note(call.function, "cancelled")
-            self.in_flight -= not is_lost
+            self.in_flight -= 1
         for due, each in self._silent:
             if each is call:
-                self._wake(due)  # it stays in flight until then, because the line is in use
+                self.matching.wake(due)  # it stays in flight until then, because the line is in use
         return was_in_flight
 
     def change_timeout(self, now: float) -> None:
         """Note that some `Timeouts` were changed."""
-        self._wake(now)
+        self.matching.wake(now)
 
     def is_allowed(self) -> bool:
         """Return what `may_send` returns; True without it, False if it fails or returns neither."""
@@ -215,9 +204,7 @@ class Transactions:
             return adus
         if queue.lost and not self.in_flight and queue.alone is None:
             for other in queue.choose_alone(now):
-                if other.state is SENT:  # its time is not over yet
-                    self.in_flight += 1
-                elif isinstance(other.reply, ModbusError):
+                if isinstance(other.reply, ModbusError):
                     self._outcomes.go_on_without(other.reply, other, now)
         matching.is_traced = self._trace.is_on()
         while (call := queue.next(now, self.in_flight)) is not None:
@@ -247,7 +234,7 @@ class Transactions:
                 self._break("given up for a new connection")
             return False
         if now < self._next_start:
-            self._wake(self._next_start)
+            self.matching.wake(self._next_start)
             return False
         return True
 
@@ -281,7 +268,7 @@ class Transactions:
         self.in_flight += 1
         if call.is_silent:
             self._silent.append((now + self._settings.turnaround, call))
-            self._wake(now + self._settings.turnaround)
+            self.matching.wake(now + self._settings.turnaround)
         if call.batch is not None and (follower := call.batch.next()) is not None:
             self._queue.waiting.append(follower)
         if self.matching.is_traced:
@@ -297,10 +284,6 @@ class Transactions:
         self.in_flight = 0
         self.statistics.requests -= 1
         self._queue.waiting.appendleft(call)
-
-    def _wake(self, at: float) -> None:
-        if at < self.matching.alarm:
-            self.matching.alarm = at
 
     # --- the connection -----------------------------------------------------------------------
 
@@ -329,40 +312,34 @@ class Transactions:
                 have more time wait for the next attempt.
         """
         later: set[Call] = set()
-        try:
-            self.life.failed(error, now)
-            if error.errno == errno.ETIMEDOUT:
-                later = {
-                    call
-                    for call in self._queue.calls
-                    if call.deadline > until and self.life.refusal(now, call.deadline) is None
-                }
-        finally:  # even if `on_state` raises
-            self.refuse(error, later)
+        self.life.failed(error, now)
+        if error.errno == errno.ETIMEDOUT:
+            later = {
+                call
+                for call in self._queue.calls
+                if call.deadline > until and self.life.refusal(now, call.deadline) is None
+            }
+        self.refuse(error, later)
 
     def lost(self, error: ModbusConnectionError, now: float, *, by_itself: bool = True) -> None:
         """Note the end of the connection: requests in flight fail, others wait for a new one."""
         if by_itself and self.life.fruitless and self.in_flight:
             add_hint(error, explain_end(self._scheme, error.errno))
-        try:
-            self.life.lost(error, now, by_itself=by_itself)
-        finally:
-            self._fail_all(error, now)
+        self.life.lost(error, now, by_itself=by_itself)
+        self._fail_all(error, now)
         # A connection that was given up as dead has taken its time, and the next one may be alive.
         if by_itself and self.life.fruitless >= LOSSES_BEFORE_END:
             self.refuse(error)
         for call in list(self._queue.waiting):  # their time to wait for the next one begins
             self._queue.remove(call)
-            if call.state is not OVER:
+            if not call.is_done:
                 self.submit(call, now)
 
     def closed(self, error: ModbusConnectionError, now: float) -> None:
         """Note that the client was closed: all requests fail, now and later."""
-        try:
-            self.life.close()
-        finally:
-            self._fail_all(error, now)
-            self.refuse(error)
+        self.life.close()
+        self._fail_all(error, now)
+        self.refuse(error)
 
     def interrupted(self, error: ModbusConnectionError, now: float) -> None:
         """Forget all requests, whose callers were interrupted, and give up the connection."""
@@ -380,7 +357,7 @@ class Transactions:
         """Return the requests in flight, and reset the state of the previous connection."""
         queue = self._queue
         calls = [*self.matching.reset(now), *(call for _, call in self._silent)]
-        calls += [call for call in queue.lost if call not in calls]
+        calls += queue.lost
         queue.lost.clear()
         self.window.reset()
         self.broken = None
@@ -400,16 +377,14 @@ class Transactions:
         for call in self._reset(now):
             call.state = ANSWERED
             call.reply = alike(error)
-            call.company = False
+            call.lost_at = math.inf
             self._answered.append(call)
         self.settle(now)
 
     def refuse(self, error: ModbusError, later: Collection[Call] = ()) -> None:
         """Fail all requests that wait, except some."""
         for call in self._queue.drain(later):
-            if call.state is SENT:  # it is not asked again alone, but may still be answered
-                self.in_flight += 1
-            elif call.state is not OVER:
+            if not call.is_done:
                 self._outcomes.refuse(call, error)
 
     # --- answers ------------------------------------------------------------------------------
@@ -418,31 +393,19 @@ class Transactions:
         """Take received bytes; `settle` decodes the answers."""
         matching = self.matching
         for data in chunks:
-            self._note_ends(matching.take(data, now), now)
+            self._note_ends(matching.take(data, now))
         if matching.unasked > MAX_UNASKED_BYTES or not matching.is_in_step:
-            self._note_flood()
+            self.is_flooded = matching.unasked > MAX_UNASKED_BYTES
+            if not matching.is_in_step:
+                self._break("closed, because the received bytes cannot be understood")
+            elif self._is_socket:
+                self._break("flooded with frames that answer no request")
 
-    def _note_flood(self) -> None:
-        self.is_flooded = self.matching.unasked > MAX_UNASKED_BYTES
-        if not self.matching.is_in_step:
-            self._break("closed, because the received bytes cannot be understood")
-        elif self._is_socket:
-            self._break("flooded with frames that answer no request")
-
-    def _note_ends(self, calls: list[Call], now: float) -> None:
+    def _note_ends(self, calls: list[Call]) -> None:
         """End the time in flight of requests; after a good answer, its batch may go on."""
-        lost = self._queue.lost
         for call in calls:
-            if lost and call in lost:
-                if isinstance(call.reply, ModbusTimeoutError):
-                    call.state = WAITING  # it still waits to be asked again alone
-                    continue
-                lost.remove(call)
-                self.window.slow(now - call.sent_at)
-            else:
-                self.in_flight -= 1
-            if call.state is not OVER:
-                call.state = ANSWERED
+            self.in_flight -= 1
+            call.state = ANSWERED
             self._answered.append(call)
             batch = call.batch
             if batch is not None and batch.limit > 1 and call.is_under_way and _is_good(call.reply):
@@ -464,7 +427,7 @@ class Transactions:
 
     def _note_batch(self, call: Call, batch: Batch, now: float) -> None:
         """Let a batch go on after one of its requests, or forget those behind one that failed."""
-        if call.state is OVER and call.is_under_way:
+        if call.is_done and call.is_under_way:
             self._free(batch)
         if isinstance(call.outcome, BaseException):
             self._queue.remove_over()
@@ -480,9 +443,7 @@ class Transactions:
         matching.alarm = math.inf
         self._end_silent(now)
         if self.life.is_open:
-            self._note_ends(matching.expire(now), now)
-            if self.window.is_open and self.in_flight:
-                self.in_flight -= self._queue.find_lost(now)
+            self._note_ends(matching.expire(now))
             if not matching.has_ids:
                 self._end_waits_for_silence(now)
         else:
@@ -500,15 +461,15 @@ class Transactions:
             if call.batch is not None:
                 self._free(call.batch)
         for due, _ in self._silent:
-            self._wake(due)
+            self.matching.wake(due)
 
     def _end_waits(self, now: float) -> None:
         """Fail the requests that have waited too long for a connection."""
         for call in self._queue.calls:
-            if call.state is OVER:
+            if call.is_done:
                 continue
             if call.deadline > now:
-                self._wake(call.deadline)
+                self.matching.wake(call.deadline)
                 continue
             self._queue.remove(call)
             self._outcomes.refuse(call, self.life.not_in_time(call.timeouts.timeout))

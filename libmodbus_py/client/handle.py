@@ -5,21 +5,25 @@ A handle to one unit on a connection, blocking or not.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable
+from collections.abc import Callable, Generator, Iterable, Mapping
 from os import PathLike
-from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Self, Unpack, overload
 
 from ..protocol import pdu
 from ..protocol.checks import integer, seconds
-from ..protocol.errors import InvalidResponse
-from .call import MAX_IN_FLIGHT, Batch, Call, encoded
+from ..protocol.errors import InvalidResponse, ModbusError
+from .call import MAX_IN_FLIGHT, Batch, Call, encoded, raised
+from .polling import Driving, Polls, interval_of, watched
 from .reconnecting import State
+from .requests import LOCK, Several, Steps
 
 if TYPE_CHECKING:
     from ..maps.holes import Holes, Unreadable
-    from ..maps.plan import Plan
+    from ..maps.plan import Item, Items, Key, Named, Plan, PlanOptions, Values
     from ..maps.register_map import AnyMap
+    from ..maps.watched import PolledValues
     from ..ports.endpoint import Endpoint
+    from ..ports.port import Port
     from .connection import Transactions
     from .options import CheckedOptions
     from .statistics import Statistics
@@ -27,28 +31,21 @@ if TYPE_CHECKING:
 __all__ = ["Handle"]
 
 
-class Driver(Protocol):
-    """The part of a driver that handles use."""
-
-    def change_timeout(self) -> None: ...
-
-    def now(self) -> float: ...
-
-
-Driving = TypeVar("Driving", bound=Driver)
-
-
 class Handle(Generic[Driving]):
     """
     The base of both clients: a unit, its timeouts, and the connection that handles share.
     """
 
+    if TYPE_CHECKING:
+        _poll: Any  # of `Procedures`
+
     def __init__(
         self,
         endpoint: Endpoint,
-        settings: CheckedOptions,
-        connection: Transactions,
-        driver: Driving,
+        options: Mapping[str, Any],
+        make_driver: Callable[[Endpoint, CheckedOptions, Port, Transactions], Driving],
+        most: int,
+        **usual: Any,
     ) -> None:
         """
         Make a client. These are the options of all clients, with their defaults; times are in
@@ -81,12 +78,21 @@ class Handle(Generic[Driving]):
             may_send=None               requests are sent only while this function returns True
             max_pause=30.0              the longest pause between two attempts to connect
         """
+        # Imported here, because the parts of a client take longer to import than this module, and
+        # some programs make no client. A first read may find no descriptor to import `reads` with.
+        from ..ports.port import make_port
+        from ..protocol.pdu import reads  # noqa: F401
+        from .connection import Transactions
+        from .options import CheckedOptions
+
+        settings = CheckedOptions.of(endpoint, options, **usual)
+        port = make_port(endpoint, settings)
         self._unit = settings.unit
         self._timeouts = settings.timeouts
         self._endpoint = endpoint
-        self._connection = connection
+        self._connection = Transactions(endpoint, settings, port, most)
         self._has_broadcast = endpoint.framing in ("rtu", "ascii")
-        self._driver = driver
+        self._driver = make_driver(endpoint, settings, port, self._connection)
         self._holes: dict[int, Holes] = {}
 
     def for_unit(
@@ -241,7 +247,47 @@ class Handle(Generic[Driving]):
         """
         raise NotImplementedError
 
-    def watch(self, *args: Any, **kwargs: Any) -> Any:
+    @overload
+    def watch(
+        self,
+        what: AnyMap,
+        *,
+        every: float,
+        names: Iterable[str] | None = None,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> Polls[Driving, PolledValues]: ...
+    @overload
+    def watch(  # type: ignore[overload-overlap]
+        self,
+        what: Named[Key],
+        *,
+        every: float,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> Polls[Driving, dict[Key, Values | ModbusError]]: ...
+    @overload
+    def watch(
+        self,
+        what: Iterable[Item],
+        *,
+        every: float,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> Polls[Driving, list[Values | ModbusError]]: ...
+    @overload
+    def watch(
+        self, what: Plan, *, every: float, max_in_flight: int = 16
+    ) -> Polls[Driving, Any]: ...
+    def watch(
+        self,
+        what: AnyMap | Plan | Items,
+        *,
+        every: float,
+        names: Iterable[str] | None = None,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> Polls[Driving, Any]:
         """
         Read the same points or items again and again, at a steady pace.
 
@@ -275,7 +321,14 @@ class Handle(Generic[Driving]):
             TypeError, ValueError: an argument is wrong; nothing was sent. If `what` is no map, the
                 iterator itself raises ValueError for registers that hold no value of their type.
         """
-        raise NotImplementedError
+        interval = seconds("every", every, 0.01)
+        polled = watched(what, names, interval, options)
+        integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
+        return Polls(
+            self,
+            interval_of(polled, interval),
+            lambda at: self._poll(polled, max_in_flight, at),
+        )
 
     # --- for procedures ----------------------------------------------------------------
 
@@ -297,14 +350,13 @@ class Handle(Generic[Driving]):
 
     # --- for the clients ----------------------------------------------------------------
 
-    @property
-    def _is_broadcast(self) -> bool:
-        return self.unit == 0 and self._has_broadcast
-
-    def _call(self, request: pdu.Request[Any], timeout: float | None, retries: int | None) -> Call:
+    def _call(
+        self, unit: int, request: pdu.Request[Any], timeout: float | None, retries: int | None
+    ) -> Call:
         """Check and encode a request."""
-        timeouts = self._timeouts.but(timeout, retries)
-        unit = self._unit
+        timeouts = self._timeouts
+        if timeout is not None or retries is not None:
+            timeouts = timeouts.but(timeout, retries)
         is_broadcast = unit == 0 and self._has_broadcast
         encoding = encoded(request, "request", 0, is_broadcast)
         return Call(unit, request, encoding, timeouts, is_broadcast)
@@ -325,12 +377,38 @@ class Handle(Generic[Driving]):
             list(requests),
             self._timeouts,
             name="requests[{}]",
-            is_broadcast=self._is_broadcast,
+            is_broadcast=self._unit == 0 and self._has_broadcast,
             limit=limit,
             go_on=bool(go_on),
         )
 
-    def _named(self, error: InvalidResponse) -> InvalidResponse:
-        """Return an error of a procedure with its unit and endpoint."""
-        error.unit, error.endpoint = self.unit, self.url
-        return error
+    def _jobs(self, steps: Steps[Any]) -> Generator[Call | Batch | None, None, Any]:
+        """
+        Follow a procedure, and return its result.
+
+        Yields:
+            What is to be run; None when the lock of the driver is to be held from now on.
+        """
+        job: Call | Batch
+        outcome: Any = None
+        try:
+            while True:
+                step = steps.send(outcome)
+                if step is LOCK:
+                    yield None
+                    continue
+                if isinstance(step, Several):
+                    job = self._batch(step.requests, step.max_in_flight, step.return_exceptions)
+                    yield job
+                    outcome = job.outcomes
+                    raised(outcome, step.returned)
+                else:
+                    job = self._call(self._unit, step, None, None)
+                    yield job
+                    outcome = job.outcome
+                    raised([outcome])
+        except StopIteration as done:
+            return done.value
+        except InvalidResponse as error:
+            error.unit, error.endpoint = self.unit, self.url
+            raise error from None

@@ -8,13 +8,11 @@ a late answer with it may arrive; such an answer is dropped and counted.
 from __future__ import annotations
 
 import copy
-import math
 from typing import TYPE_CHECKING
 
 from ..protocol.errors import FrameError, InvalidResponse
 from ..protocol.framing import Frame, Framer, Framing, make_framer, mbap
-from .call import Call
-from .hints import MAX_KEPT, no_answer
+from .call import MAX_KEPT, Call, Matching, no_answer
 from .statistics import Statistics
 
 if TYPE_CHECKING:
@@ -27,7 +25,7 @@ __all__ = ["Ids"]
 MAX_ABANDONED = 0x8000
 
 
-class Ids:
+class Ids(Matching):
     """
     The requests in flight on one connection, by their transaction ids.
 
@@ -37,16 +35,6 @@ class Ids:
         trace: the trace of the connection.
         any_unit: True to accept answers from other units than that of the request, because some
             devices always answer as unit 255.
-
-    Attributes:
-        pending: the requests in flight, by their ids, in the order in which they were sent.
-        alarm: the time at which `expire` must be called; may be too early, but never too late.
-        unanswered: the number of requests without an answer since the last answer arrived.
-        unasked: the number of bytes received since the last request was sent, while no answer was
-            awaited.
-        rest: the beginning of a frame whose end was not received yet.
-        is_in_step: False once the stream of bytes cannot be understood any more.
-        is_traced: True if the trace is told of all frames.
     """
 
     has_ids = True
@@ -54,33 +42,17 @@ class Ids:
     def __init__(
         self, endpoint: Endpoint, statistics: Statistics, trace: Trace, *, any_unit: bool = False
     ) -> None:
-        self.pending: dict[int, Call] = {}
-        self.alarm: float = math.inf
-        self.unanswered: int = 0
-        self.unasked: int = 0
-        self.is_in_step: bool = True
-        self._statistics = statistics
-        self._trace = trace
+        super().__init__(statistics, trace)
         self._any_unit = any_unit
         self._framing: Framing = endpoint.framing
         self._framer: Framer = make_framer(self._framing, "client")
-        self.rest: bytes | bytearray = self._framer.rest
-        self.is_traced: bool = trace.is_on()
+        self.rest = self._framer.rest
         self._last = 0
         self._abandoned: dict[int, None] = {}
         self._strays = b""
         self._answered_at = 0.0
 
-    def may_start(self, call: Call, now: float) -> bool:
-        """Return True: any request may be sent at any time."""
-        return True
-
-    def ready_at(self, unit: int, function: int | None = None) -> float:
-        """Return 0.0: any request may be sent at any time."""
-        return 0.0
-
     def start(self, call: Call, now: float) -> None:
-        """Encode the frame of a request, and expect the answer from now on."""
         number = self._last + 1 & 0xFFFF
         pending = self.pending
         while number in pending or number in self._abandoned:
@@ -90,8 +62,7 @@ class Ids:
             self._strays = b""
             self.unasked = 0
         if call.adu:
-            # Asked again alone, and the first answer may still come; or a repetition.
-            call.earlier = call.number if pending.get(call.number) is call else -1
+            call.earlier = call.number if isinstance(call.reply, TimeoutError) else -1
             call.reply = None
         call.number = number
         call.adu = mbap(number, call.unit, call.pdu)
@@ -99,14 +70,12 @@ class Ids:
             pending[number] = call
 
     def take_back(self) -> Call:
-        """Return the only request in flight, which was not sent after all."""
         _, call = self.pending.popitem()
         return call
 
     # --- answers --------------------------------------------------------------------------
 
     def take(self, data: bytes, now: float) -> list[Call]:
-        """Return the requests that received bytes answer, with their replies."""
         if not self.pending:
             self.unasked += len(data)
         answered: list[Call] = []
@@ -121,8 +90,6 @@ class Ids:
             if call is None:
                 self._drop(each, now)
                 continue
-            if call.earlier >= 0:
-                self._end_other(call, number)
             call.answerer = unit
             if call.unit == unit or self._any_unit:
                 self.unanswered = 0
@@ -132,16 +99,6 @@ class Ids:
                 call.reply = self._other_unit(each)
             answered.append(call)
         return answered
-
-    def _end_other(self, call: Call, number: int) -> None:
-        """Expect only a late answer to the other one of two frames with the same request."""
-        other = call.earlier if number == call.number else call.number
-        if self.pending.pop(other, None) is not None:
-            self._abandon(other)
-        if number == call.number:
-            call.earlier = -1
-        else:
-            call.number = number  # `earlier` says that the first frame was answered
 
     def _drop(self, frame: Frame, now: float) -> None:
         """Drop a frame. Late answers prove that the server is alive; stray frames do not."""
@@ -176,7 +133,7 @@ class Ids:
             self._trace.tell("received", error.received)
         if not self._framer.in_step:
             self.is_in_step = False
-            for call in dict.fromkeys(self.pending.values()):
+            for call in self.pending.values():
                 call.reply = copy.copy(error)
                 answered.append(call)
             self.pending.clear()
@@ -186,29 +143,29 @@ class Ids:
             self.pending[_number(error.received)].reply = error  # unless the right answer follows
 
     def received_with(self, call: Call, pdu: bytes) -> bytes:
-        """Return the received bytes that contained the PDU of an answer."""
         frame = mbap(call.number, call.answerer, pdu)
         return frame if self.pending else frame + bytes(self.rest)
 
     def conclude(self, call: Call, error: Exception | None, now: float) -> None:
-        """Draw no conclusion from how a request ended."""
+        pass
 
     # --- no answer ------------------------------------------------------------------------
 
     def expire(self, now: float) -> list[Call]:
-        """Return the requests whose time is over, with their errors."""
         overdue: list[Call] = []
         for number, call in list(self.pending.items()):
-            if call.deadline > now:
-                self._wake(call.deadline)
+            deadline = call.deadline
+            at = min(deadline, call.lost_at) if call.is_wanted else deadline
+            if at > now:
+                self.wake(at)
                 continue
             del self.pending[number]
             self._abandon(number)
-            if call not in overdue:
-                call.reply = call.reply or self._no_answer(call)
+            call.reply = call.reply or self._no_answer(call)
+            if deadline <= now:
                 self._statistics.timeouts += 1
                 self.unanswered += call.since >= self._answered_at
-                overdue.append(call)
+            overdue.append(call)
         return overdue
 
     def _no_answer(self, call: Call) -> Exception:
@@ -223,12 +180,14 @@ class Ids:
         return error
 
     def withdraw(self, call: Call, now: float) -> bool:
-        """Expect only a late answer to a request; return True if it was in flight."""
-        numbers = [number for number, each in self.pending.items() if each is call]
-        for number in numbers:
-            del self.pending[number]
-            self._abandon(number)
-        return bool(numbers)
+        if self.pending.get(call.number) is not call:
+            return False
+        del self.pending[call.number]
+        self._abandon(call.number)
+        return True
+
+    def is_missing(self, number: int) -> bool:
+        return number in self._abandoned
 
     def _abandon(self, number: int) -> None:
         self._abandoned[number] = None
@@ -236,8 +195,7 @@ class Ids:
             del self._abandoned[next(iter(self._abandoned))]
 
     def reset(self, now: float) -> list[Call]:
-        """Return all requests in flight, and begin with an empty state on the next connection."""
-        calls = list(dict.fromkeys(self.pending.values()))
+        calls = list(self.pending.values())
         self.unanswered = self.unasked = 0
         self.is_in_step = True
         self._framer = make_framer(self._framing, "client")
@@ -246,10 +204,6 @@ class Ids:
         self._abandoned = {}
         self._strays = b""
         return calls
-
-    def _wake(self, at: float) -> None:
-        if at < self.alarm:
-            self.alarm = at
 
 
 def _number(data: bytes) -> int:

@@ -58,8 +58,7 @@ from ..protocol.errors import (
 )
 from ..protocol.framing import LINE_FEED, AsciiFramer, Frame, Framer, delimiter_after, make_framer
 from .answers import Answers
-from .call import Call, Phase
-from .hints import MAX_KEPT, no_answer
+from .call import MAX_KEPT, Call, Matching, Phase, no_answer
 from .statistics import Statistics
 
 __all__ = ["Line"]
@@ -127,7 +126,7 @@ class Pair:
         self.checked_at: float = now
 
 
-class Line:
+class Line(Matching):
     """
     The request in flight on one line, and the states of the table above.
 
@@ -137,14 +136,7 @@ class Line:
         trace: the trace of the connection.
         silence: the silence of the port.
         delimiter: the byte after CR in ASCII frames.
-
-    Attributes:
-        alarm, unanswered, unasked, rest, is_in_step, is_traced: as for `Ids`.
     """
-
-    has_ids = False
-    is_in_step = True
-    rest: bytes | bytearray = b""
 
     def __init__(
         self,
@@ -155,13 +147,8 @@ class Line:
         silence: Silence,
         delimiter: int = LINE_FEED,
     ) -> None:
-        self.alarm: float = math.inf
-        self.unanswered: int = 0
-        self.unasked: int = 0
-        self.is_traced: bool = trace.is_on()
+        super().__init__(statistics, trace)
         self._endpoint = endpoint
-        self._statistics = statistics
-        self._trace = trace
         self._silence = silence
         self._delimiter = delimiter
         self._echo = Echo(endpoint.options.get("echo"))
@@ -183,15 +170,9 @@ class Line:
             framer.delimiter = self._delimiter
         return framer
 
-    @property
-    def pending(self) -> dict[int, Call]:
-        """Return nothing: no request is sent beside another one."""
-        return {}
-
     # --- asking --------------------------------------------------------------------------
 
     def ready_at(self, unit: int, function: int | None = None) -> float:
-        """Return when a unit may get a request of this, or any, function; 0.0 if it may at once."""
         return max(
             (
                 pair.quiet_at
@@ -202,7 +183,6 @@ class Line:
         )
 
     def may_start(self, call: Call, now: float) -> bool:
-        """Return True if a request may be sent now; else set `alarm` and the end of its wait."""
         ready_at = self._silence.over_at
         pair = self._pairs.get((call.unit, call.pdu[0]))
         if pair is not None and pair.is_doubted and pair.quiet_at > ready_at:
@@ -212,11 +192,10 @@ class Line:
             return True
         if call.waits_until == math.inf:
             call.waits_until = now + TIMEOUTS_OF_SILENCE * call.timeouts.timeout
-        self._wake(min(ready_at, call.waits_until))
+        self.wake(min(ready_at, call.waits_until))
         return False
 
     def start(self, call: Call, now: float) -> None:
-        """Encode the frame of a request, and expect the answer from now on."""
         if self._framer.pending or self._echo.is_holding:
             rest = self._framer.end() + self._echo.forget()
             if self._trace.is_on():
@@ -246,7 +225,6 @@ class Line:
         return pair
 
     def take_back(self) -> Call:
-        """Return the request in flight, which was not sent after all."""
         call, self._call = self._call, None
         assert call is not None
         self._echo.forget()
@@ -255,7 +233,6 @@ class Line:
     # --- bytes ----------------------------------------------------------------------------
 
     def take(self, data: bytes, now: float) -> list[Call]:
-        """Return the request that received bytes answer, with its reply, if they do."""
         self._silence.heard(now)
         self._received += data[: MAX_KEPT - len(self._received)]
         if self._call is None:
@@ -270,7 +247,7 @@ class Line:
         call = self._call
         if call is not None and (self._framer.pending or self._wrong or self._echo.is_holding):
             self._quiet_at = now + (self._framer.quiet or 0.0)
-            self._wake(self._quiet_at)
+            self.wake(self._quiet_at)
             if not self._framer.pending:
                 self._end_if_damaged(call, now)
         ended, self._ended = self._ended, []
@@ -332,7 +309,7 @@ class Line:
         longest = call.timeouts.timeout if slowest is None else TIMES_SLOWEST * slowest
         self._held, self._held_at, self._held_until = pdu, now, now + longest
         call.state = Phase.ANSWERED
-        self._wake(min(self._held_until, call.deadline))
+        self.wake(min(self._held_until, call.deadline))
 
     def _believe(self, call: Call, pdu: bytes, came_at: float, now: float) -> None:
         """Take an answer, and remember it."""
@@ -387,13 +364,11 @@ class Line:
                 self._fail(call, self._wrong, now)
 
     def received_with(self, call: Call, pdu: bytes) -> bytes:
-        """Return the received bytes that contained the PDU of an answer."""
         return bytes(self._received)
 
     # --- no answer ------------------------------------------------------------------------
 
     def expire(self, now: float) -> list[Call]:
-        """Return the request whose time is over, or whose answer was held for long enough."""
         self._end_frame(now)
         call, held = self._call, self._held
         if call is None:
@@ -402,7 +377,7 @@ class Line:
             self._pair(call, now).check(now)
             self._believe(call, held, self._held_at, now)
         elif call.deadline > now:
-            self._wake(call.deadline if held is None else min(self._held_until, call.deadline))
+            self.wake(call.deadline if held is None else min(self._held_until, call.deadline))
         else:
             pair = self._pair(call, now)
             if held is not None and (not pair.is_doubted or pair.owed is call):
@@ -427,7 +402,7 @@ class Line:
         if self._quiet_at is None or self._call is None:
             return
         if self._quiet_at > now:
-            self._wake(self._quiet_at)
+            self.wake(self._quiet_at)
             return
         self._quiet_at = None
         for found in [*self._framer.scan(self._echo.release()), *self._framer.scan_silence()]:
@@ -436,7 +411,6 @@ class Line:
             self._end_if_damaged(self._call, now)
 
     def conclude(self, call: Call, error: Exception | None, now: float) -> None:
-        """Note how a request ended."""
         if error is None:
             if self._endpoint.framing == "ascii":
                 self._follow(call.pdu)
@@ -451,7 +425,6 @@ class Line:
             self._framer = self._make_framer()
 
     def withdraw(self, call: Call, now: float) -> bool:
-        """Note that a caller is gone; return True if the request was in flight."""
         if self._call is not call:
             return False
         self._call = self._held = None
@@ -459,11 +432,7 @@ class Line:
         return True
 
     def reset(self, now: float) -> list[Call]:
-        """
-        Return the request in flight, and begin with the next connection.
-
-        Doubts remain: the units are not on this side of the connection.
-        """
+        # Doubts remain: the units are not on this side of the connection.
         call, self._call = self._call, None
         self._ended.clear()  # left by a Ctrl-C
         self.unanswered = self.unasked = 0
@@ -474,10 +443,6 @@ class Line:
             return []
         self._pair(call, now).doubt(now, call.timeouts.timeout, call)
         return [call]
-
-    def _wake(self, at: float) -> None:
-        if at < self.alarm:
-            self.alarm = at
 
 
 # Reads with a possible answer that is equal to the request: it has the same length.

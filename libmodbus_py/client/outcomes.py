@@ -1,11 +1,14 @@
 """
-The outcome of each request: its result, its error, or a repetition.
+The outcome of each request: its result, its error with the likely mistake, or a repetition.
 """
 
 from __future__ import annotations
 
+import errno
+import re
 from typing import TYPE_CHECKING
 
+from ..ports.schemes import SCHEMES
 from ..protocol.errors import (
     Acknowledge,
     ExceptionResponse,
@@ -16,9 +19,9 @@ from ..protocol.errors import (
     ServerDeviceBusy,
     alike,
 )
-from .call import Call, Matching, Phase
-from .hints import add_hint, explain, explain_role
-from .queue import Queue, Window
+from ..protocol.framing import crc16, is_one_frame
+from .call import Call, Phase
+from .queue import Queue
 from .reconnecting import Reconnecting
 from .statistics import Statistics, result_of
 
@@ -26,12 +29,18 @@ if TYPE_CHECKING:
     from ..ports.endpoint import Endpoint
     from ..ports.port import Port
 
-__all__ = ["Outcomes"]
+__all__ = ["Outcomes", "add_hint", "explain", "explain_end"]
 
 BUSY = (Acknowledge, ServerDeviceBusy)
 
 # A busy device is asked again after this pause, which is doubled each time up to the longest.
 BUSY_PAUSE_S, LONGEST_BUSY_PAUSE_S = 0.1, 1.0
+
+
+PLAIN = tuple(scheme for scheme, (_, transport) in SCHEMES.items() if transport == "tcp")
+"""The schemes of connections without TLS."""
+
+ASCII_FRAME = rb":[0-9A-Fa-f]{6}"
 
 
 class Outcomes:
@@ -48,8 +57,6 @@ class Outcomes:
         endpoint: Endpoint,
         port: Port,
         queue: Queue,
-        matching: Matching,
-        window: Window,
         life: Reconnecting,
         statistics: Statistics,
     ) -> None:
@@ -57,8 +64,8 @@ class Outcomes:
         self._scheme = endpoint.scheme
         self._port = port
         self._queue = queue
-        self._matching = matching
-        self._window = window
+        self._matching = queue.matching
+        self._window = queue.window
         self._life = life
         self._statistics = statistics
 
@@ -67,22 +74,39 @@ class Outcomes:
         if call is self._queue.alone:
             self._queue.alone = None
             if not call.changes:
-                self._end_trial(call, now)
-        if call.state is Phase.OVER:
+                self._end_trial(call)
+        reply = call.reply
+        if call.is_done:
             self._statistics.note(call.function, "cancelled")
-        elif isinstance(call.reply, bytes):
-            self._decode(call, call.reply, now)
-        elif isinstance(call.reply, ModbusError):
-            self._fail(call.reply, call, now)
+        elif isinstance(reply, ModbusError):
+            self._fail(reply, call, now)
+        elif isinstance(reply, bytes):
+            try:
+                outcome = call.request.decode_response(reply)  # type: ignore[union-attr]
+            except ModbusError as error:
+                self._statistics.invalid += isinstance(error, InvalidResponse)
+                error.received = self._matching.received_with(call, reply)
+                self._fail(error, call, now)
+            except BaseException as mistake:  # of the class of the request
+                self._statistics.note(call.function, "invalid")
+                call.settle(mistake)
+            else:
+                self._note_answer(call, "ok", now)
+                call.settle(outcome)
+                if not self._matching.has_ids:
+                    self._matching.conclude(call, None, now)
 
-    def _end_trial(self, call: Call, now: float) -> None:
+    def _end_trial(self, call: Call) -> None:
         """Note how a read ended that was asked again alone."""
         if isinstance(call.reply, ModbusTimeoutError):
             self._window.missed(call)
-        elif call.earlier >= 0:  # the first one was answered late
-            self._window.slow(now - call.due)
-        elif isinstance(call.reply, bytes) and not _is_busy(call.reply):
+            return
+        if not isinstance(call.reply, bytes) or _is_busy(call.reply):
+            return
+        if call.earlier < 0 or self._matching.is_missing(call.earlier):
             self._window.take_one()
+        elif not self._queue.lost:  # once for all that were lost together
+            self._window.halve()
 
     def fail_unsent(self, call: Call, error: ModbusError) -> None:
         """Fail a request that is not sent."""
@@ -111,29 +135,12 @@ class Outcomes:
             if error.received and call.adu and not is_answer:
                 add_hint(error, explain(self._scheme, call.adu, error.received))
             if isinstance(error, IllegalFunction):
-                add_hint(error, explain_role(self._port.certificate))
+                add_hint(error, _explain_role(self._port.certificate))
             if isinstance(error, ModbusTimeoutError) and self._window.is_at_one:
                 add_hint(error, "this device takes one request at a time (max_in_flight=1)")
         except BaseException as mistake:
             return mistake
         return error
-
-    def _decode(self, call: Call, reply: bytes, now: float) -> None:
-        """Settle a request with the result that its answer contains."""
-        try:
-            outcome = call.request.decode_response(reply)  # type: ignore[union-attr]
-        except ModbusError as error:
-            self._statistics.invalid += isinstance(error, InvalidResponse)
-            error.received = self._matching.received_with(call, reply)
-            self._fail(error, call, now)
-        except BaseException as mistake:  # of the class of the request
-            self._statistics.note(call.function, "invalid")
-            call.settle(mistake)
-        else:
-            self._note_answer(call, "ok", now)
-            call.settle(outcome)
-            if not self._matching.has_ids:
-                self._matching.conclude(call, None, now)
 
     def _note_answer(self, call: Call, result: str, now: float) -> None:
         """Count a valid answer; it proves that the device is alive."""
@@ -156,7 +163,7 @@ class Outcomes:
     def go_on_without(self, error: ModbusError, call: Call, now: float) -> None:
         """Send a request again that failed, or settle it."""
         try:
-            if self._window.refuses(error, call):
+            if self._window.is_lost(error, call):
                 call.state, call.reply = Phase.WAITING, error
                 self._queue.lost.append(call)
             elif not self._is_repeated(error, call, now):
@@ -187,3 +194,90 @@ class Outcomes:
 
 def _is_busy(reply: bytes) -> bool:
     return reply[0] >= 0x80 and reply[1:] == bytes([ServerDeviceBusy.code])
+
+
+# --- likely mistakes ---------------------------------------------------------------------------
+
+
+def add_hint(error: ModbusError, hint: str) -> None:
+    """Append a hint, unless it is empty, to the message of an error."""
+    error.args = (f"{error.args[0]}; {hint}",) if hint else error.args
+
+
+def explain(scheme: str, sent: bytes, received: bytes) -> str:
+    """
+    Return the likely mistake; an empty string if none is recognised.
+
+    Args:
+        scheme: the scheme of the endpoint's URL.
+        sent: the request as it was sent.
+        received: the received bytes, which are not an answer.
+    """
+    framing, _ = SCHEMES[scheme]  # type: ignore[index]
+    if scheme in PLAIN and _looks_tls(received):
+        return "this looks like tls://"
+    if framing in ("rtu", "ascii") and received.startswith(sent):
+        return "the request itself came back; echo=True?"
+    for looks_so, other in _LOOKS.items():
+        if other != framing and framing != "udp" and looks_so(received):
+            is_on_tcp = scheme.endswith("tcp") and other != "tcp"
+            return f"this looks like {other}{'+tcp' * is_on_tcp}://"
+    if scheme == "rtu" and not _has_start(sent, received):
+        return "only noise; baud rate, parity, A and B swapped?"
+    return ""
+
+
+def explain_end(scheme: str, number: int | None) -> str:
+    """
+    Return the likely mistake if a connection ended before any answer arrived over it.
+
+    Args:
+        scheme: the scheme of the endpoint's URL.
+        number: the number of the error, or None.
+    """
+    is_ended = number in (errno.ECONNRESET, errno.EPIPE)
+    return "nothing was answered yet; does it want tls://?" if scheme in PLAIN and is_ended else ""
+
+
+def _explain_role(certificate: bytes | None) -> str:
+    """
+    Return why a server may have refused a function: the role in the client's own certificate.
+
+    Args:
+        certificate: the certificate in DER; None without TLS, where there is no reason to give.
+    """
+    if certificate is None:
+        return ""
+    try:
+        from ..security.role import role_of
+
+        role = role_of(certificate)
+    # Without cryptography, or a descriptor to import it; or the SSLContext was given.
+    except (ImportError, OSError, ValueError):
+        return "the server may allow it to other roles only"
+    if role is None:
+        return "the server may allow it to some roles only, and this certificate has none"
+    return f"the server may allow it to other roles than {role!r}"
+
+
+def _looks_tls(data: bytes) -> bool:
+    """Return True if bytes begin like the header of a TLS record (RFC 8446, 5.1)."""
+    return len(data) >= 5 and data[0] in range(20, 24) and data[1] == 3 and data[2] <= 4
+
+
+def _looks_ascii(data: bytes) -> bool:
+    return re.search(ASCII_FRAME, data) is not None
+
+
+def _looks_rtu(data: bytes) -> bool:
+    return any(crc16(data[:end]) == 0 for end in range(5, min(len(data), 256) + 1))
+
+
+_LOOKS = {_looks_ascii: "ascii", is_one_frame: "tcp", _looks_rtu: "rtu"}
+
+
+def _has_start(sent: bytes, received: bytes) -> bool:
+    """Return True if the bytes contain the unit and the function of the request."""
+    unit, function = sent[0], sent[1]
+    starts = (bytes([unit, function]), bytes([unit, function | 0x80]))
+    return any(start in received for start in starts)

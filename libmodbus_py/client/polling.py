@@ -7,19 +7,22 @@ is late, because the device or the program took longer, is left out.
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import Callable
 from math import ceil
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-if TYPE_CHECKING:
-    import asyncio
+from .requests import Awaiting, Blocking
 
+if TYPE_CHECKING:
     from ..maps.plan import Plan
     from ..maps.watched import WatchedPoints
+    from .asyncio_driver import AsyncioDriver
+    from .blocking_driver import BlockingDriver
 
-__all__ = ["AwaitedPolls", "PollWaits", "Polls", "interval_of", "watched"]
+__all__ = ["Driving", "Polls", "interval_of", "watched"]
 
+Driving = TypeVar("Driving", bound="BlockingDriver | AsyncioDriver")
 Values = TypeVar("Values")
 
 
@@ -50,103 +53,49 @@ class Schedule:
         self._polls = round((due - self._begun) / self._interval) + 1
 
 
-class PollWaits:
-    """The waits of an event loop between polls, which all end when the client is closed."""
-
-    def __init__(self) -> None:
-        self._waits: set[asyncio.Future[None]] = set()
-
-    async def until(self, at: float, loop: asyncio.AbstractEventLoop) -> None:
-        """Wait until a time of the loop, or until `end`."""
-        if at <= loop.time():
-            return
-        wait = loop.create_future()
-        timer = loop.call_at(at, _end, wait)
-        self._waits.add(wait)
-        try:
-            await wait
-        finally:
-            self._waits.discard(wait)
-            timer.cancel()
-
-    def end(self) -> None:
-        for wait in self._waits:
-            _end(wait)
-
-
-def _end(wait: asyncio.Future[None]) -> None:
-    if not wait.done():
-        wait.set_result(None)
-
-
-class Polls(Iterator[Values], Generic[Values]):
+class Polls(Generic[Driving, Values]):
     """
-    An endless iterator over the values of a device, made by `watch` of a blocking client.
+    An endless iterator over the values of a device, made by `watch`: for ``for`` with a blocking
+    client, for ``async for`` with an `AsyncClient`.
 
-    It ends when the client is closed, which any thread and signal handlers may do. It holds no
-    resources between two values, so that a loop over it may be left at any time.
+    It ends when the client is closed, which of a blocking client any thread and signal handlers may
+    do. It holds no resources between two values, so that a loop over it may be left at any time;
+    waiting for the next values may be cancelled and started again.
     """
 
-    def __init__(
-        self,
-        interval: float,
-        poll: Callable[[float], Values],
-        now: Callable[[], float],
-        wait: Callable[[float], bool],
-        is_closed: Callable[[], bool],
-    ) -> None:
+    def __init__(self, client: Any, interval: float, poll: Callable[[float], Any]) -> None:
+        self._client = client
+        self._driver: Any = client._driver
         self._schedule = Schedule(interval)
         self._poll = poll
-        self._now = now
-        self._wait = wait
-        self._is_closed = is_closed
 
-    def __iter__(self) -> Iterator[Values]:
+    def __iter__(self: Polls[BlockingDriver, Values]) -> Polls[BlockingDriver, Values]:
         return self
 
-    def __next__(self) -> Values:
-        due = self._schedule.due(self._now())
-        if not self._wait(due):
+    def __next__(self: Polls[BlockingDriver, Values]) -> Values:
+        if isinstance(self._client, Awaiting):
+            raise TypeError("watch of an AsyncClient is for async for")
+        due = self._schedule.due(self._driver.now())
+        if not self._driver.wait_until(due):
             raise StopIteration
         self._schedule.polled(due)
-        values = self._poll(due)
-        if self._is_closed():
+        values: Values = self._poll(due)
+        if self._client.closed:
             raise StopIteration
         return values
 
-
-class AwaitedPolls(AsyncIterator[Values], Generic[Values]):
-    """
-    An endless asynchronous iterator over the values of a device, made by `watch` of `AsyncClient`.
-
-    It ends when the client is closed. It holds no resources between two values, so that a loop over
-    it may be left at any time; waiting for the next values may be cancelled and started again.
-    """
-
-    def __init__(
-        self,
-        interval: float,
-        poll: Callable[[float], Awaitable[Values]],
-        now: Callable[[], float],
-        wait: Callable[[float], Awaitable[bool]],
-        is_closed: Callable[[], bool],
-    ) -> None:
-        self._schedule = Schedule(interval)
-        self._poll = poll
-        self._now = now
-        self._wait = wait
-        self._is_closed = is_closed
-
-    def __aiter__(self) -> AsyncIterator[Values]:
+    def __aiter__(self: Polls[AsyncioDriver, Values]) -> Polls[AsyncioDriver, Values]:
         return self
 
-    async def __anext__(self) -> Values:
-        due = self._schedule.due(self._now())
-        if not await self._wait(due):
+    async def __anext__(self: Polls[AsyncioDriver, Values]) -> Values:
+        if isinstance(self._client, Blocking):
+            raise TypeError("watch of a blocking client is for a plain for, not async for")
+        due = self._schedule.due(self._driver.loop_time())
+        if not await self._driver.wait_until(due):
             raise StopAsyncIteration
         self._schedule.polled(due)
-        values = await self._poll(due)
-        if self._is_closed():
+        values: Values = await self._poll(due)
+        if self._client.closed:
             raise StopAsyncIteration
         return values
 

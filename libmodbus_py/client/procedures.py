@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.errors import IllegalFunction, ModbusError
-from .requests import ChangeRegister, Requests, Several, Steps, follows
+from .requests import LOCK, Requests, Several, Steps, follows
 
 __all__ = ["Procedures"]
 
@@ -96,12 +96,7 @@ class Procedures(Requests):
         if plan is not items:  # what would be learnt of the device would be lost
             answers = yield Several(plan.requests, max_in_flight, return_exceptions)
             return plan.results(answers)
-        answers = yield from _plan_answers(
-            self,
-            plan,
-            max_in_flight,
-            return_exceptions,
-        )
+        answers = yield from _plan_answers(self, plan, max_in_flight, return_exceptions)
         return plan.results(answers)
 
     @follows
@@ -123,12 +118,7 @@ class Procedures(Requests):
     def _poll_plan(self, plan: Plan, max_in_flight: int) -> Steps[Any]:
         from ..maps.point_plan import PointPlan
 
-        answers = yield from _plan_answers(
-            self,
-            plan,
-            max_in_flight,
-            True,
-        )
+        answers = yield from _plan_answers(self, plan, max_in_flight, True)
         if isinstance(plan, PointPlan):
             return plan.results(answers, return_exceptions=True)
         return plan.results(answers)
@@ -299,12 +289,7 @@ class Procedures(Requests):
         from ..maps.register_map import map_of
 
         plan = map_of(map).plan(names, **options)
-        answers = yield from _plan_answers(
-            self,
-            plan,
-            max_in_flight,
-            return_exceptions,
-        )
+        answers = yield from _plan_answers(self, plan, max_in_flight, return_exceptions)
         return plan.results(answers, return_exceptions=return_exceptions)
 
     @follows
@@ -355,8 +340,12 @@ class Procedures(Requests):
                 lacks_masks = isinstance(outcome, IllegalFunction)
                 if isinstance(outcome, ModbusError) and not lacks_masks:
                     raise outcome
-            if lacks_masks:
-                yield ChangeRegister(request)
+                if lacks_masks:
+                    yield LOCK
+            if lacks_masks:  # section 6.16 of the specification says what is written
+                (register,) = yield pdu.ReadHoldingRegisters(request.address, 1)
+                value = register & request.and_mask | request.or_mask & ~request.and_mask
+                yield pdu.WriteRegister(request.address, value & 0xFFFF)
 
 
 def _registers(table: object) -> Any:

@@ -13,11 +13,11 @@ requests that arrive together, so it is found out:
 1. A write is alone: nothing else is in flight while it is, and those before it are over.
 2. Reads: one, then two, four and so on, as long as all of them are answered.
 3. A read that was sent beside others is lost if it gets no answer within a quarter of its timeout,
-   or within twice the time of the slowest answer if that is longer. It is asked again alone, and
-   the answer to either of both is taken.
-4. If the repetition is answered and the first one is not, the device takes one request at a time.
-   Then all clients of this process send one at a time to this endpoint, for the life of the
-   process.
+   or within twice the time of the slowest answer if that is longer; or if it is refused because the
+   device is busy. It is asked again alone.
+4. If it is answered then, the device takes one request at a time: all clients of this process send
+   one at a time to this endpoint, for the life of the process. If its first answer came meanwhile,
+   the device was only slow: half as many may be in flight on this connection.
 5. A unit that does not answer even alone is not asked again alone until it answers.
 
 `max_in_flight`, if it is given, sets the number, and none of these five rules applies; then a write
@@ -26,6 +26,7 @@ is not repeated once another one has been sent.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Collection, Hashable, Mapping
 from typing import TYPE_CHECKING
@@ -39,8 +40,6 @@ if TYPE_CHECKING:
     from .statistics import Statistics
 
 __all__ = ["ONE_AT_A_TIME", "Queue", "Window"]
-
-OVER = Phase.OVER
 
 ONE_AT_A_TIME: set[Hashable] = set()
 """The places of the endpoints that take one request at a time; see rule 4."""
@@ -71,17 +70,17 @@ class Window:
         self.silent: set[tuple[int, int]] = set()
         self._place: Hashable = endpoint.key
         self._name = str(endpoint)
-        self._most = most
+        self._most = self._bound = most
         self._now = 1 if self.is_open else most
         self._count = 0  # answers since the number was changed
         self._was_full = self.is_open  # since then; one request is all that may be in flight
-        self._slowest = 0.0
+        self._slowest = 0.0  # seconds
         self._statistics = statistics
 
     @property
     def limit(self) -> int:
         """The number of requests that may be in flight now."""
-        return 1 if self.is_open and self._place in ONE_AT_A_TIME else self._now
+        return 1 if self.is_at_one else self._now
 
     @property
     def is_at_one(self) -> bool:
@@ -92,59 +91,38 @@ class Window:
         """Begin again for another connection."""
         self.silent.clear()
         if self.is_open:
-            self._now, self._count, self._was_full, self._slowest = 1, 0, True, 0.0
+            self._now, self._bound, self._count, self._was_full = 1, self._most, 0, True
+            self._slowest = 0.0
 
     def sent(self, others: int) -> None:
         """Note that a request is sent while so many others are in flight."""
         if others + 1 >= self._now:
             self._was_full = True
 
-    def lost_at(self, call: Call) -> float:
-        """Return when a read that was sent beside others is lost; see rule 3."""
-        return call.sent_at + max(SHARE * call.timeouts.timeout, TIMES_SLOWEST * self._slowest)
-
-    def may_be_lost(self, call: Call) -> bool:
-        """Return True for a read in flight that was sent beside others, and is not asked again."""
-        return (
-            call.company
-            and call.is_wanted
-            and call.earlier < 0
-            and not call.changes
-            and (call.unit, call.pdu[0]) not in self.silent
-        )
+    def limit_wait(self, call: Call) -> None:
+        """Set when a read that is in flight beside others is lost; see rule 3."""
+        if not call.changes and (call.unit, call.pdu[0]) not in self.silent:
+            wait = max(SHARE * call.timeouts.timeout, TIMES_SLOWEST * self._slowest)
+            call.lost_at = call.sent_at + wait
 
     def answered(self, call: Call, took: float, pending: Mapping[int, Call]) -> None:
-        """
-        Note a valid answer; the number doubles once so many, and all before them, were answered.
-
-        Args:
-            took: seconds from the request to the answer.
-            pending: the requests in flight, in the order in which they were sent.
-        """
+        """Note a valid answer; the number doubles once so many, and all before, were answered."""
         if took > self._slowest:
             self._slowest = took
         if self.silent:
             self.silent.discard((call.unit, call.pdu[0]))
-        if self._was_full and self._now < self._most:
+        if self._was_full and self._now < self._bound:
             self._count += 1
             oldest = next(iter(pending.values()), call)
             if self._count >= self._now and oldest.order >= call.order:  # else it may be lost
-                self._now = min(2 * self._now, self._most)
+                self._now = min(2 * self._now, self._bound)
                 self._count, self._was_full = 0, False
 
-    def slow(self, took: float) -> None:
-        """Note how long an answer took."""
-        if took > self._slowest:
-            self._slowest = took
-
-    def refuses(self, error: ModbusError, call: Call) -> bool:
-        """Return True if a read that failed was lost, or refused, only because of others."""
+    def is_lost(self, error: ModbusError, call: Call) -> bool:
+        """Return True if a read that failed is asked again alone; see rule 3."""
         return (
-            self.is_open
-            and call.company
+            call.lost_at < math.inf
             and call.is_wanted
-            and call.earlier < 0
-            and not call.changes
             and isinstance(error, TimeoutError | ServerDeviceBusy)
             and (call.unit, call.pdu[0]) not in self.silent
         )
@@ -152,6 +130,10 @@ class Window:
     def missed(self, call: Call) -> None:
         """Note that a read was not answered even alone."""
         self.silent.add((call.unit, call.pdu[0]))
+
+    def halve(self) -> None:
+        """Note that reads were answered too late beside others."""
+        self._now = self._bound = max(1, self._now // 2)
 
     def take_one(self) -> None:
         """Note that a read was lost beside others, and answered alone."""
@@ -188,8 +170,8 @@ class Queue:
         self.lost: list[Call] = []
         self.alone: Call | None = None
         self.last_write: int = 0
-        self._matching = matching
-        self._window = window
+        self.matching = matching
+        self.window = window
         self._is_ordered = is_ordered
 
     @property
@@ -200,22 +182,19 @@ class Queue:
     def next(self, now: float, in_flight: int) -> Call | None:
         """
         Remove and return the next request to send; None, and the alarm is set, if none may be now.
-
-        Args:
-            in_flight: how many requests are in flight, those in `lost` not counted.
         """
-        if not self._matching.has_ids:
+        if not self.matching.has_ids:
             return None if in_flight else self._next_on_line(now)
         if self.alone is not None:
             return self._next_again(now)
-        if self.lost or (in_flight and in_flight >= self._window.limit):
+        if self.lost or (in_flight and in_flight >= self.window.limit):
             return None
         if self.again and (call := self._next_again(now)) is not None:
             return call
         waiting = self.waiting
         while waiting:
             call = waiting.popleft()
-            if call.state is not OVER:
+            if not call.is_done:
                 if call.changes and self._is_ordered and (in_flight or self.again):
                     waiting.appendleft(call)
                     return None
@@ -224,13 +203,13 @@ class Queue:
 
     def _next_again(self, now: float) -> Call | None:
         for call in list(self.again):
-            if call.state is OVER:
+            if call.is_done:
                 self.again.remove(call)
             elif self.alone is None or call is self.alone:
                 if call.due <= now:
                     self.again.remove(call)
                     return call
-                self._wake(call.due)
+                self.matching.wake(call.due)
         return None
 
     def _next_on_line(self, now: float) -> Call | None:
@@ -238,14 +217,14 @@ class Queue:
         held: set[int] = set()
         for calls in (self.again, self.waiting):
             for call in list(calls):
-                if call.state is OVER:
+                if call.is_done:
                     calls.remove(call)
                 elif 0 in held or call.unit in held or (call.unit == 0 and held):
                     held.add(call.unit)
                 elif call.due > now:
-                    self._wake(call.due)
+                    self.matching.wake(call.due)
                     held.add(call.unit)
-                elif self._matching.may_start(call, now):
+                elif self.matching.may_start(call, now):
                     calls.remove(call)
                     return call
                 else:
@@ -256,35 +235,22 @@ class Queue:
 
     def note_company(self, call: Call, others: int) -> None:
         """Note that a read is sent while so many others are in flight."""
-        call.company = True
-        if others == 1:
-            for each in self._matching.pending.values():
-                each.company = True
-        self._window.sent(others)
-        self._wake(self._window.lost_at(call))
-
-    def find_lost(self, now: float) -> int:
-        """Find the reads in flight that are lost beside others; return how many there are."""
-        before = len(self.lost)
-        for call in self._matching.pending.values():
-            if self._window.may_be_lost(call) and call not in self.lost:
-                at = self._window.lost_at(call)
-                if at > now:
-                    self._wake(at)
-                else:
-                    self.lost.append(call)
-        return len(self.lost) - before
+        beside = self.matching.pending.values() if others == 1 else [call]
+        for each in beside:
+            self.window.limit_wait(each)
+            self.matching.wake(each.lost_at)
+        self.window.sent(others)
 
     def choose_alone(self, now: float) -> list[Call]:
         """Choose the lost read that is asked again alone; return those that are not asked again."""
         left: list[Call] = []
         while self.lost:
             call = self.lost.pop(0)
-            if call.state is OVER:
+            if call.is_done:
                 continue
-            if call.is_wanted and (call.unit, call.pdu[0]) not in self._window.silent:
+            if call.is_wanted and (call.unit, call.pdu[0]) not in self.window.silent:
                 call.due = now
-                call.company = False
+                call.lost_at = math.inf
                 self.again.append(call)
                 self.alone = call
                 break
@@ -298,7 +264,7 @@ class Queue:
         call.state = Phase.WAITING
         call.due = due
         self.again.append(call)
-        self._wake(due)
+        self.matching.wake(due)
         if call.changes and self._is_ordered:
             self.alone = call
 
@@ -318,7 +284,7 @@ class Queue:
 
     def remove_over(self) -> None:
         """Forget new requests whose callers are gone."""
-        self.waiting = deque(call for call in self.waiting if call.state is not OVER)
+        self.waiting = deque(call for call in self.waiting if not call.is_done)
 
     def drain(self, later: Collection[Call] = ()) -> list[Call]:
         """Remove and return all requests, except some."""
@@ -329,7 +295,3 @@ class Queue:
         self.waiting = deque(call for call in self.waiting if call in later)
         self.lost.clear()
         return [call for call in calls if call not in later]
-
-    def _wake(self, at: float) -> None:
-        if at < self._matching.alarm:
-            self._matching.alarm = at

@@ -1,5 +1,5 @@
 """
-When to connect again: the state of a connection, and the pause after a failure.
+When to connect again: the state of a connection, the pause after a failure, and notices.
 
 No socket, no clock; times are seconds of any steady clock.
 """
@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import enum
 import errno
+from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, TypeAlias
 
-from ..protocol.checks import log_failure
+from ..protocol.checks import finished, log_failure
 from ..protocol.errors import ModbusConnectionError, ModbusError
 
 if TYPE_CHECKING:
     from .statistics import Statistics
 
-__all__ = ["FORKED", "OnState", "Reconnecting", "State"]
+__all__ = ["FORKED", "Notices", "OnState", "Reconnecting", "State"]
 
 FIRST_PAUSE_S = 0.1
 
@@ -41,7 +43,42 @@ class State(enum.Enum):
     CLOSED = "closed"
 
 
-OnState = Callable[[State, ModbusError | None], object]
+OnState: TypeAlias = Callable[[State, ModbusError | None], object]
+
+
+class Notices:
+    """
+    Pending calls of callbacks about changes of state and traced ADUs, in the order of these events.
+
+    A driver makes the calls between two steps, so that a callback that uses the client, or raises
+    an exception, never interrupts a change.
+    """
+
+    def __init__(self) -> None:
+        self.waiting: deque[tuple[str, Callable[[], object]]] = deque()
+        self._is_giving = False
+
+    def add(self, name: str, call: Callable[[], object]) -> None:
+        """Make a call later; `name` is the name of the callback in the log."""
+        self.waiting.append((name, call))
+
+    def give(self) -> None:
+        """
+        Make the calls. An Exception that a callback raises is logged. Any other BaseException is
+        raised, and the remaining calls are made the next time.
+        """
+        if self._is_giving:  # a callback uses the client; the other calls are made after it
+            return
+        self._is_giving = True
+        try:
+            while self.waiting:
+                name, call = self.waiting.popleft()
+                try:
+                    finished(name, call())
+                except Exception:
+                    log_failure(__name__, "%s failed", name)
+        finally:
+            self._is_giving = False
 
 
 class Reconnecting:
@@ -55,7 +92,7 @@ class Reconnecting:
     Args:
         place: the other side, for messages.
         max_pause: seconds; 0 for no pause at all.
-        on_state: told of every change of `state`.
+        notices: get a call of `on_state` for each change of `state`.
 
     Attributes:
         fruitless: how many connections in a row were attempted and brought no answer.
@@ -63,7 +100,12 @@ class Reconnecting:
     """
 
     def __init__(
-        self, place: str, max_pause: float, statistics: Statistics, on_state: OnState | None
+        self,
+        place: str,
+        max_pause: float,
+        statistics: Statistics,
+        notices: Notices,
+        on_state: OnState | None,
     ) -> None:
         self.state: State = State.DISCONNECTED
         self.is_open: bool = False
@@ -71,6 +113,7 @@ class Reconnecting:
         self._place = place
         self._max_pause = max_pause
         self._statistics = statistics
+        self._notices = notices
         self._on_state = on_state
         self.fruitless: int = 0
         self._last_failure: ModbusConnectionError | None = None
@@ -148,10 +191,8 @@ class Reconnecting:
         self.state = state
         self.is_open = state is State.CONNECTED
         if self._on_state is not None:
-            try:
-                self._on_state(state, error)
-            except Exception:
-                log_failure(__name__, "on_state(%s) failed", state.name)
+            call = partial(self._on_state, state, error)
+            self._notices.add(f"on_state({state.name})", call)
 
 
 def _because_of(cause: ModbusConnectionError, reason: str) -> ModbusConnectionError:

@@ -8,6 +8,7 @@ coroutine.
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Callable, Coroutine, Generator, Iterable, Sequence
 from functools import update_wrapper
 from typing import (
@@ -17,6 +18,7 @@ from typing import (
     Generic,
     NamedTuple,
     ParamSpec,
+    TypeAlias,
     TypeVar,
     overload,
 )
@@ -25,7 +27,7 @@ from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.errors import ModbusError
 
-__all__ = ["Awaiting", "Blocking", "ChangeRegister", "Requests", "Several", "Steps", "follows"]
+__all__ = ["LOCK", "Awaiting", "Blocking", "Requests", "Several", "Steps", "follows"]
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
@@ -51,23 +53,15 @@ class Several(NamedTuple):
         return (ModbusError,) if self.return_exceptions or self.stops else ()
 
 
-class ChangeRegister(NamedTuple):
-    """
-    A holding register that is read, changed and written, because the device lacks function 22.
+class Lock(enum.Enum):
+    """The step of a procedure that changes registers: others that do so wait for its end."""
 
-    No other such step on the connection takes place at the same time.
-    """
-
-    request: pdu.MaskWriteRegister
-
-    def write(self, register: int) -> pdu.WriteRegister:
-        """Return the request that writes the register, as in section 6.16 of the specification."""
-        request = self.request
-        value = register & request.and_mask | request.or_mask & ~request.and_mask
-        return pdu.WriteRegister(request.address, value & 0xFFFF)
+    LOCK = enum.auto()
 
 
-Steps = Generator[pdu.Request[Any] | Several | ChangeRegister, Any, Result]
+LOCK = Lock.LOCK
+
+Steps: TypeAlias = Generator[pdu.Request[Any] | Several | Lock, Any, Result]
 
 
 class Blocking:
@@ -91,27 +85,28 @@ class Awaiting:
 
 
 if TYPE_CHECKING:
+    Now = TypeVar("Now", covariant=True)
+    Then = TypeVar("Then", covariant=True)
+    Later: TypeAlias = Coroutine[Any, Any, Result]
 
-    class _Method(Generic[Arguments, Result]):
-        """A method of both clients, for type checkers: returns a result, or one to await."""
+    class OfBoth(Generic[Now, Then]):
+        """A method of both clients, with its type on a blocking client and on the other."""
 
         @overload
-        def __get__(self, client: Blocking, owner: object) -> Callable[Arguments, Result]: ...
+        def __get__(self, client: Blocking, owner: object) -> Now: ...
         @overload
-        def __get__(
-            self, client: Awaiting, owner: object
-        ) -> Callable[Arguments, Coroutine[Any, Any, Result]]: ...
+        def __get__(self, client: Awaiting, owner: object) -> Then: ...
         @overload
-        def __get__(self, client: None, owner: object) -> Callable[..., Any]: ...
+        def __get__(self, client: None, owner: object) -> Any: ...
         def __get__(self, client: Any, owner: object) -> Any: ...
 
     def asks(
         make: Callable[Concatenate[Any, Arguments], pdu.Request[Result]],
-    ) -> _Method[Arguments, Result]: ...
+    ) -> OfBoth[Callable[Arguments, Result], Callable[Arguments, Later[Result]]]: ...
 
     def follows(
         make: Callable[Concatenate[Any, Arguments], Steps[Result]],
-    ) -> _Method[Arguments, Result]: ...
+    ) -> OfBoth[Callable[Arguments, Result], Callable[Arguments, Later[Result]]]: ...
 
 else:
     # Plain functions, so that help() and inspect.signature() work.

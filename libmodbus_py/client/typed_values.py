@@ -7,13 +7,12 @@ await on the other. Nothing here runs.
 
 from __future__ import annotations
 
-from collections.abc import Coroutine
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, Unpack, overload
 
 if TYPE_CHECKING:
     from ..protocol.tables import RegisterTable
     from ..protocol.words import BitsType, FloatType, IntegerType, Layout, TextType, TypeName
-    from .requests import Awaiting, Blocking
+    from .requests import Later, OfBoth
 
 __all__ = ["one_by_type", "several_by_type"]
 
@@ -104,51 +103,25 @@ class ReadSeveral(Protocol[Integer, Real, Bits, Text, Unknown]):
     ) -> Unknown: ...
 
 
-Result = TypeVar("Result")
-Later = Coroutine[Any, Any, Result]
+def one_by_type(
+    method: object,
+) -> OfBoth[
+    ReadOne[int, float, list[bool], str, Any],
+    ReadOne[Later[int], Later[float], Later[list[bool]], Later[str], Later[Any]],
+]:
+    raise NotImplementedError
 
 
-class OneByType:
-    """The method `read_value` of both clients."""
-
-    @overload
-    def __get__(
-        self, client: Blocking, owner: object
-    ) -> ReadOne[int, float, list[bool], str, Any]: ...
-    @overload
-    def __get__(
-        self, client: Awaiting, owner: object
-    ) -> ReadOne[Later[int], Later[float], Later[list[bool]], Later[str], Later[Any]]: ...
-    @overload
-    def __get__(self, client: None, owner: object) -> Any: ...
-    def __get__(self, client: Any, owner: object) -> Any: ...
-
-
-class SeveralByType:
-    """The method `read_values` of both clients."""
-
-    @overload
-    def __get__(
-        self, client: Blocking, owner: object
-    ) -> ReadSeveral[list[int], list[float], list[list[bool]], list[str], list[Any]]: ...
-    @overload
-    def __get__(
-        self, client: Awaiting, owner: object
-    ) -> ReadSeveral[
+def several_by_type(
+    method: object,
+) -> OfBoth[
+    ReadSeveral[list[int], list[float], list[list[bool]], list[str], list[Any]],
+    ReadSeveral[
         Later[list[int]],
         Later[list[float]],
         Later[list[list[bool]]],
         Later[list[str]],
         Later[list[Any]],
-    ]: ...
-    @overload
-    def __get__(self, client: None, owner: object) -> Any: ...
-    def __get__(self, client: Any, owner: object) -> Any: ...
-
-
-def one_by_type(method: object) -> OneByType:
-    raise NotImplementedError
-
-
-def several_by_type(method: object) -> SeveralByType:
+    ],
+]:
     raise NotImplementedError

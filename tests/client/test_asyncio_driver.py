@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import AsyncClient, ModbusConnectionError, pdu
+from libmodbus_py import AsyncClient, Client, ModbusConnectionError, State, pdu
 from tests.simulation.network import Network
 from tests.simulation.ports import memory_port
 from tests.simulation.scripted import Scripted, Write
@@ -194,6 +194,43 @@ def test_another_event_loop_is_refused_in_words() -> None:
         run(main())
     with pytest.raises(RuntimeError, match="no running event loop"):
         plc.connect().send(None)
+
+
+@pytest.mark.parametrize("pending", [False, True])
+def test_a_loop_that_was_closed_under_a_client_leaves_a_client_that_can_be_dropped(
+    pending: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    """All that needs no loop works, and the descriptor is closed with the last handle."""
+    loop = asyncio.new_event_loop()
+
+    async def use() -> None:
+        assert await plc.read_holding_registers(7, 1) == [7]
+        if pending:
+            plc.submit(1, REQUEST, lambda: None)
+
+    with FakeServer(lambda request: [echo(request)], lambda request: []) as server:
+        plc: Any = AsyncClient(server.url)
+        loop.run_until_complete(use())
+        plc._driver._cancel_timers()  # which would be left behind
+        loop.close()
+        plc.timeout = 0.5
+        assert (plc.for_unit(2).timeout, plc.state) == (0.5, State.CONNECTED)
+        descriptor = plc._driver._port.descriptor
+        with pytest.warns(ResourceWarning, match="was not closed"):
+            plc = None
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            os.fstat(descriptor)
+    assert caplog.records == []
+
+
+def test_values_of_a_watch_come_in_the_way_of_its_client() -> None:
+    plc, other = Client("tcp://192.0.2.1"), AsyncClient("tcp://192.0.2.1")
+    items = [("coils", 0, 8)]
+    with pytest.raises(TypeError, match="async for"):
+        next(other.watch(items, every=1))  # type: ignore[arg-type, misc]
+    with pytest.raises(TypeError, match="plain for"):
+        anext(plc.watch(items, every=1)).send(None)  # type: ignore[arg-type, misc]
+    plc.close()
 
 
 def test_the_loop_goes_on_while_a_line_is_turned_round() -> None:

@@ -212,20 +212,6 @@ def test_connection_closed_in_mid_answer(world: World) -> None:
         assert peer.connections == 2
 
 
-@EVERYWHERE
-def test_connection_closed_while_idle_is_made_again(world: World) -> None:
-    def and_close(request: bytes, write: Write) -> None:
-        write(mbap(request, GOOD))
-        write(None)
-
-    peer = world.peer("tcp", and_close)
-    with world.connect(peer.url) as context:
-        for _ in range(3):
-            assert read(context) == VALUES
-            world.sleep(0.02)  # let the end of the connection arrive
-        assert peer.connections == 3
-
-
 # --- serial lines --------------------------------------------------------------------
 
 BAD_SERIAL: dict[str, tuple[str, int, type[ModbusError]]] = {
@@ -366,15 +352,3 @@ def test_a_late_answer_on_a_line_through_c(world: World) -> None:
         context.timeout = 30
         unit.on_request = answering(lambda request: [answer(request, "rtu")])
         assert context.read_holding_registers(77, 1) == [77]
-
-
-@EVERYWHERE
-@pytest.mark.parametrize("scheme", ["rtu", "ascii"])
-def test_serial_timeout_is_kept(world: World, scheme: str) -> None:
-    unit = world.peer(scheme, ignore)
-    with (
-        world.connect(unit.url, timeout=0.2) as context,
-        world.lasting(0.2, more=ON_LINE),
-        pytest.raises(ModbusTimeoutError),
-    ):
-        read(context)

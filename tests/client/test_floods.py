@@ -4,7 +4,6 @@ Peers that send without end: the wait ends when it must, and little is kept of w
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import random
 import socket
@@ -17,11 +16,10 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from libmodbus_py import AsyncClient, ModbusError, framing
+from libmodbus_py import ModbusError, framing
 from tests.simulation.network import Network
 from tests.support.clients import Simulated, asking, making, read
 from tests.support.peers import FakeUnit, OnRequest, Write
-from tests.support.scripted import run as run_watched
 
 NOISE = random.Random(1).randbytes(2048)
 
@@ -197,29 +195,26 @@ def test_a_real_line_that_is_never_quiet_ends_the_wait(kind: str) -> None:
 # --- while nobody asks ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
-def test_an_idle_client_leaves_a_flood_unread(scheme: str) -> None:
-    """The sender keeps what the client does not read; the next request reads it."""
-    with making("asyncio") as world:
-        assert isinstance(world, Simulated)
-        piece = bytes.fromhex("FFFF0000000501030200AA") * 300
-        peer = world.peer(scheme, flooding(world.network, piece, 0.001))
-        with world.connect(peer.url, timeout=0.1) as client:
-            failure(lambda: read(client, 1))
-            world.sleep(1.0)
-            (end,) = peer.ends
-            before = end.sent
-            world.sleep(5.0)
-            assert end.sent == before
-            failure(lambda: read(client, 1))
+STRANGE = bytes.fromhex("FFFF0000000501030200AA")
 
 
-def test_an_idle_client_leaves_a_noisy_line_unread(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("scheme", "data", "pause"),
+    [
+        ("tcp", STRANGE * 300, 0.01),
+        ("udp", STRANGE, 0.001),
+        ("rtu+tcp", STRANGE * 300, 0.01),
+        ("rtu", bytes(range(0x80, 0x90)) * 16, 0.03),
+    ],
+)
+def test_an_idle_client_leaves_a_flood_unread(
+    scheme: str, data: bytes, pause: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """An event loop that is told of each byte would do nothing else."""
     with making("asyncio") as world:
         assert isinstance(world, Simulated)
-        unit = world.peer("rtu", flooding(world.network, bytes(range(0x80, 0x90)) * 16, 0.03))
-        with world.connect(unit.url, timeout=0.1) as client:
+        peer = world.peer(scheme, flooding(world.network, data, pause))
+        with world.connect(peer.url, timeout=0.1) as client:
             failure(lambda: read(client, 1))
             world.sleep(30.0)  # 64 KiB take 8 s
             port, reads = client._driver._port, []
@@ -229,88 +224,6 @@ def test_an_idle_client_leaves_a_noisy_line_unread(monkeypatch: pytest.MonkeyPat
             assert not reads
             failure(lambda: read(client, 1))
             assert reads
-
-
-def test_an_idle_client_on_a_noisy_line_rests() -> None:
-    with noisy_line(bytes(range(0x80, 0x90))) as url:
-
-        async def main() -> None:
-            async with AsyncClient(url, timeout=0.1) as client:
-                with pytest.raises(ModbusError):
-                    await client.read_holding_registers(3, 1)
-                await asyncio.sleep(0.2)
-                before = time.process_time()
-                await asyncio.sleep(0.4)
-                assert time.process_time() - before < 0.2
-
-        run_watched(main())
-
-
-SENDING = """
-import socket, sys
-kind, noise = sys.argv[1], bytes.fromhex(sys.argv[2])
-data = noise * (60000 // len(noise)) if kind != "udp" else noise
-from tests.support.peers import answer
-listener = socket.socket(type=socket.SOCK_DGRAM if kind == "udp" else socket.SOCK_STREAM)
-listener.bind(("127.0.0.1", 0))
-if kind != "udp":
-    listener.listen()
-print(listener.getsockname()[1], flush=True)
-if kind == "udp":
-    while True:
-        request, peer = listener.recvfrom(300)
-        listener.sendto(answer(request, kind), peer)
-        listener.setblocking(False)
-        while True:
-            listener.sendto(data, peer)
-            try:
-                request, peer = listener.recvfrom(300)
-            except BlockingIOError:
-                continue
-            listener.sendto(answer(request, kind), peer)
-while True:
-    peer, _ = listener.accept()
-    try:
-        while request := peer.recv(300):
-            peer.sendall(answer(request, kind))
-            while True:
-                peer.sendall(data)
-    except OSError:
-        pass
-"""
-
-
-class SendingProcess:
-    """A server in another process that answers once on each connection, and floods it then."""
-
-    def __init__(self, scheme: str, noise: bytes) -> None:
-        command = [sys.executable, "-c", SENDING, scheme, noise.hex()]
-        self._scheme = scheme
-        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-
-    def __enter__(self) -> str:
-        assert self._process.stdout is not None
-        return f"{self._scheme}://127.0.0.1:{self._process.stdout.readline().strip()}"
-
-    def __exit__(self, *_: object) -> None:
-        with self._process:
-            self._process.kill()
-
-
-@pytest.mark.parametrize("scheme", ["tcp", "udp"])
-def test_an_idle_client_that_is_flooded_rests(scheme: str) -> None:
-    with SendingProcess(scheme, bytes.fromhex("FFFF0000000501030200AA")) as url:
-
-        async def main() -> None:
-            async with AsyncClient(url, timeout=30) as client:
-                assert await client.read_holding_registers(3, 1) == [3]
-                await asyncio.sleep(0.1)
-                before = time.process_time()
-                await asyncio.sleep(0.4)
-                assert time.process_time() - before < 0.2
-                assert await client.read_holding_registers(4, 1) == [4]
-
-        run_watched(main())
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from __future__ import annotations
 import errno
 
 from libmodbus_py import ModbusConnectionError
-from libmodbus_py.client.hints import explain, explain_end
+from libmodbus_py.client.outcomes import explain, explain_end
 from libmodbus_py.protocol.errors import in_hex
 from tests.support.cases import each_case
 from tests.support.talk import Talk, ascii_frame, rtu, tcp

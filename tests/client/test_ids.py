@@ -49,15 +49,19 @@ def test_answers_may_come_in_any_pieces(seed: int) -> None:
     assert batch.outcomes == [[address] for address in range(10)]
 
 
-def test_a_batch_has_no_more_in_flight_than_its_limit() -> None:
+@pytest.mark.parametrize("limit", [1, 3, 16, 99])
+def test_a_batch_has_as_many_in_flight_as_it_and_the_client_may(limit: int) -> None:
     talk = Talk()
-    batch = talk.ask(*range(10), limit=3)
-    assert len(talk.sent) == 3
-    talk.come(tcp(talk.sent[1]))
-    assert len(talk.sent) == 4
+    batch, most = talk.ask(*range(40), limit=limit), min(limit, 16)
+    assert len(talk.sent) == most
+    talk.come(tcp(talk.sent[most // 2]))
+    assert len(talk.sent) == most + 1
     while not batch.is_done:
         talk.come(tcp(talk.sent[-1]), *(tcp(each) for each in talk.sent[:-1]))
-    assert batch.outcomes == [[address] for address in range(10)]
+    assert batch.outcomes == [[address] for address in range(40)]
+    others = [talk.ask(address) for address in range(40)]
+    assert len(talk.sent) == 40 + 16
+    assert not any(each.is_done for each in others)
 
 
 def test_callers_take_turns() -> None:
@@ -265,22 +269,6 @@ def test_an_id_in_flight_or_owed_is_skipped() -> None:
     talk.matching._last = 0
     talk.ask(3)
     assert ids(talk) == [1, 2, 3]
-
-
-@pytest.mark.parametrize("limit", [1, 2, 7, 16, 99])
-def test_a_batch_has_as_many_in_flight_as_it_may(limit: int) -> None:
-    talk = Talk()
-    talk.connection.submit(talk.batch(*range(40), limit=limit), talk.now)
-    assert len(talk.connection.start(talk.now)) == min(limit, 16)
-    assert talk.connection.start(talk.now) == []
-
-
-def test_many_callers_have_as_many_in_flight_as_there_may_be() -> None:
-    talk = Talk()
-    for address in range(40):
-        talk.connection.submit(talk.batch(address), talk.now)
-    assert len(talk.connection.start(talk.now)) == 16
-    assert talk.connection.start(talk.now) == []
 
 
 def test_requests_are_spaced() -> None:

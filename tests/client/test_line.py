@@ -10,12 +10,13 @@ from libmodbus_py import (
     FrameError,
     IllegalDataAddress,
     InvalidResponse,
+    ModbusConnectionError,
     ModbusError,
     ModbusTimeoutError,
     pdu,
 )
 from tests.support.cases import each_case
-from tests.support.talk import LINE, Talk, kinds, rtu, value
+from tests.support.talk import LINE, Talk, kinds, rtu, tcp, value
 
 WRITE = pdu.WriteRegister(1, 2)
 
@@ -488,6 +489,122 @@ def test_an_answer_is_held_once_in_ten_timeouts() -> None:
         talk.wait(0 if batch.is_done else 0.02)
         assert batch.outcomes == [[number]]
     assert held == 2
+
+
+# --- where events fall together --------------------------------------------------------
+
+
+@each_case(("frame", "is_first"), [
+    (value(6), True), (value(6), False), (value(7), True), (value(7), False),
+])  # fmt: skip
+def test_a_frame_exactly_at_the_end_of_hold(frame: bytes, is_first: bool) -> None:
+    """HOLD lasts until its end: what is read before the alarm is in it, what is read later not."""
+    talk = in_doubt()
+    batch = talk.ask(6)
+    talk.come(value(6))
+    talk.now += 0.02
+    if is_first:
+        talk.come(frame)
+        assert batch.is_done == (frame != value(6))
+    talk.wait(0.02)
+    if not is_first:
+        assert batch.outcomes == [[6]]
+        talk.come(frame)
+    assert kinds(batch) == ([[6]] if frame == value(6) or not is_first else [InvalidResponse])
+    assert talk.statistics.late_answers == 1
+    assert talk.is_at_rest
+
+
+def test_a_late_answer_equal_to_one_of_another_unit_is_no_reason_to_hold() -> None:
+    talk = used()
+    usual(talk, 7, unit=2)
+    batch = talk.ask(6)
+    talk.come(value(7))
+    assert batch.outcomes == [[7]]
+
+
+@each_case("by_itself", [True, False])
+def test_doubt_goes_on_over_another_connection(by_itself: bool) -> None:
+    """The unit is behind the server: its late answer may come over the next connection, too."""
+    talk = used()
+    first = talk.ask(5)
+    talk.wait(0.3)
+    talk.lose(by_itself=by_itself)
+    talk.open()
+    assert kinds(first) == [ModbusConnectionError]
+    lost_at, batch = talk.now, talk.ask(6)
+    talk.wait(0.5)
+    talk.come(value(5))
+    talk.wait(0.99)
+    assert len(talk.sent) == 1
+    talk.wait_for(2)
+    assert talk.times[1] == pytest.approx(lost_at + 1.5)
+    talk.come(value(6))
+    assert not batch.is_done
+    talk.wait(0.02)
+    assert batch.outcomes == [[6]]
+
+
+def test_a_connection_that_ends_in_hold_fails_what_is_held() -> None:
+    talk = in_doubt()
+    batch = talk.ask(6)
+    talk.come(value(6))
+    talk.lose()
+    talk.open()
+    assert kinds(batch) == [ModbusConnectionError]
+    talk.come(value(6))
+    talk.wait(5)
+    assert kinds(batch) == [ModbusConnectionError]
+    assert talk.is_at_rest
+
+
+def test_a_caller_that_leaves_in_hold_leaves_doubt() -> None:
+    talk = in_doubt()
+    batch = talk.ask(6)
+    talk.come(value(6))
+    talk.cancel(batch)
+    left_at, other = talk.now, talk.ask(8)
+    talk.wait_for(3)
+    assert talk.times[2] == pytest.approx(left_at + 1)
+    talk.come(value(8))
+    talk.wait(0.02)
+    assert other.outcomes == [[8]]
+
+
+@each_case("timeout", [0.001, 0.5, 86_400])
+def test_a_timeout_that_is_changed_ends_each_wait(timeout: float) -> None:
+    """In DOUBT, ASKED and HOLD; none of them becomes endless."""
+    talk = used()
+    talk.ask(5)
+    talk.wait(1)
+    batches = [talk.ask(6), talk.ask(7)]
+    talk.timeouts.timeout = timeout
+    talk.connection.change_timeout(talk.now)
+    talk.wait_for(2)
+    talk.come(value(6))
+    talk.wait(max(3, 5 * timeout))
+    talk.come(value(7))
+    talk.wait(max(3, 5 * timeout))
+    assert all(batch.is_done for batch in batches)
+    assert talk.is_at_rest
+
+
+@each_case("url", [LINE, "tcp://192.0.2.1"])
+def test_a_clock_that_stands_still_makes_no_wait_endless(url: str) -> None:
+    """Requests, answers and frames that nobody awaits, all at one moment."""
+    talk = Talk(url, max_in_flight=None, timeout=1)
+    for number in range(50):
+        batch = talk.ask(number)
+        talk.come(tcp(talk.sent[-1]) if talk.has_ids else value(number))
+        talk.wait(0)
+        assert batch.outcomes == [[number]]
+    late = tcp(talk.sent[0]) if talk.has_ids else value(0)
+    talk.come(late, late)
+    batch = talk.ask(3)
+    talk.wait(0)
+    talk.come(tcp(talk.sent[-1]) if talk.has_ids else value(3))
+    talk.wait(0)
+    assert batch.outcomes == [[3]]
 
 
 @each_case(("come", "late"), [(b"", 0), (value(1), 1), (value(1) + value(1), 2)])

@@ -98,20 +98,21 @@ def test_nothing_is_sent_beside_the_repetition_nor_before_it() -> None:
     assert talk.is_at_rest
 
 
-@each_case("second", [False, True])
-def test_the_answer_to_either_is_taken_and_the_other_is_dropped(second: bool) -> None:
+@each_case("is_late", [True, False])
+def test_a_device_that_was_only_late_loses_nothing(is_late: bool) -> None:
     """Only if the first one stays without an answer, the device takes one at a time."""
-    talk = grown(timeout=4)
+    talk = grown()
     first = len(talk.sent)
     one, other = talk.ask(1), talk.ask(2)
     talk.come(tcp(talk.sent[-1]))
     talk.wait(1)
-    both = talk.sent[first], talk.sent[-1]
-    talk.come(tcp(both[second]))
+    if is_late:
+        talk.come(tcp(talk.sent[first]))
+        assert not one.is_done
+    talk.come(tcp(talk.sent[-1]))
     assert (one.outcomes, other.outcomes) == ([[1]], [[2]])
-    assert talk.statistics.falls == second
-    talk.come(tcp(both[not second]))
-    assert talk.statistics.late_answers == 1
+    assert talk.statistics.falls == (not is_late)
+    assert talk.statistics.late_answers == is_late
     batch = talk.ask(9)
     talk.come(tcp(talk.sent[-1]))
     assert batch.outcomes == [[9]]
@@ -119,10 +120,10 @@ def test_the_answer_to_either_is_taken_and_the_other_is_dropped(second: bool) ->
 
 
 def test_a_repetition_has_its_own_time() -> None:
-    talk = grown(timeout=4)
+    talk = grown()
     one, other = talk.ask(1), talk.ask(2)
     talk.come(tcp(talk.sent[-1]))
-    talk.wait(4.9)
+    talk.wait(1.2)
     assert (one.is_done, other.is_done) == (False, True)
     talk.wait(0.1)
     assert kinds(one) == [ModbusTimeoutError]
@@ -177,7 +178,7 @@ def test_a_caller_who_leaves_holds_nobody_up(when: str) -> None:
         talk.come(tcp(talk.sent[-1]))
         assert third.outcomes == [[3]]
     else:
-        talk.wait(0.25)
+        talk.wait(1)
         talk.cancel(one)
     talk.come(tcp(talk.sent[-1]))
     assert other.outcomes == [[2]]
@@ -189,7 +190,7 @@ def test_what_was_lost_ends_with_the_connection(end: str) -> None:
     allowed = [True]
     talk = grown(may_send=lambda: allowed[-1])
     batches = [talk.ask(1), talk.ask(2), talk.ask(3)]
-    talk.wait(0.25)  # one of them is asked alone
+    talk.wait(1)  # one of them is asked alone
     assert talk.connection.room == 0
     error = ModbusConnectionError("the end")
     if end == "lost":
@@ -216,7 +217,7 @@ def test_what_was_lost_beside_others_is_counted_as_sent_again() -> None:
     sent = len(talk.sent)
     batches = [talk.ask(1), talk.ask(2), talk.ask(3)]
     assert len(talk.sent) == sent + 3
-    talk.wait(0.25)  # the first of them is asked alone
+    talk.wait(1)  # the first of them is asked alone
     assert (len(talk.sent), talk.statistics.retries) == (sent + 4, 1)
     while not talk.is_at_rest:
         talk.come(tcp(talk.sent[-1]))
@@ -248,6 +249,57 @@ def test_another_device_behind_the_address_is_asked_with_one_request_at_first() 
         talk.lose(by_itself=by_itself)
         talk.open()
         assert talk.connection.room == 1
+
+
+def test_a_write_waits_for_the_reads_before_it_that_are_asked_again() -> None:
+    talk = grown()
+    sent = len(talk.sent)
+    reads = [talk.ask(1), talk.ask(2)]
+    write, behind = talk.ask(pdu.WriteRegister(5, 6)), talk.ask(3)
+    talk.wait(1)
+    while not talk.is_at_rest:
+        talk.come(tcp(talk.sent[-1], "06 0005 0006" if talk.sent[-1][7] == 6 else None))
+    assert [adu[7:10] for adu in talk.sent[sent + 2 :]] == [
+        b"\x03\0\x01", b"\x03\0\x02", b"\x06\0\x05", b"\x03\0\x03",
+    ]  # fmt: skip
+    assert [kinds(each) for each in (*reads, write, behind)] == [[[1]], [[2]], [None], [[3]]]
+
+
+def test_reads_that_are_lost_are_asked_again_before_the_connection_counts_as_dead() -> None:
+    talk = grown(timeouts_before_reconnect=1)
+    batches = [talk.ask(1), talk.ask(2)]
+    talk.wait(1)
+    assert talk.connection.broken is None
+    talk.come(tcp(talk.sent[-1]))
+    talk.come(tcp(talk.sent[-1]))
+    assert [each.outcomes for each in batches] == [[[1]], [[2]]]
+
+
+@pytest.mark.parametrize("copies", [1, 2])
+def test_a_late_answer_that_comes_twice_is_the_answer_to_nothing_else(copies: int) -> None:
+    talk = grown()
+    first = len(talk.sent)
+    batches = [talk.ask(1), talk.ask(2)]
+    talk.wait(1)
+    talk.come(*[tcp(talk.sent[first], "03 02 0063")] * copies)
+    assert not any(each.is_done for each in batches)
+    talk.come(tcp(talk.sent[-1]))
+    talk.come(tcp(talk.sent[-1]))
+    assert [each.outcomes for each in batches] == [[[1]], [[2]]]
+    assert talk.statistics.late_answers == copies
+
+
+def test_a_read_that_is_not_to_be_sent_again_keeps_its_whole_time() -> None:
+    """As where a gateway's client has left: its answer may still come."""
+    talk = grown()
+    batches = [talk.ask(1), talk.ask(2)]
+    batches[0].calls[0].is_wanted = False
+    talk.wait(0.99)
+    assert not any(each.is_done for each in batches)
+    talk.wait(0.01)
+    assert kinds(batches[0]) == [ModbusTimeoutError]
+    talk.come(tcp(talk.sent[-1]))  # the second one, alone
+    assert batches[1].outcomes == [[2]]
 
 
 # --- which requests --------------------------------------------------------------------------
@@ -285,7 +337,7 @@ def test_a_read_is_asked_again_alone(request: Any) -> None:
     talk.ask(request), talk.ask(1)
     assert len(talk.sent) == sent + 2
     talk.come(tcp(talk.sent[-1]))
-    talk.wait(0.25)
+    talk.wait(1)
     assert [adu[2:] for adu in talk.sent[sent + 2 :]] == [talk.sent[sent][2:]]
 
 

@@ -5,6 +5,8 @@ Maps whose points have scales of the device, or are parts of registers: what cli
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -104,3 +106,53 @@ def test_a_mask_that_is_refused_otherwise_is_raised() -> None:
         with plc, pytest.raises(ServerDeviceBusy):
             plc.write_map(POINTS, {"b0": True})
     assert made.mapping.holding_registers[2] == 0xFF00
+
+
+TWO = RegisterMap([point("one", 2, bit=0), point("other", 3, bit=1)])
+
+
+def test_parts_of_several_registers_are_written_by_one_call(served: tuple[Device, str]) -> None:
+    made, url = served
+
+    async def go() -> None:
+        async with AsyncClient(url) as plc:
+            calls = [plc.write_map(TWO, {"one": True, "other": True}) for _ in range(3)]
+            await asyncio.wait_for(asyncio.gather(*calls), 5)
+
+    asyncio.run(go())
+    assert made.mapping.holding_registers[2:4] == [0xFF01, 2]
+
+
+@pytest.mark.parametrize("served", [True], indirect=True)
+@pytest.mark.parametrize("at", range(10))
+def test_who_leaves_while_parts_are_written_holds_up_nobody(
+    served: tuple[Device, str], at: int
+) -> None:
+    """At any trace of its frames: another task, or thread, may change registers then."""
+    made, url = served
+    calls = iter(range(1000))
+
+    async def go() -> None:
+        def leave(_: object) -> None:
+            if next(calls) == at:
+                task.cancel()
+
+        async with AsyncClient(url, trace=leave) as plc:
+            task = asyncio.create_task(plc.write_map(TWO, {"one": True, "other": True}))
+            await asyncio.wait([task])
+            await asyncio.wait_for(plc.write_map(TWO, {"other": True}), 5)
+
+    def interrupt(_: object) -> None:
+        if next(calls) == at:
+            raise KeyboardInterrupt
+
+    asyncio.run(go())
+    calls = iter(range(1000))
+    with Client(url, trace=interrupt) as client:
+        with contextlib.suppress(KeyboardInterrupt):
+            client.write_map(TWO, {"one": True, "other": True})
+        thread = threading.Thread(target=client.write_map, args=(TWO, {"other": True}))
+        thread.start()
+        thread.join(5)
+        assert not thread.is_alive()
+    assert made.mapping.holding_registers[3] == 2

@@ -10,14 +10,16 @@ from typing import Any
 import pytest
 
 from libmodbus_py import ModbusConnectionError
-from libmodbus_py.client.reconnecting import Reconnecting, State
+from libmodbus_py.client.reconnecting import Notices, Reconnecting, State
 from libmodbus_py.client.statistics import Statistics
 
 REFUSED = ModbusConnectionError("refused", errno=111)
 
 
 def made(max_pause: float = 30.0, **options: Any) -> Reconnecting:
-    return Reconnecting("192.0.2.1:502", max_pause, Statistics(), options.get("on_state"))
+    notices = options.get("notices", Notices())
+    place = "192.0.2.1:502"
+    return Reconnecting(place, max_pause, Statistics(), notices, options.get("on_state"))
 
 
 def fail(connection: Reconnecting, now: float) -> float:
@@ -96,7 +98,8 @@ def test_an_attempt_that_was_cancelled_says_nothing_of_the_other_side() -> None:
 
 def test_states_are_told_with_their_reasons_and_closed_is_the_last() -> None:
     told: list[tuple[State, Any]] = []
-    connection = made(on_state=lambda state, error: told.append((state, error)))
+    notices = Notices()
+    connection = made(on_state=lambda state, error: told.append((state, error)), notices=notices)
     connection.connecting()
     connection.opened()
     assert connection.is_open
@@ -106,6 +109,8 @@ def test_states_are_told_with_their_reasons_and_closed_is_the_last() -> None:
     connection.close()
     connection.close()
     connection.opened()
+    assert told == []
+    notices.give()
     assert told == [
         (State.CONNECTING, None),
         (State.CONNECTED, None),
@@ -120,8 +125,10 @@ def test_states_are_told_with_their_reasons_and_closed_is_the_last() -> None:
 
 
 def test_who_is_told_of_states_and_fails_harms_nobody(caplog: pytest.LogCaptureFixture) -> None:
-    connection = made(on_state=lambda state, error: 1 / 0)
+    notices = Notices()
+    connection = made(on_state=lambda state, error: 1 / 0, notices=notices)
     connection.connecting()
     connection.opened()
+    notices.give()
     assert connection.is_open
     assert "on_state(CONNECTED) failed" in caplog.text

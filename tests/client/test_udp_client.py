@@ -14,7 +14,6 @@ import pytest
 from libmodbus_py import (
     Device,
     IllegalDataAddress,
-    InvalidResponse,
     Mapping,
     ModbusConnectionError,
     ModbusError,
@@ -23,7 +22,7 @@ from libmodbus_py import (
     pdu,
 )
 from tests.support.clients import ALL, EVERYWHERE, Connect, World, asking, read
-from tests.support.peers import Answer, UdpPeer, Write, answer, answering, echo, mbap
+from tests.support.peers import UdpPeer, Write, answer, answering, echo
 from tests.support.reads import reads
 
 
@@ -90,30 +89,6 @@ def test_url_with_an_ipv6_address(connect: Connect) -> None:
 
 
 @EVERYWHERE
-def test_lost_request_times_out_and_its_late_answer_reaches_nobody(world: World) -> None:
-    late: list[bytes] = []
-
-    def held(request: bytes) -> list[bytes]:
-        late.append(echo(request))
-        return []
-
-    def all_at_once(request: bytes) -> list[bytes]:
-        return [*late, echo(request)]
-
-    peer = world.peer("udp", answering(good, held, all_at_once, good))
-    with world.connect(peer.url, timeout=30, max_in_flight=16) as context:
-        assert context.read_holding_registers(1, 1) == [1]
-        context.timeout = 0.2
-        with world.lasting(0.2), pytest.raises(ModbusTimeoutError) as caught:
-            context.read_holding_registers(2, 1)
-        context.timeout = 30
-        assert caught.value.sent == peer.requests[1]
-        assert context.read_holding_registers(3, 1) == [3]
-        assert context.read_holding_registers(4, 1) == [4]
-        assert context.late_answers == 1
-
-
-@EVERYWHERE
 def test_doubled_answer_reaches_nobody(world: World) -> None:
     peer = world.peer("udp", answering(lambda request: good(request) * 3))
     with world.connect(peer.url, max_in_flight=16) as context:
@@ -170,25 +145,6 @@ def test_datagram_of_another_host_is_never_seen(connect: Connect) -> None:
         for address in range(10):
             assert context.read_holding_registers(address, 1) == [address]
         assert context.late_answers == 0
-
-
-@pytest.mark.parametrize(
-    "answer",
-    [
-        lambda request: [echo(request, unit=9)],
-        lambda request: [mbap(request, b"\x04\x02\0\0")],
-        lambda request: [mbap(request, b"\x03\x04\0\0\0\0")],
-    ],
-)
-def test_frame_that_does_not_answer_is_invalid(world: World, answer: Answer) -> None:
-    peer = world.peer("udp", answering(answer, answer, answer, good))
-    with world.connect(peer.url, max_in_flight=16) as context:
-        with pytest.raises(InvalidResponse) as caught:
-            context.read_holding_registers(1, 1)
-        assert caught.value.received
-        with pytest.raises(InvalidResponse):
-            context.execute_many([*reads(1), *reads(1)], max_in_flight=2)
-        assert context.read_holding_registers(1, 1) == [1]
 
 
 # --- many in flight ------------------------------------------------------------------------

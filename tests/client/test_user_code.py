@@ -266,7 +266,7 @@ class Raised(BaseException):
 
 
 @BLOCKING
-@pytest.mark.parametrize("error", [KeyError, KeyboardInterrupt, SystemExit, Raised])
+@pytest.mark.parametrize("error", [KeyError, MemoryError, KeyboardInterrupt, Raised])
 @pytest.mark.parametrize("hook", ["on_state", "trace"])
 @pytest.mark.parametrize("at", range(4))
 def test_a_hook_that_raises_leaves_a_context_that_works(
@@ -345,7 +345,7 @@ class Strange(pdu.ReadHoldingRegisters):
 
 @ALL
 @pytest.mark.parametrize(
-    "mistake", [KeyError("x"), ValueError("y"), TypeError("z"), Raised(), None, object()]
+    "mistake", [KeyError("x"), ValueError("y"), MemoryError(), Raised(), None, object()]
 )
 def test_a_mistake_in_a_request_class_is_its_callers(mistake: Any, kind: str) -> None:
     strange = type("Stranger", (Strange,), {"mistake": mistake})

@@ -403,6 +403,27 @@ def test_no_server_is_a_connection_error(path: str) -> None:
         Context.from_url(f"unix://{path}").connect()
 
 
+@each_case("kind", ["file", "folder", "datagrams"])
+def test_what_is_no_server_is_a_connection_error_of_both_clients(kind: str) -> None:
+    with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
+        path = f"{folder}/m.sock"
+        if kind == "file":
+            Path(path).touch()
+        elif kind == "folder":
+            os.mkdir(path)
+        else:
+            stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)).bind(path)
+
+        async def connect() -> None:
+            async with AsyncClient(f"unix://{path}"):
+                pass
+
+        for attempt in (Context.from_url(f"unix://{path}").connect, lambda: asyncio.run(connect())):
+            with pytest.raises(ModbusConnectionError, match=f"cannot connect to {path}") as caught:
+                attempt()
+            assert caught.value.errno in (errno.ECONNREFUSED, errno.EPROTOTYPE)
+
+
 def test_a_client_finds_the_next_server_at_its_path(path: str) -> None:
     client = Context.from_url(f"unix://{path}")
     for _ in range(3):

@@ -146,3 +146,7 @@ async def misspelt_and_awaited(plc: AsyncClient) -> None:
     values: list[str] = await plc.read_values("holding_registers", 0, "float32")  # wrong
     print(values)
     await Meter(TcpContext("192.0.2.10")).read()  # wrong
+    for polled in plc.watch({"level": ("coils", 0, 8)}, every=1):  # wrong
+        print(polled)
+    async for awaited in TcpContext("192.0.2.10").watch("meter.toml", every=1):  # wrong
+        print(awaited)
