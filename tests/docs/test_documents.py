@@ -108,7 +108,8 @@ LINK = re.compile(r"""\]\(([^)\s]*)\)|^\[[^]]+\]:\s*(\S+)|(?:src|href)="([^"]*)\
 
 
 def links_of(text: str) -> list[str]:
-    return ["".join(found) for found in LINK.findall(text)]
+    shown = re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
+    return ["".join(found) for found in LINK.findall(shown)]
 
 
 @each_case("path", DOCUMENTS, ids=NAMES)
