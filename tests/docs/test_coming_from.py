@@ -144,8 +144,8 @@ def served() -> Iterator[int]:
         yield int(running.urls[0].rpartition(":")[2])
 
 
-def ask_as_pymodbus(port: int) -> str:
-    client = pymodbus.client.ModbusTcpClient("127.0.0.1", port=port, timeout=0.1, retries=0)
+def ask_as_pymodbus(port: int, timeout: float) -> str:
+    client = pymodbus.client.ModbusTcpClient("127.0.0.1", port=port, timeout=timeout, retries=0)
     try:
         client.connect()
         answer = client.read_holding_registers(100, count=1)
@@ -156,10 +156,10 @@ def ask_as_pymodbus(port: int) -> str:
         client.close()
 
 
-def ask_as_pylibmodbus(port: int) -> str:
+def ask_as_pylibmodbus(port: int, timeout: float) -> str:
     client = pylibmodbus.ModbusTcp("127.0.0.1", port)
     try:
-        client.set_response_timeout(0.1)
+        client.set_response_timeout(timeout)
         client.connect()
         client.read_registers(100, 1)
     except Exception as error:
@@ -169,8 +169,8 @@ def ask_as_pylibmodbus(port: int) -> str:
     return ""
 
 
-def ask_as_pymodbustcp(port: int) -> str:
-    client = pyModbusTCP.client.ModbusClient("127.0.0.1", port, timeout=0.1)
+def ask_as_pymodbustcp(port: int, timeout: float) -> str:
+    client = pyModbusTCP.client.ModbusClient("127.0.0.1", port, timeout=timeout)
     assert client.read_holding_registers(100, 1) is None
     refused = client.last_except
     names = vars(pyModbusTCP.constants).items()
@@ -179,9 +179,9 @@ def ask_as_pymodbustcp(port: int) -> str:
     return f"last_except {refused}" if refused else name
 
 
-def ask_as_libmodbus_py(port: int) -> str:
+def ask_as_libmodbus_py(port: int, timeout: float) -> str:
     try:
-        with TcpContext("127.0.0.1", port, timeout=0.1) as plc:
+        with TcpContext("127.0.0.1", port, timeout=timeout) as plc:
             plc.read_holding_registers(100, 1)
     except ModbusError as error:
         return type(error).__name__
@@ -201,9 +201,14 @@ def ask_as_libmodbus_py(port: int) -> str:
     ],
 )
 def test_errors_over_tcp_are_those_of_the_tables(
-    ask: Callable[[int], str], refused: str, silence: str, absent: str, served: int, silent: int
+    ask: Callable[[int, float], str],
+    refused: str,
+    silence: str,
+    absent: str,
+    served: int,
+    silent: int,
 ) -> None:
-    assert [ask(served), ask(silent), ask(1)] == [refused, silence, absent]
+    assert [ask(served, 10), ask(silent, 0.1), ask(1, 10)] == [refused, silence, absent]
 
 
 def test_errors_of_minimalmodbus_are_those_of_the_table() -> None:
@@ -214,7 +219,7 @@ def test_errors_of_minimalmodbus_are_those_of_the_table() -> None:
         with Server(Device(Mapping(holding_registers=8))).background(
             f"rtu://{wire.server}?parity=N"
         ):
-            instrument.serial.timeout = 2
+            instrument.serial.timeout = 10
             with pytest.raises(minimalmodbus.SlaveReportedException):
                 instrument.read_register(100)
         instrument.serial.close()

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import re
-import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
@@ -23,8 +22,12 @@ from libmodbus_py import (
     Server,
 )
 from tests.docs.documents import ROOT, blocks
+from tests.docs.home import own_address
 
 PAGE = ROOT / "docs" / "how-to" / "run-for-ever.md"
+
+# At an address of this process alone, so that nobody else takes the port while nothing listens.
+URL = f"tcp://{own_address()}:11502"
 
 BREAK = re.compile(r"break  # .*")
 
@@ -39,8 +42,6 @@ class Plant:
     """A device that is down at first, and fails once."""
 
     def __init__(self) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.url = f"tcp://127.0.0.1:{free.getsockname()[1]}"
         self._device = Device(Mapping(holding_registers={100: [555]}))
         self._served = ExitStack()
         self._awaited = iter(self._course())
@@ -49,11 +50,11 @@ class Plant:
     def _course(self) -> Iterator[bool]:
         """Yield whether the device is up, each time that the loop has seen the state before."""
         yield False
-        self._served.enter_context(Server(self._device).background(self.url))
+        self._served.enter_context(Server(self._device).background(URL))
         yield True
         self._served.close()
         yield False
-        self._served.enter_context(Server(self._device).background(self.url))
+        self._served.enter_context(Server(self._device).background(URL))
         yield True
         self._served.close()
 
@@ -69,7 +70,7 @@ class Plant:
 @pytest.mark.parametrize("source", LOOPS, ids=["blocking", "asyncio"])
 def test_a_loop_outlives_its_device(source: str, capsys: pytest.CaptureFixture[str]) -> None:
     plant = Plant()
-    source = re.sub(r'"tcp://[^"]*"', repr(plant.url), source).replace("every=1", "every=0.02")
+    source = re.sub(r'"tcp://[^"]*"', repr(URL), source).replace("every=1", "every=0.02")
     exec(BREAK.sub("if plant.is_over(values): break", source), {"plant": plant})
     printed = capsys.readouterr().out.splitlines()
     said = ["[555]" if line == "[555]" else line.partition(":")[0] for line in printed]
@@ -101,7 +102,7 @@ def enter_asyncio(url: str) -> None:
 @pytest.mark.parametrize("enter", [enter_blocking, enter_asyncio])
 def test_with_raises_while_a_device_is_down(enter: Callable[[str], None]) -> None:
     with pytest.raises(ModbusConnectionError, match="cannot connect"):
-        enter(Plant().url)
+        enter(URL)
 
 
 def test_after_an_error_the_next_request_connects_again() -> None:
@@ -114,11 +115,10 @@ def test_after_an_error_the_next_request_connects_again() -> None:
             await plc.close()
         return found
 
-    assert asyncio.run(ask(Plant().url)) == [555]
-    url = Plant().url
-    plc = Client(url)
+    assert asyncio.run(ask(URL)) == [555]
+    plc = Client(URL)
     with pytest.raises(ModbusConnectionError):
         plc.read_holding_registers(100, 1)
-    with Server(Device(Mapping(holding_registers={100: [555]}))).background(url):
+    with Server(Device(Mapping(holding_registers={100: [555]}))).background(URL):
         assert plc.read_holding_registers(100, 1) == [555]
         plc.close()
