@@ -10,6 +10,7 @@ import ast
 import inspect
 import re
 import socket
+import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +34,7 @@ from tests.docs.documents import ROOT, blocks
 from tests.docs.home import Home
 from tests.docs.python_blocks import comments_of, is_value, matches
 from tests.support.cases import each_case
+from tests.support.peers import FakeServer
 
 FOLDER = ROOT / "docs" / "coming-from"
 
@@ -189,14 +191,14 @@ def ask_as_libmodbus_py(port: int, timeout: float) -> str:
 
 
 @pytest.mark.parametrize(
-    ("ask", "refused", "silence", "absent"),
+    ("ask", "refused", "silence", "damaged", "absent"),
     [
-        (ask_as_pymodbus, "isError() 2", "ModbusIOException", "ConnectionException"),
-        (ask_as_pylibmodbus, "Exception bytes", "Exception bytes", "Exception bytes"),
-        (ask_as_pymodbustcp, "last_except 2", "MB_TIMEOUT_ERR", "MB_CONNECT_ERR"),
+        (ask_as_pymodbus, "isError() 2", *["ModbusIOException"] * 2, "ConnectionException"),
+        (ask_as_pylibmodbus, *["Exception bytes"] * 4),
+        (ask_as_pymodbustcp, "last_except 2", "MB_TIMEOUT_ERR", "MB_RECV_ERR", "MB_CONNECT_ERR"),
         (
             ask_as_libmodbus_py,
-            *("IllegalDataAddress", "ModbusTimeoutError", "ModbusConnectionError"),
+            *("IllegalDataAddress", "ModbusTimeoutError", "FrameError", "ModbusConnectionError"),
         ),
     ],
 )
@@ -204,16 +206,37 @@ def test_errors_over_tcp_are_those_of_the_tables(
     ask: Callable[[int, float], str],
     refused: str,
     silence: str,
+    damaged: str,
     absent: str,
     served: int,
     silent: int,
 ) -> None:
+    with FakeServer(lambda request: [b"HTTP/1.1 400 Bad Request\r\n\r\n"]) as server:
+        assert ask(server.port, 1) == damaged
     assert [ask(served, 10), ask(silent, 0.1), ask(1, 10)] == [refused, silence, absent]
+
+
+@each_case(
+    ("ask", "kind"),
+    [
+        (lambda plc: plc.read_coils(0, count=2001), ValueError),
+        (lambda plc: plc.read_coils(70_000), ValueError),
+        (lambda plc: plc.write_register(0, 70_000), struct.error),
+        (lambda plc: plc.convert_to_registers("x", plc.DATATYPE.BITS), TypeError),
+    ],
+)
+def test_wrong_arguments_raise_what_the_table_of_pymodbus_says(ask: Any, kind: Any) -> None:
+    with Server(Device(Mapping(coils=8))).background("tcp://127.0.0.1:0") as running:
+        port = int(running.urls[0].rpartition(":")[2])
+        with pymodbus.client.ModbusTcpClient("127.0.0.1", port=port) as plc, pytest.raises(kind):
+            ask(plc)
 
 
 def test_errors_of_minimalmodbus_are_those_of_the_table() -> None:
     with SerialWire() as wire:
         instrument = minimalmodbus.Instrument(wire.client, 17)
+        port = instrument.serial
+        assert (port.timeout, port.baudrate, port.parity, port.stopbits) == (0.05, 19200, "N", 1)
         with pytest.raises(minimalmodbus.NoResponseError):
             instrument.read_register(0)
         with Server(Device(Mapping(holding_registers=8))).background(
@@ -271,6 +294,13 @@ def test_the_options_of_peers_and_their_defaults_exist(page: str) -> None:
         for name, value in re.findall(r"`(\w+)=([^`]+)`", " ".join(theirs)):
             default = PEERS[page][name]
             assert name in SHOWN or default == ast.literal_eval(value), (name, default)
+
+
+def test_options_without_an_equivalent_exist() -> None:
+    page = (FOLDER / "pymodbus.md").read_text()
+    (named,) = re.findall(r"^No equivalent: (.*)\n", page, re.MULTILINE)
+    assert {*re.findall("`(.*?)`", named)} <= PEERS["pymodbus"].keys()
+    assert pylibmodbus.ModbusTcp("127.0.0.1", 502).get_response_timeout() == 0.5
 
 
 @pytest.mark.parametrize("page", PEERS)
