@@ -125,10 +125,12 @@ def systems(wheel: str) -> str:
 
 def _latest_change() -> str:
     """Return the time of the latest commit; outside a clone, of the change log."""
+    if not (ROOT / ".git").exists():  # and perhaps there is no git
+        return str(int((ROOT / "CHANGELOG.md").stat().st_mtime))
     done = subprocess.run(
-        ["git", "log", "-1", "--format=%ct"], cwd=ROOT, capture_output=True, text=True, check=False
+        ["git", "log", "-1", "--format=%ct"], cwd=ROOT, capture_output=True, text=True, check=True
     )
-    return done.stdout.strip() or str(int((ROOT / "CHANGELOG.md").stat().st_mtime))
+    return done.stdout.strip()
 
 
 def _say(text: str) -> None:

@@ -218,20 +218,23 @@ def test_the_library_can_be_exchanged(home: Path, tmp_path: Path) -> None:
 def test_the_sdist_has_what_its_own_tests_need(tmp_path: Path) -> None:
     with tarfile.open(SDIST) as sdist:
         inside = {each.name.partition("/")[2] for each in sdist if each.isfile()}
-    listed = subprocess.run(
-        ["git", "ls-files"], cwd=Path(__file__).parents[1], capture_output=True, text=True
-    )
-    if listed.returncode:
+    root = Path(__file__).parents[1]
+    if not (root / ".git").exists():
         pytest.skip("this is no clone, so nobody knows which files belong to it")
+    listed = subprocess.run(["git", "ls-files"], cwd=root, capture_output=True, text=True)
     missing = set(listed.stdout.split("\n")) - inside - {"", ".gitignore"}
     assert sorted(missing) == []
 
 
 def test_the_sdist_passes_tests_of_its_own(tmp_path: Path) -> None:
-    """Some, for all take ten minutes: unpacked elsewhere, ./run test runs them all."""
+    """Some, which need no program of Debian: unpacked elsewhere, ./run test runs all."""
     with tarfile.open(SDIST) as sdist:
         sdist.extractall(tmp_path, filter="data") if sys.version_info >= (3, 12) else (
             sdist.extractall(tmp_path)
         )
     (tree,) = tmp_path.iterdir()
-    run("sh", "-c", f"cd {tree} && ./run test -n auto -q tests/protocol tests/test_package.py")
+    run(
+        "sh",
+        "-c",
+        f"cd {tree} && ./run python -m pytest -n auto -q tests/protocol tests/test_package.py",
+    )

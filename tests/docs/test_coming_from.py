@@ -1,5 +1,5 @@
 """
-The pages for who comes from a peer: pairs of snippets, which give the same.
+The pages for who comes from a peer: pairs of programs, which do the same, and tables of its words.
 
 That both sides run, and give what they say, is seen where all documents run.
 """
@@ -7,53 +7,321 @@ That both sides run, and give what they say, is seen where all documents run.
 from __future__ import annotations
 
 import ast
+import inspect
 import re
-from collections.abc import Iterator
+import socket
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import minimalmodbus
+import pylibmodbus
+import pymodbus.client
+import pymodbus.exceptions
+import pymodbus.server
+import pyModbusTCP.client
+import pyModbusTCP.constants
 import pytest
+import serial
+from pymodbus.client.mixin import ModbusClientMixin
 from sybil import Document
 
-from libmodbus_py import ModbusError, errors
+from libmodbus_py import Device, Mapping, ModbusError, Server, TcpContext, errors, values
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.docs.documents import ROOT, blocks
-from tests.docs.python_blocks import comments_of, is_value
+from tests.docs.home import Home
+from tests.docs.python_blocks import comments_of, is_value, matches
+from tests.support.cases import each_case
+from tests.support.peers import FakeServer
 
-OTHERS = ("mbpoll",)
-"""Pages without pairs: tables of options."""
+FOLDER = ROOT / "docs" / "coming-from"
 
-FLAGS = re.IGNORECASE | re.DOTALL
+# The fewest pairs of each page; mbpoll.md has a session, and tables of options.
+PAIRS = {"pymodbus": 12, "others": 4}
 
-PAGES = sorted(
-    path for path in (ROOT / "docs" / "coming-from").glob("*.md") if path.stem not in OTHERS
-)
 PAIR = '<div class="grid" markdown>'
+LINES = re.compile(r"takes (\d+) lines with \w+ and (\d+) with libmodbus-py")
 
 
-def pairs(path: Path) -> Iterator[list[str]]:
-    for part in path.read_text().split(PAIR)[1:]:
-        document = Document(part.partition("</div>")[0], str(path))
-        yield [region.lexemes["source"] for region in blocks(document)]
+@dataclass(frozen=True)
+class Pair:
+    before: str
+    theirs: str
+    ours: str
+
+
+def pairs(page: str) -> Iterator[Pair]:
+    before, *parts = (FOLDER / f"{page}.md").read_text().split(PAIR)
+    for part in parts:
+        inside, _, after = part.partition("</div>")
+        theirs, ours = (each.lexemes["source"] for each in blocks(Document(inside, page)))
+        yield Pair(before, theirs, ours)
+        before = after
+
+
+def programs() -> dict[str, Pair]:
+    """Return the pairs whose lines the pages count: the first of each peer."""
+    found = [each for page in (*PAIRS, "mbpoll") for each in pairs(page)]
+    counted = {match[0]: each for each in found if (match := LINES.search(each.before))}
+    return {re.findall(r"with (\w+) and", text)[0]: each for text, each in counted.items()}
+
+
+PROGRAMS = programs()
 
 
 def said(source: str) -> list[object]:
     """The values that comments name; a value alone and a list of it are one to readers."""
-    values = [text for text in comments_of(source).values() if is_value(text)]
-    found = [ast.literal_eval(text) for text in values]
+    texts = [text for text in comments_of(source).values() if is_value(text)]
+    found = [ast.literal_eval(text) for text in texts]
     return [each[0] if isinstance(each, list) and len(each) == 1 else each for each in found]
 
 
-@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
-def test_both_sides_of_the_pairs_give_the_same(path: Path) -> None:
-    found = list(pairs(path))
-    assert len(found) >= 8
-    for theirs, ours in found:
-        assert said(theirs)[-1] == said(ours)[-1], ours
-        assert "libmodbus_py" not in theirs
+@pytest.mark.parametrize("page", PAIRS)
+def test_both_sides_of_the_pairs_give_the_same(page: str) -> None:
+    found = list(pairs(page))
+    assert len(found) >= PAIRS[page]
+    for each in found:
+        assert said(each.theirs)[-1] == said(each.ours)[-1], each.ours
+        assert "libmodbus_py" not in each.theirs
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "docs/coming-from").glob("*.md")))
+def test_each_peer_begins_with_a_program_in_both() -> None:
+    assert list(PROGRAMS) == ["pymodbus", "pylibmodbus", "minimalmodbus", "pyModbusTCP", "mbpoll"]
+
+
+@each_case("peer", PROGRAMS)
+def test_the_lines_of_both_programs_are_counted(peer: str) -> None:
+    each = PROGRAMS[peer]
+    found = [len(list(filter(str.strip, text.splitlines()))) for text in (each.theirs, each.ours)]
+    assert found == [int(text) for text in LINES.search(each.before).groups()]  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("peer", [each for each in PROGRAMS if each != "mbpoll"])
+def test_both_programs_print_what_they_say(
+    peer: str, home: Home, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each print with a comment is reached, by theirs and by ours."""
+    page = "pymodbus" if peer == "pymodbus" else "others"
+    hidden = next(blocks_that_readers_do_not_see(page))
+    exec(home.here(hidden), {"home": home})
+    for source in (PROGRAMS[peer].theirs, PROGRAMS[peer].ours):
+        exec(home.here(source), {})
+        printed = capsys.readouterr().out.splitlines()
+        expected = list(comments_of(source).values())
+        assert len(printed) == len(expected)
+        for text, line in zip(expected, printed, strict=True):
+            assert matches(text, line), line
+
+
+def blocks_that_readers_do_not_see(page: str) -> Iterator[str]:
+    document = Document((FOLDER / f"{page}.md").read_text(), page)
+    for region in blocks(document):
+        if document.text[region.start : region.start + 4] == "<!--":
+            yield region.lexemes["source"]
+
+
+# --- errors ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.md")), ids=lambda path: path.stem)
 def test_each_page_names_the_kinds_of_errors(path: Path) -> None:
     direct = [name for name in errors.__all__ if ModbusError in getattr(errors, name).__bases__]
-    kinds = {*direct, "ModbusError"}
-    (text,) = re.findall(r"every error is a `ModbusError`.*?errors\.md\)", path.read_text(), FLAGS)
-    assert kinds | {"IllegalDataAddress"} == set(re.findall(r"`(\w+)`", text))
+    kinds = {*direct, "ModbusError", "IllegalDataAddress"}
+    assert kinds <= set(re.findall(r"`(\w+)`", path.read_text()))
+
+
+@pytest.fixture
+def silent() -> Iterator[int]:
+    """Return the port of a listener that answers nothing."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        yield listener.getsockname()[1]
+
+
+@pytest.fixture
+def served() -> Iterator[int]:
+    """Return the port of a device without cells from 8 on."""
+    with Server(Device(Mapping(holding_registers=8))).background("tcp://127.0.0.1:0") as running:
+        yield int(running.urls[0].rpartition(":")[2])
+
+
+def ask_as_pymodbus(port: int, timeout: float) -> str:
+    client = pymodbus.client.ModbusTcpClient("127.0.0.1", port=port, timeout=timeout, retries=0)
+    try:
+        client.connect()
+        answer = client.read_holding_registers(100, count=1)
+        return f"isError() {answer.exception_code}" if answer.isError() else ""
+    except pymodbus.exceptions.ModbusException as error:
+        return type(error).__name__
+    finally:
+        client.close()
+
+
+def ask_as_pylibmodbus(port: int, timeout: float) -> str:
+    client = pylibmodbus.ModbusTcp("127.0.0.1", port)
+    try:
+        client.set_response_timeout(timeout)
+        client.connect()
+        client.read_registers(100, 1)
+    except Exception as error:
+        return f"{type(error).__name__} {type(error.args[0]).__name__}"
+    finally:
+        client.close()
+    return ""
+
+
+def ask_as_pymodbustcp(port: int, timeout: float) -> str:
+    client = pyModbusTCP.client.ModbusClient("127.0.0.1", port, timeout=timeout)
+    assert client.read_holding_registers(100, 1) is None
+    refused = client.last_except
+    names = vars(pyModbusTCP.constants).items()
+    (name,) = [each for each, code in names if each[:3] == "MB_" and code == client.last_error]
+    client.close()
+    return f"last_except {refused}" if refused else name
+
+
+def ask_as_libmodbus_py(port: int, timeout: float) -> str:
+    try:
+        with TcpContext("127.0.0.1", port, timeout=timeout) as plc:
+            plc.read_holding_registers(100, 1)
+    except ModbusError as error:
+        return type(error).__name__
+    return ""
+
+
+@pytest.mark.parametrize(
+    ("ask", "refused", "silence", "damaged", "absent"),
+    [
+        (ask_as_pymodbus, "isError() 2", *["ModbusIOException"] * 2, "ConnectionException"),
+        (ask_as_pylibmodbus, *["Exception bytes"] * 4),
+        (ask_as_pymodbustcp, "last_except 2", "MB_TIMEOUT_ERR", "MB_RECV_ERR", "MB_CONNECT_ERR"),
+        (
+            ask_as_libmodbus_py,
+            *("IllegalDataAddress", "ModbusTimeoutError", "FrameError", "ModbusConnectionError"),
+        ),
+    ],
+)
+def test_errors_over_tcp_are_those_of_the_tables(
+    ask: Callable[[int, float], str],
+    refused: str,
+    silence: str,
+    damaged: str,
+    absent: str,
+    served: int,
+    silent: int,
+) -> None:
+    with FakeServer(lambda request: [b"HTTP/1.1 400 Bad Request\r\n\r\n"]) as server:
+        assert ask(server.port, 1) == damaged
+    assert [ask(served, 10), ask(silent, 0.1), ask(1, 10)] == [refused, silence, absent]
+
+
+@each_case(
+    ("ask", "kind"),
+    [
+        (lambda plc: plc.read_coils(0, count=2001), ValueError),
+        (lambda plc: plc.read_coils(70_000), ValueError),
+        (lambda plc: plc.write_register(0, 70_000), struct.error),
+        (lambda plc: plc.convert_to_registers("x", plc.DATATYPE.BITS), TypeError),
+    ],
+)
+def test_wrong_arguments_raise_what_the_table_of_pymodbus_says(ask: Any, kind: Any) -> None:
+    with Server(Device(Mapping(coils=8))).background("tcp://127.0.0.1:0") as running:
+        port = int(running.urls[0].rpartition(":")[2])
+        with pymodbus.client.ModbusTcpClient("127.0.0.1", port=port) as plc, pytest.raises(kind):
+            ask(plc)
+
+
+def test_errors_of_minimalmodbus_are_those_of_the_table() -> None:
+    with SerialWire() as wire:
+        instrument = minimalmodbus.Instrument(wire.client, 17)
+        port = instrument.serial
+        assert (port.timeout, port.baudrate, port.parity, port.stopbits) == (0.05, 19200, "N", 1)
+        with pytest.raises(minimalmodbus.NoResponseError):
+            instrument.read_register(0)
+        with Server(Device(Mapping(holding_registers=8))).background(
+            f"rtu://{wire.server}?parity=N"
+        ):
+            instrument.serial.timeout = 10
+            with pytest.raises(minimalmodbus.SlaveReportedException):
+                instrument.read_register(100)
+        instrument.serial.close()
+    with pytest.raises(serial.SerialException):
+        minimalmodbus.Instrument("/nonexistent/tty", 17)
+    assert issubclass(minimalmodbus.NoResponseError, minimalmodbus.ModbusException)
+    assert issubclass(minimalmodbus.InvalidResponseError, minimalmodbus.ModbusException)
+    assert issubclass(minimalmodbus.ModbusException, OSError)
+
+
+# --- options --------------------------------------------------------------------------------------
+
+
+def parameters(*callables: Any) -> dict[str, Any]:
+    """Return the defaults of all arguments, by name; of several with one name, the last."""
+    found = [inspect.signature(each).parameters for each in callables]
+    return {name: each.default for names in found for name, each in names.items()}
+
+
+PEERS = {
+    "pymodbus": parameters(
+        pymodbus.server.ModbusTcpServer,
+        pymodbus.client.ModbusSerialClient,
+        pymodbus.client.AsyncModbusTcpClient,
+        ModbusClientMixin.read_coils,
+    ),
+    "others": parameters(
+        pylibmodbus.ModbusRtu, minimalmodbus.Instrument, pyModbusTCP.client.ModbusClient
+    ),
+}
+
+
+# What the tables show with another value than the default.
+SHOWN = ("framer", "ignore_missing_devices", "auto_close", "debug", "max_pause", "trace")
+
+
+def option_rows(page: str) -> list[list[str]]:
+    _, _, text = (FOLDER / f"{page}.md").read_text().partition("| options")
+    lines = text.partition("\n\n")[0].splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+@pytest.mark.parametrize("page", PEERS)
+def test_the_options_of_peers_and_their_defaults_exist(page: str) -> None:
+    """Ours are compared with the code where the page of defaults is; their values here."""
+    rows = option_rows(page)
+    assert len(rows) >= 6
+    for *theirs, _ours in rows:
+        for name, value in re.findall(r"`(\w+)=([^`]+)`", " ".join(theirs)):
+            default = PEERS[page][name]
+            assert name in SHOWN or default == ast.literal_eval(value), (name, default)
+
+
+def test_options_without_an_equivalent_exist() -> None:
+    page = (FOLDER / "pymodbus.md").read_text()
+    (named,) = re.findall(r"^No equivalent: (.*)\n", page, re.MULTILINE)
+    assert {*re.findall("`(.*?)`", named)} <= PEERS["pymodbus"].keys()
+    assert pylibmodbus.ModbusTcp("127.0.0.1", 502).get_response_timeout() == 0.5
+
+
+@pytest.mark.parametrize("page", PEERS)
+def test_our_options_and_their_defaults_are_those_of_the_page_of_defaults(page: str) -> None:
+    text = (ROOT / "docs" / "defaults.md").read_text().partition("\n## Limits")[0]
+    defaults = dict(re.findall(r"^\| `(\w+)` \| `([^`]+)` \|", text, re.MULTILINE))
+    shown = [pair for row in option_rows(page) for pair in re.findall(r"`(\w+)=([^`]+)`", row[-1])]
+    assert len(shown) >= 4
+    for name, value in shown:
+        if name in defaults and name not in SHOWN:
+            assert defaults[name] == value
+
+
+def test_bits_of_pymodbus_are_bits16_with_the_order_badc() -> None:
+    registers = range(0, 65536, 13)
+    theirs = ModbusClientMixin.convert_from_registers(
+        list(registers), ModbusClientMixin.DATATYPE.BITS
+    )
+    ours = values.value_type("bits16", order="BADC")
+    assert theirs == [bit for register in registers for bit in ours.decode([register])]
+    switches = [True] + [False] * 14 + [True]
+    assert ours.encode(switches) == ModbusClientMixin.convert_to_registers(
+        switches, ModbusClientMixin.DATATYPE.BITS
+    )

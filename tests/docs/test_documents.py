@@ -96,6 +96,21 @@ def test_extras_exist(path: Path) -> None:
     assert named <= project["optional-dependencies"].keys()
 
 
+def test_the_first_screen_of_the_readme() -> None:
+    """What it is, two commands, fifteen lines, a table and a picture, in this order."""
+    parts = (ROOT / "README.md").read_text().split("\n\n")
+    assert parts[1].count(".") == 1
+    assert parts[2].startswith(
+        "<!-- not run: this repository's own commands -->\n```sh\n./run demo"
+    )
+    assert len(parts[2].splitlines()) == 2 + 3
+    text = "\n\n".join(parts[3:])
+    order = [text.index(each) for each in ("```python\n", "\n```\n\n| |", "\n\n![", "\n```sh")]
+    assert order == sorted(order)
+    program = text.partition("```python\n")[2].partition("\n```")[0]
+    assert len([line for line in program.splitlines() if line]) <= 15
+
+
 def headings(path: Path) -> set[str]:
     return {
         re.sub(r"[^\w\- ]", "", line.lstrip("# ").lower()).replace(" ", "-")
@@ -108,7 +123,8 @@ LINK = re.compile(r"""\]\(([^)\s]*)\)|^\[[^]]+\]:\s*(\S+)|(?:src|href)="([^"]*)\
 
 
 def links_of(text: str) -> list[str]:
-    return ["".join(found) for found in LINK.findall(text)]
+    shown = re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
+    return ["".join(found) for found in LINK.findall(shown)]
 
 
 @each_case("path", DOCUMENTS, ids=NAMES)

@@ -4,16 +4,22 @@ The tables of options for who comes from another tool: each option of ours exist
 
 from __future__ import annotations
 
+import errno
 import re
+import shutil
 from collections.abc import Iterator
 
 import pytest
+from sybil import Document
 
 from libmodbus_py.cli.ask.items import TABLE_WORDS
 from libmodbus_py.cli.commands import COMMANDS, parser_of
+from libmodbus_py.low_level import ffi, lib
 from libmodbus_py.ports.schemes import SCHEMES
 from libmodbus_py.protocol.words import order_named, table_named, type_named
-from tests.docs.documents import ROOT
+from tests.docs.documents import ROOT, blocks
+from tests.docs.home import Home
+from tests.docs.shell_blocks import Shell, of_console
 
 PAGE = ROOT / "docs" / "coming-from" / "mbpoll.md"
 
@@ -50,3 +56,26 @@ def test_every_word_of_ours_is_taken(tool: str) -> None:
             if first.islower() and first.isalnum():
                 is_known = first in names or table_named(first) or type_named(first)
                 assert is_known or order_named(first), words
+
+
+@pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
+def test_the_session_is_the_same_with_mbpoll(home: Home) -> None:
+    """The server of the page, and then both sessions with it."""
+    sources = [each.lexemes["source"] for each in blocks(Document(PAGE.read_text(), str(PAGE)))]
+    serve, theirs, ours = sources[:3]
+    assert "mbpoll" in theirs
+    assert "libmodbus-py read" in ours
+    shell = Shell(home.folder, home.here, home.there)
+    try:
+        for command in [each for source in (serve, theirs, ours) for each in of_console(source)]:
+            shell.type(command)
+    finally:
+        shell.close()
+
+
+def test_messages_of_mbpoll_are_those_of_libmodbus() -> None:
+    """It prints what modbus_strerror returns for errno."""
+    numbers = (lib.EMBXILADD, errno.ETIMEDOUT, lib.EMBBADCRC, lib.EMBBADDATA)
+    table = PAGE.read_text().partition("| message of mbpoll")[2].partition("\n\n")[0]
+    for number in numbers:
+        assert f"`{ffi.string(lib.modbus_strerror(number)).decode()}`" in table

@@ -60,7 +60,7 @@ def refused(code: int) -> Came:
     return lambda request: mbap(request, bytes([0x83, code]))
 
 
-TCP |= {
+REFUSED = {
     f"{name} (exception {code})": refused(code)
     for name, code in {
         "illegal function": 1,
@@ -118,7 +118,7 @@ def test_on_a_serial_line(scheme: str, message: str, came: Came) -> None:
 
 @pytest.mark.parametrize(
     ("scheme", "message", "came"),
-    [("tcp", *case) for case in TCP.items()]
+    [("tcp", *case) for case in [*TCP.items(), *REFUSED.items()]]
     + [("rtu+tcp", *case) for case in LINE.items()]
     + [("tcp", "no answer within 0.3 s", lambda request: b"")],
 )

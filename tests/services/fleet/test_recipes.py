@@ -5,11 +5,9 @@ compared with what their configuration expects.
 
 from __future__ import annotations
 
-import configparser
 import csv
 import json
 import re
-import shlex
 import signal
 import subprocess
 import time
@@ -297,22 +295,6 @@ def test_a_file_that_logrotate_renames_is_begun_anew(plant: Path, hangs_up: bool
 
 
 # --- where it runs --------------------------------------------------------------------------
-
-
-def test_systemd_understands_the_unit(tmp_path: Path) -> None:
-    text = block("systemd", "ini")
-    unit = configparser.ConfigParser(interpolation=None)
-    unit.optionxform = str  # type: ignore[assignment, method-assign]
-    unit.read_string(text)
-    name, *arguments = shlex.split(unit["Service"]["ExecStart"])
-    assert name.endswith("/libmodbus-py")
-    assert parsed(arguments).file == "/etc/libmodbus-py/fleet.toml"
-    if missing("systemd-analyze"):
-        return
-    (tmp_path / "plant.service").write_text(text)
-    command = [program("systemd-analyze"), "verify", str(tmp_path / "plant.service")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
-    assert [line for line in done.stderr.splitlines() if "Unknown" in line] == []
 
 
 def test_the_container_starts_a_command_that_there_is() -> None:

@@ -1,0 +1,207 @@
+"""
+Try each block of commands of docs/how-to/install.md in a new Debian: a minimal one, as root.
+
+    ./run python -m tests.packaging.roots [-k bookworm] [pytest arguments]
+
+The folder `build/roots`, or the one that ROOTS names, keeps every download: the base systems, the
+packages of Debian and those of PyPI. A block whose downloads lie there runs without any network;
+one that ran before, with the same commands and needs. Each system has an unpacked source archive
+of this clone in /root/libmodbus-py, is unpacked into the folder of temporary files, takes up to 1.5
+GB there, and is removed. Tests of `./run test` do not: the six blocks take minutes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+ROOT = Path(__file__).parents[2]
+CACHE = Path(os.environ.get("ROOTS", ROOT / "build" / "roots"))
+PAGE = ROOT / "docs" / "how-to" / "install.md"
+
+PYTHONS = {"bookworm": "3.11", "trixie": "3.13"}
+"""Releases of Debian, 12 and 13, and their Python."""
+
+WAYS = {"source": "pip install .", "deb": "packaging/deb.py", "wheel": "./run wheel"}
+"""The ways to install, and what only the block of each has."""
+
+PROGRAMS = ("debootstrap", "unshare", "chroot", "ip", "tar")
+
+LONGEST_S = 3600
+"""Of a block: `./run wheel` builds libmodbus and the wheel twice, and runs tests."""
+
+SOURCES = """\
+deb http://deb.debian.org/debian {0} main
+deb http://deb.debian.org/debian {0}-updates main
+deb http://deb.debian.org/debian-security {0}-security main
+"""
+
+APT = """\
+APT::Get::Assume-Yes "true";
+APT::Keep-Downloaded-Packages "true";
+Binary::apt::APT::Keep-Downloaded-Packages "true";
+"""
+
+# In namespaces of its own, which take what is mounted with them.
+ENTER = """\
+set -e
+{loopback}
+mount -t proc proc proc
+mount -t devpts -o newinstance,ptmxmode=666 devpts dev/pts
+mount -t tmpfs shm dev/shm
+mount --bind {debs} var/cache/apt/archives
+mount --bind {wheels} mnt
+exec chroot . env -i HOME=/root PATH=/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8 \
+    DEBIAN_FRONTEND=noninteractive PIP_NO_INDEX=1 PIP_FIND_LINKS=/mnt sh -exc "$1"
+"""
+
+
+def why_not() -> str:
+    """Return why no system can be made here, or nothing."""
+    if os.geteuid():
+        return "only root can make a system to try it in"
+    missing = [each for each in PROGRAMS if shutil.which(each) is None]
+    return f"not installed: {', '.join(missing)}" if missing else ""
+
+
+def block(way: str) -> str:
+    """Return the commands that the page has for a way to install."""
+    blocks = re.findall(r"```sh\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    (found,) = (each for each in blocks if WAYS[way] in each)
+    return str(found)
+
+
+def kept(folder: Path) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+class Needs:
+    """What a block downloads in a release, and whether it was downloaded before."""
+
+    def __init__(self, release: str, way: str) -> None:
+        self.release = release
+        self.debs = kept(CACHE / release / "debs")
+        self.wheels = kept(CACHE / release / "wheels")
+        (self.debs / "partial").mkdir(exist_ok=True)
+        texts = [block(way), *((ROOT / name).read_text() for name in ("run", "pyproject.toml"))]
+        texts += [(ROOT / "packaging" / "debian" / "control").read_text()]
+        digest = hashlib.sha256("".join(texts).encode()).hexdigest()
+        self.stamp = CACHE / release / f"{way}-{digest[:12]}"
+
+    def fetch(self) -> None:
+        """Download what pip and the build of libmodbus need; apt downloads while the block runs."""
+        project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+        extras = project["project"]["optional-dependencies"]
+        lines = [*project["build-system"]["requires"], *project["project"]["dependencies"]]
+        needs = [Requirement(line) for line in [*lines, *extras["wheel"], *extras["test"]]]
+        python = PYTHONS[self.release]
+        wanted = []
+        for need in needs:
+            # pip itself takes markers for those of the Python that runs it.
+            if need.marker is None or need.marker.evaluate({"python_version": python}):
+                need.marker = None
+                wanted.append(str(need))
+        machine = os.uname().machine
+        platforms = [f"--platform=manylinux_2_{minor}_{machine}" for minor in range(5, 37)]
+        run_here(
+            sys.executable, "-m", "pip", "download", "-q", "--only-binary=:all:", "-d", self.wheels,
+            f"--python-version={python}", *platforms, *wanted,
+        )  # fmt: skip
+        run_here(
+            sys.executable, "-c", "import libmodbus; libmodbus.fetch()", cwd=ROOT / "packaging"
+        )
+
+
+def run_here(*command: object, cwd: Path = ROOT) -> None:
+    done = subprocess.run(list(map(str, command)), cwd=cwd, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+
+
+def base(release: str) -> Path:
+    """Return a tarball of a minimal system that knows the packages of its release."""
+    made = kept(CACHE / release) / "base.tar"
+    if not made.exists():
+        folder = CACHE / release / "base"
+        shutil.rmtree(folder, ignore_errors=True)
+        run_here("debootstrap", "--variant=minbase", release, folder)
+        (folder / "etc/apt/sources.list").write_text(SOURCES.format(release))
+        run_here("chroot", folder, "apt-get", "update", "-q")
+        run_here("chroot", folder, "apt-get", "clean")
+        run_here("tar", "--one-file-system", "-cf", made.with_suffix(".new"), "-C", folder, ".")
+        shutil.rmtree(folder)
+        made.with_suffix(".new").rename(made)
+    return made
+
+
+@pytest.fixture
+def system(release: str, tmp_path: Path) -> Iterator[Path]:
+    """Unpack a minimal system that has the files of this clone, and answers questions of apt."""
+    tarball, folder = base(release), tmp_path / release
+    folder.mkdir()
+    run_here("tar", "-xf", tarball, "-C", folder)
+    (folder / "etc/apt/apt.conf.d/99roots").write_text(APT)
+    (folder / "etc/dpkg/dpkg.cfg.d/roots").write_text("force-unsafe-io\n")  # it is thrown away
+    sudo = folder / "usr/local/bin/sudo"
+    sudo.write_text('#!/bin/sh\nexec "$@"\n')
+    sudo.chmod(0o755)
+    shutil.copy("/etc/resolv.conf", folder / "etc/resolv.conf")
+    made_here = ("*.so", "*.egg-info", "__pycache__", "build", "dist", "site", ".venv*", ".git")
+    shutil.copytree(
+        ROOT, folder / "root/libmodbus-py", ignore=shutil.ignore_patterns(*made_here, ".*_cache")
+    )
+    yield folder
+    shutil.rmtree(folder)
+
+
+@pytest.mark.skipif(why_not() != "", reason=why_not())
+@pytest.mark.timeout(LONGEST_S)
+@pytest.mark.parametrize("release", PYTHONS)
+@pytest.mark.parametrize("way", WAYS)
+def test_a_block_works_in_a_new_system(
+    release: str, way: str, request: pytest.FixtureRequest
+) -> None:
+    needs = Needs(release, way)
+    is_ready = needs.stamp.exists()
+    if not is_ready:
+        needs.fetch()
+    folder = request.getfixturevalue("system")
+    # Without a network there is nothing but the loopback, which the demonstration talks on.
+    separate = ["--net"] * is_ready
+    enter = ENTER.format(
+        loopback="ip link set lo up" if is_ready else "", debs=needs.debs, wheels=needs.wheels
+    )
+    command = ["unshare", "--mount", "--pid", "--fork", "--kill-child", *separate]
+    began = time.monotonic()
+    done = subprocess.run(
+        [*command, "sh", "-c", enter, "sh", f"cd /root/libmodbus-py\n{block(way)}"],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    seconds = time.monotonic() - began
+    assert done.returncode == 0, done.stdout[-6000:]
+    commands = [line for line in done.stdout.splitlines() if line.startswith("+ ")]
+    last = done.stdout.rstrip().rpartition("\n")[2]
+    network = "without a network" if is_ready else "with the network"
+    print(f"\n{release}, {way}, {network}: {seconds:.0f} s", *commands, last, sep="\n    ")
+    assert "all answers are right" in done.stdout
+    needs.stamp.touch()
+
+
+if __name__ == "__main__":
+    # A block may take longer than what ends other runs of tests.
+    lasting = ("-o", "faulthandler_timeout=0", "-p", "no:cacheprovider")
+    sys.exit(pytest.main([__file__, "-s", "-rs", *lasting, *sys.argv[1:]]))

@@ -1,0 +1,45 @@
+"""The commands that tests.packaging.roots tries in new systems, and where it can."""
+
+from __future__ import annotations
+
+import os
+import shutil
+
+import pytest
+
+from tests.packaging import roots
+
+
+@pytest.mark.parametrize("way", roots.WAYS)
+def test_each_way_to_install_is_one_block_that_ends_with_the_demonstration(way: str) -> None:
+    *commands, last = roots.block(way).splitlines()
+    assert len(commands) in (2, 3)
+    assert last.endswith("libmodbus-py demo")
+
+
+@pytest.mark.parametrize(
+    ("user", "program", "reason"),
+    [
+        (1000, "/bin/x", "only root can make a system to try it in"),
+        (0, None, "not installed: debootstrap, unshare, chroot, ip, tar"),
+        (0, "/bin/x", ""),
+    ],
+)
+def test_where_no_system_can_be_made_the_reason_is_said(
+    user: int, program: str | None, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: user)
+    monkeypatch.setattr(shutil, "which", lambda name: program)
+    assert roots.why_not() == reason
+
+
+def test_other_commands_are_downloaded_again(
+    tmp_path: object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A block with other commands than those whose downloads are kept runs with the network."""
+    monkeypatch.setattr(roots, "CACHE", tmp_path)
+    before = roots.Needs("trixie", "source").stamp
+    assert roots.Needs("trixie", "source").stamp == before
+    other = roots.block("source") + "true\n"
+    monkeypatch.setattr(roots, "block", lambda way: other)
+    assert roots.Needs("trixie", "source").stamp != before
