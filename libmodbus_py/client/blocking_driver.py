@@ -103,7 +103,7 @@ class BlockingDriver:
     def _start_anew(self) -> None:
         # Reentrant, so that a signal handler that sends a request during another one gets an error
         # and does not wait forever.
-        self.lock = threading.RLock()
+        self.lock: threading.RLock = threading.RLock()
         self._is_busy = False
         self._is_left = False
 

@@ -320,6 +320,13 @@ class Matching(ABC):
         self._statistics = statistics
         self._trace = trace
 
+    def _begin_again(self, rest: bytes | bytearray) -> None:
+        """Forget the requests of an earlier connection; `rest` as the attribute."""
+        self.pending = {}
+        self.unanswered = self.unasked = 0
+        self.is_in_step = True
+        self.rest = rest
+
     def wake(self, at: float) -> None:
         """Set the alarm, unless there is an earlier one."""
         if at < self.alarm:

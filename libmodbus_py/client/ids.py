@@ -196,11 +196,8 @@ class Ids(Matching):
 
     def reset(self, now: float) -> list[Call]:
         calls = list(self.pending.values())
-        self.unanswered = self.unasked = 0
-        self.is_in_step = True
         self._framer = make_framer(self._framing, "client")
-        self.rest = self._framer.rest
-        self.pending = {}
+        self._begin_again(self._framer.rest)
         self._abandoned = {}
         self._strays = b""
         return calls

@@ -435,8 +435,8 @@ class Line(Matching):
         # Doubts remain: the units are not on this side of the connection.
         call, self._call = self._call, None
         self._ended.clear()  # left by a Ctrl-C
-        self.unanswered = self.unasked = 0
         self._framer = self._make_framer()
+        self._begin_again(self.rest)
         self._echo.reset()
         self._held = None
         if call is None:

@@ -60,7 +60,7 @@ NEED_NUMBERS: dict[str, Any] = {
 NEED_BITS = ("bits", "bit", "byte")
 """Arguments that need whole numbers or bits in registers."""
 
-SUNSPEC_MISSING = {
+SUNSPEC_MISSING: dict[str, int | None] = {
     "int16": 0x8000,
     "int32": 0x8000_0000,
     "int64": 0x8000_0000_0000_0000,

@@ -33,7 +33,7 @@ class SessionSettings:
         self, endpoint: Endpoint, statistics: ServerStatistics, *, has_turns: bool = False
     ) -> None:
         self.endpoint = endpoint
-        self.statistics = statistics
+        self.statistics: ServerStatistics = statistics
         self.has_turns = has_turns
         self.framing: Framing = endpoint.framing
         self._was_echo_logged = False
@@ -70,7 +70,7 @@ class Framed(ABC):
             self.framer.is_ours = is_ours
         self.channel: Channel = channel
         self.trace: Trace | None = channel.trace
-        self.statistics = settings.statistics
+        self.statistics: ServerStatistics = settings.statistics
         self._timer: asyncio.TimerHandle | None = None
         self._unsearched = b""
         self._is_quiet = False  # True if silence followed the unsearched bytes

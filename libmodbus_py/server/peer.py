@@ -61,7 +61,7 @@ class Turns(ABC):
         self._next_turn: asyncio.Handle | None = None
         self._ending: BaseException | None = None  # raised by a hook to end the program
         self._in_turn = False
-        self.now = 0.0  # the time of this turn
+        self.now: float = 0.0  # the time of this turn
         self._poller = poller
         self._by_descriptor: dict[int, Peer] = {}
         try:

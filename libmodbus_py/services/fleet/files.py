@@ -287,8 +287,8 @@ class _Reader:
             if isinstance(keys.get("path"), str) and keys["path"] != "-":
                 keys["path"] = str(self._folder / keys["path"])
             output = made(kind, keys)
-            if hasattr(output, "describe"):
-                output.describe({each.name: each for each in self._devices})
+            if (describe := getattr(output, "describe", None)) is not None:
+                describe({each.name: each for each in self._devices})
             return keys, output
 
     def _secrets(self, given: Mapping[str, Any]) -> dict[str, Any]:

@@ -74,16 +74,17 @@ class Receivers:
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Pass the devices to the outputs; raise ValueError if one lacks a label."""
         for output in self.outputs:
-            if hasattr(output, "describe"):
-                output.describe(devices)
+            if (describe := getattr(output, "describe", None)) is not None:
+                describe(devices)
 
     async def start(self, commands: Commands) -> None:
         """Open the journal and start the outputs; raise JournalError if it cannot be used."""
         places = await self._places()
         names = _unlike(each.name for each in self.outputs)
         for at, output in enumerate(self.outputs):
-            if hasattr(output, "attach") and getattr(output, "takes_commands", False):
-                output.attach(commands)
+            attach = getattr(output, "attach", None)
+            if attach is not None and getattr(output, "takes_commands", False):
+                attach(commands)
             pump = Pump(output, waiting=places.get(at))
             self._statistics.outputs[names[at]] = pump.statistics
             self._pumps.append(pump)

@@ -211,7 +211,10 @@ def read_toml(text: str) -> dict[str, Any]:
     Raises:
         ValueError: the text is not TOML; the message names line and column.
     """
-    return tomllib.loads(text)
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("arrays or tables are nested too deeply") from None
 
 
 def shown_key(key: str) -> str:
