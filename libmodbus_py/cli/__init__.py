@@ -7,7 +7,7 @@ The command line, on top of everything: arguments become requests and servers.
     commands       every command, and the parser of the arguments
     foreign        words of other programs, and what is typed in place of them
     help           the layout of --help and --help-all
-    arguments      the arguments that several commands take, each declared once
+    arguments      the arguments that several commands take, each declared once; what completes them
     connecting     endpoints and clients, made of URLs and options
     output         standard output and error, files: messages, JSON, styles
     failing        how a command ends: errors, exit codes, SIGTERM
@@ -19,6 +19,5 @@ The command line, on top of everything: arguments become requests and servers.
     serve          serve, gateway, poll, fleet
     certificates   certificates: for trials, or of the machines of a fleet
     completion     completion: scripts for shells, and the answers to their questions
-    completers     ... and what is completed besides commands and options
     demo           demo: worked examples on three kinds of lines, with the bytes sent
 """

@@ -1,23 +1,28 @@
 """
-The arguments that several commands take, each declared once.
+The arguments that several commands take, each declared once, and the words that complete them.
 
 Every option of URLs (`ports.schemes`) is an option of the command line under the same name, with
 hyphens. Options that are not typed are None, so that the URL or the default applies.
+
+Completers are functions as argcomplete calls them: with the text so far and the arguments typed
+before it. Options behind it are looked up in the whole line.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import os
 
 from ..ports.schemes import (
     CLIENT_OPTIONS,
     OTHER_NAMES,
+    PARITIES,
     SCHEMES,
     SECURITY_OPTIONS,
     SERIAL_OPTIONS,
     shape_of,
 )
-from .completers import PARITY_WORDS, completing
 from .foreign import place
 from .help import VerbatimHelp, make_rare
 
@@ -30,9 +35,11 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "SCHEMES_OF_URLS", "URLS", "add_client", "add_client_options", "add_columns", "add_csv",
-    "add_defaults", "add_json", "add_requests", "add_security_options", "add_serial_options",
-    "add_units", "add_url", "add_verbose", "flag", "given", "with_forms",
+    "SCHEMES_OF_URLS", "URLS", "add_client", "add_client_options", "add_columns",
+    "add_csv", "add_defaults", "add_json", "add_requests", "add_security_options",
+    "add_serial_options", "add_units", "add_url", "add_verbose", "behind", "completing",
+    "encodings", "examples", "flag", "given", "lists_of_parities", "maps", "names_of_maps",
+    "sub_functions", "with_forms",
 ]
 # fmt: on
 
@@ -331,3 +338,74 @@ def _of_serial_ports() -> dict[str, Any]:
     told = {name: f"{SERIAL_DEFAULTS[name]}; ascii: {value}" for name, value in others.items()}
     words = {letter: word for word, letter in reversed(PARITIES.items())}
     return {**SERIAL_DEFAULTS, **told, "parity": words[SERIAL_DEFAULTS["parity"]]}
+
+
+# --- what completes arguments ------------------------------------------------------------------
+
+PARITY_WORDS = [word for word in PARITIES if len(word) > 1]
+
+
+def completing(
+    action: argparse.Action, completer: Iterable[str] | Callable[..., Iterable[str]]
+) -> argparse.Action:
+    """Set the words that complete an argument, or a function of them; return the argument."""
+    found = completer if callable(completer) else lambda **_: completer
+    action.completer = found  # type: ignore[attr-defined]
+    return action
+
+
+def lists_of_parities(prefix: str, **_: Any) -> list[str]:
+    """Return the words that continue a list of parities that was begun."""
+    before, comma, _last = prefix.rpartition(",")
+    return [f"{before}{comma}{each}" for each in PARITY_WORDS if each not in before.split(",")]
+
+
+def encodings(**_: Any) -> list[str]:
+    """Return the encodings of text."""
+    from ..protocol.values import ENCODINGS
+
+    return sorted(each.replace("_", "-") for each in ENCODINGS)
+
+
+def sub_functions(**_: Any) -> list[str]:
+    """Return the sub-functions of function 8."""
+    from ..protocol.pdu import SubFunction
+
+    return [each.name.lower().replace("_", "-") for each in SubFunction]
+
+
+def examples(**_: Any) -> list[str]:
+    """Return the device files that come with the package."""
+    from ..tools.simulator.example_files import DEVICES
+
+    return [*DEVICES]
+
+
+def names_of_maps(**_: Any) -> list[str]:
+    """Return the names of the register maps that come with the package."""
+    from ..tools.simulator import example_files
+
+    return [*example_files.maps()]
+
+
+def maps(prefix: str, **_: Any) -> list[str]:
+    """Return the register maps that come with the package, and files."""
+    from argcomplete.completers import FilesCompleter
+
+    return [*names_of_maps(), *FilesCompleter((".csv", ".toml"))(prefix)]
+
+
+def behind(option: str) -> str:
+    """Return the value of an option in the line that is completed; empty if it is not there."""
+    import shlex  # which a command does not need
+
+    words: list[str] = []
+    for quote in ("", "'", '"'):  # one may be open still
+        with contextlib.suppress(ValueError):
+            words = words or shlex.split(f"{os.environ.get('COMP_LINE', '')}{quote}")
+    for at, word in enumerate(words):
+        if word.startswith(f"{option}="):
+            return word.removeprefix(f"{option}=")
+        if word == option:
+            return next(iter(words[at + 1 :]), "")
+    return ""

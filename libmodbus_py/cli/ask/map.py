@@ -10,7 +10,7 @@ from textwrap import fill
 from typing import Any
 
 from .. import arguments
-from ..completers import completing, maps, names_of_maps
+from ..arguments import completing, maps, names_of_maps
 from ..foreign import place
 from ..help import VerbatimHelp
 from ..output import complain

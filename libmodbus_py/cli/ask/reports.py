@@ -15,7 +15,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from .. import arguments
-from ..completers import completing, sub_functions
+from ..arguments import completing, sub_functions
 from ..output import print_json
 
 if TYPE_CHECKING:

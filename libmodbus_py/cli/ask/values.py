@@ -12,7 +12,7 @@ from typing import Any, get_args
 from ...protocol.checks import DURATION, duration_of
 from ...protocol.words import BitsType, NumberType, Order, TimeType
 from .. import arguments
-from ..completers import behind, completing, encodings, maps
+from ..arguments import behind, completing, encodings, maps
 from ..help import make_rare
 from ..serve import page
 

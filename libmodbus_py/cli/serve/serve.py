@@ -21,7 +21,7 @@ from ...server.units import UNKNOWN_UNIT_POLICIES
 from ...tools.faults.server import Server
 from ...tools.simulator import device_file, example_files
 from ...tools.simulator.reloading import Reloader
-from .. import arguments, completers, logs
+from .. import arguments, logs
 from ..connecting import OF_SERVERS, with_options
 from ..foreign import place
 from ..help import VerbatimHelp, make_rare
@@ -112,8 +112,8 @@ def _add_sources(command: argparse.ArgumentParser) -> None:
         " their names, access and bounds",
     )
     make_rare(arguments.add_columns(command))
-    completers.completing(of_map, completers.maps)
-    completers.completing(example, completers.examples)
+    arguments.completing(of_map, arguments.maps)
+    arguments.completing(example, arguments.examples)
 
 
 def _serve(options: argparse.Namespace) -> int:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.cli.find.hosts import host_range
+from libmodbus_py.cli.find.scan import host_range
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.cases import each_case
 from tests.support.commands import run

@@ -8,7 +8,6 @@ Each output imports its libraries when it is opened, and has one row in `output.
     line_file        JsonOutput and CsvOutput, and lines in a file or on the standard output
     forms            readings as JSON and CSV, and messages with the readings of a poll
     influx           Influx: the line protocol in a file, or sent to a server by HTTP
-    line_protocol    readings in the line protocol
     mqtt             Mqtt: the output, and commands that the broker passes on
     mqtt_connection  its connection to a broker
     mqtt_messages    messages, and what the broker retains of them

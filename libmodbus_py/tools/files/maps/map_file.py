@@ -1,23 +1,40 @@
 """
-Register maps from files: in TOML, with a table ``[[point]]`` for each point, or in CSV.
+Register maps from files: in TOML, with a table ``[[point]]`` for each point, or in CSV, as vendors
+publish them.
+
+In CSV, the headings name the columns, in any order, by `COLUMNS`. Empty cells are ignored. Without
+a column for the table, addresses are references, such as 40123.
+
+The words of tables, types and orders stand in `protocol.words`. Only words that every vendor means
+alike are known: a "gain" multiplies with some and divides with others, and a wrong guess would be a
+wrong value.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import json
+import re
+import reprlib
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from os import PathLike, fspath
 from pathlib import PurePath
-from typing import Any
+from typing import Any, NamedTuple
 
+from ....maps.point_checks import BYTES, SCALES
 from ....maps.register_map import RegisterMap
-from ....protocol.mistakes import Path, placed
+from ....protocol.mistakes import Path, WrongValue, inside, placed
+from ....protocol.values import parse_reference
+from ....protocol.words import ORDER_WORDS, TABLE_WORDS, TYPE_WORDS, by_word, plain, type_named
+from ..csv_text import CsvRow, CsvText, flag_in, number_in, whole_in
 from ..schema import Key, Keys, table, tables
 from ..texts import FilePlace, line_of, read_table, read_text, read_toml
-from . import csv_form
 from .contents import Contents, MapEntry, MapError, collected
 
-__all__ = ["FORMS", "contents_of", "contents_of_text", "load_map"]
+__all__ = ["FORMS", "PADDINGS", "contents_of", "contents_of_text", "load_map"]
+
+FORMS: tuple[str, ...] = (".toml", ".csv", ".tsv", ".txt")
+"""The suffixes of files that may be maps; all but the first have columns."""
 
 FILE = Keys([Key("point", tables, "a table for each point: [[point]]", ())])
 
@@ -84,8 +101,8 @@ def contents_of_text(text: str, suffix: str, most: int, columns: Mapping[str, st
             raise ValueError("columns are for CSV; the keys of TOML have the names of arguments")
         return collected(Contents(), _toml_entries(text), most)
     for kind in columns:
-        if kind not in csv_form.READERS:
-            allowed = ", ".join(csv_form.READERS)
+        if kind not in READERS:
+            allowed = ", ".join(READERS)
             raise ValueError(f"columns must name some of {allowed}, not {kind!r}")
     return _from_csv(text, most, columns)
 
@@ -106,15 +123,304 @@ def _toml_entries(text: str) -> Iterator[MapEntry]:
 
 def _from_csv(text: str, most: int, named: Mapping[str, str]) -> Contents:
     try:
-        opened = csv_form.opened(text, named)
-        columns = csv_form.columns_of(opened.head, named)
+        rows = opened(text, named)
+        columns = columns_of(rows.head, named)
     except MapError as error:
         return Contents(mistakes=[error])
     contents = Contents(ignored=columns.ignored)
-    if opened.skipped:
-        contents.notes.append(f"rows above the headings that are skipped: {opened.skipped}")
-    return collected(contents, csv_form.entries(opened, columns), most)
+    if rows.skipped:
+        contents.notes.append(f"rows above the headings that are skipped: {rows.skipped}")
+    return collected(contents, entries(rows, columns), most)
 
 
-FORMS: tuple[str, ...] = (".toml", ".csv", ".tsv", ".txt")
-"""The suffixes of files that may be maps; all but the first have columns."""
+# --- words -----------------------------------------------------------------------------------
+
+COLUMNS = by_word(
+    {
+        "name": "parameter, parameter name, point, point name, signal, signal name, tag, tag name,"
+        " variable, variable name, register name, symbol, label",
+        "table": "register type, reg type, register table, object type, modbus table, area,"
+        " modbus type",
+        "function": "function code, fc, modbus function, func, func code",
+        "address": "register, reg, register address, reg address, start address, addr,"
+        " start register, modbus address, modbus register, register number, offset address",
+        "count": "values",
+        "type": "data type, datatype, value type, format, data format",
+        "order": "byte order, word order, endianness, endian",
+        "encoding": "",
+        "padding": "",
+        "scale": "factor, multiplier, scaling, scale factor, scaling factor, multiply by",
+        "divisor": "divider, divide by",
+        "offset": "value offset",
+        "units": "unit, engineering unit, engineering units, eng unit, uom",
+        "access": "r w, rw, access type, access mode, read write, mode, permission, permissions",
+        "minimum": "min, min value, low limit, lower limit",
+        "maximum": "max, max value, high limit, upper limit",
+        "description": "comment, comments, remark, remarks, note, notes, details, meaning",
+        "missing": "missing value, missing values",
+        "plausible_minimum": "",
+        "plausible_maximum": "",
+        "never_falls": "",
+        "scale_from": "",
+        "scale_as": "",
+        "states": "",
+        "bits": "",
+        "bit": "",
+        "byte": "",
+        "time_zone": "timezone",
+        "interval": "poll interval, polling interval",
+        "group": "",
+    }
+)
+"""Heading of a column -> kind of the column."""
+
+AMBIGUOUS = {
+    "gain": "scale (raw values are multiplied by it) or divisor",
+    "sf": "scale, and write the factor itself: some write the power of ten, or its register",
+}
+"""Heading whose meaning differs between vendors -> the headings to use instead."""
+
+FUNCTION_TABLES = {
+    **dict.fromkeys((1, 5, 15), "coils"),
+    2: "discrete_inputs",
+    **dict.fromkeys((3, 6, 16, 22, 23), "holding_registers"),
+    4: "input_registers",
+}
+"""Function code -> the table that it reads or writes."""
+
+ACCESS_WORDS = by_word(
+    {
+        "read": "r, ro, read only, readonly",
+        "write": "w, wo, write only, writeonly",
+        "read_write": "read write, rw, r w, readwrite, wr, w r",
+    }
+)
+
+PADDINGS = {"space": " ", "nul": "\0"}
+"""Word -> the character that it stands for in the column of paddings."""
+
+# --- columns ---------------------------------------------------------------------------------
+
+
+class Columns(NamedTuple):
+    """
+    The columns of a file, found by their headings.
+
+    Attributes:
+        places: kind of a column -> (its index, its heading).
+        ignored: headings without a known meaning.
+    """
+
+    places: dict[str, tuple[int, str]]
+    ignored: list[str]
+
+
+def opened(text: str, named: Mapping[str, str]) -> CsvText:
+    """
+    Return a text as CSV with headings.
+
+    Args:
+        named: kind of a column -> its heading, where that is none of `COLUMNS`.
+
+    Raises:
+        MapError: the text is not CSV.
+    """
+    headings = {plain(heading) for heading in named.values()}
+    return CsvText(text, lambda heading: plain(heading) in COLUMNS.keys() | headings, MapError)
+
+
+def columns_of(head: CsvRow, named: Mapping[str, str]) -> Columns:
+    """
+    Return the columns by their kinds.
+
+    Args:
+        named: as for `opened`.
+
+    Raises:
+        MapError: a column is missing, two are of one kind, or a heading is ambiguous.
+    """
+    kinds = {plain(heading): kind for kind, heading in named.items()}
+    place = FilePlace(line=head.line)
+    columns = Columns({}, [])
+    single = [" ".join(cell.split()) for cell in head.cells]
+    headings = [(at, heading) for at, heading in enumerate(single) if heading]
+    for wanted, heading in named.items():
+        if plain(heading) not in map(plain, single):
+            raise MapError((), f"no column {heading}, which is named for {wanted}", place=place)
+    for at, heading in sorted(headings, key=_rank):
+        if plain(heading) in kinds:
+            columns.places[kinds[plain(heading)]] = at, heading
+            continue
+        if instead := AMBIGUOUS.get(plain(heading)):
+            reason = f"column {heading} means this or that: call it {instead}"
+            raise MapError((), reason, place=place)
+        kind = COLUMNS.get(plain(heading))
+        kind = None if kind in named else kind
+        other = columns.places.get(kind or "")
+        is_more = kind == "description" or (other and _rank(other) < _rank((at, heading)))
+        if kind is None or (other and is_more):
+            columns.ignored.append(heading)
+        elif other:
+            reason = f"columns {other[1]} and {heading} both hold the {kind}"
+            raise MapError((), reason, place=place)
+        else:
+            columns.places[kind] = at, heading
+    for key in ("name", "address"):
+        if key not in columns.places:
+            known = ", ".join(word for word, kind in COLUMNS.items() if kind == key)
+            raise MapError((), f"no column {key}; it may be called {known}", place=place)
+    return columns
+
+
+def _rank(column: tuple[int, str]) -> bool:
+    """Return the rank of a heading: names of keys come before other words."""
+    return plain(column[1]) not in READERS
+
+
+# --- rows ------------------------------------------------------------------------------------
+
+
+def entries(text: CsvText, columns: Columns) -> Iterator[MapEntry]:
+    """
+    Yield the entry of each row.
+
+    Raises:
+        MapError: the rest of the text is not CSV.
+    """
+    for row in text.rows():
+        if any(row.cells[at : at + 1] != [""] for at, _ in columns.places.values()):
+            yield _entry(text, columns, row)
+
+
+def _entry(text: CsvText, columns: Columns, row: CsvRow) -> MapEntry:
+    def place(path: Path) -> FilePlace:
+        _, heading = columns.places.get(str(path[0]) if path else "", (0, ""))
+        return FilePlace(line=row.line, column=heading)
+
+    def keys() -> dict[str, Any]:
+        cells = [" ".join(cell.split()) for cell in text.cells(row)]
+        held = {key: cells[at] for key, (at, _) in columns.places.items() if at < len(cells)}
+        given = {key: cell for key, cell in held.items() if cell}
+        found = {}
+        for key, cell in given.items():
+            with inside(key):
+                read = READERS[key]
+                found[key] = read(text.number_cell(cell) if read is number_in else cell)
+        return _settled(found, given)
+
+    return MapEntry((), place, keys)
+
+
+def _settled(keys: dict[str, Any], given: dict[str, str]) -> dict[str, Any]:
+    """
+    Resolve arguments that depend on several columns.
+
+    Raises:
+        WrongValue: they contradict each other.
+    """
+    table = keys.pop("function", None)
+    if table and keys.setdefault("table", table) != table:
+        raise WrongValue("function", f"{given['function']} is none of {keys['table']}")
+    if "address" in keys and "table" not in keys:
+        keys["table"], keys["address"] = _referred(given["address"])
+    if "divisor" in given:
+        if "scale" in given:
+            raise WrongValue("divisor", "cannot be given together with a scale")
+        if not keys["divisor"]:
+            raise WrongValue("divisor", "must not be 0")
+        keys["scale"] = 1 / keys.pop("divisor")
+    if keys.get("missing") == "sunspec" and plain(given.get("type", "")).startswith("acc"):
+        keys["missing"] = [0]  # of accumulators, 0 means "not implemented"
+    if keys.get("type") == "bool":
+        if keys.get("table", "").endswith("registers"):
+            reason = "of registers must not be bool; bits16 gives those of one"
+            raise WrongValue("type", reason)
+        del keys["type"]
+    return keys
+
+
+def _referred(text: str) -> tuple[str, int]:
+    try:
+        table, address = parse_reference(text)
+    except ValueError:
+        wanted = "a reference such as 40123 or 300007 where no column says the table"
+        hint = ""
+        if re.fullmatch("[1-9][0-9]{0,3}", text):
+            hint = f"; a spreadsheet removes the zeros of 0{int(text):04}: format cells as text"
+        raise WrongValue("address", f"must be {wanted}, not {reprlib.repr(text)}{hint}") from None
+    return table, address
+
+
+# --- cells -----------------------------------------------------------------------------------
+
+_FUNCTION = re.compile(r"(?<![0-9a-z])(?:fc|f|0x)? ?([0-9]{1,2})(?![0-9a-z])")
+
+
+def _word(meanings: dict[str, str]) -> Callable[[str], str]:
+    def read(text: str) -> str:
+        if found := meanings.get(plain(text)):
+            return found
+        allowed = ", ".join(dict.fromkeys(meanings.values()))
+        raise WrongValue((), f"must be one of {allowed}, not {reprlib.repr(text)}")
+
+    return read
+
+
+_type_word = _word({**TYPE_WORDS, "string:n": "string:N"})
+
+
+def _function(text: str) -> str:
+    """Return the table of "3", "03/06/16", "0x04" or "FC 3"."""
+    tables = {FUNCTION_TABLES.get(int(code)) for code in _FUNCTION.findall(text.casefold())}
+    if len(tables) != 1 or None in tables:
+        allowed = ", ".join(map(str, FUNCTION_TABLES))
+        raise WrongValue((), f"must be of {allowed}, all of one table, not {reprlib.repr(text)}")
+    return str(*tables)
+
+
+def _missing(text: str) -> str | list[int | float]:
+    """Return the numbers of "65535" or "0x8000; -1", or the word sunspec."""
+    if plain(text) == "sunspec":
+        return "sunspec"
+    words = re.split(r"[;,\s]+", text.strip("; "))
+    return [whole_in(each) if each[:2] in ("0x", "0X") else number_in(each) for each in words]
+
+
+def _names(text: str) -> dict[str, str]:
+    """Return the names of "0 = off; 1 = on", or of a JSON object."""
+    if text.startswith("{"):
+        try:
+            return dict(json.loads(text))
+        except ValueError:
+            raise WrongValue((), f"must be a JSON object, not {reprlib.repr(text)}") from None
+    found: dict[str, str] = {}
+    for each in text.strip("; ").split(";"):
+        key, separator, name = each.partition("=")
+        if not separator or not name.strip():
+            raise WrongValue((), f"must be like 0 = off; 1 = on, not {reprlib.repr(text)}")
+        if key.strip() in found:
+            raise WrongValue((), f"must name {key.strip()} once, not twice")
+        found[key.strip()] = name.strip()
+    return found
+
+
+READERS: dict[str, Callable[[str], Any]] = {
+    **dict.fromkeys(("name", "units", "description", "group", "encoding", "time_zone"), str),
+    **dict.fromkeys(("scale_from", "bit"), str),
+    **dict.fromkeys(("address", "count"), whole_in),
+    **dict.fromkeys(("scale", "divisor", "offset", "interval"), number_in),
+    **dict.fromkeys(("minimum", "maximum"), number_in),
+    **dict.fromkeys(("plausible_minimum", "plausible_maximum"), number_in),
+    **dict.fromkeys(("states", "bits"), _names),
+    "table": _word(TABLE_WORDS),
+    "function": _function,
+    "type": lambda text: type_named(text) or _type_word(text),
+    "order": lambda text: ORDER_WORDS.get(plain(text), text),
+    "padding": lambda text: PADDINGS.get(plain(text), text),
+    "access": _word(ACCESS_WORDS),
+    "missing": _missing,
+    "never_falls": flag_in,
+    "scale_as": _word({word: word for word in SCALES}),
+    "byte": _word({word: word for word in BYTES}),
+}
+"""Kind of a column -> the reader that returns the argument of `Point`, or raises WrongValue."""

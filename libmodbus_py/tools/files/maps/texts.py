@@ -18,7 +18,7 @@ from ....maps.point import Point
 from ....maps.register_map import RegisterMap, attribute_names, spelled
 from ..csv_text import csv_rows
 from ..texts import shown_key
-from .csv_form import PADDINGS
+from .map_file import PADDINGS
 
 __all__ = ["MARK", "class_name", "class_text", "csv_text", "toml_text"]
 

@@ -11,7 +11,7 @@ import pytest
 
 from libmodbus_py import Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig, Reading
-from libmodbus_py.services.fleet.outputs.line_protocol import LineProtocol
+from libmodbus_py.services.fleet.outputs.influx import LineProtocol
 from libmodbus_py.services.fleet.readings import Quality
 from tests.support.cases import each_case
 
