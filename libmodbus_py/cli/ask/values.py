@@ -14,7 +14,7 @@ from ...protocol.words import BitsType, NumberType, Order, TimeType
 from .. import arguments
 from ..arguments import behind, completing, encodings, maps
 from ..help import make_rare
-from ..serve import page
+from ..serve import over_http
 
 __all__ = ["add_command", "names"]
 
@@ -90,7 +90,7 @@ def _add_read(commands: Any) -> None:
         metavar="SECONDS",
         help="end after a time, such as 90 or 1h30m; implies --watch",
     )
-    page.add_argument(group, "the values of --watch")
+    over_http.add_page(group, "the values of --watch")
     arguments.add_requests(command, several=True)
     command.set_defaults(run=_read)
 

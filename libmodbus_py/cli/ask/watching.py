@@ -21,7 +21,7 @@ from ..connecting import connected
 from ..failing import CommandError
 from ..output import complain, counted
 from ..screen import Redrawn
-from ..serve import page
+from ..serve import over_http
 from .formatters import ReadResult, aligned
 from .reading import Printer, Reader, printer_of, readers_of
 from .units import reason_of
@@ -140,7 +140,7 @@ def _on_page(
     from .shown_watch import ShownWatch
 
     shown = ShownWatch(title, printer, interval)
-    with page.tables_shown(lambda: shown, options.page, options.page_token, sys.stderr):
+    with over_http.tables_shown(lambda: shown, options.page, options.page_token, sys.stderr):
         yield shown
 
 

@@ -38,8 +38,7 @@ from .. import arguments
 from ..failing import CommandError
 from ..help import VerbatimHelp
 from ..output import complain, print_json
-from .announcing import notify_ready
-from .hangup import Hangup
+from .running import Hangup, notify_ready
 
 __all__ = ["add_arguments", "add_command", "poll"]
 

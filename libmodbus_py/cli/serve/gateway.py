@@ -25,9 +25,8 @@ from ..connecting import with_options
 from ..foreign import place
 from ..help import VerbatimHelp
 from ..tracing import print_frame
-from . import audit, limits, metrics, page
-from .announcing import announcing
-from .hangup import Hangup, is_secure, noted
+from . import clients, over_http
+from .running import Hangup, announcing, is_secure, noted
 
 if TYPE_CHECKING:
     from ...tools.page.table_source import Shown
@@ -78,15 +77,15 @@ def add_command(commands: Any) -> None:
     )
     arguments.add_units(command, "units of each --to that names none, such as 1-10,17 (all)")
     command.add_argument("--config", metavar="FILE", help="read routes and options from a file")
-    metrics.add_argument(command)
-    page.add_argument(command, "lines, units and clients")
+    over_http.add_metrics(command)
+    over_http.add_page(command, "lines, units and clients")
     arguments.add_verbose(command)
     logs.add_arguments(command)
     _add_options(command)
     group = command.add_argument_group("requests to the devices")
     arguments.add_client_options(group, without=("unit", "native"), defaults=_of_clients)
-    limits.add_arguments(command)
-    audit.add_arguments(command)
+    clients.add_limits(command)
+    clients.add_audit(command)
     arguments.add_serial_options(command)
     arguments.add_security_options(command)
     command.set_defaults(run=_gateway)
@@ -142,10 +141,10 @@ def _gateway_logged(options: argparse.Namespace, hangup: Hangup) -> int:
     routes = [parse_route(text, options.units) for text in options.to or ()]
     urls, routes = _overridden(urls, routes, options)
     hooks: dict[str, Any] = {"trace": print_frame if options.verbose else None}
-    if bounds := limits.limits_of(options):
+    if bounds := clients.limits_of(options):
         hooks["limits"] = bounds
 
-    with audit.audited(options) as (trail, on_hangup):
+    with clients.audited(options) as (trail, on_hangup):
         hooks["audit"] = trail
         typed = arguments.given(options, OPTIONS)
         usual = file.options if file else {}
@@ -153,10 +152,10 @@ def _gateway_logged(options: argparse.Namespace, hangup: Hangup) -> int:
         if file is not None:
             on_hangup.insert(0, partial(_read_again, gateway, str(options.config), file))
         has_files = on_hangup or is_secure([*urls, *(route.to for route in routes)])
-        tell = audit.recording(trail, logger.warning)
+        tell = clients.recording(trail, logger.warning)
         read_again = hangup.unless_closed(tell, *on_hangup) if has_files else None
         announce = announcing(options.allow)
-        with metrics.exposed(gateway, options.metrics), _shown(gateway, options):
+        with over_http.exposed(gateway, options.metrics), _shown(gateway, options):
             hangup.serve_forever(gateway, urls, announce, read_again)
     return 0
 
@@ -173,7 +172,9 @@ def _shown(gateway: Gateway, options: argparse.Namespace) -> Iterator[None]:
             stack.enter_context(gateway.tracing(shown.note))
             return shown
 
-        stack.enter_context(page.tables_shown(make, options.page, options.page_token, sys.stdout))
+        stack.enter_context(
+            over_http.tables_shown(make, options.page, options.page_token, sys.stdout)
+        )
         yield
 
 

@@ -33,10 +33,8 @@ from ..help import VerbatimHelp
 from ..output import complain, counted, inform
 from ..screen import Redrawn, Status
 from . import fleet as workers
-from . import metrics, page
-from .announcing import notify_ready
-from .fleet_table import fleet_lines
-from .hangup import Hangup, noted
+from . import over_http
+from .running import Hangup, noted, notify_ready
 
 if TYPE_CHECKING:
     from ...services.fleet.shown_fleet import PageOutput
@@ -94,8 +92,8 @@ def add_command(commands: Any) -> None:
             metavar="PATH",
             help=f"append readings to a file as {form}; without PATH, print them; may be repeated",
         )
-    metrics.add_argument(command)
-    page.add_argument(command, "the values and the devices")
+    over_http.add_metrics(command)
+    over_http.add_page(command, "the values and the devices")
     workers.add_arguments(command)
     arguments.add_verbose(command)
     logs.add_arguments(command)
@@ -216,8 +214,8 @@ def _seen(
             return ShownFleet(os.path.basename(options.file), fleet, shown, older)
 
         with (
-            metrics.exposed(fleet, options.metrics, values, to=sys.stderr),
-            page.tables_shown(make, options.page, options.page_token, sys.stderr),
+            over_http.exposed(fleet, options.metrics, values, to=sys.stderr),
+            over_http.tables_shown(make, options.page, options.page_token, sys.stderr),
         ):
             yield
 
@@ -373,6 +371,8 @@ async def _show_line(fleet: Fleet) -> None:
 
 async def _show_table(values: LastValues, fleet: Fleet) -> None:
     """Draw the devices that are down and the values again and again, until cancelled."""
+    from ...services.fleet.shown_fleet import fleet_lines
+
     table = Redrawn(sys.stderr)
     try:
         with logs.called_before_lines(table.clear):

@@ -26,9 +26,8 @@ from ..connecting import OF_SERVERS, with_options
 from ..foreign import place
 from ..help import VerbatimHelp, make_rare
 from ..tracing import print_frame
-from . import audit, limits, metrics, page
-from .announcing import announcing
-from .hangup import Hangup, is_secure, noted
+from . import clients, over_http
+from .running import Hangup, announcing, is_secure, noted
 
 __all__ = ["add_command"]
 
@@ -77,9 +76,9 @@ def add_command(commands: Any) -> None:
         help="device that answers units 0 and 255 too, on TCP and UDP",
     )
     _add_state(command)
-    metrics.add_argument(command)
-    page.add_argument(command)
-    limits.add_arguments(command).add_argument(
+    over_http.add_metrics(command)
+    over_http.add_page(command)
+    clients.add_limits(command).add_argument(
         "--unknown-unit",
         choices=UNKNOWN_UNIT_POLICIES,
         default="refuse",
@@ -87,7 +86,7 @@ def add_command(commands: Any) -> None:
         help="requests to units without a device, on TCP and UDP: refuse answers with an"
         " exception, silent does not answer (refuse)",
     )
-    audit.add_arguments(command)
+    clients.add_audit(command)
     arguments.add_verbose(command)
     logs.add_arguments(command)
     arguments.add_serial_options(command)
@@ -136,26 +135,26 @@ def _serve_logged(options: argparse.Namespace, hangup: Hangup) -> int:
     simulation = _simulation(options, path)
     units = {} if simulation else {unit: _everything() for unit in options.units or ()}
     devices, faults = simulation or (units or _everything(), None)
-    with audit.audited(options) as (trail, on_hangup):
+    with clients.audited(options) as (trail, on_hangup):
         server = Server(
             devices,
             faults,
-            limits.limits_of(options),
+            clients.limits_of(options),
             options.unknown_unit,
             options.own_unit,
             trace=print_frame if options.verbose else None,
             audit=trail,
         )
         announce = announcing(options.allow)
-        tell = audit.recording(trail, _tell)
+        tell = clients.recording(trail, _tell)
         reloader = None
         if simulation is not None and path is not None:
             is_watching = options.reload
             reloader = Reloader(server, path, simulation, is_watching=is_watching, tell=tell)
         with (
             _kept(options.state, lambda: (reloader or server).devices),
-            metrics.exposed(server, options.metrics),
-            page.shown(server, options.page, announce, options.page_token) as announce_all,
+            over_http.exposed(server, options.metrics),
+            over_http.shown(server, options.page, announce, options.page_token) as announce_all,
         ):
             if reloader is None:
                 has_files = on_hangup or is_secure(urls)

@@ -1,5 +1,5 @@
 """
-A fleet as a page shows it: its outputs, and its devices with their values.
+A fleet as it is shown: on a page with its outputs, devices and values; on a terminal as lines.
 """
 
 from __future__ import annotations
@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from ...protocol.plain import clock_text
 from ...tools.page.log import Log
 from ...tools.page.samples import Series
 from ...tools.page.table_source import (
@@ -24,9 +25,9 @@ from .config import DeviceConfig
 from .fleet import Fleet
 from .poller import DeviceState, Poller
 from .readings import Reading
-from .statistics import LastValues
+from .statistics import KeptReadings, LastValues
 
-__all__ = ["PageOutput", "ShownFleet"]
+__all__ = ["PageOutput", "ShownFleet", "fleet_lines"]
 
 
 class PageOutput:
@@ -197,3 +198,54 @@ class PollerRow:
             "",
             round(poller.answered_at, 1),
         ]
+
+
+# --- on a terminal -----------------------------------------------------------------------------
+
+MOST_LINES = 500
+"""More than a terminal shows."""
+
+WIDEST = 30
+"""Characters of a name."""
+
+MAX_TEXT_CHARACTERS = 60
+"""Of a value, so that its unit of measurement stays on the line."""
+
+
+def fleet_lines(fleet: Fleet, kept: KeptReadings, title: str) -> list[tuple[str, bool]]:
+    """
+    Return the title, the devices that are down, since when and why, and the values.
+
+    Returns:
+        Each line with True if it is bold.
+    """
+    lines = [(title, True), *((line, False) for line in _down(fleet))]
+    readings = list(kept.by_name.copy().values())
+    shown = [each for each in readings if each.quality != "down"][:MOST_LINES]
+    device = min(max((len(each.device) for each in shown), default=0), WIDEST)
+    name = min(max((len(each.name) for each in shown), default=0), WIDEST)
+    for each in shown:
+        text = (
+            _text(each.value)[:MAX_TEXT_CHARACTERS]
+            if each.quality == "good"
+            else f"- ({each.reason})"
+        )
+        where = f"{each.device[:WIDEST]:<{device}}  {each.name[:WIDEST]:<{name}}"
+        lines.append((f"{where}  {text:>14} {each.unit}".rstrip(), False))
+    hidden = len(readings) - len(shown)
+    return [*lines, (f"... {hidden} more", False)] if hidden > MOST_LINES else lines
+
+
+def _down(fleet: Fleet) -> Iterator[str]:
+    for each in fleet.devices.values():
+        if each.state is DeviceState.DOWN:
+            clock = clock_text(each.since)
+            why = str(each.error).rpartition("): ")[2]
+            yield f"{each.name[:WIDEST]} is down since {clock}: {why}"
+
+
+def _text(value: object) -> str:
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    text = str(value)
+    return f"{value:.7g}" if isinstance(value, float) and len(text) > 12 else text

@@ -16,8 +16,8 @@ import pytest
 
 from libmodbus_py import Device, Fleet, Mapping, Server
 from libmodbus_py.cli.screen import Redrawn
-from libmodbus_py.cli.serve.fleet_table import fleet_lines
 from libmodbus_py.fleet import Reading
+from libmodbus_py.services.fleet.shown_fleet import fleet_lines
 from libmodbus_py.services.fleet.statistics import KeptReadings
 from tests.support.cases import each_case
 from tests.support.commands import PAGE_TOKEN, Started, on_terminal, page_url, run

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.cli.serve.announcing import notify_ready
+from libmodbus_py.cli.serve.running import notify_ready
 from tests.cli.serving import FLEET_OF_ONE
 from tests.support.commands import Started
 

@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import pytest
 
-from libmodbus_py.cli.serve.announcing import announcing
+from libmodbus_py.cli.serve.running import announcing
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.cli.serving import serving
 from tests.support.cases import each_case

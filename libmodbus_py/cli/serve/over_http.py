@@ -1,5 +1,5 @@
 """
-The options for a live page.
+Metrics for Prometheus and a live page, which commands serve over HTTP beside Modbus.
 """
 
 from __future__ import annotations
@@ -10,12 +10,11 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING, TextIO, TypeGuard
+from typing import TYPE_CHECKING, Any, TextIO, TypeGuard
 
 from ...protocol.errors import ModbusConnectionError
 from ..help import make_rare
 from ..output import complain, inform
-from .metrics import Address, OneAddress, address_like
 
 if TYPE_CHECKING:
     from ...server.server import Running
@@ -23,7 +22,84 @@ if TYPE_CHECKING:
     from ...tools.page.page import Page
     from ...tools.page.table_source import Shown
 
-__all__ = ["add_argument", "shown", "tables_shown"]
+__all__ = ["add_metrics", "add_page", "exposed", "shown", "tables_shown"]
+
+Address = tuple[str, int]
+
+
+def add_metrics(command: argparse.ArgumentParser) -> None:
+    """Add the option for metrics to argparse."""
+    command.add_argument(
+        "--metrics",
+        action=OneAddress,
+        type=address_like("127.0.0.1:9400"),
+        metavar="HOST:PORT",
+        help="serve metrics for Prometheus at this address, over HTTP",
+    )
+
+
+@contextlib.contextmanager
+def exposed(
+    server: Any, address: Address | None, *others: Any, to: TextIO | None = None
+) -> Iterator[None]:
+    """
+    Serve the metrics of a server while the block runs, if there is an address.
+
+    Args:
+        others: further objects with statistics.
+        to: the stream on which the URL is printed; None for the standard output.
+
+    Raises:
+        ImportError: prometheus_client is not installed.
+        ModbusConnectionError: the address is not available, with errno.
+    """
+    if address is None:
+        yield
+        return
+    from ...services.integrations import prometheus
+
+    prometheus.collect(server, *others)
+    with contextlib.ExitStack() as stack:
+        try:
+            url = stack.enter_context(prometheus.exposing(*address))
+        except OSError as error:
+            place = ":".join(map(str, address))
+            raise ModbusConnectionError(
+                f"cannot listen for metrics on {place}: {error.strerror}", errno=error.errno
+            ) from error
+        inform(f"metrics on {url}", to)
+        yield
+
+
+def address_like(example: str) -> Callable[[str], Address]:
+    """Return a function that reads an address; its error shows the example."""
+
+    def read(text: str) -> Address:
+        from ...ports.hosts import split_host_and_port
+
+        with contextlib.suppress(ValueError):
+            host, port = split_host_and_port(text)
+            if port is not None:
+                return host, port
+        raise argparse.ArgumentTypeError(f"must be HOST:PORT, such as {example}, not {text!r}")
+
+    return read
+
+
+class OneAddress(argparse.Action):
+    """Sets an address, and refuses a second one; argparse alone would forget the first."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        if getattr(namespace, self.dest) is not None:
+            raise argparse.ArgumentError(self, "may be given once: there is one address for all")
+        setattr(namespace, self.dest, values)
+
 
 EXAMPLE = ("127.0.0.1", 8080)
 
@@ -31,9 +107,9 @@ TOKEN = "LIBMODBUS_PY_PAGE_TOKEN"
 """The environment variable that has the token of the page."""
 
 
-def add_argument(command: argparse._ActionsContainer, what: str = "the devices") -> None:
+def add_page(command: argparse._ActionsContainer, what: str = "the devices") -> None:
     """
-    Add the options to argparse.
+    Add the options for a page to argparse.
 
     Args:
         what: what the page shows.
