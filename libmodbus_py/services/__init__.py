@@ -10,6 +10,6 @@ Services: programs that run for months, and integrations with other software.
     integrations   metrics for Prometheus; a backend for Home Assistant's modbus-connection
     line           one connection that is shared: which request is sent next, and when
     tasks          cancels tasks, and waits for their end
-    server_url     URLs of brokers, databases and NATS servers
+    other_servers  URLs of brokers, databases and NATS servers, and credentials in files
     loading        loads files of any kind: maps, devices, gateways, fleets
 """

@@ -15,8 +15,8 @@ import pytest
 from libmodbus_py.security.renewed import Renewed, reload_all
 from libmodbus_py.services.engine.connection import EngineError, FileText, _identity, _trust
 from libmodbus_py.services.fleet.files import load
-from libmodbus_py.services.fleet.outputs.credentials import SecretFile, text_of
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
+from libmodbus_py.services.other_servers import SecretFile, text_of
 from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.secret_files import write_secret

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from ...protocol.extras import what_is_missing
 from ...security.describing import in_words
 from ...security.renewed import Renewed, read_secret
-from ..server_url import server_url
+from ..other_servers import server_url
 from ..tasks import finish
 
 if TYPE_CHECKING:

@@ -44,10 +44,10 @@ from ...tools.files.maps.map_file import load_map
 from ...tools.files.schema import REQUIRED, Key, Keys, in_bytes, in_seconds, keys_of, table, tables
 from ...tools.files.texts import FileError, FilePlace, line_of, load_file, read_table, read_toml
 from ...tools.simulator.example_files import map_file
+from ..other_servers import SecretFile
 from .config import ENGINE, DeviceConfig, checked
 from .devices_csv import DeviceRow, device_rows, opened
 from .journal.journal import KEEP_BOUNDS, SIZE_BOUNDS, Journal
-from .outputs.credentials import SecretFile
 from .outputs.output import KINDS, Output, file_at, made, output_keys, shared, used
 
 __all__ = ["DEVICE", "FILE", "FleetFile", "FleetFileError", "load"]

@@ -7,8 +7,7 @@ In the order in which a request passes::
     dispatcher    sends each request to its line; the sessions that wait for responses
     config        gateway files in TOML
     routes        Route: the units of a line and the allowed requests; options of all lines
-    raw_request   RequestBytes: a request as bytes, with its decoded form
-    line          GatewayLine: a shared line, with joined reads and cached responses
+    line          GatewayLine: a shared line, with joined reads and cached responses; its requests
     silent_units  units that do not answer, and when they are tried again
     statistics    counters by line and by unit, also as registers of the gateway itself
     shown_gateway lines, units and clients as the live page shows them

@@ -29,8 +29,7 @@ from ...security.describing import CertificateHolder
 from ...server.framed import Framed, SessionSettings
 from ...server.limits import ServerStatistics, host_of
 from ...server.service import Channel, Later, MakeSession
-from .line import Forwarded, GatewayLine
-from .raw_request import RequestBytes, request_of
+from .line import Forwarded, GatewayLine, RequestBytes, request_of
 from .routes import Route
 from .statistics import GatewayStatistics
 

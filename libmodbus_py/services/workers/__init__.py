@@ -4,8 +4,7 @@ Workers on several machines that share the devices of a fleet: each device is po
 ::
 
     polling        runs a worker with a clock, a bucket and a fleet
-    stream         the stream of readings, and the subjects of messages
-    commands       writes to points by name, answered by the worker that polls the device
+    messages       the stream of readings, and writes to points by name; subjects
     pushing        devices as records of the bucket; only records that differ are written
     status         the workers, their slots, and the parts of the fleet that no worker polls
 

@@ -21,11 +21,10 @@ from ..fleet.fleet import Fleet
 from ..fleet.journal.journal import Journal
 from ..fleet.outputs.output import Output
 from ..tasks import end_tasks
-from .commands import CommandService, Locations
 from .decisions import step
+from .messages import CommandService, Locations, Stream
 from .pushing import devices_of
 from .records import Connection, FleetSettings
-from .stream import Stream
 from .worker import OWN_PART, Put, Worker
 
 if TYPE_CHECKING:

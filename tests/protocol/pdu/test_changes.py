@@ -11,7 +11,7 @@ import pytest
 
 from libmodbus_py import pdu
 from libmodbus_py.protocol.pdu import RawRequest, ReadDeviceIdentification
-from libmodbus_py.services.gateway.raw_request import request_of
+from libmodbus_py.services.gateway.line import request_of
 from tests.protocol.pdu.examples import Doubled
 
 READING = [

@@ -7,8 +7,7 @@ from __future__ import annotations
 import asyncio
 
 from libmodbus_py import Device, Mapping
-from libmodbus_py.services.gateway.line import MOST_CACHED, Cache
-from libmodbus_py.services.gateway.raw_request import request_of
+from libmodbus_py.services.gateway.line import MOST_CACHED, Cache, request_of
 from tests.services.gateway.test_line import READ, WRITE, Asker, Plant
 from tests.simulation.stage import Stage
 from tests.support.gateways import passage

@@ -14,8 +14,7 @@ import pytest
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.services import line as shared_line
 from libmodbus_py.services.gateway import line as gateway_line
-from libmodbus_py.services.gateway.line import BUSY, NO_ANSWER, Forwarded, GatewayLine
-from libmodbus_py.services.gateway.raw_request import request_of
+from libmodbus_py.services.gateway.line import BUSY, NO_ANSWER, Forwarded, GatewayLine, request_of
 from libmodbus_py.services.gateway.routes import GatewayOptions
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write

@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 
 from libmodbus_py import ExceptionResponse, IllegalDataValue, IllegalFunction, InvalidResponse, pdu
-from libmodbus_py.services.gateway.raw_request import request_of
+from libmodbus_py.services.gateway.line import request_of
 from tests.support import vectors
 from tests.support.cases import each_case
 

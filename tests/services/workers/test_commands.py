@@ -18,7 +18,7 @@ from libmodbus_py import ModbusTimeoutError
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.commands import Commands, Wanted
 from libmodbus_py.services.fleet.statistics import FleetStatistics
-from libmodbus_py.services.workers.commands import MOST_WAITING, CommandService
+from libmodbus_py.services.workers.messages import MOST_WAITING, CommandService
 from libmodbus_py.services.workers.records import FleetSettings
 from tests.services.workers.memory_engine import MemoryClient, simulated
 from tests.services.workers.trial import INTERVAL, LEASE, Trial, tried

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from libmodbus_py.services.engine.buckets import Change
-from libmodbus_py.services.workers.commands import Locations
 from libmodbus_py.services.workers.decisions import step
+from libmodbus_py.services.workers.messages import Locations
 from libmodbus_py.services.workers.records import (
     SETTINGS,
     Connection,
@@ -475,5 +475,5 @@ class TestRefusals:
         for value, told in ((None, "there is no device 'pump'"), (LINE.encode(), self.PUMP)):
             one.write(LINE.bucket_key, value)
             assert locations.refusal("pump", 1.0) == told
-        monkeypatch.setattr("libmodbus_py.services.workers.commands.json.loads", None)
+        monkeypatch.setattr("libmodbus_py.services.workers.messages.json.loads", None)
         assert locations.refusal("pump", 1.0) == self.PUMP

@@ -11,7 +11,7 @@ from typing import Any, cast
 import pytest
 
 from libmodbus_py.services.fleet.readings import Reading
-from libmodbus_py.services.workers.stream import Stream
+from libmodbus_py.services.workers.messages import Stream
 from tests.simulation.engine import Engine
 from tests.simulation.network import Network
 

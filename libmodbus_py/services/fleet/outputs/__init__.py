@@ -12,5 +12,4 @@ Each output imports its libraries when it is opened, and has one row in `output.
     mqtt_connection  its connection to a broker
     mqtt_messages    messages, and what the broker retains of them
     topics           levels of topics and subjects, and topics with names and labels
-    credentials      passwords and certificate authorities in files, which are read again
 """

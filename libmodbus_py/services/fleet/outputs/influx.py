@@ -17,11 +17,10 @@ from typing import TYPE_CHECKING, Any
 from ....protocol.extras import what_is_missing
 from ....protocol.mistakes import WrongType, WrongValue
 from ....protocol.plain import plain, without_controls
-from ...server_url import server_url
+from ...other_servers import SecretFile, Trust, server_url, text_of
 from ...tasks import finish
 from ..config import DeviceConfig
 from ..readings import MOST_KEPT, Reading
-from .credentials import SecretFile, Trust, text_of
 from .line_file import Format, LineFile
 from .output import OutputError, ReadingsRefused
 

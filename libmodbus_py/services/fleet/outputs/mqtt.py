@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING
 from ....protocol.checks import integer
 from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType, WrongValue
-from ...server_url import server_url
+from ...other_servers import SecretFile, server_url
 from ..commands import Commands
 from ..config import DeviceConfig
 from ..readings import MOST_KEPT, Reading
-from .credentials import SecretFile
 from .mqtt_connection import MqttConnection
 from .mqtt_messages import OFFLINE, ONLINE, DeviceStates, Message, Messages
 from .topics import Topic, plain_topic

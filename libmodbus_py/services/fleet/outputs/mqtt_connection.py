@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 from ....protocol.extras import what_is_missing
 from ....protocol.logs import HarmlessLogger
-from ...server_url import ServerUrl
+from ...other_servers import SecretFile, ServerUrl, Trust, text_of
 from ...tasks import end_tasks, finish
-from .credentials import SecretFile, Trust, text_of
 from .mqtt_messages import Message
 from .output import OutputError
 

@@ -22,7 +22,7 @@ from libmodbus_py.services.fleet.journal.schema import (
     numbered,
 )
 from libmodbus_py.services.fleet.outputs.forms import COLUMNS, as_csv, as_json, object_text
-from libmodbus_py.services.workers.stream import _messages
+from libmodbus_py.services.workers.messages import _messages
 from tests.services.fleet.journal.journals import polls, readings
 from tests.support.cases import each_case
 

@@ -18,9 +18,9 @@ from libmodbus_py.fleet import DeviceConfig, FleetFileError, Reading
 from libmodbus_py.services import tasks
 from libmodbus_py.services.fleet.files import load
 from libmodbus_py.services.fleet.outputs import influx, pump
-from libmodbus_py.services.fleet.outputs.credentials import SecretFile
 from libmodbus_py.services.fleet.outputs.influx import Influx, _shown
 from libmodbus_py.services.fleet.outputs.output import OutputError
+from libmodbus_py.services.other_servers import SecretFile
 from tests.services.fleet.outputs.http_server import (
     NO_CONTENT,
     Answer,

@@ -18,7 +18,7 @@ from libmodbus_py.fleet import DeviceConfig, Reading
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.line_file import CsvOutput, JsonOutput
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from libmodbus_py.services.workers.stream import _messages
+from libmodbus_py.services.workers.messages import _messages
 from tests.services.fleet.fleets import meter, simulated
 from tests.support.cases import each_case
 from tests.support.outputs import write

@@ -13,7 +13,7 @@ from typing import Any, cast
 import pytest
 
 from libmodbus_py.fleet import OutputStatistics, Reading
-from libmodbus_py.services.workers.stream import Stream
+from libmodbus_py.services.workers.messages import Stream
 from tests.services.fleet.fleets import simulated_run
 from tests.services.fleet.outputs.test_unwritable_readings import reading
 from tests.simulation.engine import Engine

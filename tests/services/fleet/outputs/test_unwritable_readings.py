@@ -21,7 +21,7 @@ from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.output import Output
 from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.services.fleet.readings import Buffer
-from libmodbus_py.services.workers.stream import Stream
+from libmodbus_py.services.workers.messages import Stream
 from tests.services.fleet.fleets import Peer, meter, simulated_run, until
 from tests.simulation.engine import Engine
 from tests.simulation.network import Network

@@ -12,11 +12,10 @@ import pytest
 
 from libmodbus_py.services.engine.connection import FileText, parse_servers
 from libmodbus_py.services.fleet.files import load
-from libmodbus_py.services.fleet.outputs.credentials import SecretFile
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.output import shared
-from libmodbus_py.services.server_url import ServerUrl, server_url
+from libmodbus_py.services.other_servers import SecretFile, ServerUrl, server_url
 from tests.support.cases import each_case
 from tests.support.commands import run
 from tests.support.secret_files import write_secret
