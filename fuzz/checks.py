@@ -32,8 +32,8 @@ from libmodbus_py.security.role import RoleError, decode_role, encode_role, role
 from libmodbus_py.services.fleet import files as fleet_files
 from libmodbus_py.services.fleet.devices_csv import device_rows, opened
 from libmodbus_py.services.gateway import config as gateway_file
+from libmodbus_py.tools.files import map_file
 from libmodbus_py.tools.files.csv_text import CsvText
-from libmodbus_py.tools.files.maps import map_file
 from libmodbus_py.tools.files.schema import Keys
 from libmodbus_py.tools.files.texts import FileError, read_toml
 from libmodbus_py.tools.listener.separator import LineFraming, Separator

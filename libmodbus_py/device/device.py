@@ -220,7 +220,7 @@ class Device(NamedValues, PythonFunctions):
         points: Any = map
         if isinstance(map, str | os.PathLike):
             # Files are read on a floor above, which a device needs for nothing else.
-            points = import_module("..tools.files.maps.map_file", __package__).load_map(map)
+            points = import_module("..tools.files.map_file", __package__).load_map(map)
         device = cls(zeros_for(points), points=points, **options)
         device.update(values or {})
         return device

@@ -63,7 +63,7 @@ def _loaded(loader: str, path: str | PathLike[str]) -> Any:
 
 
 _LOADERS: dict[str, str] = {
-    "point": "tools.files.maps.map_file:load_map",
+    "point": "tools.files.map_file:load_map",
     "unit": "tools.simulator.device_file:load",
     "route": "services.gateway.config:load",
     "listen": "services.gateway.config:load",

@@ -21,9 +21,9 @@ from ...ports.endpoint import parse
 from ...ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
 from ...protocol.errors import ExceptionResponse, ModbusError
 from ...protocol.tables import TABLES
-from ...tools.files.maps.contents import Contents, remarks
-from ...tools.files.maps.map_file import contents_of, load_map
-from ...tools.files.maps.texts import MARK, class_text, csv_text, toml_text
+from ...tools.files.map_contents import Contents, remarks
+from ...tools.files.map_file import contents_of, load_map
+from ...tools.files.map_texts import MARK, class_text, csv_text, toml_text
 from ...tools.scan.search import Extent, search
 from ...tools.simulator.example_files import map_file
 from .. import arguments

@@ -39,8 +39,8 @@ from ...protocol.mistakes import (
     path_text,
     placed,
 )
-from ...tools.files.maps.contents import POINT
-from ...tools.files.maps.map_file import load_map
+from ...tools.files.map_contents import POINT
+from ...tools.files.map_file import load_map
 from ...tools.files.schema import REQUIRED, Key, Keys, in_bytes, in_seconds, keys_of, table, tables
 from ...tools.files.texts import FileError, FilePlace, line_of, load_file, read_table, read_toml
 from ...tools.simulator.example_files import map_file

@@ -10,7 +10,7 @@ from ...protocol.checks import integer
 from ...protocol.mistakes import Path, WrongValue
 from ...protocol.pdu import RECORDS_PER_FILE
 from ..faults.fault import LONGEST, Fault
-from ..files.maps.contents import POINT
+from ..files.map_contents import POINT
 from ..files.schema import (
     REQUIRED,
     Key,

@@ -18,7 +18,7 @@ from ...protocol.mistakes import Path, WrongValue, inside, path_text, placed
 from ...protocol.pdu import RECORDS_PER_FILE
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...protocol.values import value_type
-from ..files.maps.map_file import load_map
+from ..files.map_file import load_map
 from ..files.texts import shown_key
 from .clockwork import Behaviour, SimulatedPoint
 from .example_files import map_file

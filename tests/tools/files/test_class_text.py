@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from libmodbus_py import Client, Device, Point, RegisterMap, Server, load_map
 from libmodbus_py.maps.register_map import attribute_names
-from libmodbus_py.tools.files.maps.texts import class_name, class_text
+from libmodbus_py.tools.files.map_texts import class_name, class_text
 from tests.support.cases import each_case
 
 TYPING = Path(__file__).parents[2] / "typing"

@@ -17,7 +17,7 @@ from libmodbus_py import Point, RegisterMap, load_map
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.fleet.config import devices_from_json, devices_to_json
 from libmodbus_py.services.fleet.files import load as load_fleet
-from libmodbus_py.tools.files.maps.texts import class_text, csv_text, toml_text
+from libmodbus_py.tools.files.map_texts import class_text, csv_text, toml_text
 from libmodbus_py.tools.simulator.device_file import load as load_device
 from tests.support.cases import each_case
 

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from libmodbus_py import MapError, Point, RegisterMap, load_map
-from libmodbus_py.tools.files.maps.texts import csv_text, toml_text
+from libmodbus_py.tools.files.map_texts import csv_text, toml_text
 from tests.support.cases import each_case
 
 TOML = """

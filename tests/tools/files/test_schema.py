@@ -16,8 +16,8 @@ from libmodbus_py.protocol.mistakes import Path as KeyPath
 from libmodbus_py.services.fleet import files as fleet_files
 from libmodbus_py.services.gateway import config as gateway_file
 from libmodbus_py.tools.files.csv_text import CELLS
-from libmodbus_py.tools.files.maps.contents import POINT
-from libmodbus_py.tools.files.maps.map_file import READERS
+from libmodbus_py.tools.files.map_contents import POINT
+from libmodbus_py.tools.files.map_file import READERS
 from libmodbus_py.tools.files.schema import (
     REQUIRED,
     Key,

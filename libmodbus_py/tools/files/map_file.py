@@ -21,15 +21,15 @@ from os import PathLike, fspath
 from pathlib import PurePath
 from typing import Any, NamedTuple
 
-from ....maps.point_checks import BYTES, SCALES
-from ....maps.register_map import RegisterMap
-from ....protocol.mistakes import Path, WrongValue, inside, placed
-from ....protocol.values import parse_reference
-from ....protocol.words import ORDER_WORDS, TABLE_WORDS, TYPE_WORDS, by_word, plain, type_named
-from ..csv_text import CsvRow, CsvText, flag_in, number_in, whole_in
-from ..schema import Key, Keys, table, tables
-from ..texts import FilePlace, line_of, read_table, read_text, read_toml
-from .contents import Contents, MapEntry, MapError, collected
+from ...maps.point_checks import BYTES, SCALES
+from ...maps.register_map import RegisterMap
+from ...protocol.mistakes import Path, WrongValue, inside, placed
+from ...protocol.values import parse_reference
+from ...protocol.words import ORDER_WORDS, TABLE_WORDS, TYPE_WORDS, by_word, plain, type_named
+from .csv_text import CsvRow, CsvText, flag_in, number_in, whole_in
+from .map_contents import Contents, MapEntry, MapError, collected
+from .schema import Key, Keys, table, tables
+from .texts import FilePlace, line_of, read_table, read_text, read_toml
 
 __all__ = ["FORMS", "PADDINGS", "contents_of", "contents_of_text", "load_map"]
 

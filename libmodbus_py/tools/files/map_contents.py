@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-from ....maps.point import Point
-from ....maps.point_plan import scale_mistakes
-from ....protocol.mistakes import Path, WrongValue, placed
-from ..schema import keys_of
-from ..texts import FileError, FilePlace
+from ...maps.point import Point
+from ...maps.point_plan import scale_mistakes
+from ...protocol.mistakes import Path, WrongValue, placed
+from .schema import keys_of
+from .texts import FileError, FilePlace
 
 __all__ = ["POINT", "Contents", "MapEntry", "MapError", "collected", "remarks"]
 
