@@ -8,6 +8,9 @@ were recorded on the line.
 from __future__ import annotations
 
 import argparse
+import shlex
+import shutil
+import sys
 import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -24,7 +27,7 @@ from ..protocol.errors import ExceptionResponse
 from ..protocol.values import parse_reference
 from ..tools.faults.server import Server
 from ..tools.testing.wires import SerialWire, TcpWire
-from .output import styled
+from .output import PROGRAM, styled
 
 __all__ = ["add_command"]
 
@@ -132,9 +135,14 @@ LINES: dict[str, Callable[[], Any]] = {
 
 NEXT = """
 To try next, the second and the third in another terminal:
-  libmodbus-py serve 127.0.0.1:1502 --example meter
-  libmodbus-py read 127.0.0.1:1502 --map meter
-  libmodbus-py identify 127.0.0.1:1502"""
+  {program} serve 127.0.0.1:1502 --example meter
+  {program} read 127.0.0.1:1502 --map meter
+  {program} identify 127.0.0.1:1502"""
+
+
+def _program() -> str:
+    """Return how the command line is called: by its name, if a shell finds it."""
+    return PROGRAM if shutil.which(PROGRAM) else f"{shlex.quote(sys.executable)} -m libmodbus_py"
 
 
 def _demo(_: argparse.Namespace) -> int:
@@ -148,7 +156,7 @@ def _demo(_: argparse.Namespace) -> int:
             for example in EXAMPLES:
                 right &= _show(name, example, context.for_unit(example.unit), wire)
     print(f"\n{'all answers are right' if right else 'WRONG ANSWERS: see above'}")
-    print(NEXT)
+    print(NEXT.format(program=_program()))
     return 0 if right else 1
 
 

@@ -4,6 +4,7 @@ The command demo.
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -31,12 +32,16 @@ def test_demo_shows_every_example_on_every_line() -> None:
     assert done.out.count("refused: illegal data address (exception 2)") == 3
 
 
+@pytest.mark.parametrize("is_found", [True, False])
 def test_the_commands_that_demo_prints_at_its_end_work_in_any_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    is_found: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    lines = [line.split() for line in run("demo").out.splitlines() if "libmodbus-py " in line]
-    serve, read, identify = [words[1:] for words in lines if words[0] == "libmodbus-py"]
+    monkeypatch.setattr("shutil.which", lambda name: name if is_found else None)
+    program = ["libmodbus-py"] if is_found else [sys.executable, "-m", "libmodbus_py"]
+    lines = [line.split() for line in run("demo").out.partition("To try next")[2].splitlines()]
+    assert [words[: len(program)] for words in lines[1:]] == [program] * 3
+    serve, read, identify = [words[len(program) :] for words in lines[1:]]
     assert {words[1] for words in (serve, read, identify)} == {"127.0.0.1:1502"}
     with serving("127.0.0.1:0", options=serve[2:]) as (url,):
         done = run("read", url, *read[2:])
