@@ -4,8 +4,8 @@ The clients. One connection makes the decisions, and two drivers wait, read and 
 From the caller to the wire:
 
     procedures         methods of several requests, once for both clients: many, plans, maps
-      requests         methods of one request; how methods of both clients are made
-      typed_values     the types of values, for type checkers
+      requests         methods of one request; how methods of both clients are made, and their
+                       types for type checkers
       polling          reads at a steady pace, for watch()
     handle             a unit, its timeouts, and the connection that it shares
     blocking           Context, TcpContext, UdpContext, RtuContext, AsciiContext

@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Any, Unpack
 from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.errors import IllegalFunction, ModbusError
-from .requests import LOCK, Requests, Several, Steps, follows
+from .requests import (
+    LOCK,
+    Requests,
+    Several,
+    Steps,
+    follows,
+    one_by_type,
+    several_by_type,
+)
 
 __all__ = ["Procedures"]
 
@@ -22,13 +30,6 @@ if TYPE_CHECKING:
     from ..maps.watched import WatchedPoints
     from ..protocol.tables import RegisterTable, WritableTable
     from ..protocol.words import Layout, Order, TextOptions, TypeName
-    from .typed_values import one_by_type, several_by_type
-else:
-
-    def one_by_type(method):
-        return method
-
-    several_by_type = one_by_type
 
 
 class Procedures(Requests):

@@ -18,8 +18,10 @@ from typing import (
     Generic,
     NamedTuple,
     ParamSpec,
+    Protocol,
     TypeAlias,
     TypeVar,
+    Unpack,
     overload,
 )
 
@@ -27,7 +29,16 @@ from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.errors import ModbusError
 
-__all__ = ["LOCK", "Awaiting", "Blocking", "Requests", "Several", "Steps", "follows"]
+if TYPE_CHECKING:
+    from ..protocol.tables import RegisterTable
+    from ..protocol.words import BitsType, FloatType, IntegerType, Layout, TextType, TypeName
+
+# fmt: off
+__all__ = [
+    "LOCK", "Awaiting", "Blocking", "Requests", "Several", "Steps", "follows", "one_by_type",
+    "several_by_type",
+]
+# fmt: on
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
@@ -108,6 +119,112 @@ if TYPE_CHECKING:
         make: Callable[Concatenate[Any, Arguments], Steps[Result]],
     ) -> OfBoth[Callable[Arguments, Result], Callable[Arguments, Later[Result]]]: ...
 
+    # The types of values by the names of their types: read_value(..., "float32") is a float on a
+    # blocking client, and one to await on the other.
+    Integer = TypeVar("Integer", covariant=True)
+    Real = TypeVar("Real", covariant=True)
+    Bits = TypeVar("Bits", covariant=True)
+    Text = TypeVar("Text", covariant=True)
+    Unknown = TypeVar("Unknown", covariant=True)
+
+    class ReadOne(Protocol[Integer, Real, Bits, Text, Unknown]):
+        """A method that reads one value, with its result for each kind of type."""
+
+        @overload
+        def __call__(
+            self, /, table: RegisterTable, address: int, type: IntegerType, **layout: Unpack[Layout]
+        ) -> Integer: ...
+        @overload
+        def __call__(
+            self, /, table: RegisterTable, address: int, type: FloatType, **layout: Unpack[Layout]
+        ) -> Real: ...
+        @overload
+        def __call__(
+            self, /, table: RegisterTable, address: int, type: BitsType, **layout: Unpack[Layout]
+        ) -> Bits: ...
+        @overload
+        def __call__(
+            self, /, table: RegisterTable, address: int, type: TextType, **layout: Unpack[Layout]
+        ) -> Text: ...
+        @overload
+        def __call__(
+            self, /, table: RegisterTable, address: int, type: TypeName, **layout: Unpack[Layout]
+        ) -> Unknown: ...
+
+    class ReadSeveral(Protocol[Integer, Real, Bits, Text, Unknown]):
+        """A method that reads some values, with its result for each kind of type."""
+
+        @overload
+        def __call__(
+            self,
+            /,
+            table: RegisterTable,
+            address: int,
+            type: IntegerType,
+            count: int = 1,
+            **layout: Unpack[Layout],
+        ) -> Integer: ...
+        @overload
+        def __call__(
+            self,
+            /,
+            table: RegisterTable,
+            address: int,
+            type: FloatType,
+            count: int = 1,
+            **layout: Unpack[Layout],
+        ) -> Real: ...
+        @overload
+        def __call__(
+            self,
+            /,
+            table: RegisterTable,
+            address: int,
+            type: BitsType,
+            count: int = 1,
+            **layout: Unpack[Layout],
+        ) -> Bits: ...
+        @overload
+        def __call__(
+            self,
+            /,
+            table: RegisterTable,
+            address: int,
+            type: TextType,
+            count: int = 1,
+            **layout: Unpack[Layout],
+        ) -> Text: ...
+        @overload
+        def __call__(
+            self,
+            /,
+            table: RegisterTable,
+            address: int,
+            type: TypeName,
+            count: int = 1,
+            **layout: Unpack[Layout],
+        ) -> Unknown: ...
+
+    def one_by_type(
+        method: object,
+    ) -> OfBoth[
+        ReadOne[int, float, list[bool], str, Any],
+        ReadOne[Later[int], Later[float], Later[list[bool]], Later[str], Later[Any]],
+    ]: ...
+
+    def several_by_type(
+        method: object,
+    ) -> OfBoth[
+        ReadSeveral[list[int], list[float], list[list[bool]], list[str], list[Any]],
+        ReadSeveral[
+            Later[list[int]],
+            Later[list[float]],
+            Later[list[list[bool]]],
+            Later[list[str]],
+            Later[list[Any]],
+        ],
+    ]: ...
+
 else:
     # Plain functions, so that help() and inspect.signature() work.
 
@@ -133,6 +250,11 @@ else:
         make.__annotations__["return"] = told.partition("[")[2].removesuffix("]")
         method.__annotations__ = make.__annotations__
         return update_wrapper(method, make)
+
+    def one_by_type(method):
+        return method
+
+    several_by_type = one_by_type
 
 
 class Requests:
