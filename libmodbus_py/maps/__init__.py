@@ -6,8 +6,8 @@ The registers of a device, by name, and the requests that read and write them. N
     register_map   the points of a device: RegisterMap; with a client: BoundMap
     point          one named value: Point
     point_checks   the checks of its arguments
-    meaning        cells to values and back: no value, states, bits, parts: Meaning, Judged, NoValue
-    scaling        conversion of raw numbers to scaled ones, and back
+    meaning        cells to values and back: no value, states, bits, parts: Meaning, Judged,
+                   NoValue; raw numbers to scaled ones: Scaling
     plan           few requests of many reads: Plan, Read
     point_plan     the same for points, and for points that scale them: PointPlan
     holes          the items that a device refuses, found by halving

@@ -13,10 +13,9 @@ from ..protocol.mistakes import WrongType, WrongValue, named_arguments
 from ..protocol.pdu.request import checked_sequence
 from ..protocol.tables import Table
 from ..protocol.values import Order, TypeName
-from .meaning import CellChange, Judged, Meaning, NoValue
+from .meaning import CellChange, Judged, Meaning, NoValue, Scaling, exact, scaling_by
 from .plan import Read
 from .point_checks import check_point
-from .scaling import Scaling, exact, scaling_by
 
 __all__ = ["Point", "Rights"]
 

@@ -14,9 +14,8 @@ from ..protocol.mistakes import Path, WrongType, WrongValue, placed
 from ..protocol.pdu.request import store
 from ..protocol.tables import TABLES, checked_table
 from ..protocol.values import ValueType
-from .meaning import Meaning, Part, part_of
+from .meaning import Meaning, Part, Scaling, number, part_of
 from .plan import Read
-from .scaling import Scaling, number
 
 # fmt: off
 __all__ = [

@@ -13,10 +13,9 @@ from ..protocol.errors import ModbusError
 from ..protocol.mistakes import WrongValue
 from ..protocol.values import ValueType
 from .holes import PartialAnswer
-from .meaning import Meaning, NoValue
+from .meaning import Meaning, NoValue, scaling_by
 from .plan import Plan, PlanOptions
 from .point import Point
-from .scaling import scaling_by
 
 __all__ = ["PointPlan", "scale_mistakes", "sources_of"]
 
