@@ -4,8 +4,8 @@ Modbus Security: TLS with certificates on both sides. No socket.
 ::
 
     security      Security: the own certificate and the trusted ones; GivenContext: an SSLContext
-    loaded        Loaded: OpenSSL's settings made of the files; Acceptance: of open connections
-    files         certificates, keys, pins and revocation lists in PEM files
+    files         certificates, keys, pins and revocation lists in PEM files; Loaded: OpenSSL's
+                  settings made of them; Acceptance: of open connections
     renewed       Renewed: values read from files, and read again
     tunnel        Tunnel: one TLS connection, bytes in and bytes out; Records: where they end
     role          the role in a certificate

@@ -14,8 +14,7 @@ from typing import Any
 
 from ..protocol.logs import HarmlessLogger
 from ..protocol.mistakes import named_arguments
-from .files import File, PemFile
-from .loaded import Acceptance, Loaded, SecurityFiles
+from .files import Acceptance, File, Loaded, PemFile, SecurityFiles
 from .renewed import keep_renewed
 from .tunnel import Tunnel, expiry, name_of
 

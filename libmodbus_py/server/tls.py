@@ -16,7 +16,7 @@ from ..ports.trace import Trace
 from ..protocol.errors import FrameError
 from ..protocol.logs import HarmlessLogger
 from ..security.describing import CertificateHolder, describe, holder_of, in_words
-from ..security.loaded import Acceptance
+from ..security.files import Acceptance
 from ..security.role import mentions_role, role_of
 from ..security.security import Security
 from ..security.tunnel import Records, Tunnel
