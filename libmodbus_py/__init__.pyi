@@ -19,11 +19,11 @@ from .client.blocking import UdpContext as UdpContext
 from .client.reconnecting import State as State
 from .client.statistics import Statistics as Statistics
 from .device.access import Access as Access
+from .device.authorization import Allow as Allow
+from .device.authorization import Rules as Rules
 from .device.device import Device as Device
 from .device.hooks import Hook as Hook
 from .device.mapping import Mapping as Mapping
-from .device.rules import Allow as Allow
-from .device.rules import Rules as Rules
 from .maps.meaning import NoValue as NoValue
 from .maps.plan import Plan as Plan
 from .maps.plan import Read as Read

@@ -3,16 +3,15 @@ Servers, devices, hooks, rules and audits: a short path to `server` and `device`
 """
 
 from .device.access import Access
-from .device.authorization import Asked
+from .device.authorization import Allow, Asked, Rules
 from .device.caller import Caller, ValueChange
 from .device.device import Device
 from .device.functions import RecordFile
 from .device.hooks import Hook
 from .device.mapping import Mapping
-from .device.rules import Allow, Rules
 from .server.audit import Audit, AuditEvent, AuditFile
 from .server.limits import Limits, ServerStatistics
-from .server.server import Running
+from .server.serving import Running
 from .tools.faults.fault import Fault
 from .tools.faults.server import Server
 

@@ -370,7 +370,7 @@ class TestLateImports:
                 "from libmodbus_py import Device, Mapping, Server; Server(Device(Mapping(1)))",
                 {"server.serving", "device.mapping"},
                 {
-                    *("maps", "security", "device.state", "device.point_rules", "server.audit"),
+                    *("maps", "security", "device.state", "server.audit"),
                     *("server.serial", "server.tls", "ports.serial", "ports.tls", "ports.unix"),
                 },
             ),

@@ -5,15 +5,15 @@ In the order in which a request goes through::
 
     device         Device: checks, rules, hooks and handlers of each request, in this order
     caller         Caller: the origin of a request, and the audit of requests that change a device
-    authorization  Authorization: decides about each request first, and logs refusals
-    rules          Rules: access rights of roles, as a table
+    authorization  Authorization: decides about each request first, and logs refusals; Rules:
+                   access rights of roles, as a table
     access         tables and addresses that a request touches, as hooks see them
-    point_rules    access and bounds of points, before any hook
     hooks          Hook: functions of the application, the accesses they are for, their duration
     functions      what libmodbus lacks: files, queues, identification, diagnostics
     reply          Replier: libmodbus's modbus_reply in memory, by the chunk
     mapping        Mapping: the four tables of a device, with their holes
     event_log      EventLog: counters, log and silence of one line (functions 8, 11, 12)
-    named_values   NamedValues: the access of a device to the values of named points
+    named_values   NamedValues: the values of named points, as a device sees them; PointRules:
+                   access and bounds of points for clients, before any hook
     state          the values of devices in a file, and back
 """

@@ -1,21 +1,29 @@
 """
-Authorization of every request, before anything else is done (MB-TCP-Security-v36, R-24 to R-31).
+Authorization of every request, before anything else is done (MB-TCP-Security-v36, R-24 to R-31);
+and the access rights of roles as a table. A request that no rule allows is refused.
 """
 
 from __future__ import annotations
 
+import re
+import reprlib
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from itertools import starmap
+from typing import Any, Literal
 
+from ..protocol import pdu
+from ..protocol.checks import integer
 from ..protocol.errors import IllegalFunction
 from ..protocol.logs import HarmlessLogger
-from ..protocol.pdu import Request
-from .access import Access
+from ..protocol.mistakes import Path, WrongType, WrongValue, named_arguments
+from ..protocol.tables import contains, joined
+from .access import ACCESSES, READABLE, WRITABLE, Access
 from .hooks import timed
 
-__all__ = ["Asked", "Authorization", "Authorize", "UnauthorizedError"]
+__all__ = ["Allow", "Asked", "Authorization", "Authorize", "Rules", "UnauthorizedError"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -23,6 +31,12 @@ MINUTE_S = 60.0
 
 LINES_PER_MINUTE = 20
 """The most lines of log in a minute; 1 for each role on each host."""
+
+# The highest sub-function and MEI type.
+SUB_FUNCTIONS = {pdu.Diagnostics.function: 0xFFFF, pdu.EncapsulatedTransport.function: 0xFF}
+
+# A function, and its sub-function or MEI type; None stands for all of these.
+Code = tuple[int, int | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +59,7 @@ class Asked:
     unit: int
     peer: str
     function: int
-    request: Request[Any] | None = None
+    request: pdu.Request[Any] | None = None
     writes: tuple[Access, ...] = ()
     reads: tuple[Access, ...] = ()
 
@@ -110,3 +124,203 @@ class Authorization:
 def _range_text(access: Access) -> str:
     table = f"file {access.file}" if access.table == "file" else access.table
     return f"{table} {access.address}..{access.address + access.count - 1}"
+
+
+@named_arguments
+@dataclass(frozen=True)
+class Allow:
+    """
+    The accesses that a role is allowed. What is not listed is refused.
+
+    Args:
+        read: the tables that may be read: names of whole tables, "fifo" and "file" among them;
+            an `Access` with table, address and count (and file) for a part of a table; or "all".
+        write: the same for writes to "coils", "holding_registers" and "file"; or "all".
+        functions: functions that access no table: function codes such as 17, also registered ones;
+            "8/0" or "43/14" for one sub-function or MEI type; or "all". Functions that access
+            tables, such as 3 and 16, are governed by `read` and `write`; function 23 needs both.
+
+    Raises:
+        TypeError, ValueError: there is no such table, part of a table, or function.
+    """
+
+    read: Literal["all"] | Iterable[str | Access] = ()
+    write: Literal["all"] | Iterable[str | Access] = ()
+    functions: Literal["all"] | Iterable[int | str] = ()
+    _reads: _Places = field(init=False, repr=False, compare=False)
+    _writes: _Places = field(init=False, repr=False, compare=False)
+    _codes: frozenset[Code] | None = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        # A tuple, because a generator is empty the second time.
+        read = _listed("read", self.read, READABLE)
+        write = _listed("write", self.write, WRITABLE)
+        functions = _listed("functions", self.functions, ("all",))
+        is_all = self.functions == "all"
+        codes = None if is_all else frozenset(starmap(_code, enumerate(functions)))
+        for name, value in (
+            *(("read", read), ("write", write), ("functions", functions)),
+            *(("_reads", _Places("read", read, READABLE)), ("_codes", codes)),
+            ("_writes", _Places("write", write, WRITABLE)),
+        ):
+            object.__setattr__(self, name, value)
+
+    def allows(self, asked: Asked) -> bool:
+        """
+        Return True if a request and all its accesses are allowed.
+
+        A request that cannot be decoded is allowed if some request of its function would be
+        allowed, so that the client learns what is wrong with it.
+        """
+        if asked.request is None:
+            return self._allows_some(asked.function)
+        if type(asked.request) in ACCESSES:
+            return (
+                bool(asked.writes or asked.reads)
+                and all(map(self._writes.cover, asked.writes))
+                and all(map(self._reads.cover, asked.reads))
+            )
+        codes = self._codes
+        return (
+            codes is None
+            or (asked.function, None) in codes
+            or (asked.function, _sub_function(asked.request)) in codes
+        )
+
+    def _allows_some(self, function: int) -> bool:
+        kind = ACCESSES.get(pdu.REQUESTS.get(function))  # type: ignore[arg-type]
+        if kind is not None:
+            reads, writes = self._reads.has_table(kind.reads), self._writes.has_table(kind.writes)
+            return (reads or not kind.reads) and (writes or not kind.writes)
+        return self._codes is None or any(code == function for code, _ in self._codes)
+
+
+@named_arguments
+class Rules:
+    """
+    The access rights of roles, for ``Device(authorize=...)``: what no rule allows is refused.
+
+    ::
+
+        Rules({
+            "Viewer": Allow(read="all"),
+            "Operator": Allow(read="all", write=["coils", Access("holding_registers", 100, 20)]),
+            None: Allow(functions=["43/14"]),
+        })
+
+    Args:
+        roles: ``{role: Allow(...)}``; the role None applies to clients without a role, such as all
+            clients without TLS.
+
+    Raises:
+        TypeError, ValueError: a value is no `Allow`, or no certificate can contain the role.
+    """
+
+    def __init__(self, roles: Mapping[str | None, Allow]) -> None:
+        if not isinstance(roles, Mapping):
+            raise WrongType("roles", f"must be {{role: Allow(...)}}, not {type(roles).__name__}")
+        for role, allow in roles.items():
+            if role is not None:
+                if not isinstance(role, str):
+                    raise TypeError(f"a role must be text or None, not {role!r}")
+                from ..security.role import check_role  # which brings ssl
+
+                check_role(role)
+            if not isinstance(allow, Allow):
+                raise TypeError(f"roles[{role!r}] must be Allow(...), not {type(allow).__name__}")
+        self._roles = dict(roles)
+
+    def __repr__(self) -> str:
+        return f"Rules({self._roles!r})"
+
+    def __call__(self, asked: Asked) -> bool:
+        allow = self._roles.get(asked.role)
+        return allow is not None and allow.allows(asked)
+
+
+class _Places:
+    """Tables as a whole, and runs of items in them."""
+
+    def __init__(self, name: str, given: Iterable[Any], sizes: Mapping[str, int]) -> None:
+        self._whole: set[str] = set()
+        runs: defaultdict[tuple[str, int], list[range]] = defaultdict(list)
+        for at, each in enumerate(given):
+            if isinstance(each, str):
+                _check_table((name, at), each, sizes)
+                self._whole.add(each)
+            else:
+                table, file, run = _run((name, at), each, sizes)
+                runs[table, file].append(run)
+        self._runs = {place: joined(found) for place, found in runs.items()}
+
+    def has_table(self, table: str) -> bool:
+        """Return True if any item of a table is among them."""
+        return table in self._whole or any(table == each for each, _ in self._runs)
+
+    def cover(self, access: Access) -> bool:
+        """Return True if the ranges contain the whole access."""
+        if access.table in self._whole:
+            return True
+        ranges = self._runs.get((access.table, access.file), ())
+        return contains(ranges, access.address, access.count)
+
+
+def _listed(name: str, given: object, everything: Iterable[str]) -> tuple[Any, ...]:
+    if given == "all":
+        return tuple(everything)
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise WrongType(name, f'must be "all" or a list, not {reprlib.repr(given)}')
+    return tuple(given)
+
+
+def _check_table(name: Path, table: object, sizes: Mapping[str, int]) -> None:
+    if not isinstance(table, str) or table not in sizes:
+        raise WrongValue.about(
+            name, f"the table must be one of {', '.join(sizes)}, not {reprlib.repr(table)}"
+        )
+
+
+def _run(name: Path, place: Any, sizes: Mapping[str, int]) -> tuple[str, int, range]:
+    if not isinstance(place, Access):
+        raise WrongType(
+            name, f"must be the name of a table or Access(...), not {reprlib.repr(place)}"
+        )
+    _check_table(name, place.table, sizes)
+    if place != Access(place.table, place.address, place.count, file=place.file):
+        raise WrongValue.about(
+            name, f"values, unit, peer and role mean nothing in {reprlib.repr(place)}"
+        )
+    size = sizes[place.table]
+    first = integer((*name, "address"), place.address, 0, size - 1)
+    count = integer((*name, "count"), place.count, 1, size - first)
+    is_file = place.table == "file"
+    file = integer((*name, "file"), place.file, 1 if is_file else 0, 0xFFFF if is_file else 0)
+    return place.table, file, range(first, first + count)
+
+
+def _code(at: int, given: object) -> Code:
+    """Return a function code and its sub-function; functions that touch tables are refused."""
+    name = ("functions", at)
+    code, sub = given, None
+    if isinstance(given, str):
+        parts = re.fullmatch(r"([0-9]{1,3})/([0-9]{1,5})", given)
+        if parts is None or int(parts[1]) not in SUB_FUNCTIONS:
+            raise WrongValue(
+                name, f'must be a code, or such as "8/0" or "43/14", not {reprlib.repr(given)}'
+            )
+        code, sub = int(parts[1]), int(parts[2])
+        most = SUB_FUNCTIONS[code]
+        if sub > most:
+            reason = f"what follows {code}/ must be in 0..{most}, not {sub}"
+            raise WrongValue.about(name, reason)
+    number = integer(name, code, 1, 127)
+    if pdu.REQUESTS.get(number) in ACCESSES:
+        raise WrongValue.about(name, f"{number} touches tables: allow them by read and write")
+    return number, sub
+
+
+def _sub_function(request: pdu.Request[Any]) -> int | None:
+    if isinstance(request, pdu.Diagnostics):
+        return request.sub_function
+    # The MEI type, which both classes of this function have there.
+    return request.encode()[1] if request.function == pdu.EncapsulatedTransport.function else None

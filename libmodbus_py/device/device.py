@@ -43,12 +43,11 @@ from .event_log import EventLog
 from .functions import DEFAULT_SERVER_ID, Handlers, PythonFunctions, Records
 from .hooks import HookLike, Hooks
 from .mapping import Mapping, Table
-from .named_values import NamedValues, zeros_for
+from .named_values import NamedValues, PointIndex, PointRules, RuledCells, zeros_for
 from .reply import Answered, Watched, answer_in_c, make_tally, replier, reply
 
 if TYPE_CHECKING:
     from ..maps.register_map import RegisterMap
-    from .point_rules import PointIndex, PointRules, RuledCells
 
 __all__ = ["Device"]
 
@@ -170,8 +169,6 @@ class Device(NamedValues, PythonFunctions):
         self._rules: PointRules | None = None
         reads, writes = self._hooks.reads, self._hooks.writes
         if ruled := list(self._ruled_cells()):
-            from .point_rules import PointRules  # which brings the maps
-
             rules = PointRules(ruled, lambda: self.points)
             reads, writes = _together(reads, rules.reads), _together(writes, rules.writes)
             self._rules = rules if rules.reads or rules.writes else None
@@ -446,16 +443,12 @@ class Device(NamedValues, PythonFunctions):
 
     @cached_property
     def _index(self) -> PointIndex:
-        from .point_rules import PointIndex, RuledCells
-
         return PointIndex(map(RuledCells.of, self.points.values()))
 
     def _ruled_cells(self) -> Iterable[RuledCells]:
         """Return the cells that have a rule: those of all points."""
         if not self.has_points:
             return ()
-        from .point_rules import RuledCells
-
         return map(RuledCells.of, self.points.values())
 
     def _check_exists(self, access: Access) -> None:

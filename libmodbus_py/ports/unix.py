@@ -64,7 +64,7 @@ class UnixPort(StreamPort):
 
 class UnixListener:
     """
-    Listens at the path of a Unix socket. See `server.tcp.StreamListener`.
+    Listens at the path of a Unix socket. See `server.peers.TcpServer`.
 
     The socket of a server that has died is replaced. The owner and the group of the socket may
     connect; `name` tells the user and the process of a client.

@@ -3,13 +3,12 @@ Answers clients: bytes in, bytes out, on any number of endpoints in one asyncio 
 
 In the order in which a request goes through::
 
-    server       DeviceServer: devices at any number of endpoints
     serving      Serving: opens endpoints, and serves in a loop, in a thread, or for ever, with
-                 callbacks for every ADU
+                 callbacks for every ADU; DeviceServer: devices at any number of endpoints
     running      a server in a thread of its own; signals and garbage of programs that only serve
-    tcp          takes connections and hands them to `peers`; udp answers datagrams, serial a port
-    peers        Peers: TCP connections within their limits; limits chooses which of them are
-                 paused or closed
+    peers        TcpServer: takes TCP connections; Peers: all of them within their limits; limits
+                 chooses which of them are paused or closed
+    udp          answers datagrams; serial answers at a port
     peer         Peer: one connection; Turns: all of them in one poller
     tls          TlsSession: a session within TLS, and the role of the client
     audit        Audit: who wrote what, and who was refused

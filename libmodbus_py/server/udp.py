@@ -35,8 +35,8 @@ from .limits import (
     Paused,
     ServerStatistics,
 )
+from .peers import bound
 from .service import ENDS, TURN_EVENTS, Service, Session, SessionState
-from .tcp import bound
 
 if TYPE_CHECKING:
     from ..security.describing import CertificateHolder

@@ -33,7 +33,7 @@ def passing(device: str) -> Scenario:
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody waits for the next attempt."""
-    monkeypatch.setattr("libmodbus_py.server.tcp.RETRY_AFTER", 0.001)
+    monkeypatch.setattr("libmodbus_py.server.peers.RETRY_AFTER", 0.001)
 
 
 def test_a_gateway_from_tcp_to_tcp() -> None:

@@ -117,7 +117,7 @@ def serving(url: str, ask: Ask, answer: bytes, make: Callable[[], Server] = serv
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody waits for the next attempt."""
     monkeypatch.setattr("libmodbus_py.server.serial.REOPEN_AFTER", 0.001)
-    monkeypatch.setattr("libmodbus_py.server.tcp.RETRY_AFTER", 0.001)
+    monkeypatch.setattr("libmodbus_py.server.peers.RETRY_AFTER", 0.001)
 
 
 def test_a_tcp_server() -> None:

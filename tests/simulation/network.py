@@ -22,8 +22,8 @@ from libmodbus_py.ports import port, tls
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.ports.port import Port
 from libmodbus_py.protocol.errors import ModbusConnectionError
+from libmodbus_py.server import peers, serving, udp
 from libmodbus_py.server import serial as serial_server
-from libmodbus_py.server import serving, tcp, udp
 from libmodbus_py.server.peers import Peers
 from libmodbus_py.services.fleet import fleet
 from libmodbus_py.services.fleet.journal import journal_file
@@ -204,7 +204,7 @@ class Network:
         """Let all clients and servers that are made meanwhile use this network."""
         with (
             patch.object(port, "make_port", self._make_port),
-            patch.object(tcp, "bound", self._bound),
+            patch.object(peers, "bound", self._bound),
             patch.object(udp, "bound", self._bound),
             patch.object(serving, "Peers", partial(Peers, make_poller=self._epoll)),
             patch.object(serial_server, "SerialPort", self._serial),

@@ -17,7 +17,7 @@ from ..help import make_rare
 from ..output import complain, inform
 
 if TYPE_CHECKING:
-    from ...server.server import Running
+    from ...server.serving import Running
     from ...tools.faults.server import Server
     from ...tools.page.page import Page
     from ...tools.page.table_source import Shown

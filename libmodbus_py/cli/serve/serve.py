@@ -16,7 +16,7 @@ from ...device.device import Device
 from ...device.mapping import Mapping
 from ...protocol.logs import HarmlessLogger
 from ...protocol.pdu import RECORDS_PER_FILE
-from ...server.server import Running
+from ...server.serving import Running
 from ...server.units import UNKNOWN_UNIT_POLICIES
 from ...tools.faults.server import Server
 from ...tools.simulator import device_file, example_files

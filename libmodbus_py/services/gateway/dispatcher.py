@@ -9,10 +9,9 @@ import math
 from collections.abc import Callable, Hashable
 from typing import NamedTuple
 
-from ...device.authorization import Asked, Authorization, Authorize, UnauthorizedError
+from ...device.authorization import Allow, Asked, Authorization, Authorize, UnauthorizedError
 from ...device.caller import Auditor, Caller, Executed, changes_of
 from ...device.device import Device
-from ...device.rules import Allow
 from ...ports.endpoint import Endpoint
 from ...ports.hosts import host_of_peer, is_loopback
 from ...protocol.errors import (

@@ -11,7 +11,7 @@ from typing import Literal
 
 from ...client.options import CheckedOptions
 from ...device.access import Access
-from ...device.rules import Allow
+from ...device.authorization import Allow
 from ...ports.endpoint import Endpoint, parse
 from ...ports.hosts import EVERYWHERE, is_loopback, is_this_machine
 from ...ports.port import make_port

@@ -19,8 +19,8 @@ from ...protocol.checks import integer
 from ...protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
 from ...protocol.mistakes import named_arguments
 from ...server.limits import Limits
-from ...server.server import DeviceServer
 from ...server.service import Channel, Intercepted
+from ...server.serving import DeviceServer
 from ...server.units import UnknownUnit
 from .fault import Fault, FaultsByUnit, FaultSwitch
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ...device.access import Access
-from ...device.rules import Allow, Rules
+from ...device.authorization import Allow, Rules
 from ...protocol.checks import integer, shown
 from ...protocol.mistakes import Path, WrongType, WrongValue, close_option, inside, item
 from .texts import shown_key

@@ -14,8 +14,7 @@ from ...device.caller import values_at
 from ...device.device import Device
 from ...device.hooks import Hook
 from ...device.mapping import Mapping as Tables
-from ...device.named_values import known_point
-from ...device.point_rules import RuledCells
+from ...device.named_values import RuledCells, known_point
 from ...maps.point import Point
 from ...maps.point_plan import sources_of
 from ...maps.register_map import RegisterMap

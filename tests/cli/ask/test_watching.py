@@ -17,7 +17,7 @@ from datetime import datetime
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.server.server import Running
+from libmodbus_py.server.serving import Running
 from tests.support.commands import Started, on_terminal, run
 
 WATCH = ["--watch", "0.05"]
