@@ -8,9 +8,6 @@ from collections import Counter, deque
 
 __all__ = ["Answers"]
 
-# Answers that may come again, although there are newer ones to the same requests.
-RECENT = 8
-
 # The most requests, and kinds of answers, that are remembered.
 REMEMBERED = 1024
 
@@ -34,7 +31,8 @@ class Answers:
         # Unit and request -> its last answer; unit and answer -> how many requests have it.
         self._last: dict[tuple[int, bytes], bytes] = {}
         self._having: Counter[tuple[int, bytes]] = Counter()
-        self._recent: deque[tuple[int, bytes, bytes]] = deque(maxlen=RECENT)
+        # Answers that may come again, although there are newer ones to the same requests.
+        self._recent: deque[tuple[int, bytes, bytes]] = deque(maxlen=8)
         # Unit, function and length -> the longest time that such an answer took.
         self._slowest: dict[tuple[int, int, int], float] = {}
 

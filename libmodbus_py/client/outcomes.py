@@ -33,10 +33,6 @@ __all__ = ["Outcomes", "add_hint", "explain", "explain_end"]
 
 BUSY = (Acknowledge, ServerDeviceBusy)
 
-# A busy device is asked again after this pause, which is doubled each time up to the longest.
-BUSY_PAUSE_S, LONGEST_BUSY_PAUSE_S = 0.1, 1.0
-
-
 PLAIN = tuple(scheme for scheme, (_, transport) in SCHEMES.items() if transport == "tcp")
 """The schemes of connections without TLS."""
 
@@ -186,7 +182,8 @@ class Outcomes:
             call.busy_tries += 1
         else:
             call.tries += 1
-        pause = min(LONGEST_BUSY_PAUSE_S, BUSY_PAUSE_S * 2**done) if is_busy else 0.0
+        # A busy device is asked again after 0.1 seconds, doubled each time, up to 1 second.
+        pause = min(1.0, 0.1 * 2**done) if is_busy else 0.0
         call.since = now
         self._queue.put_again(call, now + pause)
         return True

@@ -44,9 +44,6 @@ __all__ = ["ONE_AT_A_TIME", "Queue", "Window"]
 ONE_AT_A_TIME: set[Hashable] = set()
 """The places of the endpoints that take one request at a time; see rule 4."""
 
-# Rule 3: this share of the timeout of a read, and this multiple of the slowest answer.
-SHARE, TIMES_SLOWEST = 0.25, 2.0
-
 
 class Window:
     """
@@ -102,7 +99,7 @@ class Window:
     def limit_wait(self, call: Call) -> None:
         """Set when a read that is in flight beside others is lost; see rule 3."""
         if not call.changes and (call.unit, call.pdu[0]) not in self.silent:
-            wait = max(SHARE * call.timeouts.timeout, TIMES_SLOWEST * self._slowest)
+            wait = max(call.timeouts.timeout / 4, 2 * self._slowest)
             call.lost_at = call.sent_at + wait
 
     def answered(self, call: Call, took: float, pending: Mapping[int, Call]) -> None:

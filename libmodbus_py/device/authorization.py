@@ -5,6 +5,7 @@ and the access rights of roles as a table. A request that no rule allows is refu
 
 from __future__ import annotations
 
+import math
 import re
 import reprlib
 import time
@@ -26,8 +27,6 @@ from .hooks import timed
 __all__ = ["Allow", "Asked", "Authorization", "Authorize", "Rules", "UnauthorizedError"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
-
-MINUTE_S = 60.0
 
 LINES_PER_MINUTE = 20
 """The most lines of log in a minute; 1 for each role on each host."""
@@ -79,7 +78,7 @@ class Authorization:
     ) -> None:
         self._authorize = timed("authorize", authorize)
         self._clock = clock
-        self._minute = -MINUTE_S
+        self._minute = -math.inf
         self._logged: set[tuple[str, str | None]] = set()
         self._not_logged = 0
 
@@ -103,7 +102,7 @@ class Authorization:
 
     def _log(self, asked: Asked) -> None:
         now = self._clock()
-        if now - self._minute >= MINUTE_S:
+        if now - self._minute >= 60.0:
             if self._not_logged:
                 logger.warning("%d more requests were refused like this", self._not_logged)
             self._minute, self._not_logged = now, 0

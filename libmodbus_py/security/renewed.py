@@ -23,10 +23,6 @@ T = TypeVar("T")
 MISTAKES = (ImportError, OSError, TypeError, ValueError)
 
 
-# The most bytes of a secret: a file that was named by mistake has more.
-LONGEST_SECRET_BYTES = 1 << 16
-
-
 def read_secret(path: str | os.PathLike[str]) -> str:
     """
     Return the text of a file with a password, a token or a seed, in UTF-8, up to 64 KiB.
@@ -40,7 +36,7 @@ def read_secret(path: str | os.PathLike[str]) -> str:
         if os.name == "posix" and mode & stat.S_IROTH:
             reason = "all users of this machine can read this secret; chmod o= ends that"
             raise PermissionError(errno.EACCES, reason, os.fspath(path))
-        return file.read(LONGEST_SECRET_BYTES).decode()
+        return file.read(1 << 16).decode()  # a file that was named by mistake may have more
 
 
 class _Reloadable(Protocol):

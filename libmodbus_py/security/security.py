@@ -24,12 +24,6 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 
 DAY_S = 86_400
 
-# A certificate that ends within this time is warned about.
-WARNED_BEFORE_S = 30 * DAY_S
-
-# The same for a revocation list; most are renewed every day or week.
-WARNED_BEFORE_OF_CRL_S = 2 * DAY_S
-
 
 @named_arguments
 class Security:
@@ -183,9 +177,10 @@ class Security:
         if now < self._warned_at + DAY_S:
             return
         revoked = self.loaded.revoked
+        # Most revocation lists are renewed every day or week.
         for file, end, before in (
-            (self._files.certificate, self.ends, WARNED_BEFORE_S),
-            (self._files.crl, revoked.ends if revoked else None, WARNED_BEFORE_OF_CRL_S),
+            (self._files.certificate, self.ends, 30 * DAY_S),
+            (self._files.crl, revoked.ends if revoked else None, 2 * DAY_S),
         ):
             if end is not None and end - now < before:
                 days = (end - now) / DAY_S

@@ -18,9 +18,6 @@ EXPIRED = "certificate has expired"
 # The most bytes that a record carries (RFC 8446, 5.1).
 RECORD_BYTES = 16_384
 
-# Of RFC 8446: the record type of the handshake (5.1), a message type in it (4), and version 1.3.
-HANDSHAKE, CERTIFICATE, TLS_1_3 = 22, 11, 0x304
-
 
 class _ServerEnd(ssl.SSLObject):
     """A server's end of a connection; `presented` is the certificate that the client has sent."""
@@ -45,14 +42,15 @@ def keep_presented(context: ssl.SSLContext) -> None:
 def _note_message(
     end: Any, direction: str, version: int, kind: int, message: int, data: Any
 ) -> None:
-    if message == CERTIFICATE and kind == HANDSHAKE and direction == "read":
+    # A Certificate in a record of the handshake (RFC 8446, 4 and 5.1).
+    if message == 11 and kind == 22 and direction == "read":
         end.presented = _first_certificate(version, bytes(data))
 
 
 def _first_certificate(version: int, message: bytes) -> bytes:
     """Return the first certificate of a handshake message (RFC 5246, 7.4.2; RFC 8446, 4.4.2)."""
     at = 4  # behind the type and the length
-    if version >= TLS_1_3:
+    if version >= ssl.TLSVersion.TLSv1_3:
         at += 1 + int.from_bytes(message[at : at + 1], "big")  # the context of the request
     at += 3  # the length of the list
     size = int.from_bytes(message[at : at + 3], "big")

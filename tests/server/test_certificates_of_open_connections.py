@@ -27,7 +27,7 @@ from libmodbus_py import (
     TlsContext,
 )
 from libmodbus_py.ports import tls
-from libmodbus_py.security import loaded
+from libmodbus_py.security import files
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.tls import Handshakes
 from tests.simulation.network import Network
@@ -108,7 +108,7 @@ def test_a_client_whose_certificate_has_expired_is_closed(
     ):
         plc.read_holding_registers(0, 1)
         end = certificates.end(OPERATOR().certificate).timestamp()
-        monkeypatch.setattr(loaded, "time", SimpleNamespace(time=lambda: end + 1))
+        monkeypatch.setattr(files, "time", SimpleNamespace(time=lambda: end + 1))
         until(lambda: server.statistics.closed_untrusted == 1)
 
 
@@ -192,7 +192,7 @@ def test_a_client_leaves_a_server_whose_certificate_has_expired(
         assert plc.read_holding_registers(0, 1) == [0]
         later = iter([time.time() + 366 * 86_400])
         now = SimpleNamespace(time=lambda: next(later, time.time()))
-        monkeypatch.setattr(loaded, "time", now)
+        monkeypatch.setattr(files, "time", now)
         plc.read_holding_registers(0, 1)
         assert server.statistics.accepted == 2
 
