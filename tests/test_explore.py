@@ -4,8 +4,9 @@ The explorer of connections finds nothing, and finds each rule that is broken on
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from typing import Any
 from unittest.mock import patch
@@ -20,6 +21,13 @@ from libmodbus_py.client.queue import Queue
 
 PARTS = 6
 """The worlds of four requests with one that is unusual are walked in so many parts."""
+
+
+@pytest.fixture(autouse=True)
+def log_of_other_tests() -> Iterator[None]:
+    """Undo what `explore` does to the log of the process."""
+    yield
+    logging.disable(logging.NOTSET)
 
 
 def always(value: Any) -> property:

@@ -216,14 +216,14 @@ class Rules:
     """
 
     def __init__(self, roles: Mapping[str | None, Allow]) -> None:
+        from ..security.role import check_role  # which brings ssl
+
         if not isinstance(roles, Mapping):
             raise WrongType("roles", f"must be {{role: Allow(...)}}, not {type(roles).__name__}")
         for role, allow in roles.items():
             if role is not None:
                 if not isinstance(role, str):
                     raise TypeError(f"a role must be text or None, not {role!r}")
-                from ..security.role import check_role  # which brings ssl
-
                 check_role(role)
             if not isinstance(allow, Allow):
                 raise TypeError(f"roles[{role!r}] must be Allow(...), not {type(allow).__name__}")
