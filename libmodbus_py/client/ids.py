@@ -46,7 +46,7 @@ class Ids(Matching):
         self._any_unit = any_unit
         self._framing: Framing = endpoint.framing
         self._framer: Framer = make_framer(self._framing, "client")
-        self.rest = self._framer.rest
+        self.rest: bytes | bytearray = self._framer.rest
         self._last = 0
         self._abandoned: dict[int, None] = {}
         self._strays = b""
@@ -60,7 +60,7 @@ class Ids(Matching):
         self._last = number
         if not pending:
             self._strays = b""
-            self.unasked = 0
+            self.unasked: int = 0
         if call.adu:
             call.earlier = call.number if isinstance(call.reply, TimeoutError) else -1
             call.reply = None
@@ -92,7 +92,7 @@ class Ids(Matching):
                 continue
             call.answerer = unit
             if call.unit == unit or self._any_unit:
-                self.unanswered = 0
+                self.unanswered: int = 0
                 self._answered_at = now
                 call.reply = pdu
             else:

@@ -204,7 +204,7 @@ class Line(Matching):
         call.adu = adu = self._framer.encode(Frame(call.unit, call.pdu))
         self._received.clear()
         self._quiet_at = self._wrong = self._held = None
-        self.unasked = 0
+        self.unasked: int = 0
         self._silence.sent(len(adu), now)
         if self._echo.is_there is not False:
             self._echo.sent(adu, is_telling=_is_telling(call.pdu))
@@ -315,7 +315,7 @@ class Line(Matching):
         """Take an answer, and remember it."""
         self._answers.add(call.unit, call.pdu, pdu)
         self._note_time(call, pdu, came_at, now)
-        self.unanswered = 0
+        self.unanswered: int = 0
         call.reply = pdu
         self._end(call)
 

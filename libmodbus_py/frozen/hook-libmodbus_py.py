@@ -5,6 +5,10 @@ the stubs that list them.
 
 from PyInstaller.utils.hooks import collect_data_files, collect_submodules
 
-datas = collect_data_files("libmodbus_py", includes=["**/*.pyi", "**/page/*", "**/scripts/*"])
-hiddenimports = collect_submodules("libmodbus_py", filter=lambda name: ".integrations" not in name)
+datas: list[tuple[str, str]] = collect_data_files(
+    "libmodbus_py", includes=["**/*.pyi", "**/page/*", "**/scripts/*"]
+)
+hiddenimports: list[str] = collect_submodules(
+    "libmodbus_py", filter=lambda name: ".integrations" not in name
+)
 hiddenimports += ["_cffi_backend"]

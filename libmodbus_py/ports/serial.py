@@ -115,7 +115,7 @@ class SerialPort(Port):
         self._guards: list[int] = []
         self._number = 0
         self._process = 0
-        self.context = make(
+        self.context: Any = make(
             lib.modbus_new_rtu(
                 os.fsencode(device),
                 self.baudrate if self.baudrate in self.baudrates else 9600,

@@ -8,7 +8,7 @@ nan or an infinity, in place of which `plain.plain` returns None.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from .mistakes import WrongValue
@@ -24,7 +24,7 @@ COMPACT_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
 SORTED_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"), sort_keys=True)
 """Encodes the same for equal values, without spaces."""
 
-json_text = json.JSONEncoder(allow_nan=False).encode
+json_text: Callable[[Any], str] = json.JSONEncoder(allow_nan=False).encode
 """Returns a value as JSON, in ASCII."""
 
 

@@ -111,7 +111,7 @@ class WriteCoils(_WriteSeveral[bool]):
 
     __slots__ = ()
     function = 0x0F
-    limit = MAX_WRITTEN["coils"]
+    limit: ClassVar[int] = MAX_WRITTEN["coils"]
     _check, _pack = staticmethod(checked_bits), staticmethod(pack_bits)
 
     @classmethod
@@ -127,7 +127,7 @@ class WriteRegisters(_WriteSeveral[int]):
 
     __slots__ = ()
     function = 0x10
-    limit = MAX_WRITTEN["holding_registers"]
+    limit: ClassVar[int] = MAX_WRITTEN["holding_registers"]
     _check, _pack = staticmethod(checked_registers), staticmethod(pack_registers)
 
     @classmethod

@@ -242,7 +242,7 @@ class Poller(LineRequest):
             self._due = self._pace.due(planned)
         plan = self.reads.plan_of(self._due)
         self._poll = OnePoll(plan, self._holes, first=self._first, now=planned, connects=connects)
-        self.request = self._poll.request
+        self.request: Any = self._poll.request
 
     def take(self, outcome: Any, now: float) -> None:
         """Take the outcome of the request; with the last one, the state of the device changes."""
@@ -256,7 +256,7 @@ class Poller(LineRequest):
         self._holes = poll.holes
         self.news += poll.news
         self.error = poll.error
-        self.misses = 0 if poll.is_answered else self.misses + 1
+        self.misses: int = 0 if poll.is_answered else self.misses + 1
         if self.misses:
             # The device may be silent about this request only, so that another one comes first.
             self._first += 1
