@@ -50,8 +50,8 @@ def load_map(path: str | PathLike[str], *, columns: Mapping[str, str] | None = N
             their headings, as vendors name them. It may be as Excel saves it: in UTF-8, UTF-16 or
             cp1252, with a title above the headings, and with decimal commas where semicolons
             separate the cells.
-        columns: the headings of columns that are not recognised, by the arguments of `Point`, such
-            as ``{"name": "Bezeichnung"}``; only for files with columns.
+        columns: the headings of columns that are not recognised, by the arguments of `Point` or
+            headings that are, such as ``{"name": "Bezeichnung"}``; only for files with columns.
 
     Raises:
         MapError: the file cannot be read, or contains a mistake. The message describes the first
@@ -100,6 +100,7 @@ def contents_of_text(text: str, suffix: str, most: int, columns: Mapping[str, st
         if columns:
             raise ValueError("columns are for CSV; the keys of TOML have the names of arguments")
         return collected(Contents(), _toml_entries(text), most)
+    columns = {COLUMNS.get(plain(kind), kind): heading for kind, heading in columns.items()}
     for kind in columns:
         if kind not in READERS:
             allowed = ", ".join(READERS)

@@ -100,7 +100,7 @@ GERMAN = (
     "Bezeichnung;Register;Datentyp;Faktor;Einheit\r\n"
     "Außentemperatur;40001;S16;0,1;°C\r\nZählerstand;40002;U32;-2,5e-3;kWh\r\n"
 )
-NAMED = {"name": "Bezeichnung", "type": "datentyp", "scale": "Faktor", "units": "Einheit"}
+NAMED = {"name": "Bezeichnung", "type": "datentyp", "scale factor": "Faktor", "unit": "Einheit"}
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
@@ -125,8 +125,8 @@ def test_a_column_that_is_named_must_be_there(tmp_path: Path) -> None:
     path.write_text("name,address\na,40001\n")
     with pytest.raises(MapError, match="line 1: no column Faktor, which is named for scale"):
         load_map(path, columns={"scale": "Faktor"})
-    with pytest.raises(ValueError, match=r"columns must name some of name, .*, not 'factor'"):
-        load_map(path, columns={"factor": "Faktor"})
+    with pytest.raises(ValueError, match=r"columns must name some of name, .*, not 'faktor'"):
+        load_map(path, columns={"faktor": "Faktor"})
     toml = tmp_path / "map.toml"
     toml.write_text("")
     with pytest.raises(ValueError, match="columns are for CSV"):
