@@ -231,6 +231,8 @@ class Fleet:
         for device in after.values():
             if device.name not in self._pollers:
                 self._begin(device)
+        for key, line in moved.items():
+            self._lines[key].replaces(line.client)
         used = {each.connection_key for each in after.values()}
         for key in [key for key in self._lines if key not in used]:
             self._end_line(key)
@@ -267,12 +269,13 @@ class Fleet:
                 readings += self._pollers[name].withdrawn(now, still.names if still else ())
         return readings
 
-    def _moved(self, devices: Mapping[str, DeviceConfig]) -> set[str]:
-        """End the connections whose options changed, and return their keys."""
-        moved: set[str] = set()
-        for key, group in by_connection(devices.values()).items():
-            if key in self._lines and self._lines[key].url != group[0].endpoint.url:
-                moved.add(key)
+    def _moved(self, devices: Mapping[str, DeviceConfig]) -> dict[str, FleetLine]:
+        """End the lines whose options changed, and return them by their keys."""
+        moved = {
+            key: self._lines[key]
+            for key, group in by_connection(devices.values()).items()
+            if key in self._lines and self._lines[key].url != group[0].endpoint.url
+        }
         for key in moved:
             self._end_line(key)
         return moved
