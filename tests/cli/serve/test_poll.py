@@ -17,6 +17,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.tools.testing.recording import ServerMaker
+from tests.cli.serving import FLEET_OF_ONE
 from tests.support.cases import each_case
 from tests.support.commands import Started, ended, on_terminal, run
 from tests.support.peers import dead
@@ -296,14 +297,7 @@ def test_the_standard_output_has_the_readings_of_this_run_only(fleet: Path) -> N
 # --- --once and outputs -----------------------------------------------------------
 
 
-FLEET_OF_ONE = """
-[[device]]
-name = "one"
-url = "{url}"
-[[device.point]]
-name = "volts"
-table = "holding_registers"
-address = 0
+FLEET_OF_TWO_POINTS = f"""{FLEET_OF_ONE}
 [[device.point]]
 name = "amperes"
 table = "holding_registers"
@@ -315,7 +309,7 @@ address = 1
 def one_device(tmp_path: Path) -> Iterator[Path]:
     with ServerMaker() as maker:
         path = tmp_path / "one_device.toml"
-        path.write_text(FLEET_OF_ONE.format(url=maker().url))
+        path.write_text(FLEET_OF_TWO_POINTS.format(url=maker().url))
         yield path
 
 
