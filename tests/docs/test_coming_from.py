@@ -232,7 +232,9 @@ def test_wrong_arguments_raise_what_the_table_of_pymodbus_says(ask: Any, kind: A
             ask(plc)
 
 
-def test_errors_of_minimalmodbus_are_those_of_the_table() -> None:
+def test_errors_of_minimalmodbus_are_those_of_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    # It keeps ports by their paths, which other tests have had with other settings.
+    monkeypatch.setattr(minimalmodbus, "_serialports", {})
     with SerialWire() as wire:
         instrument = minimalmodbus.Instrument(wire.client, 17)
         port = instrument.serial
@@ -242,7 +244,7 @@ def test_errors_of_minimalmodbus_are_those_of_the_table() -> None:
         with Server(Device(Mapping(holding_registers=8))).background(
             f"rtu://{wire.server}?parity=N"
         ):
-            instrument.serial.timeout = 10
+            instrument.serial.timeout = 3  # it waits for the bytes that a refusal lacks
             with pytest.raises(minimalmodbus.SlaveReportedException):
                 instrument.read_register(100)
         instrument.serial.close()
