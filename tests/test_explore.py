@@ -13,7 +13,7 @@ from unittest.mock import patch
 
 import pytest
 
-from fuzz.explore import explore
+from fuzz.explore import explore, run
 from libmodbus_py.client import line
 from libmodbus_py.client.answers import Answers
 from libmodbus_py.client.line import Line, Pair
@@ -80,6 +80,20 @@ WITH_IDS: dict[str, Breaking] = {
 @pytest.mark.parametrize("has_ids", [False, True])
 def test_no_sequence_of_events_gives_what_has_no_name(has_ids: bool) -> None:
     assert explore(has_ids, 4, 1, (1, PARTS)).errors == {}
+
+
+# Worlds in which a unit works through late requests of several functions.
+BACKLOGS = [
+    "A:good B:good A:good B:good WAW:late_17 AB:slow",
+    "A:good B:good AW:late_29 WAW:slow",
+    "A:good B:good F:late_17 AW:echo",
+]
+
+
+@pytest.mark.parametrize("world", BACKLOGS)
+def test_a_late_answer_to_one_function_announces_those_to_others(world: str) -> None:
+    steps = [each.replace("_", " ").split(":") for each in world.split()]
+    assert run(False, True, 0, [(move, act) for move, act in steps]).errors == set()
 
 
 @pytest.mark.parametrize("rule", [*ON_LINES, *WITH_IDS])

@@ -19,7 +19,8 @@ this pair, and the other states are those of the line.
             fit, the end of its time
     ASKED   its caller is gone                     IDLE and DOUBT
     any     a frame that is no answer to it        it is dropped and counted; the wait goes on
-    HOLD    the same answer again                  HOLD, from the beginning
+    HOLD    the same answer again, or a late       HOLD, from the beginning
+            frame of its unit
     HOLD    another frame of it, or a damaged one  IDLE and DOUBT; the request fails
     HOLD    nothing for twice the time of its      IDLE, no DOUBT; the answer is the result
             slowest good answer of this length
@@ -27,14 +28,16 @@ this pair, and the other states are those of the line.
                                                    DOUBT, or if the request itself led to it and
                                                    is repeated; else the request fails. DOUBT ends
                                                    if one timeout of silence follows
-    DOUBT   a frame of it; any bytes while IDLE    the silence counts anew
+    DOUBT   a late frame of its unit; any bytes    the silence counts anew
+            while IDLE
     DOUBT   ten timeouts of silence; two if it     no DOUBT
             has never answered
 
 Why: a late answer comes before the answer that follows it, so a second frame within HOLD tells that
-the first one was late or doubled. Silence lets late answers pass before the next request. An answer
-that comes twice is found by its equality with an earlier one. Other functions of the unit need not
-wait, because no late answer fits them. `./run explore` walks through every sequence of events that
+the first one was late or doubled. Silence lets late answers pass before the next request. A late
+frame of another function shows that the unit still works through earlier requests. An answer that
+comes twice is found by its equality with an earlier one. Other functions of the unit need not wait,
+because no late answer fits them. `./run explore` walks through every sequence of events that
 this table can meet; what it cannot tell apart is named in `EXCEPTIONS` there.
 
 A line keeps the order of requests to a unit: those behind one that waits wait, too
@@ -284,12 +287,13 @@ class Line(Matching):
             self._wrong = InvalidResponse(text)
         elif self._held is None:
             self._take_answer(call, pdu, now)
-        elif pdu == self._held:
-            self._statistics.late_answers += 1
-            self._hold(call, pdu, now)
         else:
-            self._statistics.late_answers += 1
-            self._fail(call, InvalidResponse("two answers came, one to an earlier request"), now)
+            self._note_late(unit, call, now)
+            if pdu == self._held:
+                self._hold(call, pdu, now)
+            else:
+                error = InvalidResponse("two answers came, one to an earlier request")
+                self._fail(call, error, now)
 
     def _take_answer(self, call: Call, pdu: bytes, now: float) -> None:
         pair, answers = self._pair(call, now), self._answers
@@ -305,10 +309,14 @@ class Line(Matching):
             self._believe(call, pdu, now, now)
 
     def _hold(self, call: Call, pdu: bytes, now: float) -> None:
+        self._held, self._held_at = pdu, now
+        call.state = Phase.ANSWERED
+        self._begin_hold(call, pdu, now)
+
+    def _begin_hold(self, call: Call, pdu: bytes, now: float) -> None:
         slowest = self._answers.slowest_like(call.unit, pdu)
         longest = call.timeouts.timeout if slowest is None else TIMES_SLOWEST * slowest
-        self._held, self._held_at, self._held_until = pdu, now, now + longest
-        call.state = Phase.ANSWERED
+        self._held_until = now + longest
         self.wake(min(self._held_until, call.deadline))
 
     def _believe(self, call: Call, pdu: bytes, came_at: float, now: float) -> None:
@@ -336,16 +344,25 @@ class Line(Matching):
 
     def _note_other(self, unit: int, function: int, call: Call | None, now: float) -> None:
         """Note a frame that answers no request in flight (serial line, 2.4.1)."""
-        self._statistics.late_answers += 1
         pair = self._pairs.get((unit, function))
-        if pair is not None:
+        if pair is None:
+            self._statistics.late_answers += 1
+        else:
             pair.heard_at = now
-            if pair.is_doubted:
-                pair.heard(now)
+            self._note_late(unit, call, now)
         if call is not None:
             what = f"function {function} was answered, not {call.pdu[0]}"
             self._wrong = InvalidResponse(what if unit == call.unit else f"unit {unit} answered")
             self._wrong.answers_another = True
+
+    def _note_late(self, unit: int, call: Call | None, now: float) -> None:
+        """Note a late answer: its unit may still work through other requests."""
+        self._statistics.late_answers += 1
+        for (other, _), pair in self._pairs.items():
+            if other == unit and pair.is_doubted:
+                pair.heard(now)
+        if call is not None and call.unit == unit and self._held is not None:
+            self._begin_hold(call, self._held, now)
 
     def _tell(self, found: Frame | FrameError) -> None:
         if isinstance(found, FrameError):

@@ -465,6 +465,39 @@ def test_doubt_and_a_frame_of_it_count_the_silence_anew() -> None:
     assert talk.statistics.late_answers == 2
 
 
+def test_doubt_and_a_late_frame_of_its_unit_count_the_silence_anew() -> None:
+    """The unit still works through earlier requests, which are of other functions, too."""
+    talk = used()
+    talk.ask(pdu.ReadInputRegisters(5, 1))
+    talk.wait(1)
+    talk.ask(5)
+    talk.wait(1)
+    written = talk.ask(WRITE)
+    talk.wait(0.9)
+    talk.come(rtu("01 04 02 00 05"))
+    heard_at = talk.now
+    talk.come(rtu("01 06 00 01 00 02"))
+    assert written.outcomes == [None]
+    talk.ask(6)
+    talk.wait_for(4)
+    assert talk.times[3] == pytest.approx(heard_at + 1)
+
+
+def test_hold_and_a_late_frame_of_its_unit_begin_again() -> None:
+    talk = used()
+    talk.ask(pdu.ReadInputRegisters(5, 1))
+    talk.wait(1)
+    talk.ask(5)
+    talk.wait(2)
+    batch = talk.ask(6)
+    for frame in (value(6), *[rtu("01 04 02 00 05")] * 3):
+        talk.come(frame)
+        talk.wait(0.015)
+        assert not batch.is_done
+    talk.wait(0.006)
+    assert batch.outcomes == [[6]]
+
+
 def test_after_an_equal_answer_to_an_equal_request_that_to_another_one_is_held() -> None:
     """The second one may have been the first one again; the answers would then be shifted."""
     talk = used()
