@@ -46,7 +46,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
-from .records import Connection, Member, Slot, State, encode_holder
+from .records import Connection, Holding, Member, Slot
 from .worker import Decision, Put, Worker
 
 __all__ = ["decide", "share", "step"]
@@ -68,9 +68,6 @@ BLIND = 0.3
 # The time after which the bucket is read again, in leases: no change reports that a key was purged.
 READ_AGAIN = 60
 
-# The number of attempts to write a key after which the bucket is read again.
-MOST_TRIES = 3
-
 # The time for which a slot may be without a worker, in leases: after 1.05, another one has it.
 UNSERVED = 1.5
 
@@ -86,14 +83,7 @@ def step(worker: Worker, now: float, report: Mapping[str, Any] | None = None) ->
 
 
 def decide(worker: Worker, now: float, report: Mapping[str, Any] | None = None) -> Decision:
-    """
-    Return what a worker does now.
-
-    Args:
-        worker: what it knows; not changed.
-        now: the time on its clock, in seconds.
-        report: numbers about its devices, for `fleet status`.
-    """
+    """Return what a worker does now; `report` contains numbers for `fleet status`."""
     settings = worker.view.settings
     if settings is None or worker.is_reading or worker.left:
         return Decision(worker.active)
@@ -101,12 +91,7 @@ def decide(worker: Worker, now: float, report: Mapping[str, Any] | None = None) 
 
 
 class _Deciding:
-    """
-    One decision.
-
-    Args:
-        lease: the length of the lease of this worker.
-    """
+    """One decision; `lease` is the length of the lease of this worker."""
 
     def __init__(self, worker: Worker, now: float, lease: float) -> None:
         self.worker = worker
@@ -114,9 +99,11 @@ class _Deciding:
         self.me = worker.lease.id
         self.now = now
         self.lease = lease
+        self.used_slots = worker.view.used_slots
         self.longest_wait = worker.view.longest_lease * OTHERS_PART
         self.puts: list[Put] = []
         self.due = math.inf
+        self.is_in_vain = False
         # The other workers that may hold slots; and those whose slots are not shared now.
         self.others = [
             each
@@ -141,28 +128,21 @@ class _Deciding:
             self.record_ends()
             self.move_slots()
             self.forget_ended()
-        active, is_waiting = ({}, False) if worker.is_leaving else self.polled()
-        unserved = self.unserved()
+        active = {} if worker.is_leaving else self.polled()
+        unserved = self.unserved() if worker.is_first(self.now) else []
         # Last, because it acknowledges all changes up to the revision of the view.
         self.renew_lease(report)
-        is_blind = self.is_blind()
-        is_eager = is_waiting or not is_valid or bool(self.silent)
-        return Decision(active, self.puts, self.due, is_eager, is_blind, unserved)
+        return Decision(active, self.puts, self.due, self.is_blind(), unserved)
 
     def put(self, key: str, value: bytes | None) -> None:
         """Write a key, unless the same was written recently and the key has not changed."""
-        revision = self.view.seen_at(key).revision
-        attempt = self.worker.attempts.get(key)
-        if (
-            attempt is None
-            or attempt.last != revision
-            or self.has_passed(self.again_at(attempt.at))
-        ):
-            self.puts.append(Put(key, value, revision))
-            self.has_passed(self.again_at(self.now))
-
-    def again_at(self, at: float) -> float:
-        return at + self.lease * AGAIN
+        pause = self.lease * AGAIN
+        if self.worker.is_attempted(key):
+            if not self.has_passed(self.worker.attempts[key].at + pause):
+                return
+            self.is_in_vain = True
+        self.puts.append(Put(key, value, self.view.seen_at(key).revision))
+        self.has_passed(self.now + pause)
 
     # Workers
 
@@ -175,16 +155,14 @@ class _Deciding:
 
     def forget_ended(self) -> None:
         """Delete workers that ended long ago, and their slots without connections before."""
-        used = set(self.view.used_slots)
         for member in self.view.members.values():
             at = self.view.seen_at(member.bucket_key).at
             if member.state == "ended" and self.has_passed(at + REMEMBERED_S):
-                slots = [slot for slot, id in self.view.holders.items() if id == member.id]
+                slots = {slot for slot, id in self.view.holders.items() if id == member.id}
                 if not slots:
                     self.put(member.bucket_key, None)
-                for slot in slots:
-                    if slot not in used:
-                        self.put(slot.key, None)
+                for slot in sorted(slots - self.used_slots):
+                    self.put(slot.key, None)
 
     def renew_lease(self, report: Mapping[str, Any]) -> None:
         worker, view = self.worker, self.view
@@ -192,7 +170,7 @@ class _Deciding:
         hurry = worker.is_leaving or (me is not None and me.seen < view.last_touched)
         pause = self.lease * (SOON if hurry else BEAT)
         if self.has_passed(worker.lease.sent_at + pause):
-            state: State = "ended" if worker.is_leaving else "here"
+            state = "ended" if worker.is_leaving else "here"
             beat = worker.lease.beat + 1
             record = Member(self.me, state, worker.zones, self.lease, beat, view.revision, report)
             last = max(worker.lease.revision, view.seen_at(record.bucket_key).revision)
@@ -201,14 +179,9 @@ class _Deciding:
 
     def is_blind(self) -> bool:
         """Return True if changes may be missing: own values are not seen, or writes are in vain."""
-        view = self.view
-        heard = max(view.seen_at(self.worker.lease.key).at, view.since)
-        is_in_vain = any(
-            each.tries >= MOST_TRIES and each.last == view.seen_at(key).revision
-            for key, each in self.worker.attempts.items()
-        )
-        at = min(heard + self.lease * BLIND, view.since + self.lease * READ_AGAIN)
-        return self.has_passed(at) or is_in_vain
+        heard = max(self.view.seen_at(self.worker.lease.key).at, self.view.since)
+        at = min(heard + self.lease * BLIND, self.view.since + self.lease * READ_AGAIN)
+        return self.has_passed(at) or self.is_in_vain
 
     # Slots
 
@@ -217,7 +190,7 @@ class _Deciding:
         holders = self.view.holders
         eligible = {each.id: each.zones for each in self.others if each.id not in self.silent}
         eligible[self.me] = self.worker.zones
-        slots = [slot for slot in self.view.used_slots if holders.get(slot) not in self.silent]
+        slots = {slot for slot in self.used_slots if holders.get(slot) not in self.silent}
         for slot, heir in share(slots, holders, eligible).items():
             if holders.get(slot) == self.me:
                 # The write of another heir may still succeed: this one does, or that one.
@@ -225,7 +198,7 @@ class _Deciding:
             else:
                 moves = heir == self.me and self.is_free(slot)
             if moves:
-                self.put(slot.key, encode_holder(heir, self.me))
+                self.put(slot.key, Holding(slot, heir, self.me).encode())
 
     def is_free(self, slot: Slot) -> bool:
         holder = self.view.holder(slot)
@@ -241,23 +214,22 @@ class _Deciding:
 
     # Connections
 
-    def polled(self) -> tuple[dict[str, Connection], bool]:
-        """Return the connections to poll, and whether others wait to be acknowledged."""
+    def polled(self) -> dict[str, Connection]:
+        """Return the connections to poll: of own slots, and acknowledged by all workers."""
         written = {put.key for put in self.puts}
         slots = {
             slot
-            for slot in self.view.used_slots
+            for slot in self.used_slots
             if self.worker.is_mine(slot) and slot.key not in written
         }
-        mine = [each for each in self.view.connections if each.slot in slots]
-        new = {each.key for each in mine} - self.worker.active.keys()
+        mine = {each.key: each for each in self.view.connections if each.slot in slots}
+        new = mine.keys() - self.worker.active.keys()
         acknowledged = self.acknowledged() if new else math.inf
-        active = {
-            each.key: each
-            for each in mine
-            if each.key not in new or self.view.touched_at(each) <= acknowledged
+        return {
+            key: each
+            for key, each in mine.items()
+            if key not in new or self.view.touched_at(each) <= acknowledged
         }
-        return active, len(active) < len(mine)
 
     def acknowledged(self) -> float:
         """Return the highest revision that all workers with a lease have acknowledged."""
@@ -266,14 +238,12 @@ class _Deciding:
         return min((each.seen for each in self.others), default=math.inf)
 
     def unserved(self) -> list[Connection]:
-        """Return the connections that no worker has polled for long; [] unless this is first."""
+        """Return the connections that no worker has polled for long."""
         view = self.view
-        if not self.worker.is_first(self.now):
-            return []
         wait = UNSERVED * view.longest_lease
         free = {
             slot: self.free_since(slot)
-            for slot in view.used_slots
+            for slot in self.used_slots
             if (holder := view.holder(slot)) is None or holder.state == "ended"
         }
         return [
@@ -291,12 +261,11 @@ def share(
     slots: Collection[Slot], holders: Mapping[Slot, str], zones: Mapping[str, Collection[str]]
 ) -> dict[Slot, str]:
     """
-    Return the worker of each slot. Workers that may hold the same slots get nearly equal numbers of
-    them, and few slots move. Slots that no worker may hold are left out. Workers with the same view
-    of the bucket compute the same assignment.
+    Return the worker of each slot, the same in all workers with the same view. Workers that may
+    hold the same slots get nearly equal numbers of them, and few slots move. Slots that no worker
+    may hold are left out.
 
     Args:
-        slots: the slots with connections.
         holders: slot -> its current holder; holders that `zones` does not contain are ignored.
         zones: worker that may hold slots -> its zones.
     """

@@ -20,9 +20,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import re
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
@@ -33,14 +32,13 @@ from ..fleet.outputs.forms import poll_messages
 from ..fleet.outputs.topics import Levels
 from ..fleet.readings import Reading
 from ..tasks import end_tasks, finish
-from .records import Connection
 from .worker import Worker
 
 if TYPE_CHECKING:
     from nats.aio.client import Client
     from nats.aio.msg import Msg
 
-__all__ = ["CommandService", "Locations", "Stream"]
+__all__ = ["CommandService", "Stream", "refusal"]
 
 STREAM = "modbus-readings"
 
@@ -51,8 +49,8 @@ WRITTEN = "modbus.written"
 # Characters that have a meaning in subjects or topics, or are not allowed there.
 _LEVELS = Levels(r"[\s.*>%/+#$\0]")
 
+# More bytes than a message has beside the names of its device, its point and its subject.
 OVERHEAD = 200
-"""More than the bytes of a message beside the names of its device, its point and its subject."""
 
 
 class Stream:
@@ -60,11 +58,7 @@ class Stream:
     An output: one message for each poll of a device, ``{"device": ..., "values": {NAME: {...}}}``.
 
     A poll that is larger than the server's largest message is several messages, which also have
-    ``"part": 1, "parts": 3``.
-
-    Args:
-        client: a connected client.
-        limits: the limits of the stream, as for `keep_stream`.
+    ``"part": 1, "parts": 3``. The limits of the stream are as for `keep_stream`.
     """
 
     def __init__(self, client: Client, limits: Mapping[str, Any]) -> None:
@@ -80,10 +74,7 @@ class Stream:
         self._js = self._client.jetstream(timeout=TIMEOUT)
 
     async def write(self, readings: Sequence[Reading]) -> None:
-        client = self._client
-        if not readings:
-            return
-        messages = list(_messages(readings, client.max_payload))
+        messages = list(_messages(readings, self._client.max_payload))
         try:
             with explained(STREAM):
                 async with asyncio.timeout(TIMEOUT):
@@ -113,28 +104,13 @@ def _messages(readings: Sequence[Reading], largest: int) -> Iterator[tuple[str, 
         ReadingsRefused: a single reading has more bytes.
     """
     for (device, time), group in groupby(readings, lambda each: each.poll):
-        subject = readings_of(device)
+        subject = f"{READINGS}.{_LEVELS.spell(device)}"
         room = largest - OVERHEAD - len(subject.encode())
         for names, data in poll_messages(list(group), room):
             yield subject, f"{time} {len(names)} {names[0]}", data
 
 
-def readings_of(device: str) -> str:
-    """Return the subject of the readings of a device."""
-    return f"{READINGS}.{_LEVELS.spell(device)}"
-
-
-def asked_about(subject: str) -> tuple[str, str] | None:
-    """Return the device and the point of the subject of a write; None unless both are names."""
-    device, _, point = subject.removeprefix(f"{WRITE}.").partition(".")
-    names = _LEVELS.read(device), _LEVELS.read(point)
-    return None if names[0] is None or names[1] is None else (names[0], names[1])
-
-
-def written(device: str, point: str) -> str:
-    """Return the subject of the outcomes of writes to a point."""
-    return f"{WRITTEN}.{_LEVELS.spell(device)}.{_LEVELS.spell(point)}"
-
+# --- commands -------------------------------------------------------------------------------------
 
 # Outcomes are sent only to inboxes: _INBOX.ID, inboxes with a prefix that a client has chosen, and
 # those that servers make between accounts and clusters. A worker may publish to $JS.API and $KV; a
@@ -152,14 +128,7 @@ PAUSE_S = 0.25
 
 
 class CommandService:
-    """
-    Answers the commands that are published to ``modbus.write.DEVICE.POINT``.
-
-    Args:
-        client: a connection to NATS.
-        commands: carries out the commands, and refuses those that no worker can carry out.
-        say: logs a line.
-    """
+    """Answers the commands that are published to ``modbus.write.DEVICE.POINT``."""
 
     def __init__(self, client: Client, commands: Commands, say: Callable[[str], None]) -> None:
         self._client = client
@@ -167,35 +136,24 @@ class CommandService:
         self._say = say
         self._tasks: set[asyncio.Task[None]] = set()
         self._is_on = False
-        self._switched = asyncio.Event()
 
     def switch(self, is_on: bool) -> None:
         """Take commands from now on, or none, not even those that were already received."""
-        if is_on != self._is_on:
-            self._is_on = is_on
-            self._switched.set()
-            for task in self._tasks:
-                task.cancel()
+        self._is_on = is_on
+        for task in () if is_on else self._tasks:
+            task.cancel()
 
     async def run(self) -> None:
-        """Subscribe to commands while they are taken, until cancelled."""
-        while True:
-            self._switched.clear()
-            try:
-                async with self._subscribed():
-                    await self._switched.wait()
-            except Exception as error:
-                self._say(f"commands: {what(error)}")
-                await asyncio.sleep(PAUSE_S)
-
-    @contextlib.asynccontextmanager
-    async def _subscribed(self) -> AsyncIterator[None]:
+        """Subscribe to commands, until cancelled; the client does so at each reconnection."""
         subscription = None
         try:
-            if self._is_on:
-                # The client subscribes again after each reconnection.
-                subscription = await self._client.subscribe(f"{WRITE}.*.*", cb=self._receive)
-            yield
+            while subscription is None:
+                try:
+                    subscription = await self._client.subscribe(f"{WRITE}.*.*", cb=self._receive)
+                except Exception as error:
+                    self._say(f"commands: {what(error)}")
+                    await asyncio.sleep(PAUSE_S)
+            await asyncio.Event().wait()
         finally:
             await end_tasks(list(self._tasks))
             if subscription is not None:
@@ -208,66 +166,34 @@ class CommandService:
             task.add_done_callback(self._tasks.discard)
 
     async def _answer(self, message: Msg) -> None:
-        names = asked_about(message.subject)
+        levels = message.subject.removeprefix(f"{WRITE}.").partition(".")
+        device, point = _LEVELS.read(levels[0]), _LEVELS.read(levels[2])
         # Commands with other subjects are dropped: their sender would choose the subject to which
         # the outcome is published.
-        outcome = names and await self._commands.answer(*names, wanted_of(message.data))
-        if not (names and outcome):
+        if device is None or point is None:
+            return
+        outcome = await self._commands.answer(device, point, wanted_of(message.data))
+        if outcome is None:
             return
         data = encoded(outcome)
         with contextlib.suppress(Exception):
             if _INBOX.fullmatch(message.reply):
                 await self._client.publish(message.reply, data)
-            await self._client.publish(written(*names), data)
+            subject = f"{WRITTEN}.{_LEVELS.spell(device)}.{_LEVELS.spell(point)}"
+            await self._client.publish(subject, data)
 
 
-class Locations:
+def refusal(worker: Worker, device: str, now: float) -> str:
     """
-    Finds the worker that answers commands to devices that this worker does not poll.
-
-    Args:
-        worker: its view of the bucket is searched.
+    Return the reason to refuse a command to a device that this worker does not poll; "" if
+    another worker answers the command, or none does.
     """
-
-    def __init__(self, worker: Worker) -> None:
-        self._worker = worker
-        # The connection of each device, as of this revision.
-        self._connections: dict[str, Connection] = {}
-        self._as_of = -1
-
-    def refusal(self, device: str, now: float) -> str:
-        """
-        Return the reason to refuse a command to a device that this worker does not poll; "" if
-        another worker answers the command, or none does.
-        """
-        worker = self._worker
-        if not worker.is_first(now):
-            return ""
-        connection = self._connection_of(device)
-        if connection is None:
-            return f"there is no device {device!r}"
-        holder = worker.view.holder(connection.slot)
-        if holder is None or holder.state == "ended" or worker.is_mine(connection.slot):
-            return f"no worker polls {device!r} now"
+    if not worker.is_first(now):
         return ""
-
-    def _connection_of(self, device: str) -> Connection | None:
-        view = self._worker.view
-        if self._as_of != view.last_touched:
-            self._as_of = view.last_touched
-            self._connections = {
-                name: connection
-                for connection in view.connections
-                for name in _names(connection.devices)
-            }
-        return self._connections.get(device)
-
-
-def _names(devices: str) -> Iterator[str]:
-    """Yield the names of devices in JSON, which any program may have written to the bucket."""
-    found = json.loads(devices)
-    listed = found.get("devices") if isinstance(found, dict) else None
-    for each in listed if isinstance(listed, list) else ():
-        name = each.get("name") if isinstance(each, dict) else None
-        if isinstance(name, str):
-            yield name
+    slots = [each.slot for each in worker.view.connections if device in each.names]
+    if not slots:
+        return f"there is no device {device!r}"
+    holder = worker.view.holder(slots[0])
+    if holder is None or holder.state == "ended" or worker.is_mine(slots[0]):
+        return f"no worker polls {device!r} now"
+    return ""

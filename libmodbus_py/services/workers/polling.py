@@ -5,6 +5,7 @@ Runs a worker: carries out its decisions with a clock, a bucket and a fleet.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import re
 import secrets
@@ -22,7 +23,7 @@ from ..fleet.journal.journal import Journal
 from ..fleet.outputs.output import Output
 from ..tasks import end_tasks
 from .decisions import step
-from .messages import CommandService, Locations, Stream
+from .messages import CommandService, Stream, refusal
 from .pushing import devices_of
 from .records import Connection, FleetSettings
 from .worker import OWN_PART, Put, Worker
@@ -49,8 +50,9 @@ PAUSE_S = 0.25
 # Seconds within which the whole bucket must arrive, and a leaving worker must announce its end.
 TIMEOUT_S = 3.0
 
-# Seconds before the same line is logged again.
+# Seconds before the same line is logged again, and the most lines that are remembered for this.
 SAID_AGAIN_S = 60.0
+MOST_SAID_LINES = 100
 
 
 class Polling:
@@ -64,7 +66,6 @@ class Polling:
         name: the name of this worker; empty for the name of the machine.
         zones: zones whose devices this worker polls, besides devices without a zone.
         outputs: outputs that get all readings, besides the stream of NATS.
-        journal: keeps the readings on the disk of this machine; None for no journal.
         clock: returns the time in seconds, for leases; by default that of the clock that also
             advances while the machine is suspended.
     """
@@ -90,18 +91,16 @@ class Polling:
         self.fleet: Fleet = Fleet(
             outputs=[Stream(client, limits), *outputs], journal=journal, may_ask=self._may_ask
         )
-        self._locations = Locations(self.worker)
         self.fleet.commands.refusal = self._refusal
         self._service = CommandService(client, self.fleet.commands, self._say)
         self._service.switch(settings.commands)
         # Set when a decision is due.
         self._woken = asyncio.Event()
-        # Set when the bucket must be watched anew; and whether the whole of it has arrived.
+        self._leave_by = math.inf
+        # Set when the bucket must be watched anew; whether anything, and the whole, has arrived.
         self._doubted = asyncio.Event()
-        self._is_whole = False
+        self._has_begun = self._is_whole = False
         self._closed = asyncio.Event()
-        self._has_ended = False
-        self._late: asyncio.TimerHandle | None = None
         self._active: Mapping[str, Connection] = {}
         self._devices: dict[str, list[DeviceConfig]] = {}
         # The keys of the connections that were reported "offline" because no worker polls them.
@@ -142,8 +141,6 @@ class Polling:
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            if self._late is not None:
-                self._late.cancel()
             await end_tasks([*tasks, *self._writes])
         for task in tasks:
             if not task.cancelled():
@@ -152,15 +149,7 @@ class Polling:
     def leave(self) -> None:
         """Stop polling, announce it to the other workers, and end within three seconds."""
         self.worker.leave()
-        self._woken.set()
-        self._late = asyncio.get_running_loop().call_later(TIMEOUT_S, self._end)
-
-    async def _until_closed(self) -> None:
-        await self._closed.wait()
-        raise EngineError("the connection to NATS was closed; start the worker again")
-
-    def _end(self) -> None:
-        self._has_ended = True
+        self._leave_by = self.now() + TIMEOUT_S
         self._woken.set()
 
     def engine_changed(self) -> None:
@@ -169,14 +158,18 @@ class Polling:
             self._closed.set()
         self._doubted.set()
 
+    async def _until_closed(self) -> None:
+        await self._closed.wait()
+        raise EngineError("the connection to NATS was closed; start the worker again")
+
     # --- the bucket ----------------------------------------------------------------------------
 
     async def _keep_watching(self) -> None:
         while True:
-            self._is_whole = False
+            self._has_begun = self._is_whole = False
             self._doubted.clear()
             try:
-                watch = await self._bucket.watch(self._receiver(), self._doubted.set)
+                watch = await self._bucket.watch(self._receive, self._doubted.set)
                 timer = asyncio.get_running_loop().call_later(TIMEOUT_S, self._demand_whole)
                 try:
                     await self._doubted.wait()
@@ -187,34 +180,42 @@ class Polling:
                 self._say(f"the engine: {error}")
             await asyncio.sleep(PAUSE_S)
 
-    def _receiver(self) -> Callable[[Change | None], None]:
-        """Return what a watch calls: the first change begins a snapshot, None ends it."""
-        has_begun = False
-
-        def receive(change: Change | None) -> None:
-            nonlocal has_begun
-            if not has_begun:
-                has_begun = True
-                self.worker.begins()
-            if change is None:
-                self._is_whole = True
-                self.worker.is_synced(self.now())
-            else:
-                self.worker.saw(change, self.now())
-            if self.worker.view.settings is not None:
-                self._service.switch(self.worker.view.settings.commands)
-            self._look()
-
-        return receive
-
     def _demand_whole(self) -> None:
         if not self._is_whole:
             self._doubted.set()
 
+    def _receive(self, change: Change | None) -> None:
+        """Take a change: the first one of a watch begins a snapshot, None ends it."""
+        if not self._has_begun:
+            self._has_begun = True
+            self.worker.begins()
+        if change is None:
+            self._is_whole = True
+            self.worker.is_synced(self.now())
+        else:
+            self.worker.saw(change, self.now())
+        if self.worker.view.settings is not None:
+            self._service.switch(self.worker.view.settings.commands)
+        self._look()
+
+    def _write(self, put: Put) -> None:
+        if len(self._writes) < MOST_WRITES and self._client.is_connected:
+            task = asyncio.create_task(self._written(put))
+            self._writes.add(task)
+            task.add_done_callback(self._writes.discard)
+
+    async def _written(self, put: Put) -> None:
+        try:
+            if revision := await self._bucket.put(put.key, put.value, put.last):
+                self.worker.was_written(put, revision)
+                self._look()
+        except EngineError as error:
+            self._say(f"the engine: {error}")
+
     # --- decisions ------------------------------------------------------------------------------
 
     async def _keep_deciding(self) -> None:
-        while not (self.worker.left or self._has_ended):
+        while not self.worker.left and self.now() < self._leave_by:
             decision = step(self.worker, self.now(), self._report())
             # First, because other workers may poll a connection as soon as its slot is written.
             self._poll(decision.active)
@@ -232,34 +233,13 @@ class Polling:
             self._woken.set()
 
     async def _until_due(self) -> None:
-        loop, settings = asyncio.get_running_loop(), self.worker.view.settings
+        self._woken.clear()
+        settings = self.worker.view.settings
         shortest = min(COARSEST_S, EXACTNESS * settings.lease if settings else COARSEST_S)
-        while True:
-            pause = min(LONGEST_PAUSE_S, max(shortest, self.worker.due - self.now()))
-            timer = loop.call_later(pause, self._woken.set)
-            try:
+        pause = max(shortest, min(self.worker.due, self._leave_by) - self.now())
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(min(LONGEST_PAUSE_S, pause)):
                 await self._woken.wait()
-            finally:
-                timer.cancel()
-            self._woken.clear()
-            if self.worker.due <= self.now() or self._has_ended:
-                return
-
-    def _write(self, put: Put) -> None:
-        if len(self._writes) < MOST_WRITES and self._client.is_connected:
-            task = asyncio.create_task(self._written(put))
-            self._writes.add(task)
-            task.add_done_callback(self._writes.discard)
-
-    async def _written(self, put: Put) -> None:
-        try:
-            revision = await self._bucket.put(put.key, put.value, put.last)
-        except EngineError as error:
-            self._say(f"the engine: {error}")
-        else:
-            if revision:
-                self.worker.was_written(put, revision)
-                self._look()
 
     # --- devices --------------------------------------------------------------------------------
 
@@ -272,7 +252,9 @@ class Polling:
             for key, each in active.items()
         }
         self._active = active
-        self.fleet.replace(self._named_once(), passed_on=self._passed_on())
+        # Devices of one name, which only other programs write, would be refused.
+        devices = {each.name: each for group in self._devices.values() for each in group}
+        self.fleet.replace(list(devices.values()), passed_on=self._passed_on())
 
     def _passed_on(self) -> set[str]:
         """Return the connections that other workers can poll."""
@@ -284,21 +266,6 @@ class Polling:
             for zone in member.zones
         }
         return {each.key for each in view.connections if each.zone in zones}
-
-    def _named_once(self) -> list[DeviceConfig]:
-        """Return the devices; of those with one name, only the first connection's are kept."""
-        names: dict[str, str] = {}
-        found: list[DeviceConfig] = []
-        for key, group in self._devices.items():
-            for each in group:
-                if names.setdefault(each.name, key) == key:
-                    found.append(each)
-                else:
-                    self._say(
-                        f"{key}: device {each.name!r} is not polled, because"
-                        f" {names[each.name]} has a device of the same name"
-                    )
-        return found
 
     def _read(self, connection: Connection) -> list[DeviceConfig]:
         try:
@@ -318,7 +285,7 @@ class Polling:
     def _refusal(self, device: str) -> str | None:
         """Return the refusal of a command, as `Commands` needs it."""
         if device not in self.fleet.devices:
-            return self._locations.refusal(device, self.now())
+            return refusal(self.worker, device, self.now())
         # After its lease, another worker may have carried out the same command.
         return None if self.worker.may_poll(self.now()) else ""
 
@@ -339,30 +306,26 @@ class Polling:
     # --- log ------------------------------------------------------------------------------------
 
     def _log_lease(self) -> None:
-        lease = self.worker.lease
-        is_valid = self.now() < lease.until
-        if is_valid != self._was_valid and lease.joined:
-            self._was_valid = is_valid
-            if is_valid:
+        """Log whether the lease is valid, when that changes, and what cannot be read."""
+        lease, settings, now = self.worker.lease, self.worker.view.settings, self.now()
+        if (now < lease.until) != self._was_valid and lease.joined:
+            self._was_valid = not self._was_valid
+            if self._was_valid:
                 logger.warning("%s: the lease is valid again", self._name)
             else:
                 logger.warning("%s: the lease has expired: NATS does not respond", self._name)
-                self._take_back()
-        for key, problem in self.worker.view.unreadable.items():
-            self._say(f"the bucket: {problem or key}")
-
-    def _take_back(self) -> None:
-        """Report the devices as "offline", unless other workers may poll them already."""
-        now, settings, lease = self.now(), self.worker.view.settings, self.worker.lease
-        is_early = settings is not None and now < lease.until + (1.0 - OWN_PART) * settings.lease
-        if is_early and not self.worker.may_poll(now):
-            self.fleet.take_back()
+                # Later, other workers may poll the devices already.
+                is_early = settings and now < lease.until + (1.0 - OWN_PART) * settings.lease
+                if is_early and not self.worker.may_poll(now):
+                    self.fleet.take_back()
+        for problem in self.worker.view.unreadable.values():
+            self._say(f"the bucket: {problem}")
 
     def _say(self, text: str) -> None:
         """Log a line, unless it was logged within the last minute."""
         now = self.now()
         if now > self._said.get(text, -math.inf) + SAID_AGAIN_S:
-            if len(self._said) > 100:
+            if len(self._said) > MOST_SAID_LINES:
                 self._said.clear()
             self._said[text] = now
             logger.warning("%s", text)

@@ -34,7 +34,7 @@ MOST_TRIES = 5
 AT_ONCE = 64
 
 # Seconds within which the whole bucket must arrive.
-TIMEOUT = 10.0
+TIMEOUT_S = 10.0
 
 # The largest timeout of a device, as a fraction of a lease.
 LONGEST_ANSWER = 0.3
@@ -116,39 +116,25 @@ async def push(bucket: Bucket, settings: FleetSettings, connections: list[Connec
     Make the bucket match a fleet file.
 
     Raises:
-        EngineError: the bucket cannot be written, a record is too large for nats-server, or other
-            programs change the bucket at the same time.
+        EngineError: the bucket cannot be written, or other programs change it at the same time.
     """
-    biggest = max((len(each.encode()) for each in connections), default=0)
-    if biggest > bucket.client.max_payload - 1024:
-        raise EngineError(
-            f"the record of one connection and its devices has {biggest} bytes, which is too large"
-            f" for nats-server: its max_payload is {bucket.client.max_payload}"
-        )
-    total = Pushed(0, 0, 0)
+    new = changed = gone = 0
     for _ in range(MOST_TRIES):
         view = await seen_now(bucket)
         puts = list(changes(view, settings, connections))
         if not puts:
-            return total
+            return Pushed(new, changed, gone)
         # Revisions do not show which keys are new: deleted keys have revisions, too.
-        known = {each.bucket_key for each in view.all_connections}
-        records = [put for put in puts if put.key != SETTINGS]
-        total = Pushed(
-            total.new + sum(put.key not in known for put in records),
-            total.changed + sum(put.key in known and put.value is not None for put in records),
-            total.gone + sum(put.value is None for put in records),
-        )
-        await _written(bucket, [put for put in puts if put.value is not None])
-        await _written(bucket, [put for put in puts if put.value is None])
+        known = {SETTINGS, *(each.bucket_key for each in view.all_connections)}
+        deleted = [put for put in puts if put.value is None]
+        written = [put for put in puts if put.value is not None]
+        gone += len(deleted)
+        new += sum(put.key not in known for put in written)
+        changed += sum(put.key in known and put.key != SETTINGS for put in written)
+        for several in (written, deleted):
+            for at in range(0, len(several), AT_ONCE):
+                await asyncio.gather(*(bucket.put(*put[:3]) for put in several[at : at + AT_ONCE]))
     raise EngineError(f"{bucket.name}: other programs change the bucket at the same time")
-
-
-async def _written(bucket: Bucket, puts: list[Put]) -> None:
-    for at in range(0, len(puts), AT_ONCE):
-        await asyncio.gather(
-            *(bucket.put(put.key, put.value, put.last) for put in puts[at : at + AT_ONCE])
-        )
 
 
 async def seen_now(bucket: Bucket) -> BucketView:
@@ -169,11 +155,11 @@ async def seen_now(bucket: Bucket) -> BucketView:
 
     watch = await bucket.watch(receive)
     try:
-        async with asyncio.timeout(TIMEOUT):
+        async with asyncio.timeout(TIMEOUT_S):
             await is_whole.wait()
     except TimeoutError:
         raise EngineGone(
-            f"{bucket.name}: the contents of the bucket did not arrive within {TIMEOUT:g} s"
+            f"{bucket.name}: the contents of the bucket did not arrive within {TIMEOUT_S:g} s"
         ) from None
     finally:
         await watch.end()

@@ -1,5 +1,5 @@
 """
-The keys and values of the bucket, without sockets or clocks.
+The keys and values of the bucket, without sockets or clocks. Each value is a JSON object.
 
 ::
 
@@ -7,6 +7,8 @@ The keys and values of the bucket, without sockets or clocks.
     connection.ZONE.DIGEST          a connection and its devices, written by `push`
     slot.ZONE.NUMBER                the worker for connections whose digests begin with this byte
     worker.NAME.NONCE               the lease of a worker, and its report
+
+Devices without a zone have the zone "", which is "_" in keys.
 """
 
 from __future__ import annotations
@@ -14,49 +16,31 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 from ...protocol.checks import number
 from ...protocol.json_text import SORTED_JSON, json_text
 from ...tools.files.schema import one_of
 from ..fleet.config import ENGINE, LONGEST_LEASE, SHORTEST_LEASE, OnLoss
 
+# fmt: off
 __all__ = [
-    "BUCKET",
-    "SETTINGS",
-    "Connection",
-    "FleetSettings",
-    "Holding",
-    "Member",
-    "Record",
-    "RecordError",
-    "Slot",
-    "State",
-    "decode",
-    "digest_of",
-    "encode_holder",
-    "in_key",
-    "zone_of",
+    "BUCKET", "SETTINGS", "Connection", "FleetSettings", "Holding", "Member", "Record",
+    "RecordError", "Slot", "decode", "digest_of", "in_key", "zone_of",
 ]
+# fmt: on
 
 BUCKET = "modbus-fleet"
-"""The name of the bucket."""
-
-FORMAT = 1
-"""The version of the format of all records. A bucket with another version is refused."""
 
 SETTINGS = "settings"
 
-State = Literal["here", "ended"]
-
-# The longest value in bytes: the default limit of NATS, 1 MiB.
-MAX_VALUE = 1 << 20
+# The version of the format of all records; a bucket with another version is refused.
+FORMAT = 1
 
 _TOKEN = re.compile(r"[A-Za-z0-9_-]{1,60}")
-_DIGEST = re.compile(r"[0-9a-f]{32}")
 
 
 class RecordError(ValueError):
@@ -72,6 +56,17 @@ class Slot(NamedTuple):
     @property
     def key(self) -> str:
         return f"slot.{in_key(self.zone)}.{self.number}"
+
+
+class Holding(NamedTuple):
+    """The holder of a slot, and the worker that wrote it."""
+
+    slot: Slot
+    holder: str
+    by: str
+
+    def encode(self) -> bytes:
+        return _encode(holder=self.holder, by=self.by)
 
 
 @dataclass(frozen=True)
@@ -102,10 +97,9 @@ class Connection:
     A connection and its devices.
 
     Attributes:
-        zone: the zone of its devices; empty for none.
         key: the `DeviceConfig.connection_key` of its devices.
         timeout: the longest timeout of its devices, in seconds.
-        devices: JSON, written by `devices_to_json`.
+        devices: JSON, written by `devices_to_json`, or by any other program.
     """
 
     zone: str
@@ -113,13 +107,21 @@ class Connection:
     timeout: float
     devices: str
 
-    @property
+    @cached_property
     def bucket_key(self) -> str:
         return f"connection.{in_key(self.zone)}.{digest_of(self.key)}"
 
     @cached_property
     def slot(self) -> Slot:
         return Slot(self.zone, int(digest_of(self.key)[:2], 16))
+
+    @cached_property
+    def names(self) -> frozenset[str]:
+        """The names of its devices, or none if they are invalid."""
+        try:
+            return frozenset(each["name"] for each in json.loads(self.devices)["devices"])
+        except (KeyError, TypeError):
+            return frozenset()
 
     def encode(self) -> bytes:
         return _encode(connection=self.key, timeout=self.timeout, devices=json.loads(self.devices))
@@ -131,7 +133,7 @@ class Member:
     The record that a worker writes about itself. Each new value renews its lease.
 
     Attributes:
-        id: ``NAME.NONCE``: the key of the record without ``worker.``.
+        id: ``NAME.NONCE``.
         state: "here", or "ended" when its slots are free.
         zones: the zones whose devices it polls.
         lease: the length of the lease in seconds.
@@ -141,7 +143,7 @@ class Member:
     """
 
     id: str
-    state: State
+    state: str
     zones: tuple[str, ...]
     lease: float
     beat: int = 0
@@ -152,14 +154,13 @@ class Member:
     def bucket_key(self) -> str:
         return f"worker.{self.id}"
 
-    def is_as(self, other: Member) -> bool:
-        """Return True if another record has the same state, zones and length of the lease."""
-        return (self.state, self.zones, self.lease) == (other.state, other.zones, other.lease)
-
     def encode(self) -> bytes:
         values = asdict(self)
         del values["id"]
         return _encode(**values)
+
+
+Record = FleetSettings | Connection | Member | Holding
 
 
 def digest_of(connection: str) -> str:
@@ -167,26 +168,12 @@ def digest_of(connection: str) -> str:
     return hashlib.sha256(connection.encode()).hexdigest()[:32]
 
 
-class Holding(NamedTuple):
-    """The holder of a slot, and the worker that wrote it."""
-
-    slot: Slot
-    holder: str
-    by: str
-
-
-def encode_holder(worker: str, by: str) -> bytes:
-    """Encode the holder of a slot, and the worker that writes the record."""
-    return _encode(holder=worker, by=by)
-
-
 def in_key(zone: str) -> str:
     """
-    Return the form of a zone in keys: "_" for devices without a zone.
+    Return the form of a zone in keys.
 
     Raises:
-        ValueError: the zone is longer than 60 characters, or contains characters other than
-            letters, digits, - and _.
+        ValueError: the zone has other characters than letters, digits, - and _, or over 60.
     """
     if zone and not _TOKEN.fullmatch(zone):
         raise ValueError(f"zone {zone[:80]!r} must be 1..60 letters, digits, - or _")
@@ -198,74 +185,56 @@ def zone_of(token: str) -> str:
     return "" if token == "_" else token
 
 
-Record = FleetSettings | Connection | Member | Holding
+def _encode(**values: Any) -> bytes:
+    return SORTED_JSON.encode(values).encode()
 
 
 def decode(key: str, value: bytes) -> Record:
     """
-    Decode a value of the bucket.
+    Decode a value of the bucket, which any program may have written.
 
     Raises:
         RecordError: the key is unknown, or its value is invalid.
     """
-    kind, *rest = key.split(".")
-    reader = _READERS.get((kind, len(rest)))
-    if reader is None:
-        raise RecordError(f"{key[:200]}: no such key")
     try:
-        if len(value) > MAX_VALUE:
-            raise ValueError(f"more than {MAX_VALUE} bytes")
-        given = json.loads(value)
-        if not isinstance(given, dict):
-            raise ValueError("must be a JSON object")
-        return reader(rest, given)
+        return _decoded(key.split("."), json.loads(value))
     except Exception as error:
         what = f"{error.args[0]} is missing" if isinstance(error, KeyError) else str(error)
         raise RecordError(f"{key[:200]}: {what[:200] or 'the value cannot be read'}") from None
 
 
-def _settings(_rest: list[str], given: dict[str, Any]) -> FleetSettings:
-    if (found := given.pop("format")) != FORMAT:
-        raise ValueError(f"format {found!r} is not supported; this version reads format {FORMAT}")
-    return FleetSettings(**ENGINE.read((), given))
-
-
-def _connection(rest: list[str], given: dict[str, Any]) -> Connection:
-    zone, digest = rest
-    key = _typed(str, given["connection"])
-    if not _DIGEST.fullmatch(digest) or digest_of(key) != digest:
-        raise ValueError("connection does not match the digest in the key")
-    timeout = float(number("timeout", given["timeout"], 0, LONGEST_LEASE))
-    return Connection(_zone(zone), key, timeout, json_text(given["devices"]))
-
-
-def _slot(rest: list[str], given: dict[str, Any]) -> Holding:
-    zone, number = rest
-    slot = Slot(_zone(zone), int(number))
-    if slot.number not in range(256) or slot.key != f"slot.{zone}.{number}":
-        raise ValueError("the number of a slot must be 0..255")
-    return Holding(slot, _typed(str, given["holder"]), _typed(str, given["by"]))
-
-
-def _member(rest: list[str], given: dict[str, Any]) -> Member:
-    zones = [_typed(str, zone) for zone in _typed(list, given["zones"])]
-    return Member(
-        ".".join(rest),
-        one_of(*get_args(State))(("state",), given["state"]),
-        tuple(sorted({zone for zone in zones if in_key(zone)})),
-        _lease(given["lease"]),
-        _typed(int, given["beat"]),
-        _typed(int, given["seen"]),
-        _typed(dict, given.get("report", {})),
-    )
-
-
-_READERS: dict[tuple[str, int], Callable[[list[str], dict[str, Any]], Record]] = {
-    (SETTINGS, 0): _settings,
-    ("connection", 2): _connection,
-    ("slot", 2): _slot,
-    ("worker", 2): _member,
-}
+def _decoded(key: list[str], value: Any) -> Record:
+    given = _typed(dict, value)
+    match key:
+        case ["settings"]:
+            if (found := given.pop("format")) != FORMAT:
+                raise ValueError(
+                    f"format {found!r} is not supported; this version reads format {FORMAT}"
+                )
+            return FleetSettings(**ENGINE.read((), given))
+        case ["connection", zone, digest]:
+            connection = _typed(str, given["connection"])
+            if digest_of(connection) != digest:
+                raise ValueError("connection does not match the digest in the key")
+            timeout = float(number("timeout", given["timeout"], 0, LONGEST_LEASE))
+            return Connection(_zone(zone), connection, timeout, json_text(given["devices"]))
+        case ["slot", zone, index]:
+            slot = Slot(_zone(zone), int(index))
+            if slot.number not in range(256) or slot.key != ".".join(key):
+                raise ValueError("the number of a slot must be 0..255")
+            return Holding(slot, _typed(str, given["holder"]), _typed(str, given["by"]))
+        case ["worker", name, nonce]:
+            zones = [_typed(str, zone) for zone in _typed(list, given["zones"])]
+            return Member(
+                f"{name}.{nonce}",
+                one_of("here", "ended")(("state",), given["state"]),
+                tuple(sorted({zone for zone in zones if in_key(zone)})),
+                float(number("lease", given["lease"], SHORTEST_LEASE, LONGEST_LEASE)),
+                _typed(int, given["beat"]),
+                _typed(int, given["seen"]),
+                _typed(dict, given.get("report", {})),
+            )
+    raise ValueError("no such key")
 
 
 def _zone(token: str) -> str:
@@ -273,15 +242,7 @@ def _zone(token: str) -> str:
     return zone_of(token)
 
 
-def _encode(**values: Any) -> bytes:
-    return SORTED_JSON.encode(values).encode()
-
-
 def _typed(kind: type, given: object) -> Any:
     if not isinstance(given, kind) or isinstance(given, bool):
         raise TypeError(f"{str(given)[:60]!r} must be of type {kind.__name__}")
     return given
-
-
-def _lease(given: object) -> float:
-    return float(number("lease", given, SHORTEST_LEASE, LONGEST_LEASE))

@@ -48,16 +48,17 @@ def is_polled(status: dict[str, Any]) -> bool:
 
 
 def _document(before: BucketView, view: BucketView) -> dict[str, Any]:
+    states = {member.id: _state(member, before, view) for _, member in sorted(view.members.items())}
     slots = Counter(view.holders[slot] for slot in view.used_slots if slot in view.holders)
-    workers: list[dict[str, Any]] = [
+    workers = [
         {
-            "id": member.id,
-            "state": _state(member, before, view),
-            "zones": [zone for zone in member.zones if zone],
-            "slots": slots[member.id],
-            **{name: _number(member.report.get(name)) for name in NUMBERS},
+            "id": id,
+            "state": state,
+            "zones": [zone for zone in view.members[id].zones if zone],
+            "slots": slots[id],
+            **{name: _number(view.members[id].report.get(name)) for name in NUMBERS},
         }
-        for _, member in sorted(view.members.items())
+        for id, state in states.items()
     ]
     unreadable = dict(view.unreadable)
     for connection in view.connections:
@@ -65,42 +66,33 @@ def _document(before: BucketView, view: BucketView) -> dict[str, Any]:
             devices_of(connection)
         except ValueError as error:
             unreadable[connection.bucket_key] = str(error)
-    here = [view.members[each["id"]] for each in workers if each["state"] == "here"]
+    here = {id for id, state in states.items() if state == "here"}
     zones = _zones(view, here, unreadable)
     return {"workers": workers, "zones": zones, "unreadable": sorted(unreadable.values())}
 
 
 def _state(member: Member, before: BucketView, view: BucketView) -> str:
     """Return "ended"; else "here" if the lease was renewed between the reads, or "silent"."""
-    known = before.seen_at(member.bucket_key).revision
-    is_new = known < view.seen_at(member.bucket_key).revision
+    key = member.bucket_key
+    is_new = before.seen_at(key).revision < view.seen_at(key).revision
     return member.state if member.state == "ended" or is_new else "silent"
 
 
-def _zones(view: BucketView, here: list[Member], unreadable: Iterable[str]) -> dict[str, Any]:
-    """
-    Return numbers by zone; the zone of devices without a zone is "".
-
-    Args:
-        here: the workers that poll.
-        unreadable: keys whose values no worker can read.
-    """
+def _zones(view: BucketView, here: set[str], unreadable: Iterable[str]) -> dict[str, Any]:
+    """Return numbers by zone, from the ids of workers that poll, and keys that nobody can read."""
     parts = (key.split(".") for key in unreadable)
-    invalid = Counter(zone_of(part[1]) for part in parts if part[0] == "connection")
-    connections = Counter(each.zone for each in view.connections)
-    slots = Counter(slot.zone for slot in view.used_slots)
-    ids = {each.id for each in here}
-    served = Counter(slot.zone for slot in view.used_slots if view.holders.get(slot) in ids)
-    workers = Counter(zone for each in here for zone in each.zones)
+    numbers = {
+        "connections": Counter(each.zone for each in view.connections),
+        "slots": Counter(slot.zone for slot in view.used_slots),
+        "served_slots": Counter(
+            slot.zone for slot in view.used_slots if view.holders.get(slot) in here
+        ),
+        "workers": Counter(zone for id in here for zone in view.members[id].zones),
+        "unreadable": Counter(zone_of(part[1]) for part in parts if part[0] == "connection"),
+    }
     return {
-        zone: {
-            "connections": connections[zone],
-            "slots": slots[zone],
-            "served_slots": served[zone],
-            "workers": workers[zone],
-            "unreadable": invalid[zone],
-        }
-        for zone in sorted({*slots, *invalid})
+        zone: {name: counted[zone] for name, counted in numbers.items()}
+        for zone in sorted({*numbers["slots"], *numbers["unreadable"]})
     }
 
 

@@ -6,8 +6,7 @@ The bucket is one stream: all workers see its changes in the same order, but not
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from typing import NamedTuple
 
 from ..engine.buckets import Change
@@ -44,7 +43,6 @@ class BucketView:
     The bucket, up to a revision.
 
     Attributes:
-        revision: the revision of the last change in this view.
         last_touched: the last revision that all workers must acknowledge.
         settings, members, holders: the records; members by their ids, holders by slots.
         seen: the last change of each key.
@@ -54,62 +52,43 @@ class BucketView:
             this nor had ended, each with the revision of the change.
         unreadable: the keys with invalid values, each with the reason. Their previous values
             are forgotten.
-        changes: the number of changes, without those that only renew the lease of a worker.
         since: the time at which the view was complete.
         longest_lease: the longest lease that any worker ever had, in seconds.
     """
 
     def __init__(self) -> None:
         self.revision: int = 0
+        self.last_touched: int = 0
         self.settings: FleetSettings | None = None
         self.members: dict[str, Member] = {}
         self.holders: dict[Slot, str] = {}
         self.seen: dict[str, Seen] = {}
         self.vanished: dict[str, float] = {}
-        self.unreadable: dict[str, str] = {}
         self.uncertain: dict[str, int] = {}
-        self._records: dict[str, Record] = {}
-        # By digest and zone, with their revisions; a digest has nearly always one zone.
-        self._zones: dict[str, dict[str, tuple[int, Connection]]] = {}
-        # By digest: of two zones, the newer one.
-        self._connections: dict[str, Connection] = {}
-        self._touched: dict[str, int] = {}
-        self.last_touched: int = 0
-        self._in_slot: Counter[Slot] = Counter()
-        self.changes: int = 0
+        self.unreadable: dict[str, str] = {}
         self.since: float = float("inf")
         self.longest_lease: float = 0.0
+        self._records: dict[str, Record] = {}
+        # By the digest of a connection, whatever its zone: the revision of its last change.
+        self._touched: dict[str, int] = {}
+        # By their keys; None after a change.
+        self._connections: dict[str, Connection] | None = None
 
     def add(self, change: Change, at: float) -> bool:
-        """
-        Apply a change unless it was applied before. Return True if it was new.
-
-        Args:
-            at: the time at which the change was seen, in seconds; all times must come from the same
-                clock.
-        """
-        if change.revision <= self.seen.get(change.key, NEVER).revision:
+        """Apply a change that was seen at this time; return False if it was applied before."""
+        if change.revision <= self.seen_at(change.key).revision:
             return False
         self.seen[change.key] = Seen(change.revision, at)
         self.revision = max(self.revision, change.revision)
-        known = self.members.get(change.key.removeprefix("worker."))
-        before = self._forget(change, at)
+        holder = self._forget(change, at)
         if change.value is not None:
-            self._learn(change.key, change.value, change.revision, before)
-        member = self.members.get(change.key.removeprefix("worker."))
-        self.changes += known is None or member is None or not member.is_as(known)
+            self._learn(change.key, change.value, change.revision, holder)
         return True
-
-    def is_older_than(self, other: BucketView) -> bool:
-        """Return True if this is the view of another bucket, or of one that lost changes."""
-        return self.revision < other.revision
 
     def follow(self, before: BucketView, at: float) -> None:
         """Replace another view at this time; keep what that one knows about the same bucket."""
         self.since = at
         self.longest_lease = max(self.longest_lease, before.longest_lease)
-        if self.is_older_than(before):
-            return
         for key, seen in before.seen.items():
             mine = self.seen.get(key)
             if mine is None:
@@ -134,24 +113,27 @@ class BucketView:
         return member.state != "ended" and now < self.heard_until(member)
 
     @property
+    def all_connections(self) -> list[Connection]:
+        """The connections; one that is in two zones is there twice."""
+        return [each for each in self._records.values() if isinstance(each, Connection)]
+
+    @property
     def connections(self) -> Collection[Connection]:
         """The connections; of one that is in two zones, only the newer record."""
+        if self._connections is None:
+            by_age = sorted(self.all_connections, key=lambda each: self.seen[each.bucket_key])
+            self._connections = {each.key: each for each in by_age}
         return self._connections.values()
 
     @property
-    def all_connections(self) -> Iterator[Connection]:
-        """Yield the connections; one that is in two zones is yielded twice."""
-        return (each for each in self._records.values() if isinstance(each, Connection))
+    def used_slots(self) -> set[Slot]:
+        """The slots that contain connections."""
+        return {each.slot for each in self.all_connections}
 
     def touched_at(self, connection: Connection) -> int:
         """Return the revision that other workers must acknowledge before a connection is polled."""
         touched = self._touched.get(digest_of(connection.key), 0)
         return max(touched, self.uncertain.get(connection.slot.key, 0))
-
-    @property
-    def used_slots(self) -> list[Slot]:
-        """The slots that contain connections."""
-        return [slot for slot, count in self._in_slot.items() if count]
 
     def holder(self, slot: Slot) -> Member | None:
         """Return the holder of a slot; None if the holder is not a known worker."""
@@ -165,39 +147,26 @@ class BucketView:
         self.unreadable.pop(change.key, None)
         self._touch(change.key, change.revision)
         record = self._records.pop(change.key, None)
+        if isinstance(record, Holding):
+            return self.holders.pop(record.slot)
         if isinstance(record, Member):
             del self.members[record.id]
             if record.state != "ended":
                 self.vanished[record.id] = at
-        elif isinstance(record, Holding):
-            return self.holders.pop(record.slot)
-        elif isinstance(record, Connection):
-            digest = digest_of(record.key)
-            del self._zones[digest][record.zone]
-            self._in_slot[record.slot] -= 1
-            self._choose(digest)
         return ""
-
-    def _choose(self, digest: str) -> None:
-        """Choose the zone of a connection: the one that was written last."""
-        zones = self._zones[digest]
-        if zones:
-            _, self._connections[digest] = max(zones.values(), key=lambda pair: pair[0])
-        else:
-            del self._zones[digest], self._connections[digest]
 
     def _touch(self, key: str, revision: int) -> None:
         if key.startswith("connection."):
+            self._connections = None
             self._touched[key.rpartition(".")[2]] = revision
             self.last_touched = max(self.last_touched, revision)
 
     def _learn(self, key: str, value: bytes, revision: int, before: str) -> None:
         try:
-            record = decode(key, value)
+            record = self._records[key] = decode(key, value)
         except RecordError as error:
             self.unreadable[key] = str(error)
             return
-        self._records[key] = record
         if isinstance(record, FleetSettings):
             self.settings = record
             self.longest_lease = max(self.longest_lease, record.lease)
@@ -205,12 +174,7 @@ class BucketView:
             self.members[record.id] = record
             self.longest_lease = max(self.longest_lease, record.lease)
             self.vanished.pop(record.id, None)
-        elif isinstance(record, Connection):
-            digest = digest_of(record.key)
-            self._zones.setdefault(digest, {})[record.zone] = (revision, record)
-            self._in_slot[record.slot] += 1
-            self._choose(digest)
-        else:
+        elif isinstance(record, Holding):
             self.holders[record.slot] = record.holder
             had = self.members.get(before)
             if (before and record.by == before) or (had is not None and had.state == "ended"):

@@ -13,7 +13,7 @@ from ..engine.buckets import Change
 from .records import Connection, Slot
 from .view import HEARD_PART, BucketView
 
-__all__ = ["OWN_PART", "Decision", "Lease", "Put", "Worker"]
+__all__ = ["OWN_PART", "Attempt", "Decision", "Lease", "Put", "Worker"]
 
 OWN_PART = 0.9
 """The fraction of a lease that its holder uses, counted from just before it sent the renewal."""
@@ -24,7 +24,6 @@ class Put(NamedTuple):
     A write to the bucket.
 
     Attributes:
-        key: the key to write or delete.
         value: the new value; None to delete the key.
         last: the revision that the key must still have; 0 if it must not exist.
         beat: the number of a value of this worker itself; 0 for other keys.
@@ -37,11 +36,10 @@ class Put(NamedTuple):
 
 
 class Attempt(NamedTuple):
-    """A write whose success was not seen yet: the `last` of it, when it was sent, and how often."""
+    """A write whose success was not seen yet: the `last` of it, and when it was sent."""
 
     last: int
     at: float
-    tries: int
 
 
 class Decision(NamedTuple):
@@ -51,9 +49,7 @@ class Decision(NamedTuple):
     Attributes:
         active: the connections that it polls, by their keys. Polling of others must have stopped
             before anything is written.
-        puts: what it writes into the bucket.
         due: the time of the next decision, unless something changes.
-        is_eager: True if even a value that only renews the lease of a worker may change something.
         is_blind: True if changes may be missing, so that the bucket should be read again.
         unserved: connections that no worker has polled for long. Only one worker finds any.
     """
@@ -61,7 +57,6 @@ class Decision(NamedTuple):
     active: Mapping[str, Connection]
     puts: Sequence[Put] = ()
     due: float = math.inf
-    is_eager: bool = True
     is_blind: bool = False
     unserved: Sequence[Connection] = ()
 
@@ -70,10 +65,8 @@ class Lease:
     """
     The lease of a worker, as the worker itself counts it. Each confirmed value extends it.
 
-    Args:
-        id: the id of the worker, which no worker must have used before.
-
     Attributes:
+        id: the id of the worker, which no worker must have used before.
         until: the time at which the lease expires.
         joined: True once a value of this worker was seen in the bucket.
         revision: the revision of the last confirmed value.
@@ -126,13 +119,10 @@ class Worker:
         zones: the zones whose connections it polls; "" is the zone of devices without a zone.
 
     Attributes:
-        view: the known contents of the bucket.
-        lease: the lease of this worker.
         active: the connections that it polls since the last decision, by their keys.
         attempts: its writes whose success was not seen yet, by key.
         hears_since: since when it has seen its own values without a gap: the silence of other
             workers counts only from then.
-        is_leaving: True after `leave`.
         left: True once it has ended after `leave`.
         due: the time of the next decision; minus infinity after something changed.
     """
@@ -154,7 +144,6 @@ class Worker:
         self.active: Mapping[str, Connection] = {}
         self.attempts: dict[str, Attempt] = {}
         self.due: float = -math.inf
-        self._is_eager = True
 
     # Input
 
@@ -166,29 +155,26 @@ class Worker:
         """Apply a change of the bucket."""
         if self._snapshot is not None:
             self._snapshot.add(change, now)
-            return
-        changes = self.view.changes
-        if self.view.add(change, now):
+        elif self.view.add(change, now):
             self._follow_own_record()
             if change.key == self.lease.key:
                 if now > self._heard_at + self.view.longest_lease * HEARD_PART:
                     self.hears_since = now
                 self._heard_at = now
-            if self._is_eager or self.view.changes != changes:
-                self.due = -math.inf
+            self.due = -math.inf
 
     def is_synced(self, now: float) -> None:
         """End the snapshot; later changes are new ones."""
         if self._snapshot is None:
             return
         before, self.view, self._snapshot = self.view, self._snapshot, None
-        if self.view.is_older_than(before):
+        if self.view.revision < before.revision:
             # This is another bucket, or it has lost confirmed writes.
             self._join()
         self.view.follow(before, now)
-        # What was written in vain is written again at once, and handed-over slots stay closed.
+        # Slots that were handed over in vain stay closed.
         self.attempts = {
-            key: Attempt(each.last, -math.inf, 0)
+            key: each
             for key, each in self.attempts.items()
             if each.last == self.view.seen_at(key).revision
         }
@@ -202,20 +188,17 @@ class Worker:
         """
         if put.beat and put.key == self.lease.key and not self.is_leaving:
             self.lease.is_confirmed(put.beat, revision)
-            if self._is_eager:
-                self.due = -math.inf
+            self.due = -math.inf
 
     def decided(self, decision: Decision, now: float) -> None:
         """Remember a decision that is carried out now."""
-        self.active, self.due, self._is_eager = decision.active, decision.due, decision.is_eager
+        self.active, self.due = decision.active, decision.due
         for put in decision.puts:
             if put.beat:
                 assert self.view.settings is not None
                 self.lease.sends(put.beat, self.view.settings.lease, now)
             else:
-                known = self.attempts.get(put.key)
-                tries = known.tries if known and known.last == put.last else 0
-                self.attempts[put.key] = Attempt(put.last, now, tries + 1)
+                self.attempts[put.key] = Attempt(put.last, now)
 
     def leave(self) -> None:
         """Stop polling. The next decision records the end of this worker."""
@@ -240,10 +223,9 @@ class Worker:
 
     def may_poll(self, now: float) -> bool:
         """Return True if the lease is valid, or not needed because NATS cannot be reached."""
-        if now < self.lease.until:
-            return True
         settings = self.view.settings
-        return settings is not None and settings.on_engine_loss == "continue"
+        may_continue = settings is not None and settings.on_engine_loss == "continue"
+        return now < self.lease.until or may_continue
 
     def may_ask(self, connection: str, now: float) -> bool:
         """Return True if a request may be sent over a connection now."""
@@ -256,8 +238,11 @@ class Worker:
         living = (each.id for each in self.view.members.values() if self.view.is_heard(each, now))
         return min(living, default="") == self.lease.id
 
+    def is_attempted(self, key: str) -> bool:
+        """Return True if this worker has written a key that has not changed since."""
+        attempt = self.attempts.get(key)
+        return attempt is not None and attempt.last == self.view.seen_at(key).revision
+
     def is_mine(self, slot: Slot) -> bool:
         """Return True if this worker holds a slot, and has not begun to hand it over."""
-        attempt = self.attempts.get(slot.key)
-        is_closed = attempt is not None and attempt.last == self.view.seen_at(slot.key).revision
-        return self.view.holders.get(slot) == self.lease.id and not is_closed
+        return self.view.holders.get(slot) == self.lease.id and not self.is_attempted(slot.key)

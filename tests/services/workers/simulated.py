@@ -20,14 +20,19 @@ from libmodbus_py.services.workers.records import (
     FleetSettings,
     Holding,
     Member,
+    Slot,
     decode,
-    encode_holder,
 )
 from libmodbus_py.services.workers.worker import Decision, Put, Worker
 
 LEASE = 10.0
 TICK = 0.1
 TIMEOUT = 0.5
+
+
+def encode_holder(worker: str, by: str) -> bytes:
+    """Return the value of a slot."""
+    return Holding(Slot("", 0), worker, by).encode()
 
 
 class OneWorker:

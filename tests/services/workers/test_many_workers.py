@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from libmodbus_py.services.engine.buckets import Change
-from libmodbus_py.services.workers.records import FleetSettings, encode_holder
-from tests.services.workers.simulated import LEASE, Process, World
+from libmodbus_py.services.workers.records import FleetSettings
+from tests.services.workers.simulated import LEASE, Process, World, encode_holder
 
 ZONES = ("", "north")
 

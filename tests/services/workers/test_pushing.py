@@ -78,18 +78,6 @@ async def test_who_was_overtaken_once_counts_both_times() -> None:
 
 
 @simulated
-async def test_a_connection_must_fit_into_a_message() -> None:
-    bucket: Any = MemoryBucket()
-    (big,) = connections_of([device(1, f"pump {at}", unit=at) for at in range(1, 99)], LEASE)
-    bucket.client.max_payload = len(big.encode()) + 1023
-    with pytest.raises(EngineError, match="max_payload"):
-        await push(bucket, FleetSettings(LEASE), [big])
-    assert bucket.puts == []
-    bucket.client.max_payload += 1
-    assert await push(bucket, FleetSettings(LEASE), [big]) == Pushed(1, 0, 0)
-
-
-@simulated
 async def test_many_are_written_at_once_and_none_is_left_out() -> None:
     bucket = MemoryBucket()
     devices = [device(host) for host in range(1, 131)]

@@ -19,10 +19,10 @@ from libmodbus_py.services.workers.records import (
     FleetSettings,
     Member,
     digest_of,
-    encode_holder,
 )
 from libmodbus_py.services.workers.status import fleet_status, is_polled, tables
 from tests.services.workers.memory_engine import MemoryBucket, now, run
+from tests.services.workers.simulated import encode_holder
 
 LEASE = 8.0
 

@@ -12,9 +12,9 @@ from libmodbus_py.services.workers.records import (
     FleetSettings,
     Member,
     Slot,
-    encode_holder,
 )
 from libmodbus_py.services.workers.view import BucketView
+from tests.services.workers.simulated import encode_holder
 from tests.support.cases import each_case
 
 LINE = Connection("", "tcp:192.0.2.1:502", 1.0, '{"devices": []}')
@@ -34,25 +34,6 @@ def view_of(*entries: tuple[str, bytes | None, int], at: float = 0.0) -> BucketV
 
 
 class TestChanges:
-    def test_a_renewal_is_no_change_and_all_else_is_one(self) -> None:
-        view = BucketView()
-        counts = []
-        for revision, (key, value) in enumerate(
-            [
-                ("settings", FleetSettings().encode()),
-                ("worker.a.1", member()),
-                ("worker.a.1", member(beat=2)),
-                ("worker.a.1", member(lease=20.0)),
-                ("worker.a.1", member("a.1", "ended", lease=20.0)),
-                ("worker.a.1", None),
-                (LINE.bucket_key, LINE.encode()),
-            ],
-            start=1,
-        ):
-            assert view.add(Change(key, value, revision), 0.0)
-            counts.append(view.changes)
-        assert counts == [1, 2, 2, 3, 4, 5, 6]
-
     def test_a_key_may_come_behind_a_newer_one_of_another(self) -> None:
         view = view_of(("worker.a.1", member(), 5), ("worker.b.1", member("b.1"), 3))
         assert view.revision == 5
@@ -64,7 +45,6 @@ class TestChanges:
         for revision in (1, 2):
             assert not view.add(Change("settings", None, revision), 1.0)
         assert view.settings == FleetSettings(5.0)
-        assert view.changes == 1
         assert view.seen_at("settings") == (2, 0.0)
 
     def test_of_a_key_that_never_was_there_nothing_is_known(self) -> None:
@@ -139,7 +119,7 @@ class TestConnections:
         assert {each.key for each in view.connections} == {LINE.key, OTHER.key}
         view.add(Change(LINE.bucket_key, LINE.encode(), 3), 0.0)
         view.add(Change(LINE.bucket_key, None, 4), 0.0)
-        assert view.used_slots == [OTHER.slot]
+        assert view.used_slots == {OTHER.slot}
         assert [each.key for each in view.connections] == [OTHER.key]
         view.add(Change(LINE.bucket_key, None, 5), 0.0)
         view.add(Change(LINE.bucket_key, LINE.encode(), 6), 0.0)
@@ -156,7 +136,7 @@ class TestConnections:
         assert set(view.used_slots) == {LINE.slot, NORTH.slot}
         view.add(Change(second.bucket_key, None, 3), 0.0)
         assert [each.zone for each in view.connections] == [first.zone]
-        assert view.used_slots == [first.slot]
+        assert view.used_slots == {first.slot}
 
     def test_each_change_must_be_acknowledged_and_that_of_a_worker_must_not(self) -> None:
         view = view_of((LINE.bucket_key, LINE.encode(), 3), (OTHER.bucket_key, OTHER.encode(), 4))
@@ -263,7 +243,7 @@ class TestReadAgain:
 
 def test_of_an_empty_bucket_nothing_is_known() -> None:
     view = BucketView()
-    assert (view.revision, view.last_touched, view.changes) == (0, 0, 0)
+    assert (view.revision, view.last_touched) == (0, 0)
     assert view.touched_at(LINE) == 0
     assert view.settings is None
-    assert view.used_slots == []
+    assert view.used_slots == set()
