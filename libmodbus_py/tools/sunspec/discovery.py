@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Coroutine, Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple, overload
@@ -22,23 +22,21 @@ from ...protocol.errors import ExceptionResponse, ModbusError
 from ...protocol.extras import what_is_missing
 from ...protocol.mistakes import WrongType, WrongValue
 from ...protocol.tables import TABLE_SIZE
-from .points import HEADER, MOST_POINTS, NOT_IMPLEMENTED, TABLE, Laid, ModelLayout, counters_of
+from .points import HEADER, MOST_POINTS, NOT_IMPLEMENTED, TABLE, Layout, counters_of
 
 # fmt: off
 __all__ = [
-    "BASES", "END", "MARKER", "SunSpecDevice", "SunSpecError",
-    "SunSpecModel", "definition_of", "discover", "folder", "walk",
+    "BASES", "SunSpecDevice", "SunSpecError", "SunSpecModel", "definition_of", "discover", "folder",
+    "walk",
 ]
 # fmt: on
 
 BASES = (0, 40000, 50000)
 """The addresses at which SunSpec allows a chain to begin."""
 
+# The registers of "SunS", with which a chain begins, and the id of the end model.
 MARKER = [0x5375, 0x6E53]
-"""The registers of "SunS", with which a chain begins."""
-
 END = 0xFFFF
-"""The id of the end model."""
 
 # The longest chains of real devices have some thirty models.
 MOST_MODELS = 256
@@ -46,27 +44,20 @@ MOST_MODELS = 256
 # Addresses at which a chain is sought; SunSpec names three.
 MOST_BASES = 16
 
-# Registers of one response (function 3).
-MOST_REGISTERS = 125
-
 
 class SunSpecError(ModbusError):
     """The device has no chain of SunSpec models at the given addresses."""
 
 
 class _Header(NamedTuple):
-    """
-    The header of one model.
-
-    Attributes:
-        id: 1..65534.
-        address: of the register with the id.
-        length: the number of registers after the header.
-    """
+    """The header of one model: its id and address, and the number of registers that follow."""
 
     id: int
     address: int
     length: int
+
+    def __str__(self) -> str:
+        return f"model {self.id} at address {self.address}"
 
 
 @dataclass
@@ -87,22 +78,6 @@ class _Chain:
     notes: list[str] = field(default_factory=list)
 
 
-def _checked_bases(bases: Iterable[int]) -> tuple[int, ...]:
-    """
-    Return the addresses at which a chain may begin.
-
-    Raises:
-        TypeError, ValueError: `bases` is not a list of 1..16 addresses.
-    """
-    if isinstance(bases, str | bytes) or not isinstance(bases, Iterable):
-        raise WrongType("bases", f"must be a list of addresses, not {type(bases).__name__}")
-    most = TABLE_SIZE - len(MARKER)
-    found = tuple(integer(("bases", at), each, 0, most) for at, each in enumerate(bases))
-    if not 1 <= len(found) <= MOST_BASES:
-        raise WrongValue("bases", f"must hold 1..{MOST_BASES} addresses, not {len(found)}")
-    return tuple(dict.fromkeys(found))
-
-
 def walk(bases: Iterable[int]) -> Steps[_Chain]:
     """
     Find the marker, and follow the chain to its end.
@@ -111,71 +86,39 @@ def walk(bases: Iterable[int]) -> Steps[_Chain]:
         SunSpecError: there is no marker.
         ModbusError: there is no answer.
     """
-    chain = yield from _begun(bases)
-    address = chain.base + len(MARKER)
-    while len(chain.headers) < MOST_MODELS:
-        if address + HEADER > TABLE_SIZE:
-            chain.notes.append("the chain has no end model before address 65535")
-            return chain
-        answer = yield from _asked(address, HEADER)
-        if isinstance(answer, ExceptionResponse):
-            chain.notes.append(f"the chain has no end model: address {address}: {answer}")
-            return chain
-        header = _Header(answer[0], address, answer[1])
-        if header.id == END:
-            chain.end = address
-            return chain
-        if note := _mistake(header):
-            chain.notes.append(note)
-            return chain
-        chain.headers.append(header)
-        address += HEADER + header.length
-    chain.notes.append(f"the chain has more than {MOST_MODELS} models; the rest is left out")
-    return chain
-
-
-def _begun(bases: Iterable[int]) -> Steps[_Chain]:
     reasons = []
     for base in bases:
         answer = yield from _asked(base, len(MARKER))
         if answer == MARKER:
-            return _Chain(base)
-        told = answer if isinstance(answer, ExceptionResponse) else "no SunS there"
-        reasons.append(f"address {base}: {told}")
+            chain = _Chain(base)
+            chain.notes += yield from _followed(chain)
+            return chain
+        found = answer if isinstance(answer, ExceptionResponse) else "no SunS there"
+        reasons.append(f"address {base}: {found}")
     raise SunSpecError(f"the device has no SunSpec models: {'; '.join(reasons)}")
 
 
-def _mistake(header: _Header) -> str:
-    if header.id == 0:
-        return f"the chain has no end model: there is no model 0, as at address {header.address}"
-    if header.address + HEADER + header.length > TABLE_SIZE:
-        return (
-            f"model {header.id} at address {header.address} is left out: its length,"
-            f" {header.length}, leads beyond address 65535"
-        )
-    return ""
-
-
-def _read_span(address: int, count: int) -> Steps[list[int] | ExceptionResponse]:
-    """
-    Read registers in as few requests as there can be.
-
-    Returns:
-        The registers, or the exception response to one of the requests.
-    """
-    found: list[int] = []
-    for first, length in _pieces(address, count):
-        answer = yield from _asked(first, length)
+def _followed(chain: _Chain) -> Steps[list[str]]:
+    """Add the headers and the end of a chain; return what is wrong with it."""
+    address = chain.base + len(MARKER)
+    while len(chain.headers) < MOST_MODELS:
+        if address + HEADER > TABLE_SIZE:
+            return ["the chain has no end model before address 65535"]
+        answer = yield from _asked(address, HEADER)
         if isinstance(answer, ExceptionResponse):
-            return answer
-        found += answer
-    return found
-
-
-def _pieces(address: int, count: int) -> Iterator[tuple[int, int]]:
-    stop = address + count
-    for first in range(address, stop, MOST_REGISTERS):
-        yield first, min(MOST_REGISTERS, stop - first)
+            return [f"the chain has no end model: address {address}: {answer}"]
+        header = _Header(answer[0], address, answer[1])
+        if header.id == END:
+            chain.end = address
+            return []
+        if header.id == 0:
+            return [f"the chain has no end model: there is no model 0, as at address {address}"]
+        address += HEADER + header.length
+        if address > TABLE_SIZE:
+            reason = f"its length, {header.length}, leads beyond address 65535"
+            return [f"{header} is left out: {reason}"]
+        chain.headers.append(header)
+    return [f"the chain has more than {MOST_MODELS} models; the rest is left out"]
 
 
 def _asked(address: int, count: int) -> Generator[Any, Any, list[int] | ExceptionResponse]:
@@ -274,34 +217,15 @@ def _prefixed(model: SunSpecModel) -> Iterator[Point]:
         )
 
 
-def names_of(headers: Iterable[_Header], known: Iterable[str | None]) -> Iterator[str]:
-    """Yield a name for each model; the second one of a name ends with 2, and so on."""
-    seen: dict[str, int] = {"end": 1, "SunS": 1}
-    for header, given in zip(headers, known, strict=True):
-        name = given or f"model_{header.id}"
-        seen[name] = seen.get(name, 0) + 1
-        yield name if seen[name] == 1 else f"{name}_{seen[name]}"
-
-
 # --- discovery ------------------------------------------------------------------------------------
 
 
-# The definition of a model, as the schema of SunSpec has it.
-Definition = Mapping[str, Any]
-
-
-@lru_cache(256)
-def definition_of(model: int) -> Definition | None:
-    """
-    Return the top-level group of a model's definition; None if the model is not known.
-
-    Raises:
-        ImportError: pysunspec2 is missing.
-    """
+def definition_of(model: int) -> Mapping[str, Any] | None:
+    """Return the top-level group of a model's definition; None if the model is not known."""
     path = folder() / f"model_{model}.json"
     if not path.is_file():
         return None
-    group: Definition = json.loads(path.read_text(encoding="utf-8"))["group"]
+    group: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))["group"]
     return group
 
 
@@ -314,8 +238,8 @@ def folder() -> Path:
     """
     # Its client, which needs pyserial, is not imported.
     found = find_spec("sunspec2")
-    for place in (found and found.submodule_search_locations) or ():
-        path = Path(place, "models", "json")
+    for parent in (found and found.submodule_search_locations) or ():
+        path = Path(parent, "models", "json")
         if path.is_dir():
             return path
     raise ImportError(what_is_missing("SunSpec", "sunspec"), name="sunspec2")
@@ -355,63 +279,70 @@ def discover(client: Any, *, bases: Iterable[int] = BASES) -> Any:
     return client._follow(_discovery, (_checked_bases(bases),), {})
 
 
+def _checked_bases(bases: Iterable[int]) -> tuple[int, ...]:
+    if isinstance(bases, str | bytes) or not isinstance(bases, Iterable):
+        raise WrongType("bases", f"must be a list of addresses, not {type(bases).__name__}")
+    most = TABLE_SIZE - len(MARKER)
+    found = tuple(integer(("bases", at), each, 0, most) for at, each in enumerate(bases))
+    if not 1 <= len(found) <= MOST_BASES:
+        raise WrongValue("bases", f"must hold 1..{MOST_BASES} addresses, not {len(found)}")
+    return tuple(dict.fromkeys(found))
+
+
 def _discovery(_: object, bases: Iterable[int]) -> Steps[SunSpecDevice]:
     chain = yield from walk(bases)
-    definitions = [definition_of(header.id) for header in chain.headers]
-    names = names_of(
-        chain.headers, [None if group is None else group["name"] for group in definitions]
-    )
-    models, room = [], MOST_POINTS
-    for header, group, name in zip(chain.headers, definitions, names, strict=True):
+    models: list[SunSpecModel] = []
+    room = MOST_POINTS
+    # The second model of a name ends with 2, and so on.
+    seen = {"end": 1, "SunS": 1}
+    for header in chain.headers:
+        group = definition_of(header.id)
+        name = f"model_{header.id}" if group is None else group["name"]
+        seen[name] = seen.get(name, 0) + 1
+        if seen[name] > 1:
+            name = f"{name}_{seen[name]}"
         if group is None:
-            models.append(_unknown(header, name))
-            continue
-        counts = yield from _counts(chain, header, group)
-        laid = ModelLayout(group, header.address, header.length, counts, room).laid()
-        room -= len(laid.points)
-        chain.notes += _notes(header, laid)
-        label, points = group.get("label", ""), RegisterMap(laid.points)
-        models.append(SunSpecModel(*_place(header), name, label, True, points))
+            label, points = "", _unknown(header)
+        else:
+            counts = yield from _counts(chain, header, group)
+            layout = Layout(group, header.address, header.length, counts, room)
+            label, points = group.get("label", ""), layout.points
+            room -= len(points)
+            chain.notes += _notes(header, layout)
+        known = group is not None
+        models.append(SunSpecModel(*header, name, label, known, RegisterMap(points)))
     return SunSpecDevice(chain.base, tuple(models), chain.end, tuple(chain.notes))
 
 
 def _counts(chain: _Chain, header: _Header, group: Mapping[str, Any]) -> Steps[dict[str, int]]:
-    """Read the points by which groups are repeated."""
+    """Read the points by which groups are repeated, which are neighbours in all definitions."""
     offsets = counters_of(group)
     offsets = {name: at for name, at in offsets.items() if at < HEADER + header.length}
     if not offsets:
         return {}
     first, last = min(offsets.values()), max(offsets.values())
-    cells = yield from _read_span(header.address + first, last - first + 1)
+    cells = yield from _asked(header.address + first, last - first + 1)
     if isinstance(cells, ExceptionResponse):
-        chain.notes.append(f"{_told(header)}: its repeated groups are left out: {cells}")
+        chain.notes.append(f"{header}: its repeated groups are left out: {cells}")
         return {}
     found = {name: cells[at - first] for name, at in offsets.items()}
     return {name: 0 if count == NOT_IMPLEMENTED else count for name, count in found.items()}
 
 
-def _notes(header: _Header, laid: Laid) -> Iterator[str]:
-    for note in laid.notes:
-        yield f"{_told(header)} has the length {header.length}: {note}"
-    rest = HEADER + header.length - laid.used
-    if rest and not laid.notes:
-        yield f"{_told(header)} has {rest} registers more than its definition"
+def _notes(header: _Header, layout: Layout) -> Iterator[str]:
+    for note in layout.notes:
+        yield f"{header} has the length {header.length}: {note}"
+    rest = HEADER + header.length - layout.used
+    if rest and not layout.notes:
+        yield f"{header} has {rest} registers more than its definition"
 
 
-def _told(header: _Header) -> str:
-    return f"model {header.id} at address {header.address}"
-
-
-def _place(header: _Header) -> tuple[int, int, int]:
-    return header.id, header.address, header.length
-
-
-def _unknown(header: _Header, name: str) -> SunSpecModel:
-    """Return a model without a definition: its registers as they are."""
+def _unknown(header: _Header) -> list[Point]:
+    """Return the points of a model without a definition: its registers as they are."""
     points = [
         Point("ID", TABLE, header.address, access="read"),
         Point("L", TABLE, header.address + 1, access="read"),
     ]
     if header.length:
         points.append(Point("registers", TABLE, header.address + HEADER, header.length))
-    return SunSpecModel(*_place(header), name, "", False, RegisterMap(points))
+    return points
