@@ -79,7 +79,7 @@ def _state(member: Member, before: BucketView, view: BucketView) -> str:
 
 
 def _zones(view: BucketView, here: set[str], unreadable: Iterable[str]) -> dict[str, Any]:
-    """Return numbers by zone, from the ids of workers that poll, and keys that nobody can read."""
+    """Return numbers by zone, for the ids of workers that poll, and unreadable keys."""
     parts = (key.split(".") for key in unreadable)
     numbers = {
         "connections": Counter(each.zone for each in view.connections),

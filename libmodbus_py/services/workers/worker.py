@@ -13,7 +13,7 @@ from ..engine.buckets import Change
 from .records import Connection, Slot
 from .view import HEARD_PART, BucketView
 
-__all__ = ["OWN_PART", "Attempt", "Decision", "Lease", "Put", "Worker"]
+__all__ = ["OWN_PART", "Decision", "Lease", "Put", "Worker"]
 
 OWN_PART = 0.9
 """The fraction of a lease that its holder uses, counted from just before it sent the renewal."""

@@ -56,14 +56,7 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True)
 class Place:
-    """
-    An endpoint with one setting.
-
-    Attributes:
-        endpoint: with its own options.
-        timeout: seconds that a unit has for its response, without the time on the line.
-        security: for TLS.
-    """
+    """An endpoint with one setting; `timeout` is without the time on the line, in seconds."""
 
     endpoint: Endpoint
     timeout: float
@@ -78,12 +71,17 @@ class Place:
         return self.endpoint.framing in ("rtu", "ascii")
 
     @property
+    def has_ids(self) -> bool:
+        """True if transaction ids identify responses."""
+        return self.endpoint.framing in ("tcp", "udp")
+
+    @property
     def settings(self) -> dict[str, Any]:
         """Baud rate, parity, data bits and stop bits; empty on networks."""
         if not self.is_serial:
             return {}
-        told = {**SERIAL_DEFAULTS, **self.endpoint.serial_settings}
-        return {name: told[name] for name in SERIAL_DEFAULTS}
+        settings = {**SERIAL_DEFAULTS, **self.endpoint.serial_settings}
+        return {name: settings[name] for name in SERIAL_DEFAULTS}
 
     def __str__(self) -> str:
         if not self.is_serial:
@@ -109,14 +107,14 @@ class Place:
         Raises:
             TypeError, ValueError: the URL or an option is wrong.
         """
-        told: dict[str, Any] = {"retries": 0, "busy_retries": 0, "max_pause": 0}
-        told["timeouts_before_reconnect"] = NEVER_DEAD
-        if self.endpoint.framing in ("tcp", "udp"):
-            # Transaction ids identify responses, even where all come from unit 255.
-            told["accept_unit"] = "any"
+        options |= {"retries": 0, "busy_retries": 0, "max_pause": 0}
+        options["timeouts_before_reconnect"] = NEVER_DEAD
+        if self.has_ids:
+            # Even where all responses come from unit 255.
+            options["accept_unit"] = "any"
         if self.security is not None:
-            told["security"] = self.security
-        return Context(self.endpoint, {**told, **options})
+            options["security"] = self.security
+        return Context(self.endpoint, options)
 
 
 def places(
@@ -137,47 +135,41 @@ def places(
         timeout = endpoint.client_options.get("timeout", usual)
     timeout = seconds("timeout", timeout)
     if not endpoint.is_serial:
-        for name, told in (("baudrates", baudrates), ("parities", parities)):
-            if told is not None:
+        for name, given in (("baudrates", baudrates), ("parities", parities)):
+            if given is not None:
                 raise ValueError(f"{name} are for serial ports, not for {endpoint.scheme}://")
         return [Place(endpoint, timeout, security)]
-    said = endpoint.options
-    rates = [said["baudrate"]] if "baudrate" in said else BAUDRATES
-    kinds = [said["parity"]] if "parity" in said else PARITIES
+    options = endpoint.options
+    rates = [options["baudrate"]] if "baudrate" in options else BAUDRATES
+    kinds = [options["parity"]] if "parity" in options else PARITIES
     settings = [
-        (rate, parity)
+        (integer("baudrate", rate, 1, 4_000_000), parity)
         for rate in listed("baudrates", baudrates, rates)
         for parity in dict.fromkeys(map(parity_of, listed("parities", parities, kinds)))
     ]
     if baudrates is None and parities is None:
-        settings.sort(key=_unusual)
+        settings.sort(key=lambda each: USUAL.index(each) if each in USUAL else len(USUAL))
     return [Place(_set(endpoint, *setting), timeout, security) for setting in settings]
 
 
-def _unusual(setting: tuple[int, str]) -> int:
-    """Return the position of a setting among the usual ones; all others come after them."""
-    return USUAL.index(setting) if setting in USUAL else len(USUAL)
-
-
 def _set(endpoint: Endpoint, baudrate: int, parity: str) -> Endpoint:
-    integer("baudrate", baudrate, 1, 4_000_000)
-    stop_bits = endpoint.options.get("stop_bits", _STOP_BITS[parity])
-    made = {**endpoint.options, "baudrate": baudrate, "parity": parity, "stop_bits": stop_bits}
-    return replace(endpoint, options=made)
+    usual = {"stop_bits": _STOP_BITS[parity]}
+    return replace(
+        endpoint, options={**usual, **endpoint.options, "baudrate": baudrate, "parity": parity}
+    )
 
 
-def listed(name: str, told: Iterable[Item] | None, usual: Iterable[Item]) -> list[Item]:
+def listed(name: str, given: Iterable[Item] | None, usual: Iterable[Item]) -> list[Item]:
     """
     Return each value once, in the order given.
 
     Raises:
-        TypeError: the argument is not a list.
-        ValueError: the list is empty.
+        TypeError, ValueError: the argument is not a list, or empty.
     """
-    chosen = usual if told is None else told
+    chosen = usual if given is None else given
     if not isinstance(chosen, Iterable):
-        raise TypeError(f"{name} must be a list, not {type(told).__name__}")
-    made = list(dict.fromkeys(chosen))
-    if not made:
+        raise TypeError(f"{name} must be a list, not {type(given).__name__}")
+    found = list(dict.fromkeys(chosen))
+    if not found:
         raise ValueError(f"{name} must hold at least one")
-    return made
+    return found

@@ -11,33 +11,20 @@ from __future__ import annotations
 
 import contextlib
 import errno
-from abc import ABC, abstractmethod
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 from ...client.blocking import Context
 from ...ports.trace import Traced
 from ...ports.waiting import Waker
 from ...protocol import pdu
-from ...protocol.errors import (
-    NO_UNIT,
-    ExceptionResponse,
-    FrameError,
-    ModbusConnectionError,
-    ModbusError,
-)
+from ...protocol.errors import NO_UNIT, ExceptionResponse, ModbusConnectionError, ModbusError
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...protocol.pdu.interface import MANDATORY, identify
 from ..listener.pairing import TracePairing
-from ..listener.transaction import Transaction
 from .places import Place
 
-# fmt: off
-__all__ = [
-    "LONGEST_SIZE", "MOST_PAGES", "PROBE_SIZE", "Answer", "Late", "Nothing", "Prober", "Reading",
-    "Walk", "Walker",
-]
-# fmt: on
+__all__ = ["LONGEST_SIZE", "MOST_PAGES", "PROBE_SIZE", "Answer", "Prober", "Reading", "Walker"]
 
 # The only requests that are sent: none of them writes.
 Reading = (
@@ -76,65 +63,51 @@ class Answer(NamedTuple):
     exception: int | None = None
 
 
-class Nothing(NamedTuple):
-    """
-    No unit has answered the probe with a valid response.
-
-    Attributes:
-        error: raised by the client.
-    """
-
-    error: ModbusError
-
-    @property
-    def is_gateway(self) -> bool:
-        """True if a gateway has answered that the unit is absent."""
-        return isinstance(self.error, NO_UNIT)
-
-    @property
-    def is_noise(self) -> bool:
-        """True if bytes came that are not a response."""
-        return not isinstance(self.error, ExceptionResponse) and bool(self.error.received)
-
-    @property
-    def is_never_silent(self) -> bool:
-        """True if the line was never silent, so that the probe was not sent."""
-        return isinstance(self.error, FrameError) and not self.error.sent
-
-
-class Late(NamedTuple):
-    """A response that came during the probe of another unit."""
-
-    unit: int
-    answer: Answer
-
-
 class Prober:
     """
-    Sends requests to the units of a place, one at a time.
+    Sends requests to the units of one place after the other, one at a time.
 
     Attributes:
-        context: the client.
+        context, waker: the client of the place, and what wakes it and has its clock.
         requests: the number of requests sent.
-        waker: wakes the client, and has its clock.
+        is_closed: True after `close`.
     """
 
-    def __init__(self, place: Place) -> None:
+    context: Context
+    waker: Waker
+
+    def __init__(self) -> None:
         self.requests: int = 0
+        self.is_closed: bool = False
+        self._close: Callable[[], None] = lambda: None
+
+    @contextlib.contextmanager
+    def at(self, place: Place) -> Iterator[None]:
+        """Connect while the block runs; then close the port and restore its settings."""
         self._place = place
         self._unit = 0
         self._silent: set[int] = set()  # units whose probe has had no response so far
+        self._late: list[tuple[int, Answer]] = []
         self._pairing = TracePairing(is_server=False)
-        self._late: list[Late] = []
-        self._has_ids = place.endpoint.framing in ("tcp", "udp")
-        self.context: Context = place.context(timeout=place.wait(PROBE_SIZE), trace=self._traced)
-        self.waker: Waker = self.context._driver.waker
+        self.context = place.context(timeout=place.wait(PROBE_SIZE), trace=self._traced)
+        self.waker = self.context._driver.waker
+        self._close = self.context.close
+        try:
+            if self.is_closed:  # before this one could be closed
+                self.context.close()
+            self.context.connect()
+            yield
+        finally:
+            self.context.close()
 
-    # --- requests -------------------------------------------------------------------------
+    def close(self) -> None:
+        """Let the request that is under way, and all others, fail at once."""
+        self.is_closed = True
+        self._close()
 
-    def probe(self, unit: int) -> Answer | Nothing:
+    def probe(self, unit: int) -> Answer | ModbusError:
         """
-        Send the probe to a unit.
+        Send the probe to a unit; return its answer, or why there is none.
 
         Raises:
             ModbusConnectionError: the connection is lost, and another one cannot be made.
@@ -142,24 +115,22 @@ class Prober:
         self._unit = unit
         started = self.waker.now()
         self._silent.add(unit)
+        code = None
         try:
-            self._carefully(unit, PROBE)
-            code = None
-        except NO_UNIT as error:
-            return Nothing(error)
-        except ExceptionResponse as error:
-            code = error.code
+            self.read(unit, PROBE, PROBE_SIZE)
         except ModbusConnectionError:
             raise
         except ModbusError as error:
-            return Nothing(error)
+            if not isinstance(error, ExceptionResponse) or isinstance(error, NO_UNIT):
+                return error
+            code = error.code
         self._silent.discard(unit)
         return Answer(self.waker.now() - started, code)
 
     def server_id(self, unit: int) -> ServerId | None:
         """Read the server id (function 17); None if the unit has none."""
-        told: ServerId | None = self._told(unit, pdu.ReportServerId())
-        return told
+        found: ServerId | None = self._read_any(unit, pdu.ReportServerId())
+        return found
 
     def identification(self, unit: int) -> DeviceIdentification | None:
         """
@@ -167,72 +138,69 @@ class Prober:
 
         Some devices leave the objects of the basic level out of the regular one.
         """
-        told = self._level(unit, "regular")
-        if told is not None and MANDATORY - told.objects.keys():
+        found = self._level(unit, "regular")
+        if found is not None and MANDATORY - found.objects.keys():
             basic = self._level(unit, "basic")
             if basic is not None:
-                told = told._replace(objects={**basic.objects, **told.objects})
-        return told
+                found = found._replace(objects={**basic.objects, **found.objects})
+        return found
 
     def _level(self, unit: int, level: str) -> DeviceIdentification | None:
         steps = identify(level)
-        request = next(steps)
-        told: DeviceIdentification | None = None
+        found: DeviceIdentification | None = None
         objects: dict[int, bytes] = {}
-        for _ in range(MOST_PAGES):
-            page = self._told(unit, request)
-            if page is None:
-                break
-            objects.update(page.objects)
-            told = DeviceIdentification(page.conformity, objects, complete=False)
-            try:
-                request = steps.send(page)
-            except StopIteration as done:
-                told = done.value
-                break
-            except ModbusError:
-                break
-        return told
-
-    def _told(self, unit: int, request: Any) -> Any:
         try:
-            return self._carefully(unit, request, self._place.wait(LONGEST_SIZE))
+            request = next(steps)
+            for _ in range(MOST_PAGES):
+                page = self._read_any(unit, request)
+                if page is None:
+                    break
+                objects.update(page.objects)
+                found = DeviceIdentification(page.conformity, objects, complete=False)
+                request = steps.send(page)
+        except StopIteration as done:
+            found = done.value
+        except ModbusConnectionError:
+            raise
+        except ModbusError:
+            pass  # a wrong page
+        return found
+
+    def _read_any(self, unit: int, request: Any) -> Any:
+        """Send a request that units may lack; return None if it fails."""
+        try:
+            return self.read(unit, request)
         except ModbusConnectionError:
             raise
         except ModbusError:
             return None
 
-    def read(self, unit: int, request: Reading) -> Any:
+    def read(self, unit: int, request: Reading, size: int = LONGEST_SIZE) -> Any:
         """
-        Send any request that reads.
+        Send any request that reads: again, once, if the server closes the connection.
+
+        Args:
+            size: bytes of the request and its response.
 
         Raises:
             ModbusError: the request failed; ModbusConnectionError if no other can be sent.
         """
-        return self._carefully(unit, request, self._place.wait(LONGEST_SIZE))
-
-    def _carefully(self, unit: int, request: Reading, timeout: float | None = None) -> Any:
-        """Send a request again, once, over another connection if the server closed this one."""
-        handle: Any = self.context.for_unit(unit, timeout=timeout)
-        try:
-            return handle.execute(request)
-        except ModbusConnectionError as error:
-            self._check_alive(error)
-        try:
-            return handle.execute(request)
-        except ModbusConnectionError as error:
-            self._check_alive(error)
-            raise _Ended(*error.args, errno=error.errno) from error
-
-    def _check_alive(self, error: ModbusConnectionError) -> None:
-        if self.context.closed or (self._has_ids and error.errno not in ENDINGS):
-            raise error
-        self.context.connect()
+        handle: Any = self.context.for_unit(unit, timeout=self._place.wait(size))
+        reason = ""
+        for _ in range(2):
+            try:
+                return handle.execute(request)
+            except ModbusConnectionError as error:
+                if self.context.closed or (self._place.has_ids and error.errno not in ENDINGS):
+                    raise
+                reason = str(error)
+            self.context.connect()
+        raise ModbusError(reason)
 
     # --- late responses -----------------------------------------------------------------------
 
-    def late(self) -> list[Late]:
-        """Return the late responses since the last call."""
+    def late(self) -> list[tuple[int, Answer]]:
+        """Return the responses of other units since the last call, which came late."""
         late, self._late = self._late, []
         return late
 
@@ -241,65 +209,15 @@ class Prober:
         self._pairing.take(traced, self.waker.now())
         done, self._pairing.done = self._pairing.done, []
         for _, each in done:
-            if each.unit != self._unit and each.unit in self._silent:
-                self._note_late(each.unit, each)
-
-    def _note_late(self, unit: int, probe: Transaction) -> None:
-        if probe.kind not in ("answered", "exception", "late"):
-            return
-        code = probe.error.code if isinstance(probe.error, ExceptionResponse) else None
-        self._silent.discard(unit)
-        if code not in NO_UNIT_CODES:
-            self._late.append(Late(unit, Answer(probe.duration or 0.0, code)))
-
-
-class _Ended(ModbusError):
-    """The server closed two connections in a row because of this request."""
-
-    def __init__(self, reason: str = "", *, errno: int | None = None) -> None:
-        super().__init__(reason)
-        self.errno = errno
+            is_answer = each.kind in ("answered", "exception", "late")
+            if is_answer and each.unit != self._unit and each.unit in self._silent:
+                code = each.error.code if isinstance(each.error, ExceptionResponse) else None
+                self._silent.discard(each.unit)
+                if code not in NO_UNIT_CODES:
+                    self._late.append((each.unit, Answer(each.duration or 0.0, code)))
 
 
 Item = TypeVar("Item")
-
-
-class Walk(ABC, Generic[Item]):
-    """The work of a `Walker`; it has no reference to it, so that a walker can be collected."""
-
-    def __init__(self) -> None:
-        self.is_closed: bool = False
-        self._prober: Prober | None = None
-        self._asked_before = 0
-
-    @property
-    def requests(self) -> int:
-        """The number of requests sent."""
-        return self._asked_before + (self._prober.requests if self._prober else 0)
-
-    @abstractmethod
-    def steps(self) -> Generator[Item, None, None]:
-        """Send requests, and yield what they find."""
-
-    @contextlib.contextmanager
-    def _asking(self, place: Place) -> Iterator[Prober]:
-        """Connect while the block runs; then close the port and restore its settings."""
-        prober = self._prober = Prober(place)
-        try:
-            if self.is_closed:  # before this one could be closed
-                prober.context.close()
-            prober.context.connect()
-            yield prober
-        finally:
-            prober.context.close()
-            self._asked_before += prober.requests
-            self._prober = None
-
-    def close(self) -> None:
-        """Let the request that is under way fail at once."""
-        self.is_closed = True
-        if (prober := self._prober) is not None:
-            prober.context.close()
 
 
 class Walker(Generic[Item]):
@@ -307,17 +225,18 @@ class Walker(Generic[Item]):
     An iterator that sends requests while it is iterated, by one thread, and only reads.
 
     `close` may be called from any thread; `close`, the end, an exception, Ctrl-C and garbage
-    collection close the connection and restore the settings of a serial port.
+    collection, for which `steps` must not refer to this, close the connection and restore the
+    settings of a serial port.
     """
 
-    def __init__(self, walk: Walk[Item]) -> None:
-        self.__walk: Walk[Item] = walk
-        self.__steps: Generator[Item, None, None] = walk.steps()
+    def __init__(self, prober: Prober, steps: Generator[Item, None, None]) -> None:
+        self.__prober = prober
+        self.__steps = steps
 
     @property
     def requests(self) -> int:
         """The number of requests sent."""
-        return self.__walk.requests
+        return self.__prober.requests
 
     def __iter__(self) -> Iterator[Item]:
         return self
@@ -327,7 +246,7 @@ class Walker(Generic[Item]):
 
     def close(self) -> None:
         """Stop; any number of times, from any thread and from signal handlers."""
-        self.__walk.close()
+        self.__prober.close()
         with contextlib.suppress(ValueError):  # it is under way, and fails at once
             self.__steps.close()
 

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 from ...ports.endpoint import parse
 from ...protocol.checks import checked_callback, integer
-from ...protocol.errors import ModbusConnectionError
+from ...protocol.errors import NO_UNIT, FrameError, ModbusConnectionError, ModbusError
 from ...protocol.mistakes import named_parameters
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...security.security import Security
 from .places import FIRST_UNITS, USUAL_UNITS, Place, listed, places
-from .probe import LONGEST_SIZE, MOST_PAGES, PROBE_SIZE, Answer, Nothing, Prober, Walk, Walker
+from .probe import LONGEST_SIZE, MOST_PAGES, PROBE_SIZE, Answer, Prober, Walker
 
 __all__ = ["Found", "Progress", "Scan", "scan"]
 
@@ -108,30 +108,12 @@ class Scan(Walker[Found]):
         requests: the number of requests sent.
     """
 
-    def __init__(self, scanned: _PlacesScan) -> None:
-        super().__init__(scanned)
-        self.settings: int = scanned.settings
-        self.units: list[int] = scanned.units
-        self.total: int = scanned.total
-        self.longest: float = scanned.longest
-        self.longest_first: float = scanned.longest_first
-        self.longest_found: float = scanned.longest_found
-        self.tried: dict[str, list[int]] = scanned.tried
-        self.notes: list[str] = scanned.notes
-
-
-class _PlacesScan(Walk[Found]):
-    """The scan of all places."""
-
     def __init__(
         self,
         asked_at: list[Place],
         rounds: list[list[int]],
         on_progress: Callable[[Progress], object] | None,
     ) -> None:
-        super().__init__()
-        self.notes: list[str] = []
-        self.tried: dict[str, list[int]] = {}
         self.settings: int = len(asked_at)
         self.units: list[int] = [unit for units in rounds for unit in units]
         self.total: int = len(asked_at) * len(self.units)
@@ -139,161 +121,131 @@ class _PlacesScan(Walk[Found]):
         self.longest: float = sum(longest)
         self.longest_first: float = longest[0]
         self.longest_found: float = max(map(_longest_found, asked_at))
-        self._scans = [_UnitsScan(each, rounds, self._tell, self._skip) for each in asked_at]
-        self._rounds = rounds
-        self._on_progress = on_progress
-        self._left = self.longest
-        self._done = 0
+        scans = [_PlaceScan(place, self.units) for place in asked_at]
+        asked = _Rounds(scans, rounds, self.total, self.longest, on_progress)
+        self.tried: dict[str, list[int]] = asked.tried
+        self.notes: list[str] = asked.notes
+        prober = Prober()
+        super().__init__(prober, asked.steps(prober))
 
-    def steps(self) -> Generator[Found, None, None]:
+
+class _Rounds:
+    """The scan of all places, in one round of units or several."""
+
+    def __init__(
+        self,
+        scans: list[_PlaceScan],
+        rounds: list[list[int]],
+        total: int,
+        longest: float,
+        on_progress: Callable[[Progress], object] | None,
+    ) -> None:
+        self.tried: dict[str, list[int]] = {}
+        self.notes: list[str] = []
+        self._scans, self._rounds = scans, rounds
+        self._on_progress = on_progress
+        self._done, self._total, self._left = 0, total, longest
+
+    def steps(self, prober: Prober) -> Generator[Found, None, None]:
+        done, left = 0, self._left
         try:
-            for number in range(len(self._rounds)):
+            for units in self._rounds:
                 # The devices on a line have the same settings, mostly.
                 for scan in sorted(self._scans, key=lambda each: not each.has_found):
-                    yield from self._round(scan, number)
+                    self._done, self._left = done, left
+                    if not scan.is_left:
+                        yield from scan.steps(prober, units, self._tell)
+                    done, left = done + len(units), left - len(units) * _each(scan.place)
+                    if scan.refused is not None and all(each.refused for each in self._scans):
+                        raise scan.refused
+        except ModbusConnectionError:
+            if not prober.is_closed:
+                raise
         finally:
             for scan in self._scans:
-                self.notes += scan.seen()
-
-    def _round(self, scan: _UnitsScan, number: int) -> Generator[Found, None, None]:
-        """Ask the units of a round at one place."""
-        if self.is_closed:
-            return
-        if scan.is_done:
-            self._skip(scan.place, len(self._rounds[number]))
-            return
-        try:
-            with self._asking(scan.place) as prober:
-                yield from scan.steps(prober, number, self.notes)
-        except ModbusConnectionError as error:
-            if self.is_closed:
-                return
-            # A setting that this port refuses does not affect the others.
-            if not (scan.place.is_serial and error.errno == errno.EINVAL):
-                raise
-            scan.refused = error
-            self.notes.append(f"{scan.place}: {error}")
-            self._skip(scan.place, len(self._rounds[number]))
-            if all(each.refused is not None for each in self._scans):
-                raise
+                self.notes += scan.notes()
 
     def _tell(self, place: Place, unit: int) -> None:
+        """Report the probe of a unit."""
         if self._on_progress is not None:
             left = max(0.0, self._left)
-            self._on_progress(Progress(str(place), unit, self._done, self.total, left))
+            self._on_progress(Progress(str(place), unit, self._done, self._total, left))
         self.tried.setdefault(str(place), []).append(unit)
-        self._skip(place, 1)
-
-    def _skip(self, place: Place, count: int) -> None:
-        self._done += count
-        self._left -= count * _each(place)
+        self._done, self._left = self._done + 1, self._left - _each(place)
 
 
-class _UnitsScan:
+class _PlaceScan:
     """
     The scan of all units at one place, in one round or several.
 
     Attributes:
-        place: an endpoint with one setting.
+        is_left: True if nothing is left to ask here, whatever the rounds still have.
         refused: raised because the port cannot have this setting.
-        is_done: True if nothing is left to ask here, whatever the rounds still have.
     """
 
-    def __init__(
-        self,
-        place: Place,
-        rounds: list[list[int]],
-        tell: Callable[[Place, int], None],
-        skip: Callable[[Place, int], None],
-    ) -> None:
+    def __init__(self, place: Place, units: list[int]) -> None:
         self.place = place
+        self.is_left: bool = False
         self.refused: ModbusConnectionError | None = None
-        self._is_left = False
-        self._rounds = rounds
-        self._units = [unit for units in rounds for unit in units]
-        self._tell = tell
-        self._skip = skip
-        self._nothing: list[tuple[int, Nothing]] = []
+        self._units = units
+        self._nothing: dict[int, ModbusError] = {}
         self._latest = 0.0
-        self._is_known = False  # the response of units that cannot exist
-        self._usual: Answer | None = None
-        self._alike: list[tuple[int, Answer]] = []
         self._others = 0
-
-    @property
-    def is_done(self) -> bool:
-        return self._is_left or self.refused is not None
+        # The units that are answered like those that cannot exist, and the answers of these.
+        self._alike: list[tuple[int, Answer]] = []
+        self._impossible: set[int | None] | None = None
 
     @property
     def has_found(self) -> bool:
         """True if a unit has answered here."""
         return bool(self._others or self._alike)
 
-    def steps(self, prober: Prober, number: int, notes: list[str]) -> Generator[Found, None, None]:
-        """Probe the units of a round; other observations are added to the notes."""
-        units = self._rounds[number]
-        for index, unit in enumerate(units):
-            self._tell(self.place, unit)
-            answer = prober.probe(unit)
-            if isinstance(answer, Nothing):
-                self._nothing.append((unit, answer))
-                if answer.is_never_silent:
-                    notes.append(
-                        f"{self.place}: the line is never silent, so units were not probed from "
-                        f"unit {unit} on; others send, perhaps at another rate or parity"
-                    )
-                    self._leave(len(units) - index - 1)
-                    return
-            else:
-                if not self._is_known:
-                    self._learn(prober)
-                if self._usual is not None and self._usual.exception is None:
-                    self._leave(len(units) - index - 1)
-                    self._alike.append((unit, answer))
-                    break
-                if self._usual is not None and self._usual.exception == answer.exception:
-                    self._alike.append((unit, answer))
-                else:
-                    self._others += 1
-                    yield self._found(prober, unit, answer)
-            yield from self._late(prober)
-        if number == len(self._rounds) - 1 or self._is_left:
-            yield from self._conclude(prober, notes)
+    def steps(
+        self, prober: Prober, units: list[int], tell: Callable[[Place, int], None]
+    ) -> Generator[Found, None, None]:
+        """Probe the units of a round."""
+        try:
+            with prober.at(self.place):
+                for unit in units:
+                    tell(self.place, unit)
+                    yield from self._probe(prober, unit)
+                    if self.is_left:
+                        break
+                if self._alike and not self._others and (self.is_left or unit == self._units[-1]):
+                    yield self._found(prober, *self._alike[0], is_any=True)
+        except ModbusConnectionError as error:
+            # A setting that this port refuses does not affect the others.
+            if prober.is_closed or not self.place.is_serial or error.errno != errno.EINVAL:
+                raise
+            self.refused, self.is_left = error, True
 
-    def _leave(self, left: int) -> None:
-        """Leave out the rest of this round, and all further ones."""
-        self._is_left = True
-        self._skip(self.place, left)
-
-    def _conclude(self, prober: Prober, notes: list[str]) -> Generator[Found, None, None]:
-        if self._alike and not self._others:
-            unit, answer = self._alike[0]
-            notes.append(
-                f"{self.place}: all units are answered alike, including reserved ones: "
-                "the server ignores the unit, and is one device"
-            )
-            yield self._found(prober, unit, answer, is_any=True)
-
-    def _learn(self, prober: Prober) -> None:
-        """Probe two units that cannot exist: only a server that ignores the unit answers."""
-        self._is_known = True
-        chosen = [unit for unit in RESERVED if unit not in self._units][:2]
-        answers = [prober.probe(unit) for unit in chosen]
-        if len(answers) < 2:
-            return
-        first, second = answers
-        if isinstance(first, Nothing) or isinstance(second, Nothing):
-            return
-        if first.exception == second.exception:
-            self._usual = first
-
-    def _late(self, prober: Prober) -> Generator[Found, None, None]:
-        for unit, answer in prober.late():
+    def _probe(self, prober: Prober, unit: int) -> Generator[Found, None, None]:
+        answer = prober.probe(unit)
+        if isinstance(answer, ModbusError):
+            self._nothing[unit] = answer
+            # Nothing is sent on a line that is never silent.
+            self.is_left = isinstance(answer, FrameError) and not answer.sent
+        elif answer.exception in self._answers_of_none(prober):
+            self._alike.append((unit, answer))
+            self.is_left = answer.exception is None
+        else:
+            self._others += 1
+            yield self._found(prober, unit, answer)
+        for late, answer in prober.late():
             self._latest = max(self._latest, answer.took)
-            if unit in self._units:
-                self._nothing = [each for each in self._nothing if each[0] != unit]
+            if late in self._units:
+                self._nothing.pop(late, None)
                 self._others += 1
-                yield replace(self._made(unit, answer), is_late=True)
+                yield replace(self._made(late, answer), is_late=True)
+
+    def _answers_of_none(self, prober: Prober) -> set[int | None]:
+        """Return the answer of units that cannot exist: a server that ignores the unit has one."""
+        if self._impossible is None:
+            chosen = [unit for unit in RESERVED if unit not in self._units][:2]
+            answers = [prober.probe(unit) for unit in chosen]
+            codes = [each.exception for each in answers if isinstance(each, Answer)]
+            self._impossible = set(codes) if len(codes) == 2 and len(set(codes)) == 1 else set()
+        return self._impossible
 
     def _found(self, prober: Prober, unit: int, answer: Answer, is_any: bool = False) -> Found:
         server_id = prober.server_id(unit)
@@ -304,30 +256,34 @@ class _UnitsScan:
     def _made(self, unit: int, answer: Answer) -> Found:
         return Found(unit, self.place.url(unit), *answer, **self.place.settings)
 
-    # --- what was seen besides ------------------------------------------------------------
-
-    def seen(self) -> Iterator[str]:
+    def notes(self) -> Iterator[str]:
         """Yield other observations, one line each."""
-        gateway = [unit for unit, nothing in self._nothing if nothing.is_gateway]
-        if gateway:
+        if self.refused is not None:
+            yield f"{self.place}: {self.refused}"
+        errors = list(self._nothing.values())
+        if gateway := sum(isinstance(each, NO_UNIT) for each in errors):
             yield (
-                f"{self.place}: a gateway reports {len(gateway)} units as absent "
+                f"{self.place}: a gateway reports {gateway} units as absent "
                 "(exception 10 or 11); they are not counted as found"
             )
-        noise = [each for each in self._nothing if each[1].is_noise]
+        noise = [each for each in errors if each.received and not isinstance(each, NO_UNIT)]
         if noise:
-            unit, nothing = noise[0]
             hint = "; a device may use another rate or parity, or others send"
             yield (
                 f"{self.place}: {len(noise)} of the probes brought bytes that are not a response"
-                f"{hint * self.place.is_serial} (unit {unit}: {nothing.error.args[0]})"
+                f"{hint * self.place.is_serial} (unit {noise[0].unit}: {noise[0].args[0]})"
             )
         if self._latest:
             yield (
                 f"{self.place}: responses came late, after up to {self._latest:.2g} s; "
                 "a longer timeout may find more"
             )
-        if self._alike and self._others:
+        if self._alike and not self._others:
+            yield (
+                f"{self.place}: all units are answered alike, including reserved ones: "
+                "the server ignores the unit, and is one device"
+            )
+        elif self._alike:
             yield (
                 f"{self.place}: {len(self._alike)} units are answered like units that cannot "
                 f"exist (exception {self._alike[0][1].exception}); they are not counted as found"
@@ -412,7 +368,7 @@ def scan(
             [unit for unit in USUAL_UNITS if unit not in FIRST_UNITS],
             [unit for unit in usual if unit not in USUAL_UNITS],
         ]
-    return Scan(_PlacesScan(asked_at, rounds, on_progress))
+    return Scan(asked_at, rounds, on_progress)
 
 
 def _usual_units(place: Place) -> list[int]:

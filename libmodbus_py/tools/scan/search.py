@@ -9,6 +9,7 @@ finds the end.
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
@@ -30,7 +31,7 @@ from ...protocol.mistakes import named_parameters
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...security.security import Security
 from .places import Place, places
-from .probe import LONGEST_SIZE, Nothing, Prober, Walk, Walker
+from .probe import LONGEST_SIZE, Prober, Walker
 
 __all__ = ["MOST_REQUESTS", "Cells", "Extent", "Search", "Searching", "halving", "search"]
 
@@ -68,53 +69,43 @@ class Cells:
     def state(self, address: int) -> int:
         return self._states[address]
 
-    def note(self, read: range, answered: bool) -> None:
-        """Note a read; a refusal proves something only if it was of a single cell."""
+    def ask(self, read: range) -> Reads:
+        """Yield a read; a refusal proves something only if it is of a single cell."""
+        answered = yield read
         if answered:
             self._states[read.start : read.stop] = bytes([THERE]) * len(read)
         elif len(read) == 1:
             self._states[read.start] = MISSING
+        return answered
 
     @property
     def ranges(self) -> list[range]:
-        """Return the ranges that exist."""
+        """The ranges that exist."""
         return list(self._runs(THERE))
 
     @property
     def unseen(self) -> int:
-        """Return the length of the longest run of cells that were not tried."""
+        """The length of the longest run of cells that were not tried."""
         return max((len(run) for run in self._runs(UNKNOWN)), default=0)
 
     def _runs(self, state: int) -> Iterator[range]:
-        others = [bytes([other]) for other in (UNKNOWN, THERE, MISSING) if other != state]
-        start = self._states.find(state)
-        while start >= 0:
-            ends = [self._states.find(other, start) for other in others]
-            stop = min((end for end in ends if end >= 0), default=TABLE_SIZE)
-            yield range(start, stop)
-            start = self._states.find(state, stop)
+        for found in re.finditer(b"%c+" % state, self._states):
+            yield range(*found.span())
 
 
 def halving(cells: Cells) -> Generator[range, bool, None]:
-    """
-    Yield reads until no more are worthwhile; send True for each that was answered.
-
-    Args:
-        cells: is told of each read.
-    """
+    """Yield reads until no more are worthwhile; send True for each that was answered."""
     near: deque[int] = deque()
     rest = _places()
     while True:
         address = near.popleft() if near else next(rest, None)
         if address is None:
             return
-        if cells.state(address) == UNKNOWN and (
-            yield from _ask(cells, range(address, address + 1))
-        ):
+        if cells.state(address) == UNKNOWN and (yield from cells.ask(range(address, address + 1))):
             last = yield from _grow(cells, address, 1)
             # A range usually begins where it is found: one read shows that, halving takes seven.
             if address and cells.state(address - 1) == UNKNOWN:
-                yield from _ask(cells, range(address - 1, address))
+                yield from cells.ask(range(address - 1, address))
             first = yield from _grow(cells, address, -1)
             around = [last + each for each in BEHIND] + [first - each for each in BEFORE]
             near += [each for each in around if 0 <= each < TABLE_SIZE]
@@ -126,12 +117,6 @@ def _places() -> Iterator[int]:
     while step > FINEST:
         yield from range(step // 2, TABLE_SIZE, step)
         step //= 2
-
-
-def _ask(cells: Cells, read: range) -> Reads:
-    answered = yield read
-    cells.note(read, answered)
-    return answered
 
 
 def _between(near: int, far: int, way: int) -> range:
@@ -151,7 +136,7 @@ def _grow(cells: Cells, address: int, way: int) -> Generator[range, bool, int]:
             0 <= far < TABLE_SIZE and abs(far - near) < cells.most and cells.state(far) == UNKNOWN
         ):
             far += way
-        if (yield from _ask(cells, _between(near, far, way))):
+        if (yield from cells.ask(_between(near, far, way))):
             near = far
         else:
             near = yield from _halve(cells, near, far, way)
@@ -163,13 +148,13 @@ def _halve(cells: Cells, near: int, far: int, way: int) -> Generator[range, bool
     largest = 1
     while abs(far - near) > 1:
         middle = near + way * (abs(far - near) // 2)
-        if (yield from _ask(cells, _between(near, middle, way))):
+        if (yield from cells.ask(_between(near, middle, way))):
             largest = max(largest, abs(middle - near))
             near = middle
         else:
             far = middle
     if cells.state(near) == UNKNOWN:
-        yield from _ask(cells, _between(near, far, way))
+        yield from cells.ask(_between(near, far, way))
     if cells.state(near) == THERE:  # all of them exist: the length was the reason
         cells.most = min(cells.most, largest)
     return near
@@ -188,13 +173,23 @@ BUSY_PAUSES = (0.1, 0.2, 0.4, 0.8)
 # should send exception 2.
 SILENT = 4
 
+# Why the search of a table ends early.
+EARLY = "the user, or a lost connection"
+BOUND = "the bound on requests"
+BUSY = "the device stays busy"
+GONE = "the unit does not answer any more"
+NO_FUNCTION = "the device lacks the function"
+
+
+class _EndedError(Exception):
+    """The search of a table ends early; the argument is the reason."""
+
 
 class Searching(NamedTuple):
     """
     The progress of a search.
 
     Attributes:
-        unit: 0..255.
         table: the table that is searched now.
         requests, most_requests: the numbers of requests that were and may be sent.
     """
@@ -245,15 +240,6 @@ class Search(Walker[Extent]):
         requests: the number of requests sent.
     """
 
-    def __init__(self, searched: _Tables) -> None:
-        super().__init__(searched)
-        self.longest: float = searched.longest
-        self.extents: list[Extent] = searched.extents
-
-
-class _Tables(Walk[Extent]):
-    """The search of all tables of a unit."""
-
     def __init__(
         self,
         place: Place,
@@ -261,120 +247,110 @@ class _Tables(Walk[Extent]):
         most_requests: int,
         on_progress: Callable[[Searching], object] | None,
     ) -> None:
-        super().__init__()
         # After a request without a response a line must be silent for as long again.
         self.longest: float = 2 * most_requests * place.wait(LONGEST_SIZE)
         self.extents: list[Extent] = []
-        self._place = place
+        prober = Prober()
+        tables = _Tables(prober, unit, most_requests, on_progress, self.extents)
+        super().__init__(prober, tables.steps(place))
+
+
+class _Tables:
+    """The search of all tables of a unit; the results are added to `extents`."""
+
+    def __init__(
+        self,
+        prober: Prober,
+        unit: int,
+        most_requests: int,
+        on_progress: Callable[[Searching], object] | None,
+        extents: list[Extent],
+    ) -> None:
+        self._prober = prober
         self._unit = unit
         self._most_requests = most_requests
         self._on_progress = on_progress
+        self._extents = extents
         self._silent = 0
 
-    def steps(self) -> Generator[Extent, None, None]:
+    def steps(self, place: Place) -> Generator[Extent, None, None]:
         try:
-            with self._asking(self._place) as prober:
+            with self._prober.at(place):
                 for index, table in enumerate(TABLES):
-                    left = self._most_requests - prober.requests
-                    ended = self._table(prober, table, left // (len(TABLES) - index))
-                    yield self.extents[-1]
-                    if ended in (_GONE, _BUSY):
+                    left = self._most_requests - self._prober.requests
+                    ended = self._table(table, left // (len(TABLES) - index))
+                    yield self._extents[-1]
+                    if ended in (GONE, BUSY):
                         return
         except ModbusConnectionError:
-            if not self.is_closed:
+            if not self._prober.is_closed:
                 raise
 
-    def _table(self, prober: Prober, table: str, most: int) -> str:
+    def _table(self, table: str, most: int) -> str:
         """Search a table with a limited number of requests; return why the search ended early."""
         cells = Cells(TABLES[table].most_read)
-        begun = prober.requests
-        ended = _EARLY
+        begun = self._prober.requests
+        ended = EARLY
         try:
-            ended = self._halve(prober, table, cells, begun + most)
+            ended = self._halve(table, cells, begun + most)
         finally:
-            self.extents.append(
-                Extent(
-                    table,
-                    cells.ranges,
-                    0 if ended == _NO_FUNCTION else cells.unseen,
-                    ended,
-                    cells.most,
-                    prober.requests - begun,
-                )
-            )
+            requests = self._prober.requests - begun
+            unseen = 0 if ended == NO_FUNCTION else cells.unseen
+            self._extents.append(Extent(table, cells.ranges, unseen, ended, cells.most, requests))
         return ended
 
-    def _halve(self, prober: Prober, table: str, cells: Cells, until: int) -> str:
-        steps = halving(cells)
+    def _halve(self, table: str, cells: Cells, until: int) -> str:
+        prober, steps = self._prober, halving(cells)
         read = next(steps)
-        while True:
-            if prober.requests >= until:
-                return _BOUND
-            self._tell(prober, table)
-            try:
-                answered = self._is_answered(prober, TABLES[table].read(read.start, len(read)))
-            except _EndedError as error:
-                return error.args[0] if error.args[0] != _NO_FUNCTION or not cells.ranges else ""
-            try:
-                read = steps.send(answered)
-            except StopIteration:
-                return ""
+        try:
+            while prober.requests < until:
+                if self._on_progress is not None:
+                    state = Searching(self._unit, table, prober.requests, self._most_requests)
+                    self._on_progress(state)
+                request = TABLES[table].read(read.start, len(read))
+                read = steps.send(self._is_answered(request))
+        except _EndedError as error:
+            reason: str = error.args[0]
+            return "" if reason == NO_FUNCTION and cells.ranges else reason
+        except StopIteration:
+            return ""
+        return BOUND
 
-    def _tell(self, prober: Prober, table: str) -> None:
-        if self._on_progress is not None:
-            self._on_progress(Searching(self._unit, table, prober.requests, self._most_requests))
-
-    # --- one read -------------------------------------------------------------------------
-
-    def _is_answered(self, prober: Prober, request: Any) -> bool:
+    def _is_answered(self, request: Any) -> bool:
         for pause in (*BUSY_PAUSES, None):
             try:
-                self._twice(prober, request)
+                self._read(request)
             except (Acknowledge, ServerDeviceBusy):
                 if pause is None:
-                    raise _EndedError(_BUSY) from None
-                prober.waker.sleep(pause)
+                    break
+                self._prober.waker.sleep(pause)
             except IllegalFunction:
-                raise _EndedError(_NO_FUNCTION) from None
+                raise _EndedError(NO_FUNCTION) from None
             except NO_UNIT:
-                raise _EndedError(_GONE) from None
+                raise _EndedError(GONE) from None
             except ModbusConnectionError:
                 raise
             except ModbusError:
                 return False
             else:
                 return True
-        raise AssertionError
+        raise _EndedError(BUSY)
 
-    def _twice(self, prober: Prober, request: Any) -> None:
+    def _read(self, request: Any) -> None:
         """Repeat a read that was lost or damaged; after many of them, probe the unit."""
         try:
-            prober.read(self._unit, request)
+            self._prober.read(self._unit, request)
         except (ExceptionResponse, ModbusConnectionError):
             self._silent = 0
             raise
         except ModbusError:
             self._silent += 1
-            self._check_there(prober)
-            prober.read(self._unit, request)
+            if self._silent >= SILENT:
+                self._silent = 0
+                if isinstance(self._prober.probe(self._unit), ModbusError):
+                    raise _EndedError(GONE) from None
+            self._prober.read(self._unit, request)
         self._silent = 0
-
-    def _check_there(self, prober: Prober) -> None:
-        if self._silent >= SILENT:
-            self._silent = 0
-            if isinstance(prober.probe(self._unit), Nothing):
-                raise _EndedError(_GONE)
-
-
-_EARLY = "the user, or a lost connection"
-_BOUND = "the bound on requests"
-_BUSY = "the device stays busy"
-_GONE = "the unit does not answer any more"
-_NO_FUNCTION = "the device lacks the function"
-
-
-class _EndedError(Exception):
-    """The search of a table ends early; the argument is the reason."""
 
 
 @named_parameters
@@ -421,4 +397,4 @@ def search(
         checked_callback("on_progress", on_progress)
     place.context().close()  # which checks the rest of the URL
     unit = integer("unit", endpoint.client_options.get("unit", 1), int(place.has_broadcast), 255)
-    return Search(_Tables(place, unit, most_requests, on_progress))
+    return Search(place, unit, most_requests, on_progress)

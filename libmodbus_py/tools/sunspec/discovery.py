@@ -22,7 +22,7 @@ from ...protocol.errors import ExceptionResponse, ModbusError
 from ...protocol.extras import what_is_missing
 from ...protocol.mistakes import WrongType, WrongValue
 from ...protocol.tables import TABLE_SIZE
-from .points import HEADER, MOST_POINTS, NOT_IMPLEMENTED, TABLE, Layout, counters_of
+from .points import HEADER, MOST_POINTS, NOT_IMPLEMENTED, TABLE, ModelLayout, counters_of
 
 # fmt: off
 __all__ = [
@@ -305,7 +305,7 @@ def _discovery(_: object, bases: Iterable[int]) -> Steps[SunSpecDevice]:
             label, points = "", _unknown(header)
         else:
             counts = yield from _counts(chain, header, group)
-            layout = Layout(group, header.address, header.length, counts, room)
+            layout = ModelLayout(group, header.address, header.length, counts, room)
             label, points = group.get("label", ""), layout.points
             room -= len(points)
             chain.notes += _notes(header, layout)
@@ -329,7 +329,7 @@ def _counts(chain: _Chain, header: _Header, group: Mapping[str, Any]) -> Steps[d
     return {name: 0 if count == NOT_IMPLEMENTED else count for name, count in found.items()}
 
 
-def _notes(header: _Header, layout: Layout) -> Iterator[str]:
+def _notes(header: _Header, layout: ModelLayout) -> Iterator[str]:
     for note in layout.notes:
         yield f"{header} has the length {header.length}: {note}"
     rest = HEADER + header.length - layout.used

@@ -12,7 +12,7 @@ from ...maps.point import Point
 from ...maps.point_checks import MAX_DESCRIPTION
 from ...protocol.tables import Table
 
-__all__ = ["HEADER", "MOST_POINTS", "NOT_IMPLEMENTED", "TABLE", "Layout", "counters_of"]
+__all__ = ["HEADER", "MOST_POINTS", "NOT_IMPLEMENTED", "TABLE", "ModelLayout", "counters_of"]
 
 TABLE: Table = "holding_registers"
 
@@ -45,7 +45,7 @@ _TYPES: dict[str, dict[str, Any]] = {
 }
 
 
-class Layout:
+class ModelLayout:
     """
     The points of a definition, laid over the registers of a model, `room` of them at most.
 

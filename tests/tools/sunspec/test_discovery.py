@@ -17,7 +17,7 @@ from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP
 from libmodbus_py import AsyncClient, Client, Device, Mapping, RegisterMap, Server, sunspec
 from libmodbus_py.sunspec import SunSpecError
 from libmodbus_py.tools.sunspec.discovery import BASES, _discovery, definition_of, folder, walk
-from libmodbus_py.tools.sunspec.points import Layout
+from libmodbus_py.tools.sunspec.points import ModelLayout
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.sunspec import END, MARKER, chain, file_device, serving, walked
 
@@ -258,7 +258,7 @@ def test_every_definition_becomes_a_map() -> None:
     for number in KNOWN:
         group = definition_of(number)
         assert group is not None
-        laid = Layout(group, 40002, 400, {})
+        laid = ModelLayout(group, 40002, 400, {})
         assert len(RegisterMap(laid.points)) > 2, number
         first = [point.name for point in laid.points[:2]]
         assert first == ["ID", "L"], number
@@ -316,7 +316,7 @@ def test_a_count_that_does_not_fit_makes_no_storm(count: int) -> None:
 def test_no_more_points_are_made_than_there_is_room_for() -> None:
     group = definition_of(160)
     assert group is not None
-    laid = Layout(group, 40002, 25000, {}, room=40)
+    laid = ModelLayout(group, 40002, 25000, {}, room=40)
     assert len(laid.points) == 40
     assert laid.notes[-1] == "there are too many points: module.4.IDStr is left out"
 
