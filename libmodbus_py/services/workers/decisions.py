@@ -9,8 +9,8 @@ Workers know about each other only from the bucket, whose changes all of them se
 order. A write succeeds only if its key has not changed.
 
 * A worker holds its slots while its lease is valid. It counts the lease from just before it sent
-  the value that it then saw, or that was confirmed, and uses `OWN_PART` of it, less the timeout of
-  the device; it looks at its clock before each request. Other workers count the lease from when
+  the value that it then saw in the bucket, and uses `OWN_PART` of it, less the timeout of the
+  device; it looks at its clock before each request. Other workers count the lease from when
   they saw the value, and wait for `OTHERS_PART` of it before they write that the worker has ended.
   Each uses its own clock, which may be wrong by 7 %. This write succeeds only if the value is still
   the one that they saw. The worker itself, if it still runs, sees the write, and begins anew with
@@ -96,7 +96,7 @@ class _Deciding:
     def __init__(self, worker: Worker, now: float, lease: float) -> None:
         self.worker = worker
         self.view = worker.view
-        self.me = worker.lease.id
+        self.me = worker.id
         self.now = now
         self.lease = lease
         self.used_slots = worker.view.used_slots
@@ -123,7 +123,7 @@ class _Deciding:
 
     def decision(self, report: Mapping[str, Any]) -> Decision:
         worker = self.worker
-        is_valid = not self.has_passed(worker.lease.until)
+        is_valid = not self.has_passed(worker.lease_until)
         if is_valid and not worker.is_leaving:
             self.record_ends()
             self.move_slots()
@@ -137,8 +137,8 @@ class _Deciding:
     def put(self, key: str, value: bytes | None) -> None:
         """Write a key, unless the same was written recently and the key has not changed."""
         pause = self.lease * AGAIN
-        if self.worker.is_attempted(key):
-            if not self.has_passed(self.worker.attempts[key].at + pause):
+        if self.worker.has_written(key):
+            if not self.has_passed(self.worker.attempts[key][1] + pause):
                 return
             self.is_in_vain = True
         self.puts.append(Put(key, value, self.view.seen_at(key).revision))
@@ -169,17 +169,16 @@ class _Deciding:
         me = view.members.get(self.me)
         hurry = worker.is_leaving or (me is not None and me.seen < view.last_touched)
         pause = self.lease * (SOON if hurry else BEAT)
-        if self.has_passed(worker.lease.sent_at + pause):
+        if self.has_passed(worker.sent_at + pause):
             state = "ended" if worker.is_leaving else "here"
-            beat = worker.lease.beat + 1
+            beat = worker.beat + 1
             record = Member(self.me, state, worker.zones, self.lease, beat, view.revision, report)
-            last = max(worker.lease.revision, view.seen_at(record.bucket_key).revision)
-            self.puts.append(Put(record.bucket_key, record.encode(), last, beat))
+            self.puts.append(Put(worker.key, record.encode(), view.seen_at(worker.key).revision))
             self.has_passed(self.now + pause)
 
     def is_blind(self) -> bool:
         """Return True if changes may be missing: own values are not seen, or writes are in vain."""
-        heard = max(self.view.seen_at(self.worker.lease.key).at, self.view.since)
+        heard = max(self.view.seen_at(self.worker.key).at, self.view.since)
         at = min(heard + self.lease * BLIND, self.view.since + self.lease * READ_AGAIN)
         return self.has_passed(at) or self.is_in_vain
 

@@ -38,12 +38,6 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 # The precision of timers: a fraction of a lease, but at most so many seconds.
 EXACTNESS, COARSEST_S = 0.01, 0.1
 
-# No timer is set for more seconds than this.
-LONGEST_PAUSE_S = 60.0
-
-# The most writes that may be pending; the worker repeats those that are left out.
-MOST_WRITES = 512
-
 # Seconds before the bucket is watched again.
 PAUSE_S = 0.25
 
@@ -199,16 +193,14 @@ class Polling:
         self._look()
 
     def _write(self, put: Put) -> None:
-        if len(self._writes) < MOST_WRITES and self._client.is_connected:
+        if self._client.is_connected:
             task = asyncio.create_task(self._written(put))
             self._writes.add(task)
             task.add_done_callback(self._writes.discard)
 
     async def _written(self, put: Put) -> None:
         try:
-            if revision := await self._bucket.put(put.key, put.value, put.last):
-                self.worker.was_written(put, revision)
-                self._look()
+            await self._bucket.put(*put)
         except EngineError as error:
             self._say(f"the engine: {error}")
 
@@ -238,7 +230,7 @@ class Polling:
         shortest = min(COARSEST_S, EXACTNESS * settings.lease if settings else COARSEST_S)
         pause = max(shortest, min(self.worker.due, self._leave_by) - self.now())
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(min(LONGEST_PAUSE_S, pause)):
+            async with asyncio.timeout(pause):
                 await self._woken.wait()
 
     # --- devices --------------------------------------------------------------------------------
@@ -258,7 +250,7 @@ class Polling:
 
     def _passed_on(self) -> set[str]:
         """Return the connections that other workers can poll."""
-        now, view, me = self.now(), self.worker.view, self.worker.lease.id
+        now, view, me = self.now(), self.worker.view, self.worker.id
         zones = {
             zone
             for member in view.members.values()
@@ -307,15 +299,15 @@ class Polling:
 
     def _log_lease(self) -> None:
         """Log whether the lease is valid, when that changes, and what cannot be read."""
-        lease, settings, now = self.worker.lease, self.worker.view.settings, self.now()
-        if (now < lease.until) != self._was_valid and lease.joined:
+        until, settings, now = self.worker.lease_until, self.worker.view.settings, self.now()
+        if (now < until) != self._was_valid and self.worker.joined:
             self._was_valid = not self._was_valid
             if self._was_valid:
                 logger.warning("%s: the lease is valid again", self._name)
             else:
                 logger.warning("%s: the lease has expired: NATS does not respond", self._name)
                 # Later, other workers may poll the devices already.
-                is_early = settings and now < lease.until + (1.0 - OWN_PART) * settings.lease
+                is_early = settings and now < until + (1.0 - OWN_PART) * settings.lease
                 if is_early and not self.worker.may_poll(now):
                     self.fleet.take_back()
         for problem in self.worker.view.unreadable.values():

@@ -133,7 +133,7 @@ async def push(bucket: Bucket, settings: FleetSettings, connections: list[Connec
         changed += sum(put.key in known and put.key != SETTINGS for put in written)
         for several in (written, deleted):
             for at in range(0, len(several), AT_ONCE):
-                await asyncio.gather(*(bucket.put(*put[:3]) for put in several[at : at + AT_ONCE]))
+                await asyncio.gather(*(bucket.put(*put) for put in several[at : at + AT_ONCE]))
     raise EngineError(f"{bucket.name}: other programs change the bucket at the same time")
 
 

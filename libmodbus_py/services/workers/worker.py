@@ -13,7 +13,7 @@ from ..engine.buckets import Change
 from .records import Connection, Slot
 from .view import HEARD_PART, BucketView
 
-__all__ = ["OWN_PART", "Decision", "Lease", "Put", "Worker"]
+__all__ = ["OWN_PART", "Decision", "Put", "Worker"]
 
 OWN_PART = 0.9
 """The fraction of a lease that its holder uses, counted from just before it sent the renewal."""
@@ -21,34 +21,23 @@ OWN_PART = 0.9
 
 class Put(NamedTuple):
     """
-    A write to the bucket.
+    A write to the bucket; without a value, a deletion.
 
     Attributes:
-        value: the new value; None to delete the key.
         last: the revision that the key must still have; 0 if it must not exist.
-        beat: the number of a value of this worker itself; 0 for other keys.
     """
 
     key: str
     value: bytes | None
     last: int
-    beat: int = 0
-
-
-class Attempt(NamedTuple):
-    """A write whose success was not seen yet: the `last` of it, and when it was sent."""
-
-    last: int
-    at: float
 
 
 class Decision(NamedTuple):
     """
-    The connections that a worker polls now, and its writes.
+    The connections that a worker polls now, by their keys, and its writes.
 
     Attributes:
-        active: the connections that it polls, by their keys. Polling of others must have stopped
-            before anything is written.
+        active: polling of others must have stopped before anything is written.
         due: the time of the next decision, unless something changes.
         is_blind: True if changes may be missing, so that the bucket should be read again.
         unserved: connections that no worker has polled for long. Only one worker finds any.
@@ -61,66 +50,20 @@ class Decision(NamedTuple):
     unserved: Sequence[Connection] = ()
 
 
-class Lease:
-    """
-    The lease of a worker, as the worker itself counts it. Each confirmed value extends it.
-
-    Attributes:
-        id: the id of the worker, which no worker must have used before.
-        until: the time at which the lease expires.
-        joined: True once a value of this worker was seen in the bucket.
-        revision: the revision of the last confirmed value.
-        beat, sent_at: the number and the time of the last value that was sent.
-    """
-
-    def __init__(self, id: str) -> None:
-        self.id = id
-        self.key: str = f"worker.{id}"
-        self.until: float = -math.inf
-        self.joined: bool = False
-        self.revision: int = 0
-        self.beat: int = 0
-        self.sent_at: float = -math.inf
-        # By number of each unconfirmed value: when it was sent, and the length of the lease.
-        self._sent: dict[int, tuple[float, float]] = {}
-
-    def sends(self, beat: int, length: float, now: float) -> None:
-        """Count a value that is sent now."""
-        self.beat, self.sent_at = beat, now
-        # Older values cannot extend the lease any more.
-        self._sent = {
-            each: (at, lease) for each, (at, lease) in self._sent.items() if now < at + lease
-        }
-        self._sent[beat] = now, length
-
-    def came_back(self, beat: int) -> None:
-        """Extend the lease, because this value was seen in the bucket."""
-        self.joined = True
-        self._extend(beat)
-
-    def is_confirmed(self, beat: int, revision: int) -> None:
-        """Apply the revision of a written value; extend the lease if this worker has joined."""
-        self.revision = max(self.revision, revision)
-        if self.joined:
-            self._extend(beat)
-
-    def _extend(self, beat: int) -> None:
-        if beat in self._sent:
-            sent, length = self._sent[beat]
-            self.until = max(self.until, sent + length * OWN_PART)
-
-
 class Worker:
     """
     One of the workers that share the connections of a fleet.
 
     Args:
-        new_id: returns a new id: ``NAME.NONCE``.
+        new_id: returns an id that no worker has used before: ``NAME.NONCE``.
         zones: the zones whose connections it polls; "" is the zone of devices without a zone.
 
     Attributes:
         active: the connections that it polls since the last decision, by their keys.
-        attempts: its writes whose success was not seen yet, by key.
+        attempts: its writes to other keys than its own: the revision before, and the time.
+        lease_until: the time at which the lease expires.
+        joined: True once a value of this worker was seen in the bucket.
+        beat, sent_at: the number and the time of the last value that was sent.
         hears_since: since when it has seen its own values without a gap: the silence of other
             workers counts only from then.
         left: True once it has ended after `leave`.
@@ -140,9 +83,16 @@ class Worker:
 
     def _join(self) -> None:
         """Begin anew with another id, without slots."""
-        self.lease: Lease = Lease(self._new_id())
+        self.id: str = self._new_id()
+        self.key: str = f"worker.{self.id}"
+        self.lease_until: float = -math.inf
+        self.joined: bool = False
+        self.beat: int = 0
+        self.sent_at: float = -math.inf
+        # By number of each value that was not seen yet: until when it extends the lease.
+        self._sent: dict[int, float] = {}
         self.active: Mapping[str, Connection] = {}
-        self.attempts: dict[str, Attempt] = {}
+        self.attempts: dict[str, tuple[int, float]] = {}
         self.due: float = -math.inf
 
     # Input
@@ -157,7 +107,7 @@ class Worker:
             self._snapshot.add(change, now)
         elif self.view.add(change, now):
             self._follow_own_record()
-            if change.key == self.lease.key:
+            if change.key == self.key:
                 if now > self._heard_at + self.view.longest_lease * HEARD_PART:
                     self.hears_since = now
                 self._heard_at = now
@@ -173,32 +123,22 @@ class Worker:
             self._join()
         self.view.follow(before, now)
         # Slots that were handed over in vain stay closed.
-        self.attempts = {
-            key: each
-            for key, each in self.attempts.items()
-            if each.last == self.view.seen_at(key).revision
-        }
+        self.attempts = {key: each for key, each in self.attempts.items() if self.has_written(key)}
         self._follow_own_record()
         self.due = -math.inf
-
-    def was_written(self, put: Put, revision: int) -> None:
-        """
-        Apply the confirmation of a write. It extends the lease even if this worker sees no changes,
-        because it proves that no other worker had recorded the end of this one.
-        """
-        if put.beat and put.key == self.lease.key and not self.is_leaving:
-            self.lease.is_confirmed(put.beat, revision)
-            self.due = -math.inf
 
     def decided(self, decision: Decision, now: float) -> None:
         """Remember a decision that is carried out now."""
         self.active, self.due = decision.active, decision.due
         for put in decision.puts:
-            if put.beat:
+            if put.key == self.key:
                 assert self.view.settings is not None
-                self.lease.sends(put.beat, self.view.settings.lease, now)
+                self.beat, self.sent_at = self.beat + 1, now
+                # Older values cannot extend the lease any more.
+                self._sent = {beat: until for beat, until in self._sent.items() if now < until}
+                self._sent[self.beat] = now + self.view.settings.lease * OWN_PART
             else:
-                self.attempts[put.key] = Attempt(put.last, now)
+                self.attempts[put.key] = put.last, now
 
     def leave(self) -> None:
         """Stop polling. The next decision records the end of this worker."""
@@ -207,10 +147,11 @@ class Worker:
         self.due = -math.inf
 
     def _follow_own_record(self) -> None:
-        me = self.view.members.get(self.lease.id)
+        me = self.view.members.get(self.id)
         if me is not None and me.state != "ended":
-            self.lease.came_back(me.beat)
-        elif me is not None or self.lease.joined:
+            self.joined = True
+            self.lease_until = max(self.lease_until, self._sent.get(me.beat, -math.inf))
+        elif me is not None or self.joined:
             self.left = self.is_leaving
             self._join()
 
@@ -225,7 +166,7 @@ class Worker:
         """Return True if the lease is valid, or not needed because NATS cannot be reached."""
         settings = self.view.settings
         may_continue = settings is not None and settings.on_engine_loss == "continue"
-        return now < self.lease.until or may_continue
+        return now < self.lease_until or may_continue
 
     def may_ask(self, connection: str, now: float) -> bool:
         """Return True if a request may be sent over a connection now."""
@@ -236,13 +177,12 @@ class Worker:
     def is_first(self, now: float) -> bool:
         """Return True if this worker has the lowest id of those that have renewed their leases."""
         living = (each.id for each in self.view.members.values() if self.view.is_heard(each, now))
-        return min(living, default="") == self.lease.id
+        return min(living, default="") == self.id
 
-    def is_attempted(self, key: str) -> bool:
+    def has_written(self, key: str) -> bool:
         """Return True if this worker has written a key that has not changed since."""
-        attempt = self.attempts.get(key)
-        return attempt is not None and attempt.last == self.view.seen_at(key).revision
+        return key in self.attempts and self.attempts[key][0] == self.view.seen_at(key).revision
 
     def is_mine(self, slot: Slot) -> bool:
         """Return True if this worker holds a slot, and has not begun to hand it over."""
-        return self.view.holders.get(slot) == self.lease.id and not self.is_attempted(slot.key)
+        return self.view.holders.get(slot) == self.id and not self.has_written(slot.key)

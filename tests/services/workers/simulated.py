@@ -67,7 +67,7 @@ class OneWorker:
 
     @property
     def me(self) -> str:
-        return self.worker.lease.id
+        return self.worker.id
 
     def write(self, key: str, value: bytes | None, at: float = 0.0) -> None:
         self.revision += 1
@@ -108,7 +108,7 @@ class OneWorker:
             known = self.latest.get(put.key)
             assert put.last == (known.revision if known else 0)
             self.write(put.key, put.value, at)
-        return [put for put in puts if not put.beat]
+        return [put for put in puts if put.key != self.worker.key]
 
     def steps(self, *times: float) -> list[Put]:
         return [put for at in times for put in self.step(at)]
@@ -141,13 +141,10 @@ class Bucket:
         self.latest: dict[str, Change] = {}
         self.watchers: list[Process] = []
 
-    def put(self, put: Put) -> int:
-        """Return the revision, or 0."""
+    def put(self, put: Put) -> None:
         known = self.latest.get(put.key)
-        if (known.revision if known else 0) != put.last:
-            return 0
-        self.write(put.key, put.value)
-        return self.revision
+        if (known.revision if known else 0) == put.last:
+            self.write(put.key, put.value)
 
     def write(self, key: str, value: bytes | None) -> None:
         self.revision += 1
@@ -240,9 +237,9 @@ class Process:
         if self.is_cut:
             # What a client keeps for when it is connected again.
             if chance < 0.02:
-                self.world.later(chance * 500, put, self)
+                self.world.later(chance * 500, put)
         else:
-            self.world.later(self.delay * chance, put, self)
+            self.world.later(self.delay * chance, put)
 
 
 class World:
@@ -255,8 +252,7 @@ class World:
         self.bucket = Bucket()
         self.bucket.write("settings", FleetSettings(LEASE).encode())
         self.processes: list[Process] = []
-        self.writes: list[tuple[float, int, Put, Process]] = []
-        self.confirmed: list[tuple[float, int, Put, Process, int]] = []
+        self.writes: list[tuple[float, int, Put]] = []
         self.order = itertools.count()
         # Of each connection: who asked it last, and until when its answer may come.
         self.asked: dict[str, tuple[Process, float]] = {}
@@ -299,22 +295,13 @@ class World:
         if known is not None:
             self.bucket.write(known.bucket_key, None)
 
-    def later(self, delay: float, put: Put, sender: Process) -> None:
-        heapq.heappush(self.writes, (self.now + delay, next(self.order), put, sender))
+    def later(self, delay: float, put: Put) -> None:
+        heapq.heappush(self.writes, (self.now + delay, next(self.order), put))
 
     def write(self) -> None:
-        """Note what has arrived and was confirmed, perhaps while its sender sees nothing."""
+        """Carry out the writes that have arrived."""
         while self.writes and self.writes[0][0] <= self.now:
-            _, _, put, sender = heapq.heappop(self.writes)
-            revision = self.bucket.put(put)
-            if revision and not sender.is_cut:
-                at = self.now + sender.delay * self.random.random()
-                entry = (at, next(self.order), put, sender, revision)
-                heapq.heappush(self.confirmed, entry)
-        while self.confirmed and self.confirmed[0][0] <= self.now:
-            _, _, put, sender, revision = heapq.heappop(self.confirmed)
-            if not sender.is_stopped:
-                sender.worker.was_written(put, revision)
+            self.bucket.put(heapq.heappop(self.writes)[2])
 
     def run(self, seconds: float) -> None:
         until = self.now + seconds
@@ -339,7 +326,7 @@ class World:
         self.last_asked[key] = self.now
         other, until = self.asked.get(key, (process, 0.0))
         if other is not process and self.now < until:
-            self.doubles.append(f"{self.now:.2f} {key}: {process.worker.lease.id}")
+            self.doubles.append(f"{self.now:.2f} {key}: {process.worker.id}")
         self.asked[key] = process, self.now + TIMEOUT * 0.9
 
     def cut_off(self, process: Process, keys: set[str]) -> None:

@@ -19,7 +19,7 @@ from libmodbus_py.services.workers.records import (
     Member,
     decode,
 )
-from libmodbus_py.services.workers.worker import Lease, Put, Worker
+from libmodbus_py.services.workers.worker import Put, Worker
 from tests.services.workers.simulated import LEASE, OneWorker, every, written
 
 LINE = Connection("", "tcp:192.0.2.1:502", 1.0, '{"devices": [{"name": "pump"}]}')
@@ -57,7 +57,7 @@ class TestSnapshot:
         assert worker.view.settings == FleetSettings(LEASE)
         assert worker.due == -math.inf
         (put,) = step(worker, 0.0).puts
-        assert (put.key, put.last, put.beat) == ("worker.m.1", 0, 1)
+        assert (put.key, put.last) == ("worker.m.1", 0)
 
     def test_the_end_of_what_did_not_begin_is_none(self) -> None:
         one = OneWorker(LINE)
@@ -111,30 +111,21 @@ class TestLeaving:
         assert one.worker.left
         assert one.decided(16.0) == []
 
-    def test_the_confirmation_of_its_last_word_extends_no_lease(self) -> None:
-        one = at_work(LINE, until=15.0)
-        until = one.worker.lease.until
-        one.worker.leave()
-        (put,) = one.decided(15.2)
-        one.worker.was_written(put, one.revision + 1)
-        assert one.worker.lease.until == until
-
 
 class TestLease:
-    def test_a_confirmation_counts_for_its_own_beat_only(self) -> None:
+    def test_it_begins_when_the_value_that_came_back_was_sent(self) -> None:
         one = OneWorker(LINE)
         one.step(0.0)
         one.hears = False
-        (put,) = one.decided(1.0)
-        for other in (put._replace(beat=0), put._replace(key="worker.b.1")):
-            one.worker.was_written(other, 50)
-            assert one.worker.lease.until == 9.0
-        one.worker.was_written(put, 50)
-        assert one.worker.lease.until == 10.0
+        puts = [one.decided(at)[0] for at in (1.0, 2.0, 3.0)]
+        one.hears = True
+        for put, until in ((puts[1], 11.0), (puts[0], 11.0), (puts[2], 12.0)):
+            one.write(put.key, put.value, 5.0)
+            assert one.worker.lease_until == until
 
     def test_a_request_must_be_over_before_the_lease(self) -> None:
         one = at_work(LINE)
-        assert one.worker.lease.until == 21.0
+        assert one.worker.lease_until == 21.0
         assert one.worker.may_ask(LINE.key, 19.9)
         assert not one.worker.may_ask(LINE.key, 20.0)
         assert not one.worker.may_ask(OTHER.key, 12.0)
@@ -196,7 +187,7 @@ class TestSlots:
         one = at_work(LINE, OTHER)
         one.member("b.1", 12.0)
         puts = one.decided(12.1)
-        (slot,) = (put for put in puts if not put.beat)
+        (slot,) = (put for put in puts if put.key != one.worker.key)
         (moved,) = (each for each in (LINE, OTHER) if each.slot.key == slot.key)
         assert written([slot]) == {moved.slot.key: "b.1"}
         assert one.polled() == {LINE.key, OTHER.key} - {moved.key}
@@ -204,7 +195,7 @@ class TestSlots:
         # write of the same key shows that it did not.
         one.member("b.1", 12.2, "ended")
         one.read_again(12.2)
-        (again,) = (put for put in one.decided(14.2) if not put.beat)
+        (again,) = (put for put in one.decided(14.2) if put.key != one.worker.key)
         assert (again.last, written([again])) == (slot.last, {slot.key: "m.1"})
         assert one.polled() == {LINE.key, OTHER.key} - {moved.key}
         one.write(again.key, again.value, 14.3)
@@ -270,7 +261,7 @@ class TestAcknowledgements:
         assert one.decided(1.5) == []
         one.write(OTHER.bucket_key, OTHER.encode(), 1.5)
         (put,) = one.decided(1.5)
-        assert put.beat
+        assert put.key == one.worker.key
         assert isinstance(record := decode(put.key, put.value or b""), Member)
         assert record.seen == one.revision
         assert (record.zones, record.lease, record.state) == (("",), LEASE, "here")
@@ -291,43 +282,16 @@ class TestEndedWorkers:
         assert {put.value for put in puts} == {None}
 
 
-class TestLeaseOfItsOwn:
-    def test_it_begins_when_its_value_was_sent_and_is_used_in_part(self) -> None:
-        lease = Lease("a.1")
-        lease.sends(1, LEASE, 100.0)
-        lease.is_confirmed(1, 7)
-        assert (lease.until, lease.revision) == (-math.inf, 7)  # it has not joined
-        lease.came_back(5)
-        assert lease.until == -math.inf  # that was never sent
-        lease.came_back(1)
-        assert lease.until == 109.0
-
-    def test_a_confirmation_extends_it_and_an_older_one_takes_nothing_back(self) -> None:
-        lease = Lease("a.1")
-        for beat, at in ((1, 100.0), (2, 105.0), (3, 108.0)):
-            lease.sends(beat, LEASE, at)
-        lease.came_back(1)
-        for beat, revision in ((3, 9), (2, 8)):
-            lease.is_confirmed(beat, revision)
-            assert (lease.until, lease.revision) == (117.0, 9)
-
-    def test_of_values_in_vain_the_last_lease_is_remembered(self) -> None:
-        lease = Lease("a.1")
-        for beat in range(1000):
-            lease.sends(beat, LEASE, float(beat))
-        assert len(lease._sent) == LEASE
-
-
 class TestBucketThatLies:
     """Values that any program with the rights of a worker may have written."""
 
     @pytest.mark.parametrize("beat", [-1, 0, 1, 12, 10**30])
     def test_a_value_of_its_own_key_that_it_did_not_write_extends_no_lease(self, beat: int) -> None:
         one = at_work(LINE)
-        assert one.worker.lease.until == 21.0
+        assert one.worker.lease_until == 21.0
         record = Member(one.me, "here", ("",), 60.0, beat, 10**30)
         one.write(record.bucket_key, record.encode(), 20.5)
-        assert one.worker.lease.until == 21.0
+        assert one.worker.lease_until == 21.0
         assert not one.worker.may_ask(LINE.key, 20.5)
 
     def test_a_worker_that_claims_to_have_seen_all_speaks_for_itself_only(self) -> None:

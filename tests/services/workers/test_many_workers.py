@@ -175,14 +175,14 @@ def forgotten(world: World) -> None:
     """Somebody deletes the worker that hears nothing, and its slots."""
     worker = world.processes[0].worker
     cut_off(world)
-    world.bucket.write(worker.lease.key, None)
+    world.bucket.write(worker.key, None)
     for slot in worker.view.used_slots:
         world.bucket.write(slot.key, None)
 
 
 def moved_before_it_was_forgotten(world: World) -> None:
     cut_off(world)
-    world.bucket.write(world.processes[0].worker.lease.key, None)
+    world.bucket.write(world.processes[0].worker.key, None)
     moved(world)
 
 
@@ -200,7 +200,7 @@ def slots_were_written_by_a_stranger(world: World) -> None:
     late, other = world.processes
     late.delay = 6.0
     for slot in late.worker.view.used_slots:
-        world.bucket.write(slot.key, encode_holder(other.worker.lease.id, "stranger.1"))
+        world.bucket.write(slot.key, encode_holder(other.worker.id, "stranger.1"))
 
 
 def bucket_went_back(world: World) -> None:

@@ -26,7 +26,7 @@ from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.services.fleet.statistics import FleetStatistics
 from libmodbus_py.services.workers import polling
 from libmodbus_py.services.workers.decisions import step
-from libmodbus_py.services.workers.polling import MOST_WRITES, SAID_AGAIN_S, TIMEOUT_S, Polling
+from libmodbus_py.services.workers.polling import SAID_AGAIN_S, TIMEOUT_S, Polling
 from libmodbus_py.services.workers.records import SETTINGS, Connection, FleetSettings
 from libmodbus_py.services.workers.worker import Decision, Worker
 from tests.services.workers.memory_engine import MemoryBucket, now, run, simulated
@@ -232,7 +232,7 @@ class TestLife:
         self, name: str, id: str, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr(socket, "gethostname", lambda: "plant.example")
-        first, second = (made(filled(), name=name).worker.lease.id for _ in range(2))
+        first, second = (made(filled(), name=name).worker.id for _ in range(2))
         assert first.split(".")[0] == id
         assert first != second
 
@@ -308,7 +308,7 @@ class TestBucket:
             before = len(bucket.puts)
             await asyncio.sleep(10 * lease)
             assert len(bucket.puts) - before == pytest.approx(100, abs=2)
-            assert len(decided) <= 310  # and when a value is seen, and confirmed
+            assert len(decided) <= 210  # and when its value is seen
 
     @simulated
     async def test_an_engine_that_is_gone_ends_the_lease_and_is_told_once_a_minute(
@@ -355,22 +355,6 @@ class TestBucket:
         count = len(bucket.puts)
         await asyncio.sleep(LEASE)
         assert len(bucket.puts) == count
-
-    @simulated
-    async def test_writes_on_their_way_are_bounded(self) -> None:
-        many = [connection(f"pump {host}", host=host) for host in range(1, 255)]
-        bucket = filled(*many)
-        worker = made(bucket)
-        running = asyncio.create_task(worker.run())
-        bucket.holds = asyncio.Event()
-        for _ in range(MOST_WRITES + 100):
-            worker._write(polling.Put("worker.a.1", b"{}", 9))
-        await asyncio.sleep(0.01)
-        assert len(bucket.puts) == MOST_WRITES
-        bucket.holds.set()
-        await until(lambda: members(bucket))
-        worker.leave()
-        await running
 
 
 class TestDevices:
