@@ -1,6 +1,6 @@
 """
-A fault: a mistake in answers of a server, the requests concerned, and its frequency; and the faults
-of one running server, switched by several users who do not undo each other.
+A fault: a mistake in answers of a server, the requests concerned, and its frequency; and the switch
+of one running server, whose users do not undo each other.
 
 `server` counts the requests of a server, and makes the fault that is due happen.
 """
@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
 from itertools import count
 from typing import Literal, Self, get_args
 
@@ -19,13 +19,7 @@ from ...protocol.checks import integer, number, seconds
 from ...protocol.mistakes import WrongType, WrongValue, named_arguments
 from ...protocol.tables import TABLE_SIZE, TABLES, Table
 
-__all__ = [
-    "KINDS",
-    "PLACES",
-    "Fault",
-    "FaultSwitch",
-    "FaultsByUnit",
-]
+__all__ = ["KINDS", "OPTIONAL", "PLACES", "Fault", "FaultSwitch", "FaultsByUnit"]
 
 KINDS: dict[str, str | None] = {
     "delay": "seconds",
@@ -59,25 +53,41 @@ LONGEST = 512
 def _data(name: str, value: object) -> None:
     if not isinstance(value, bytes):
         raise WrongType(name, f"must be bytes, not {type(value).__name__}")
-    if not 1 <= len(value) <= LONGEST:
-        raise WrongValue(name, f"must have 1..{LONGEST} bytes, not {len(value)}")
+    if len(value) > LONGEST:
+        raise WrongValue(name, f"must have 0..{LONGEST} bytes, not {len(value)}")
 
 
-def _one_of(choices: tuple[str, ...]) -> Callable[[str, object], None]:
+def _one_of(choices: Iterable[str]) -> Callable[[str, object], None]:
     def check(name: str, value: object) -> None:
-        if value not in choices:
+        if not isinstance(value, str) or value not in choices:
             raise WrongValue(name, f"must be one of {', '.join(choices)}, not {value!r}")
 
     return check
 
 
+def _whole(low: int, high: int) -> Callable[[str, object], object]:
+    return lambda name, value: integer(name, value, low, high)
+
+
 SETTINGS: dict[str, Callable[[str, object], object]] = {
     "seconds": seconds,
-    "code": lambda name, value: integer(name, value, 1, 0xFF),
-    "length": lambda name, value: integer(name, value, 1, LONGEST),
+    "code": _whole(1, 0xFF),
+    "length": _whole(0, LONGEST),
     "data": _data,
     "place": _one_of(PLACES),
 }
+"""Setting that only some kinds have -> its check."""
+
+WHICH: dict[str, Callable[[str, object], object]] = {
+    "function": _whole(1, 0x7F),
+    "table": _one_of(TABLES),
+    "address": _whole(0, TABLE_SIZE - 1),
+    "count": _whole(1, TABLE_SIZE),
+    "every": _whole(1, 1_000_000_000),
+    "probability": lambda name, value: number(name, value, 0, 1),
+    "seed": _whole(0, (1 << 64) - 1),
+}
+"""Attribute that selects requests -> its check."""
 
 
 @named_arguments
@@ -123,13 +133,13 @@ class Fault:
             the same; 0..2^64 - 1.
         seconds: for "delay" and "trickle", 0.001..86400.
         code: for "exception", 1..255.
-        length: a number of bytes, 1..512; for "disconnect" 0..512.
+        length: a number of bytes, 0..512.
         table: the fault happens only to requests that read or write this table: "coils",
             "discrete_inputs", "holding_registers", "input_registers"; None for all tables.
         address: the fault happens only to requests that touch one of `count` addresses starting
             here, 0..65535; None for all addresses.
         count: 1..65536; None for 1.
-        data: for "garbage", 1..512 bytes.
+        data: for "garbage", 0..512 bytes.
         place: "before" the response, "instead" of it or "behind" it; None for before.
 
     Raises:
@@ -152,53 +162,30 @@ class Fault:
     place: Place | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.kind, str) or self.kind not in KINDS:
-            raise WrongValue("kind", f"must be one of {', '.join(KINDS)}, not {self.kind!r}")
-        for name, check in SETTINGS.items():
-            self._check_setting(name, check)
+        _one_of(KINDS)("kind", self.kind)
+        needed = KINDS[self.kind]
+        allowed = WHICH.keys() | {needed, *OPTIONAL.get(self.kind, ())}
+        for name, check in (SETTINGS | WHICH).items():
+            if (value := getattr(self, name)) is None:
+                if name == needed:
+                    raise WrongValue(name, f"is missing, which {self.kind} needs")
+            elif name not in allowed:
+                raise WrongValue(name, f"does not apply to {self.kind}")
+            else:
+                check(name, value)
         if self.kind == "garbage" and (self.data is None) == (self.length is None):
-            raise WrongValue(
-                "data", "or length is missing, and garbage needs one of them, not both"
-            )
-        if self.function is not None:
-            integer("function", self.function, 1, 0x7F)
-        self._check_where()
-        self._check_how_often()
+            raise WrongValue("data", "or length is missing, and garbage needs one of them")
+        if self.count is not None and self.address is None:
+            raise WrongValue("count", "cannot be given without address")
+        if self.every is not None and self.probability is not None:
+            raise WrongValue("probability", "cannot be given together with every")
+        if self.seed is not None and self.probability is None and not self.has_random_bytes:
+            raise WrongValue("seed", "cannot be given without probability")
 
-    def _check_setting(self, name: str, check: Callable[[str, object], object]) -> None:
-        value = getattr(self, name)
-        if value is None:
-            if name == KINDS[self.kind]:
-                raise WrongValue(name, f"is missing, which {self.kind} needs")
-        elif name != KINDS[self.kind] and name not in OPTIONAL.get(self.kind, ()):
-            raise WrongValue(name, f"does not apply to {self.kind}")
-        elif (self.kind, name) == ("disconnect", "length"):
-            integer(name, value, 0, LONGEST)
-        else:
-            check(name, value)
-
-    def _check_where(self) -> None:
-        if self.table is not None:
-            _one_of(tuple(TABLES))("table", self.table)
-        if self.address is not None:
-            integer("address", self.address, 0, TABLE_SIZE - 1)
-        if self.count is not None:
-            if self.address is None:
-                raise WrongValue("count", "cannot be given without address")
-            integer("count", self.count, 1, TABLE_SIZE)
-
-    def _check_how_often(self) -> None:
-        if self.every is not None:
-            integer("every", self.every, 1, 1_000_000_000)
-            if self.probability is not None:
-                raise WrongValue("probability", "cannot be given together with every")
-        if self.probability is not None:
-            number("probability", self.probability, 0, 1)
-        if self.seed is not None:
-            is_random = self.kind == "garbage" and self.length is not None
-            if self.probability is None and not is_random:
-                raise WrongValue("seed", "cannot be given without probability")
-            integer("seed", self.seed, 0, (1 << 64) - 1)
+    @property
+    def has_random_bytes(self) -> bool:
+        """True for garbage of which only the length is given."""
+        return self.kind == "garbage" and self.length is not None
 
     @property
     def is_everywhere(self) -> bool:
@@ -225,6 +212,7 @@ FaultsByUnit = dict[int | None, list[Fault]]
 _numbers = count()
 
 
+@dataclass(eq=False, slots=True)
 class FaultState:
     """
     One fault of a server, which is on or off.
@@ -232,17 +220,16 @@ class FaultState:
     Attributes:
         unit: the unit whose responses have the fault, 0..255; None for every unit.
         fault: the fault.
-        number: a number that no other fault of the program has; later ones have greater ones.
+        is_given: True for a fault of the server itself, False for one that was switched on.
         is_on: True if the fault is on; `FaultSwitch.turn` changes this.
+        number: a number that no other fault of the program has; later ones have greater ones.
     """
 
-    __slots__ = ("fault", "is_on", "number", "unit")
-
-    def __init__(self, unit: int | None, fault: Fault) -> None:
-        self.unit: int | None = unit
-        self.fault: Fault = fault
-        self.number: int = next(_numbers)
-        self.is_on: bool = True
+    unit: int | None
+    fault: Fault
+    is_given: bool
+    is_on: bool = True
+    number: int = field(default_factory=lambda: next(_numbers))
 
 
 class FaultSwitch:
@@ -259,8 +246,7 @@ class FaultSwitch:
 
     def __init__(self, apply: Callable[[FaultsByUnit], object]) -> None:
         self._apply = apply
-        self._given: list[FaultState] = []
-        self._switched: list[_Switched] = []
+        self._states: list[FaultState] = []
         # Reentrant, because a signal handler may switch faults in the middle of a change.
         self._changing = threading.RLock()
 
@@ -279,15 +265,15 @@ class FaultSwitch:
         Raises:
             TypeError, ValueError: an argument is wrong; nothing has changed.
         """
+        made = [FaultState(unit, fault, is_given=False) for fault in faults]
         with self._changing:
-            made = _Switched(self, unit, faults)
-            self._change([made, *self._switched])
-        return made
+            self._change([*made, *self._states])
+        return _Switched(self, made)
 
     def states(self) -> list[FaultState]:
         """Return all faults, on or off: those switched on last come first, the given ones last."""
         with self._changing:
-            return self._states(self._switched, self._given)
+            return list(self._states)
 
     def turn(self, state: FaultState, *, is_on: bool) -> None:
         """
@@ -297,38 +283,32 @@ class FaultSwitch:
             ValueError: the server does not have this fault any more.
         """
         with self._changing:
-            if not any(each is state for each in self.states()):
+            if state not in self._states:
                 raise ValueError(f"the server does not have the fault {state.fault} any more")
             state.is_on = is_on
-            self._change(self._switched)
+            self._change(self._states)
 
     @contextlib.contextmanager
-    def giving(self, faults: Mapping[int | None, Iterable[Fault]]) -> Iterator[FaultsByUnit]:
-        """
-        Replace the faults that were given to the server while the ``with`` block runs.
-
-        The block gets all faults that are on then, and applies them. If it raises an exception,
-        nothing has changed.
-        """
+    def giving(self, faults: FaultsByUnit) -> Iterator[FaultsByUnit]:
+        """Replace the faults given to the server if the block applies all that are on then."""
         with self._changing:
-            given = [FaultState(unit, each) for unit, found in faults.items() for each in found]
-            yield _that_are_on(self._states(self._switched, given))
-            self._given = given
+            states = [each for each in self._states if not each.is_given]
+            for unit, given in faults.items():
+                states += [FaultState(unit, fault, is_given=True) for fault in given]
+            yield _that_are_on(states)
+            self._states = states
 
-    def remove(self, switched: _Switched) -> None:
+    def remove(self, states: list[FaultState]) -> None:
         """Remove faults that were switched on; may be called any number of times."""
         with self._changing:
-            self._change([each for each in self._switched if each is not switched])
+            self._change([each for each in self._states if each not in states])
 
-    def _change(self, switched: list[_Switched]) -> None:
-        self._apply(_that_are_on(self._states(switched, self._given)))
-        self._switched = switched
-
-    def _states(self, switched: list[_Switched], given: list[FaultState]) -> list[FaultState]:
-        return [state for each in switched for state in each.states] + given
+    def _change(self, states: list[FaultState]) -> None:
+        self._apply(_that_are_on(states))
+        self._states = states
 
 
-def _that_are_on(states: Iterable[FaultState]) -> FaultsByUnit:
+def _that_are_on(states: list[FaultState]) -> FaultsByUnit:
     faults: FaultsByUnit = {}
     for each in states:
         if each.is_on:
@@ -341,15 +321,11 @@ class _Switched:
     Faults that one user has switched on, until they are switched off.
 
     Attributes:
-        unit: the unit whose responses have the faults, 0..255; None for every unit.
-        faults: the faults.
-        states: the same faults, as `FaultSwitch.states` lists them.
+        states: the faults, as `FaultSwitch.states` lists them.
     """
 
-    def __init__(self, switch: FaultSwitch, unit: int | None, faults: tuple[Fault, ...]) -> None:
-        self.unit: int | None = unit
-        self.faults: tuple[Fault, ...] = faults
-        self.states: tuple[FaultState, ...] = tuple(FaultState(unit, each) for each in faults)
+    def __init__(self, switch: FaultSwitch, states: list[FaultState]) -> None:
+        self.states: list[FaultState] = states
         self._switch = switch
 
     def __enter__(self) -> Self:
@@ -360,4 +336,4 @@ class _Switched:
 
     def switch_off(self) -> None:
         """Remove the faults again. May be called repeatedly."""
-        self._switch.remove(self)
+        self._switch.remove(self.states)

@@ -8,29 +8,27 @@ from __future__ import annotations
 import asyncio
 import random
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from ...device.access import Touched, touched_by
+from ...device.access import touched_by
 from ...device.device import Device
-from ...ports.trace import OnTraced, Trace
+from ...ports.trace import OnTraced
 from ...protocol.checks import integer
 from ...protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
 from ...protocol.mistakes import named_arguments
 from ...server.limits import Limits
-from ...server.service import Channel, Intercepted
+from ...server.service import Intercepted
 from ...server.serving import DeviceServer
 from ...server.units import UnknownUnit
 from .fault import Fault, FaultsByUnit, FaultSwitch
 
-__all__ = ["MAX_WAITING_BYTES", "Delivery", "Faults", "Fragment", "Server", "fragments"]
+__all__ = ["Faults", "Server"]
 
 MAX_WAITING_BYTES = 1 << 17
 """On a connection, fewer bytes wait: the answers to one read. On a serial line this limits the
 answers to a client that does not wait for them."""
-
-NO_ALIASES: dict[int, int] = {}
 
 # --- which fault is due ----------------------------------------------------------------------
 
@@ -40,7 +38,6 @@ class _Counted:
 
     def __init__(self, fault: Fault) -> None:
         self.fault = fault
-        self._every = fault.every or 1
         self._count = 0
         self._random = random.Random(fault.seed)
 
@@ -48,41 +45,38 @@ class _Counted:
         if self.fault.probability is not None:
             return self._random.random() < self.fault.probability
         self._count += 1
-        return self._count % self._every == 0
+        return self._count % (self.fault.every or 1) == 0
 
     def happening(self) -> Fault:
         """The fault as it happens this time: with its random bytes."""
         fault = self.fault
-        if fault.kind != "garbage" or fault.length is None:
+        if not fault.has_random_bytes:
             return fault
-        return replace(fault, data=self._random.randbytes(fault.length), length=None, seed=None)
+        data = self._random.randbytes(fault.length or 0)
+        return replace(fault, data=data, length=None, seed=None)
 
 
 class Faults:
     """
-    The faults of one server. See `Interceptor`.
+    The faults of one server, by unit. See `Interceptor`.
 
     Args:
-        faults: ``{unit 0..255: faults}``; None is every unit.
         before: the previous faults of the same server: equal ones go on counting.
         aliases: further units, and the unit whose faults they have if they have none of their own.
-
-    Raises:
-        TypeError, ValueError: a unit or a fault is wrong.
     """
 
     def __init__(
         self,
         faults: Mapping[int | None, Iterable[Fault]],
         before: Faults | None = None,
-        aliases: Mapping[int, int] = NO_ALIASES,
+        aliases: Mapping[int, int] | None = None,
     ) -> None:
         self._by_unit: dict[int | None, list[_Counted]] = {}
         for unit, given_faults in faults.items():
             key = None if unit is None else integer("faults: unit", unit, 0, 255)
             known = [] if before is None else list(before._by_unit.get(key, ()))
             self._by_unit[key] = [_counted(fault, known) for fault in given_faults]
-        for alias, unit in aliases.items():
+        for alias, unit in (aliases or {}).items():
             if unit in self._by_unit:
                 self._by_unit.setdefault(alias, self._by_unit[unit])
 
@@ -90,39 +84,27 @@ class Faults:
         return any(self._by_unit.values())
 
     def concerns(self, unit: int) -> bool:
-        """Return True if the answers of a unit have faults."""
         return bool(self._by_unit.get(unit) or self._by_unit.get(None))
 
     def intercept(self, session: Intercepted) -> FaultyAnswers:
         return FaultyAnswers(session)
 
     def due(self, request: Frame, *, has_transaction: bool) -> Fault | None:
-        """
-        Count a request that is going to be answered.
+        """Count a request that is going to be answered, and return its fault, or None."""
+        due = [
+            each
+            for each in (*self._by_unit.get(request.unit, ()), *self._by_unit.get(None, ()))
+            if _concerns(each.fault, request, has_transaction) and each.is_due()
+        ]
+        return due[0].happening() if due else None
 
-        Args:
-            request: the request as it was received.
-            has_transaction: True if frames of its line have transactions.
 
-        Returns:
-            The fault that happens to the request, or None.
-        """
-        touched: Touched | None = None
-        first: _Counted | None = None
-        for key in (request.unit, None):
-            for each in self._by_unit.get(key, ()):
-                fault = each.fault
-                if fault.function not in (None, request.pdu[0]):
-                    continue
-                if fault.kind == "wrong_transaction" and not has_transaction:
-                    continue
-                if not fault.is_everywhere:
-                    touched = touched or touched_by(request.pdu)
-                    if not fault.hits(touched):
-                        continue
-                if each.is_due() and first is None:
-                    first = each
-        return None if first is None else first.happening()
+def _concerns(fault: Fault, request: Frame, has_transaction: bool) -> bool:
+    if fault.function not in (None, request.pdu[0]):
+        return False
+    if fault.kind == "wrong_transaction" and not has_transaction:
+        return False
+    return fault.is_everywhere or fault.hits(touched_by(request.pdu))
 
 
 def _counted(fault: object, known: list[_Counted]) -> _Counted:
@@ -139,46 +121,33 @@ def _counted(fault: object, known: list[_Counted]) -> _Counted:
 
 
 class Fragment(NamedTuple):
-    """
-    Bytes to send, and the seconds to wait after the previous fragment.
-
-    Attributes:
-        is_last: True if the connection is closed behind them.
-        traced: what a trace gets when they are sent: bytes, and their frame, None if they are
-            not a frame.
-    """
+    """Bytes to send, and the seconds to wait after the previous fragment."""
 
     wait: float
     data: bytes
-    is_last: bool = False
-    traced: tuple[tuple[bytes, Frame | None], ...] = ()
+    is_last: bool = False  # the connection is closed behind it
+    traced: tuple[tuple[bytes, Frame | None], ...] = ()  # None for bytes that are no frame
 
 
 def fragments(fault: Fault | None, answer: Frame, framer: Framer) -> list[Fragment]:
-    """Return the fragments sent in place of an answer; for garbage `data` is required."""
+    """Return what is sent in place of an answer."""
     kind = "" if fault is None else fault.kind
-    frame = _changed(kind, answer)
-    adu = framer.encode(frame)
-    parts = (adu,) if fault is None else _parts(fault, adu, framer)
-    data = b"".join(parts)
-    wait = 0 if fault is None else fault.seconds or 0
     if kind == "no_answer":
-        made = []
-    elif kind == "trickle":
-        made = [Fragment(wait if at else 0, data[at : at + 1]) for at in range(len(data))]
-    else:
-        made = [Fragment(wait, data, kind == "disconnect")]
-    traced = tuple((each, frame if each == adu else None) for each in parts if each)
-    return [*made[:-1], *(each._replace(traced=traced) for each in made[-1:])]
-
-
-def _changed(kind: str, answer: Frame) -> Frame:
+        return []
     if kind == "wrong_transaction":
         # Never that of the next request, because this would then count as its answer.
-        return answer._replace(transaction=answer.transaction - 1 & 0xFFFF)
+        answer = answer._replace(transaction=answer.transaction - 1 & 0xFFFF)
     if kind == "wrong_unit":
-        return answer._replace(unit=answer.unit % 247 + 1)  # one that a serial line can have
-    return answer
+        answer = answer._replace(unit=answer.unit % 247 + 1)  # one that a serial line can have
+    adu = framer.encode(answer)
+    parts = (adu,) if fault is None else _parts(fault, adu, framer)
+    traced = tuple((each, answer if each == adu else None) for each in parts if each)
+    data = b"".join(parts)
+    wait = 0 if fault is None else fault.seconds or 0
+    if kind != "trickle":
+        return [Fragment(wait, data, kind == "disconnect", traced)]
+    found = [Fragment(wait if at else 0, data[at : at + 1]) for at in range(len(data))]
+    return [*found[:-1], found[-1]._replace(traced=traced)]
 
 
 def _parts(fault: Fault, adu: bytes, framer: Framer) -> tuple[bytes, ...]:
@@ -211,35 +180,32 @@ def _with_wrong_check(adu: bytes, framer: Framer) -> bytes:
 # --- when they are sent ----------------------------------------------------------------------
 
 
-class Delivery:
+class FaultyAnswers:
     """
-    Sends bytes to one client, in order, each at its time. For one loop only.
+    The answers of one session: late, wrong, in fragments or not at all. See `Interception`.
 
-    Args:
-        channel: channel of the client; `follow` is called whenever `is_waiting` has changed.
-        trace: called with all that is sent, or None.
-        write: sends bytes; by default the channel's.
-
-    Attributes:
-        is_waiting: True while something is to be sent later.
-        is_over: True once the connection was closed; nothing more is sent.
+    They are sent in order, each fragment at its time.
     """
 
-    def __init__(
-        self,
-        channel: Channel,
-        trace: Trace | None = None,
-        write: Callable[[bytes], None] | None = None,
-    ) -> None:
+    def __init__(self, session: Intercepted) -> None:
         self.is_waiting: bool = False
         self.is_over: bool = False
-        self._channel = channel
-        self._trace = trace
-        self._write = write or channel.write
-        self._loop = asyncio.get_running_loop()
+        self._session = session
         self._queue: deque[Fragment] = deque()
-        self._queued = 0
+        self._queued = 0  # bytes
         self._timer: asyncio.TimerHandle | None = None
+
+    def answer(self, request: Frame) -> None:
+        """Execute a request, and deliver its answer as the fault that is due makes it."""
+        session, fault = self._session, None
+        faults = session.interceptor
+        if isinstance(faults, Faults) and session.is_answered(request):
+            has_transaction = isinstance(session.framer, TcpFramer)
+            fault = faults.due(request, has_transaction=has_transaction)
+        answer = session.answer(request, 0 if fault is None else fault.code or 0)
+        if answer is not None:
+            session.statistics.refused += answer.pdu[0] >> 7
+            self.send(fragments(fault, answer, session.framer))
 
     def send(self, answer: list[Fragment]) -> None:
         """Send an answer after the previous ones; it is dropped if too much waits already."""
@@ -262,12 +228,13 @@ class Delivery:
         """Send the fragments that are due, then wait for the next."""
         while self._queue:
             if self._queue[0].wait:
-                self._timer = self._loop.call_later(self._queue[0].wait, self._send_next)
+                loop = asyncio.get_running_loop()
+                self._timer = loop.call_later(self._queue[0].wait, self._send_next)
                 break
             self._send_first()
         if self.is_waiting != bool(self._queue):
             self.is_waiting = not self.is_waiting
-            self._channel.follow()
+            self._session.channel.follow()
 
     def _send_next(self) -> None:
         self._timer = None
@@ -275,48 +242,17 @@ class Delivery:
         self._go_on()
 
     def _send_first(self) -> None:
-        fragment = self._queue.popleft()
+        fragment, session = self._queue.popleft(), self._session
         self._queued -= len(fragment.data)
-        if self._trace is not None:
+        if session.trace is not None:
             for adu, frame in fragment.traced:
                 facts = () if frame is None else (frame.unit, frame.pdu[0])
-                self._trace.tell("sent", adu, *facts)
+                session.trace.tell("sent", adu, *facts)
         if fragment.data or not fragment.is_last:
-            self._write(fragment.data)
-        if fragment.is_last and self._channel.hang_up():
+            session.write(fragment.data)
+        if fragment.is_last and session.channel.hang_up():
             self.is_over = True
             self.close()
-
-
-class FaultyAnswers:
-    """The answers of one session: late, wrong, in fragments or not at all. See `Interception`."""
-
-    def __init__(self, session: Intercepted) -> None:
-        self._session = session
-        self._delivery = Delivery(session.channel, session.trace, session.write)
-        self._has_transaction = isinstance(session.framer, TcpFramer)
-
-    @property
-    def is_waiting(self) -> bool:
-        return self._delivery.is_waiting
-
-    @property
-    def is_over(self) -> bool:
-        return self._delivery.is_over
-
-    def answer(self, request: Frame) -> None:
-        """Execute a request, and deliver its answer as the fault that is due makes it."""
-        session, fault = self._session, None
-        faults = session.interceptor
-        if isinstance(faults, Faults) and session.is_answered(request):
-            fault = faults.due(request, has_transaction=self._has_transaction)
-        answer = session.answer(request, 0 if fault is None else fault.code or 0)
-        if answer is not None:
-            session.statistics.refused += answer.pdu[0] >> 7
-            self._delivery.send(fragments(fault, answer, session.framer))
-
-    def close(self) -> None:
-        self._delivery.close()
 
 
 # --- the server -----------------------------------------------------------------------------------
@@ -379,7 +315,9 @@ class Server(DeviceServer):
     ) -> None:
         super().__init__(limits, unknown_unit, own_unit, security, trace, audit)
         self._counted: Faults | None = None
-        self.fault_switch: FaultSwitch = FaultSwitch(self._change_faults)
+        self.fault_switch: FaultSwitch = FaultSwitch(
+            lambda faults: self._serve(self.devices, faults)
+        )
         self._put(devices, faults)
 
     def replace(
@@ -410,13 +348,13 @@ class Server(DeviceServer):
         devices: Device | Mapping[int, Device],
         faults: Mapping[int | None, Iterable[Fault]] | None,
     ) -> None:
-        given = {unit: list(each) for unit, each in _listed(faults).items()}
+        if faults is not None and not isinstance(faults, Mapping):
+            given_type = type(faults).__name__
+            raise TypeError(f"faults must be {{unit or None: [Fault, ...]}}, not {given_type}")
+        given = {unit: list(each) for unit, each in (faults or {}).items()}
         with self.fault_switch.giving(given) as switched_on:
             self._serve(devices, switched_on)
         self.faults: Mapping[int | None, list[Fault]] = given
-
-    def _change_faults(self, faults: FaultsByUnit) -> None:
-        self._serve(self.devices, faults)
 
     def _serve(self, devices: Device | Mapping[int, Device], faults: FaultsByUnit) -> None:
         units = self.units_of(devices)
@@ -424,12 +362,3 @@ class Server(DeviceServer):
         units.interceptor = self._counted or None
         self.devices: Device | Mapping[int, Device] = devices
         self.serve_units(units)
-
-
-def _listed(faults: object) -> Mapping[int | None, Iterable[Fault]]:
-    if faults is None:
-        return {}
-    if not isinstance(faults, Mapping):
-        given = type(faults).__name__
-        raise TypeError(f"faults must be {{unit or None: [Fault, ...]}}, not {given}")
-    return faults

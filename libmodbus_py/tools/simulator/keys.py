@@ -57,7 +57,7 @@ def _maps(path: Path, value: object) -> list[tuple[Path, str]]:
 
 # --- tables ------------------------------------------------------------------------------
 
-FAULT = keys_of(Fault, data=bytes_or_text(1, LONGEST))
+FAULT = keys_of(Fault, data=bytes_or_text(0, LONGEST))
 
 MOVES = Keys(
     Key(name, keys_of(make).read, f"how the values change: see `{make.__name__}`")

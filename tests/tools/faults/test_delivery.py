@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -19,8 +21,8 @@ from libmodbus_py.server.units import TcpUnits, Units
 from libmodbus_py.tools.faults.fault import Fault
 from libmodbus_py.tools.faults.server import (
     MAX_WAITING_BYTES,
-    Delivery,
     Faults,
+    FaultyAnswers,
     Fragment,
     fragments,
 )
@@ -142,51 +144,54 @@ def test_a_client_that_does_not_take_its_answers_is_not_read(stage: Stage) -> No
         assert blocks(flood, adu(b"\x03\0\0\0\x08") * 10_000)
 
 
-def test_answers_that_nobody_waits_for_are_lost(stage: Stage) -> None:
+Step = list[Fragment] | float | str
+
+LONG = [Fragment(9, bytes(MAX_WAITING_BYTES - 1))]
+CUT = [Fragment(0, b"", is_last=True)]
+LAST = [Fragment(0, b"12", is_last=True)]
+
+
+@pytest.mark.parametrize(
+    ("steps", "lengths", "waits"),
+    [
+        # Each wait begins when what is before is sent.
+        ([[Fragment(10, b"1")], [Fragment(FOREVER, b"12")], 50.0, "close"], [1], [True]),
+        ([[Fragment(0, b"1"), Fragment(10, b"12")], "close", 50.0], [1], [True]),
+        (
+            [[Fragment(0, b"1")], [Fragment(9, b"12"), Fragment(9, b"123")], [Fragment(0, b"1")]],
+            [1, 2, 3, 1],
+            [True, False],
+        ),
+        # Answers that nobody waits for are lost; what `close` drops takes no room. A cut without
+        # bytes writes nothing: a channel of a port would write an empty frame.
+        (
+            [LONG, "close", LONG, [Fragment(0, b"1")], [Fragment(0, b"lost")], 50.0, CUT, LAST],
+            [len(LONG[0].data), 1, 2],
+            [True, False],
+        ),
+    ],
+)
+def test_what_is_sent_when(
+    stage: Stage, steps: list[Step], lengths: list[int], waits: list[bool]
+) -> None:
     written: list[bytes] = []
-
-    async def deliver() -> None:
-        delivery = Delivery(FakeChannel(written.append))
-        delivery.send([Fragment(10, b"first")])
-        for _ in range(3):
-            delivery.send([Fragment(0, bytes(MAX_WAITING_BYTES // 2))])
-        delivery.send([Fragment(0, b"lost")])
-        await asyncio.sleep(50)
-        assert not delivery.is_waiting
-        delivery.send([Fragment(0, b"last")])
-
-    stage.wait(deliver())
-    assert [data for data in written if len(data) < 10] == [b"first", b"last"]
-    assert sum(map(len, written)) <= 2 * MAX_WAITING_BYTES
-
-
-def test_delivery_tells_when_it_waits(stage: Stage) -> None:
     told: list[bool] = []
 
     async def deliver() -> None:
-        delivery = Delivery(FakeChannel(follow=lambda: told.append(delivery.is_waiting)))
-        delivery.send([Fragment(0, b"1")])
-        assert told == []
-        delivery.send([Fragment(10, b"2"), Fragment(10, b"3")])
-        delivery.send([Fragment(0, b"4")])
-        await asyncio.sleep(50)
+        channel = FakeChannel(follow=lambda: told.append(answers.is_waiting))
+        session: Any = SimpleNamespace(channel=channel, trace=None, write=written.append)
+        answers = FaultyAnswers(session)
+        for step in [*steps, 50.0]:
+            if isinstance(step, list):
+                answers.send(step)
+            elif isinstance(step, str):
+                answers.close()
+            else:
+                await asyncio.sleep(step)
 
     stage.wait(deliver())
-    assert told == [True, False]
-
-
-def test_each_wait_begins_when_what_is_before_is_sent(stage: Stage) -> None:
-    written: list[bytes] = []
-
-    async def deliver() -> None:
-        delivery = Delivery(FakeChannel(written.append))
-        delivery.send([Fragment(10, b"1")])
-        delivery.send([Fragment(FOREVER, b"2")])
-        await asyncio.sleep(50)
-        delivery.close()
-
-    stage.wait(deliver())
-    assert written == [b"1"]
+    assert list(map(len, written)) == lengths
+    assert told == waits
 
 
 def test_a_session_that_is_closed_sends_nothing_more(stage: Stage) -> None:
@@ -203,53 +208,6 @@ def test_a_session_that_is_closed_sends_nothing_more(stage: Stage) -> None:
 
     stage.wait(ask())
     assert written == []
-
-
-def test_nothing_is_sent_after_close(stage: Stage) -> None:
-    written: list[bytes] = []
-
-    async def deliver() -> None:
-        delivery = Delivery(FakeChannel(written.append))
-        delivery.send([Fragment(0, b"1"), Fragment(10, b"2")])
-        delivery.close()
-        await asyncio.sleep(50)
-
-    stage.wait(deliver())
-    assert written == [b"1"]
-
-
-def test_answers_are_taken_until_the_limit_is_reached(stage: Stage) -> None:
-    """Also after `close`, for what it drops takes no room any more."""
-    written: list[bytes] = []
-
-    async def deliver() -> None:
-        delivery = Delivery(FakeChannel(written.append))
-        for size in (MAX_WAITING_BYTES - 1, MAX_WAITING_BYTES):
-            for _ in range(2):
-                delivery.send([Fragment(10, bytes(size))])
-                delivery.send([Fragment(0, b"next %d" % size)])
-                delivery.close()
-            delivery.send([Fragment(10, bytes(size))])
-            delivery.send([Fragment(0, b"last %d" % size)])
-            await asyncio.sleep(50)
-
-    stage.wait(deliver())
-    below = MAX_WAITING_BYTES - 1
-    assert [data for data in written if len(data) < 20] == [b"last %d" % below]
-    assert [len(data) for data in written if len(data) > 20] == [below, MAX_WAITING_BYTES]
-
-
-def test_a_close_without_bytes_writes_nothing(stage: Stage) -> None:
-    """A channel of a port would write an empty frame else."""
-    written: list[bytes] = []
-
-    async def deliver() -> None:
-        delivery = Delivery(FakeChannel(written.append))
-        delivery.send([Fragment(0, b"", is_last=True)])
-        delivery.send([Fragment(0, b"cut", is_last=True)])
-
-    stage.wait(deliver())
-    assert written == [b"cut"]
 
 
 # --- faults that close a connection ---------------------------------------------------------------
