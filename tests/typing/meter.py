@@ -1,6 +1,7 @@
 """
 The points of meter, written by libmodbus-py map class.
 """
+# fmt: off
 
 from __future__ import annotations
 
@@ -120,7 +121,9 @@ class _MeterRequests(MapBinding, Generic[ClientT]):
         super().__init__(client, MAP, **options)
 
     @overload
-    def read(self: _MeterRequests[Context], *attributes: MeterName) -> None: ...
+    def read(
+        self: _MeterRequests[Context], *attributes: MeterName
+    ) -> None: ...
     @overload
     def read(
         self: _MeterRequests[AsyncClient], *attributes: MeterName
@@ -130,7 +133,9 @@ class _MeterRequests(MapBinding, Generic[ClientT]):
         return self._read(attributes)
 
     @overload
-    def write(self: _MeterRequests[Context], **values: Unpack[MeterValues]) -> None: ...
+    def write(
+        self: _MeterRequests[Context], **values: Unpack[MeterValues]
+    ) -> None: ...
     @overload
     def write(
         self: _MeterRequests[AsyncClient], **values: Unpack[MeterValues]

@@ -41,23 +41,14 @@ class CsvRow(NamedTuple):
 
 class CsvText:
     """
-    A text in CSV.
+    A text in CSV: the row with the headings, the delimiter, and how many rows are skipped above.
 
     Args:
-        text: the whole content.
         is_known: returns True for a known heading. The delimiter is the one with the
             most of these, and the headings are the first line with two of them.
-        kind: the class of the errors.
+        kind: the class of the errors, which are about characters, or what is not CSV.
         names_first: True if the first cell may be a name such as ``#12``, which must be quoted,
             because without quotes it could be a comment.
-
-    Attributes:
-        head: the row with the headings; without cells if there is none.
-        delimiter: between cells.
-        skipped: how many rows stand above the headings.
-
-    Raises:
-        FileError: of `kind`: the text contains control characters, or is not CSV.
     """
 
     def __init__(
@@ -77,14 +68,18 @@ class CsvText:
         self._text = re.sub(r"\A\ufeff?(sep=[^\r\n](?=[\r\n]))?", "", text)
         self._lines = re.split("\r\n|\r|\n", self._text)
         self._names_first = names_first
-        heads = [(delimiter, *self._head(delimiter, is_known)) for delimiter in DELIMITERS]
-        best = max(heads, key=lambda each: _known(each[1], is_known))
-        delimiter, head, skipped = best
-        if isinstance(head, FileError):
-            raise head
-        self.delimiter: str = delimiter
+        heads, errors = [], []
+        for delimiter in DELIMITERS:
+            try:
+                heads.append((*self._head(delimiter, is_known), delimiter))
+            except FileError as error:
+                errors.append(error)
+        if not heads:
+            raise errors[0]
+        _, head, skipped, delimiter = max(heads, key=lambda each: each[0])
         self.head: CsvRow = head
         self.skipped: int = skipped
+        self.delimiter: str = delimiter
 
     def number_cell(self, cell: str) -> str:
         """Return a cell with a point in place of its decimal comma, if it has one."""
@@ -92,44 +87,26 @@ class CsvText:
         return cell.replace(",", ".") if has_comma else cell
 
     def rows(self) -> Iterator[CsvRow]:
-        """
-        Yield the rows below the headings.
-
-        Raises:
-            FileError: the rest of the text is not CSV.
-        """
-        for row in self._rows(self.delimiter):
-            if row.line > self.head.line:
-                yield row
+        """Yield the rows below the headings; raise a FileError if the rest is not CSV."""
+        return (row for row in self._rows(self.delimiter) if row.line > self.head.line)
 
     def cells(self, row: CsvRow) -> list[str]:
-        """
-        Return the cells of a row, at most one for each heading.
-
-        Raises:
-            WrongValue: the row has more cells.
-        """
+        """Return the cells of a row; raise WrongValue if it has more than there are headings."""
         width = len(self.head.cells)
         if any(row.cells[width:]):
             reason = f"{len(row.cells)} cells below {width} headings"
             raise WrongValue((), f"{reason}: quote what has a {self.delimiter!r} in it")
         return row.cells[:width]
 
-    def _head(
-        self, delimiter: str, is_known: Callable[[str], bool]
-    ) -> tuple[CsvRow | FileError, int]:
-        """Return the row with the headings, and how many rows stand above it."""
-        first: CsvRow | FileError = CsvRow(1, [])
-        try:
-            for count, row in enumerate(islice(self._rows(delimiter), MOST_TITLES + 1)):
-                if _known(row, is_known) >= 2:
-                    return row, count
-                if not count:
-                    first = row
-        except FileError as error:
-            if isinstance(first, CsvRow) and not first.cells:
-                first = error
-        return first, 0
+    def _head(self, delimiter: str, is_known: Callable[[str], bool]) -> tuple[int, CsvRow, int]:
+        """Return how many headings are known, their row, and how many rows stand above it."""
+        first = 0, CsvRow(1, []), 0
+        for at, row in enumerate(islice(self._rows(delimiter), MOST_TITLES + 1)):
+            known = sum(map(is_known, row.cells))
+            if known >= 2:
+                return known, row, at
+            first = first if at else (known, row, 0)
+        return first
 
     def _rows(self, delimiter: str) -> Iterator[CsvRow]:
         lines = io.StringIO(self._text, newline="")
@@ -154,10 +131,6 @@ class CsvText:
             reason = f"quote {cells[0]!r} if it is a name, or put a space behind the # of a comment"
             raise self._kind((), reason, place=FilePlace(line=line))
         return True
-
-
-def _known(head: CsvRow | FileError, is_known: Callable[[str], bool]) -> int:
-    return -1 if isinstance(head, FileError) else sum(map(is_known, head.cells))
 
 
 def csv_rows(rows: Iterable[Iterable[Any]]) -> str:
@@ -185,12 +158,7 @@ _DECIMAL = re.compile(r"[+-]?([0-9]{1,40}(\.[0-9]{0,40})?|\.[0-9]{1,40})([eE][+-
 
 
 def number_in(cell: str) -> int | float:
-    """
-    Read 10, 0.1, 1e-3 or 1/10.
-
-    Raises:
-        WrongValue: the cell holds no number.
-    """
+    """Read 10, 0.1, 1e-3 or 1/10; raise WrongValue for anything else."""
     over, slash, under = cell.partition("/")
     if not _DECIMAL.fullmatch(over) or (slash and not _DECIMAL.fullmatch(under)):
         hint = " with a point, not a comma," if "," in cell and "." not in cell else ""
@@ -203,12 +171,7 @@ def number_in(cell: str) -> int | float:
 
 
 def whole_in(cell: str) -> int:
-    """
-    Read 100, 0x64 or 64h.
-
-    Raises:
-        WrongValue: the cell holds no whole number.
-    """
+    """Read 100, 0x64 or 64h; raise WrongValue for anything else."""
     if re.fullmatch("[0-9]{1,20}", cell):
         return int(cell)
     if found := re.fullmatch("0x([0-9a-f]{1,16})|([0-9a-f]{1,16})h", cell.casefold()):
@@ -218,12 +181,7 @@ def whole_in(cell: str) -> int:
 
 
 def flag_in(cell: str) -> bool:
-    """
-    Read true or false.
-
-    Raises:
-        WrongValue: the cell holds neither.
-    """
+    """Read true or false; raise WrongValue for anything else."""
     if cell.lower() not in ("true", "false"):
         raise WrongValue((), f"must be true or false, not {reprlib.repr(cell)}")
     return cell.lower() == "true"

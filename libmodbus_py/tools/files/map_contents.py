@@ -26,39 +26,22 @@ class MapError(FileError):
 
 
 class MapEntry(NamedTuple):
-    """
-    The description of one point in a file, not yet checked.
+    """The description of one point in a file, not yet checked."""
 
-    Attributes:
-        path: path of the point in the file; empty in CSV, where a row is a point.
-        place: returns the place of a path in the file.
-        keys: returns the arguments of `Point`; raises a TypeError or ValueError if the file
-            contains a mistake.
-    """
-
-    path: Path
-    place: Callable[[Path], FilePlace]
-    keys: Callable[[], Mapping[str, Any]]
+    path: Path  # of the point in the file; empty in CSV, where a row is a point
+    place: Callable[[Path], FilePlace]  # of a path in the file
+    keys: Callable[[], Mapping[str, Any]]  # the arguments of `Point`, or a TypeError or ValueError
 
 
 @dataclass
 class Contents:
-    """
-    The content of a file.
-
-    Attributes:
-        points: all valid points, by name.
-        entries: the entry of each of these points, by name.
-        mistakes: all mistakes; the file is not a map if there are any.
-        ignored: headings of columns without a known meaning.
-        notes: how the file was read, where that is not the usual way.
-    """
+    """The content of a file, which is a map if there are no mistakes."""
 
     points: dict[str, Point] = field(default_factory=dict)
-    entries: dict[str, MapEntry] = field(default_factory=dict)
+    entries: dict[str, MapEntry] = field(default_factory=dict)  # of each of these points
     mistakes: list[MapError] = field(default_factory=list)
-    ignored: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
+    ignored: list[str] = field(default_factory=list)  # headings without a known meaning
+    notes: list[str] = field(default_factory=list)  # how it was read, if not in the usual way
 
     def place(self, name: str) -> FilePlace:
         """Return the place of a point in the file."""

@@ -5,9 +5,8 @@ publish them.
 In CSV, the headings name the columns, in any order, by `COLUMNS`. Empty cells are ignored. Without
 a column for the table, addresses are references, such as 40123.
 
-The words of tables, types and orders stand in `protocol.words`. Only words that every vendor means
-alike are known: a "gain" multiplies with some and divides with others, and a wrong guess would be a
-wrong value.
+Only words that every vendor means alike are known: a "gain" multiplies with some and divides with
+others, and a wrong guess would be a wrong value.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from os import PathLike, fspath
 from pathlib import PurePath
-from typing import Any, NamedTuple
+from typing import Any
 
 from ...maps.point_checks import BYTES, SCALES
 from ...maps.register_map import RegisterMap
@@ -27,7 +26,7 @@ from ...protocol.mistakes import Path, WrongValue, inside, placed
 from ...protocol.values import parse_reference
 from ...protocol.words import ORDER_WORDS, TABLE_WORDS, TYPE_WORDS, by_word, plain, type_named
 from .csv_text import CsvRow, CsvText, flag_in, number_in, whole_in
-from .map_contents import Contents, MapEntry, MapError, collected
+from .map_contents import POINT, Contents, MapEntry, MapError, collected
 from .schema import Key, Keys, table, tables
 from .texts import FilePlace, line_of, read_table, read_text, read_toml
 
@@ -68,14 +67,7 @@ def contents_of(
     path: str | PathLike[str], most: int, columns: Mapping[str, str] | None = None
 ) -> Contents:
     """
-    Read a file up to the mistake with the number `most`.
-
-    Args:
-        columns: as for `load_map`.
-
-    Raises:
-        MapError: the file cannot be read.
-        ValueError: as for `load_map`.
+    Read a file up to the mistake with the number `most`; `columns` and errors as for `load_map`.
     """
     suffix = PurePath(path).suffix.lower()
     if suffix not in FORMS:
@@ -90,22 +82,26 @@ def contents_of(
 
 
 def contents_of_text(text: str, suffix: str, most: int, columns: Mapping[str, str]) -> Contents:
-    """
-    Read the text of a file with one of the suffixes `FORMS`, up to the mistake number `most`.
-
-    Raises:
-        ValueError: as for `load_map`.
-    """
+    """Read the text of a file with one of the suffixes `FORMS`; otherwise as `contents_of`."""
     if suffix == ".toml":
         if columns:
             raise ValueError("columns are for CSV; the keys of TOML have the names of arguments")
         return collected(Contents(), _toml_entries(text), most)
-    columns = {COLUMNS.get(plain(kind), kind): heading for kind, heading in columns.items()}
-    for kind in columns:
+    named = {COLUMNS.get(plain(kind), kind): heading for kind, heading in columns.items()}
+    for kind in named:
         if kind not in READERS:
             allowed = ", ".join(READERS)
             raise ValueError(f"columns must name some of {allowed}, not {kind!r}")
-    return _from_csv(text, most, columns)
+    headings = COLUMNS.keys() | {plain(heading) for heading in named.values()}
+    contents = Contents()
+    try:
+        rows = CsvText(text, lambda heading: plain(heading) in headings, MapError)
+        columns_found = _columns(rows.head, named, contents.ignored)
+    except MapError as error:
+        return Contents(mistakes=[error])
+    if rows.skipped:
+        contents.notes.append(f"rows above the headings that are skipped: {rows.skipped}")
+    return collected(contents, _csv_entries(rows, columns_found), most)
 
 
 def _toml_entries(text: str) -> Iterator[MapEntry]:
@@ -122,22 +118,11 @@ def _toml_entries(text: str) -> Iterator[MapEntry]:
         yield MapEntry(path, place, partial(table, path, given))
 
 
-def _from_csv(text: str, most: int, named: Mapping[str, str]) -> Contents:
-    try:
-        rows = opened(text, named)
-        columns = columns_of(rows.head, named)
-    except MapError as error:
-        return Contents(mistakes=[error])
-    contents = Contents(ignored=columns.ignored)
-    if rows.skipped:
-        contents.notes.append(f"rows above the headings that are skipped: {rows.skipped}")
-    return collected(contents, entries(rows, columns), most)
-
-
 # --- words -----------------------------------------------------------------------------------
 
 COLUMNS = by_word(
-    {
+    dict.fromkeys(POINT, "")
+    | {
         "name": "parameter, parameter name, point, point name, signal, signal name, tag, tag name,"
         " variable, variable name, register name, symbol, label",
         "table": "register type, reg type, register table, object type, modbus table, area,"
@@ -148,8 +133,6 @@ COLUMNS = by_word(
         "count": "values",
         "type": "data type, datatype, value type, format, data format",
         "order": "byte order, word order, endianness, endian",
-        "encoding": "",
-        "padding": "",
         "scale": "factor, multiplier, scaling, scale factor, scaling factor, multiply by",
         "divisor": "divider, divide by",
         "offset": "value offset",
@@ -159,18 +142,8 @@ COLUMNS = by_word(
         "maximum": "max, max value, high limit, upper limit",
         "description": "comment, comments, remark, remarks, note, notes, details, meaning",
         "missing": "missing value, missing values",
-        "plausible_minimum": "",
-        "plausible_maximum": "",
-        "never_falls": "",
-        "scale_from": "",
-        "scale_as": "",
-        "states": "",
-        "bits": "",
-        "bit": "",
-        "byte": "",
         "time_zone": "timezone",
         "interval": "poll interval, polling interval",
-        "group": "",
     }
 )
 """Heading of a column -> kind of the column."""
@@ -200,130 +173,85 @@ ACCESS_WORDS = by_word(
 PADDINGS = {"space": " ", "nul": "\0"}
 """Word -> the character that it stands for in the column of paddings."""
 
-# --- columns ---------------------------------------------------------------------------------
+# --- columns and rows ------------------------------------------------------------------------
+
+Columns = dict[str, tuple[int, str]]
+"""Kind of a column -> its index, and its heading."""
 
 
-class Columns(NamedTuple):
+def _columns(head: CsvRow, named: Mapping[str, str], ignored: list[str]) -> Columns:
     """
-    The columns of a file, found by their headings.
-
-    Attributes:
-        places: kind of a column -> (its index, its heading).
-        ignored: headings without a known meaning.
-    """
-
-    places: dict[str, tuple[int, str]]
-    ignored: list[str]
-
-
-def opened(text: str, named: Mapping[str, str]) -> CsvText:
-    """
-    Return a text as CSV with headings.
-
-    Args:
-        named: kind of a column -> its heading, where that is none of `COLUMNS`.
-
-    Raises:
-        MapError: the text is not CSV.
-    """
-    headings = {plain(heading) for heading in named.values()}
-    return CsvText(text, lambda heading: plain(heading) in COLUMNS.keys() | headings, MapError)
-
-
-def columns_of(head: CsvRow, named: Mapping[str, str]) -> Columns:
-    """
-    Return the columns by their kinds.
-
-    Args:
-        named: as for `opened`.
+    Return the columns by their kinds, and add headings without a meaning to `ignored`.
 
     Raises:
         MapError: a column is missing, two are of one kind, or a heading is ambiguous.
     """
-    kinds = {plain(heading): kind for kind, heading in named.items()}
     place = FilePlace(line=head.line)
-    columns = Columns({}, [])
-    single = [" ".join(cell.split()) for cell in head.cells]
-    headings = [(at, heading) for at, heading in enumerate(single) if heading]
-    for wanted, heading in named.items():
-        if plain(heading) not in map(plain, single):
-            raise MapError((), f"no column {heading}, which is named for {wanted}", place=place)
-    for at, heading in sorted(headings, key=_rank):
-        if plain(heading) in kinds:
-            columns.places[kinds[plain(heading)]] = at, heading
+    cells = [" ".join(cell.split()) for cell in head.cells]
+    by_heading = {plain(heading): kind for kind, heading in named.items()}
+    columns: Columns = {}
+    for kind, heading in named.items():
+        if plain(heading) not in map(plain, cells):
+            raise MapError((), f"no column {heading}, which is named for {kind}", place=place)
+    # Headings that are the names of keys come before other words.
+    headings = [(at, heading) for at, heading in enumerate(cells) if heading]
+    for at, heading in sorted(headings, key=lambda each: plain(each[1]) not in READERS):
+        word = plain(heading)
+        if word in by_heading:
+            columns[by_heading[word]] = at, heading
             continue
-        if instead := AMBIGUOUS.get(plain(heading)):
+        if instead := AMBIGUOUS.get(word):
             reason = f"column {heading} means this or that: call it {instead}"
             raise MapError((), reason, place=place)
-        kind = COLUMNS.get(plain(heading))
-        kind = None if kind in named else kind
-        other = columns.places.get(kind or "")
-        is_more = kind == "description" or (other and _rank(other) < _rank((at, heading)))
-        if kind is None or (other and is_more):
-            columns.ignored.append(heading)
-        elif other:
-            reason = f"columns {other[1]} and {heading} both hold the {kind}"
-            raise MapError((), reason, place=place)
+        found = COLUMNS.get(word)
+        if found is None or found in named:
+            ignored.append(heading)
+        elif found not in columns:
+            columns[found] = at, heading
+        elif found == "description" or plain(columns[found][1]) in READERS:
+            ignored.append(heading)
         else:
-            columns.places[kind] = at, heading
+            reason = f"columns {columns[found][1]} and {heading} both hold the {found}"
+            raise MapError((), reason, place=place)
     for key in ("name", "address"):
-        if key not in columns.places:
+        if key not in columns:
             known = ", ".join(word for word, kind in COLUMNS.items() if kind == key)
             raise MapError((), f"no column {key}; it may be called {known}", place=place)
     return columns
 
 
-def _rank(column: tuple[int, str]) -> bool:
-    """Return the rank of a heading: names of keys come before other words."""
-    return plain(column[1]) not in READERS
-
-
-# --- rows ------------------------------------------------------------------------------------
-
-
-def entries(text: CsvText, columns: Columns) -> Iterator[MapEntry]:
-    """
-    Yield the entry of each row.
-
-    Raises:
-        MapError: the rest of the text is not CSV.
-    """
+def _csv_entries(text: CsvText, columns: Columns) -> Iterator[MapEntry]:
+    """Yield the entry of each row; raise a MapError if the rest of the text is not CSV."""
     for row in text.rows():
-        if any(row.cells[at : at + 1] != [""] for at, _ in columns.places.values()):
-            yield _entry(text, columns, row)
+        if any(row.cells[at : at + 1] != [""] for at, _ in columns.values()):
+            place = partial(_place_in_row, row, columns)
+            yield MapEntry((), place, partial(_keys_of_row, text, row, columns))
 
 
-def _entry(text: CsvText, columns: Columns, row: CsvRow) -> MapEntry:
-    def place(path: Path) -> FilePlace:
-        _, heading = columns.places.get(str(path[0]) if path else "", (0, ""))
-        return FilePlace(line=row.line, column=heading)
+def _place_in_row(row: CsvRow, columns: Columns, path: Path) -> FilePlace:
+    _, heading = columns.get(str(path[0]) if path else "", (0, ""))
+    return FilePlace(line=row.line, column=heading)
 
-    def keys() -> dict[str, Any]:
-        cells = [" ".join(cell.split()) for cell in text.cells(row)]
-        held = {key: cells[at] for key, (at, _) in columns.places.items() if at < len(cells)}
-        given = {key: cell for key, cell in held.items() if cell}
-        found = {}
-        for key, cell in given.items():
-            with inside(key):
-                read = READERS[key]
-                found[key] = read(text.number_cell(cell) if read is number_in else cell)
-        return _settled(found, given)
 
-    return MapEntry((), place, keys)
+def _keys_of_row(text: CsvText, row: CsvRow, columns: Columns) -> dict[str, Any]:
+    cells = [" ".join(cell.split()) for cell in text.cells(row)]
+    given = {key: cells[at] for key, (at, _) in columns.items() if at < len(cells) and cells[at]}
+    found = {}
+    for key, cell in given.items():
+        with inside(key):
+            read = READERS[key]
+            found[key] = read(text.number_cell(cell) if read is number_in else cell)
+    return _settled(found, given)
 
 
 def _settled(keys: dict[str, Any], given: dict[str, str]) -> dict[str, Any]:
-    """
-    Resolve arguments that depend on several columns.
-
-    Raises:
-        WrongValue: they contradict each other.
-    """
+    """Resolve arguments that depend on several columns."""
     table = keys.pop("function", None)
     if table and keys.setdefault("table", table) != table:
         raise WrongValue("function", f"{given['function']} is none of {keys['table']}")
     if "address" in keys and "table" not in keys:
-        keys["table"], keys["address"] = _referred(given["address"])
+        with inside("address"):
+            keys["table"], keys["address"] = _referred(given["address"])
     if "divisor" in given:
         if "scale" in given:
             raise WrongValue("divisor", "cannot be given together with a scale")
@@ -342,14 +270,13 @@ def _settled(keys: dict[str, Any], given: dict[str, str]) -> dict[str, Any]:
 
 def _referred(text: str) -> tuple[str, int]:
     try:
-        table, address = parse_reference(text)
+        return parse_reference(text)
     except ValueError:
-        wanted = "a reference such as 40123 or 300007 where no column says the table"
         hint = ""
         if re.fullmatch("[1-9][0-9]{0,3}", text):
             hint = f"; a spreadsheet removes the zeros of 0{int(text):04}: format cells as text"
-        raise WrongValue("address", f"must be {wanted}, not {reprlib.repr(text)}{hint}") from None
-    return table, address
+        wanted = "a reference such as 40123 or 300007 where no column says the table"
+        raise WrongValue((), f"must be {wanted}, not {reprlib.repr(text)}{hint}") from None
 
 
 # --- cells -----------------------------------------------------------------------------------
@@ -406,11 +333,9 @@ def _names(text: str) -> dict[str, str]:
 
 
 READERS: dict[str, Callable[[str], Any]] = {
-    **dict.fromkeys(("name", "units", "description", "group", "encoding", "time_zone"), str),
-    **dict.fromkeys(("scale_from", "bit"), str),
+    **dict.fromkeys(POINT, str),
     **dict.fromkeys(("address", "count"), whole_in),
-    **dict.fromkeys(("scale", "divisor", "offset", "interval"), number_in),
-    **dict.fromkeys(("minimum", "maximum"), number_in),
+    **dict.fromkeys(("scale", "divisor", "offset", "interval", "minimum", "maximum"), number_in),
     **dict.fromkeys(("plausible_minimum", "plausible_maximum"), number_in),
     **dict.fromkeys(("states", "bits"), _names),
     "table": _word(TABLE_WORDS),

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import keyword
-import math
 import re
 import textwrap
 import unicodedata
@@ -92,6 +91,90 @@ USED = {
 # Keys of points from which there may be no value.
 DOUBTS = ("missing", "plausible_minimum", "plausible_maximum", "scale_from")
 
+# The methods are in a class of their own, so that no attribute hides the names that they use.
+FILE = '''\
+"""
+{about}
+"""
+# fmt: off
+
+from __future__ import annotations
+
+from collections.abc import Coroutine{sequence}
+{datetime}from typing import (
+    TYPE_CHECKING,
+    Any,
+    Generic,
+{literal}    TypedDict,
+    TypeVar,
+    Unpack,
+    overload,
+)
+
+from libmodbus_py import Point, RegisterMap
+from libmodbus_py.bound import MapBinding
+
+if TYPE_CHECKING:
+    from libmodbus_py import AsyncClient, Context
+
+ClientT = TypeVar("ClientT", "Context", "AsyncClient")
+
+{name}Name = {attributes}
+
+
+class {name}Values(TypedDict, total=False):
+    """Values that can be written."""
+{values}
+
+MAP = RegisterMap(
+    [
+{points}    ]
+)
+
+
+class _{name}Requests(MapBinding, Generic[ClientT]):
+    def __init__(self, client: ClientT, **options: Any) -> None:
+        super().__init__(client, MAP, **options)
+
+    @overload
+    def read(
+        self: _{name}Requests[Context], *attributes: {name}Name
+    ) -> None: ...
+    @overload
+    def read(
+        self: _{name}Requests[AsyncClient], *attributes: {name}Name
+    ) -> Coroutine[Any, Any, None]: ...
+    def read(self, *attributes: Any) -> Any:
+        """Read points, all that can be read unless attributes are named."""
+        return self._read(attributes)
+
+    @overload
+    def write(
+        self: _{name}Requests[Context], **values: Unpack[{name}Values]
+    ) -> None: ...
+    @overload
+    def write(
+        self: _{name}Requests[AsyncClient], **values: Unpack[{name}Values]
+    ) -> Coroutine[Any, Any, None]: ...
+    def write(self, **values: Any) -> Any:
+        """Write values; all are checked before the first byte is sent."""
+        return self._write(values)
+
+
+class {name}(_{name}Requests[ClientT]):
+    """Values of the last read(); each is written with write()."""
+{properties}'''
+
+PROPERTY = '''
+    @property
+    def {attribute}(self) -> {kind}:
+        """
+{about}
+        """
+        value: {kind} = self.{get}({name})
+        return value
+'''
+
 
 def class_text(map: RegisterMap, stem: str) -> str:
     """
@@ -104,7 +187,22 @@ def class_text(map: RegisterMap, stem: str) -> str:
     if name in USED:
         name += "Map"
     names = attribute_names(map)
-    return "\n".join([*_head(map, names, name, stem), *_class(map, names, name)]) + "\n"
+    readable = [each for each in map.values() if each.is_readable]
+    writable = [each for each in map.values() if each.is_writable]
+    words = [f"    {_quoted(names[each.name])},\n" for each in readable]
+    values = [f"    {names[each.name]}: {_written_kind(each)}\n" for each in writable]
+    has_times = any("datetime" in _kind(each) for each in map.values())
+    return FILE.format(
+        name=name,
+        about=_docstring(f"The points of {stem}, {MARK}.", ""),
+        sequence=", Sequence" if any("Sequence" in each for each in values) else "",
+        datetime="from datetime import datetime\n" if has_times else "",
+        literal="    Literal,\n" if words else "",
+        attributes=f"Literal[\n{''.join(words)}]" if words else "str",
+        values="".join(["\n", *values]) if values else "",
+        points="".join(_points(map)),
+        properties="".join(_property(each, names[each.name]) for each in readable),
+    )
 
 
 def class_name(stem: str) -> str:
@@ -115,117 +213,26 @@ def class_name(stem: str) -> str:
     return text if text.isidentifier() and not keyword.iskeyword(text) else f"Map{text}"
 
 
-def _head(map: RegisterMap, names: Mapping[str, str], name: str, stem: str) -> Iterator[str]:
-    readable = [names[each.name] for each in map.values() if each.is_readable]
-    writable = [each for each in map.values() if each.is_writable]
-    kinds = {_kind(each) for each in map.values()}
-    yield from ('"""', *_docstring(f"The points of {stem}, {MARK}.", ""), '"""', "")
-    yield from ("from __future__ import annotations", "")
-    lists = [each for each in writable if each.count > 1 or _kind(each).startswith("list")]
-    yield f"from collections.abc import Coroutine{', Sequence' if lists else ''}"
-    if any("datetime" in kind for kind in kinds):
-        yield "from datetime import datetime"
-    typing = ["TYPE_CHECKING", "Any", "Generic", "TypedDict", "TypeVar", "Unpack", "overload"]
-    typing += ["Literal"] if readable else []
-    yield "from typing import ("
-    yield from (f"{TAB}{each}," for each in sorted(typing, key=_import_order))
-    yield ")"
-    yield from ("", "from libmodbus_py import Point, RegisterMap")
-    yield from ("from libmodbus_py.bound import MapBinding", "")
-    yield from ("if TYPE_CHECKING:", f"{TAB}from libmodbus_py import AsyncClient, Context", "")
-    yield from ('ClientT = TypeVar("ClientT", "Context", "AsyncClient")', "")
-    yield from _literal_type(f"{name}Name", readable)
-    yield from ("", "", f"class {name}Values(TypedDict, total=False):")
-    yield f'{TAB}"""Values that can be written."""'
-    if writable:
-        yield ""
-    yield from (f"{TAB}{names[each.name]}: {_written_kind(each)}" for each in writable)
-    yield from ("", "", "MAP = RegisterMap(", f"{TAB}[")
+def _points(map: RegisterMap) -> Iterator[str]:
     for point in map.values():
-        yield from _point(point)
-    yield from (f"{TAB}]", ")")
-    yield from _requests(name)
+        yield "        Point(\n"
+        for key, default in _DEFAULTS.items():
+            value = getattr(point, key)
+            if value != default:
+                yield f"            {key}={_literal(value)},\n"
+        yield "        ),\n"
 
 
-def _import_order(name: str) -> tuple[bool, bool, str]:
-    """Return the key of a name among others: constants, classes, functions."""
-    return not name.isupper(), name[0].islower(), name.lower()
-
-
-def _class(map: RegisterMap, names: Mapping[str, str], name: str) -> Iterator[str]:
-    yield f"class {name}(_{name}Requests[ClientT]):"
-    text = "Values of the last read(); each is written with write()."
-    yield f'{TAB}"""{text}"""'
-    for point in map.values():
-        if not point.is_readable:
-            continue
-        kind = _kind(point)
-        is_certain = kind != "datetime" and not any(
-            getattr(point, each, None) is not None for each in DOUBTS
-        )
-        told = kind if is_certain else f"{kind} | None"
-        yield from ("", f"{TAB}@property", f"{TAB}def {names[point.name]}(self) -> {told}:")
-        yield f'{TAB * 2}"""'
-        yield from _docstring(_about(point), TAB * 2)
-        yield f'{TAB * 2}"""'
-        get = "_certain" if is_certain else "_value"
-        yield f"{TAB * 2}value: {told} = self.{get}({_quoted(point.name)})"
-        yield f"{TAB * 2}return value"
-
-
-TAB = "    "
-
-READ = "Read points, all that can be read unless attributes are named."
-WRITE = "Write values; all are checked before the first byte is sent."
-
-
-def _requests(name: str) -> Iterator[str]:
-    """Yield the class with the two methods, which is apart: no attribute hides its names."""
-    own = f"_{name}Requests"
-    yield from ("", "", f"class {own}(MapBinding, Generic[ClientT]):")
-    yield f"{TAB}def __init__(self, client: ClientT, **options: Any) -> None:"
-    yield f"{TAB * 2}super().__init__(client, MAP, **options)"
-    for method, given, type_, text in (
-        ("read", "*attributes", f"{name}Name", READ),
-        ("write", "**values", f"Unpack[{name}Values]", WRITE),
-    ):
-        yield ""
-        for client, result in (("Context", "None"), ("AsyncClient", "Coroutine[Any, Any, None]")):
-            yield f"{TAB}@overload"
-            arguments = f"self: {own}[{client}], {given}: {type_}"
-            yield from _signature(f"def {method}", arguments, f"{result}: ...")
-        yield f"{TAB}def {method}(self, {given}: Any) -> Any:"
-        yield f'{TAB * 2}"""{text}"""'
-        yield f"{TAB * 2}return self._{method}({given.strip('*')})"
-    yield from ("", "")
-
-
-def _signature(start: str, arguments: str, end: str) -> Iterator[str]:
-    line = f"{TAB}{start}({arguments}) -> {end}"
-    if len(line) <= WIDTH:
-        yield line
-    else:
-        yield from (f"{TAB}{start}(", f"{TAB * 2}{arguments}", f"{TAB}) -> {end}")
-
-
-def _literal_type(name: str, words: list[str]) -> Iterator[str]:
-    if len(words) < 2:
-        yield f"{name} = Literal[{_quoted(words[0])}]" if words else f"{name} = str"
-        return
-    yield f"{name} = Literal["
-    yield from (f"{TAB}{_quoted(word)}," for word in words)
-    yield "]"
-
-
-def _point(point: Point) -> Iterator[str]:
-    yield f"{TAB * 2}Point("
-    for field in fields(point):
-        if not field.init:
-            continue
-        value = getattr(point, field.name)
-        if field.name in ("name", "table", "address") or value != field.default:
-            yield f"{TAB * 3}{field.name}={_literal(value)},"
-    yield f"{TAB * 2}),"
+def _property(point: Point, attribute: str) -> str:
+    kind = _kind(point)
+    is_certain = kind != "datetime" and all(getattr(point, each) is None for each in DOUBTS)
+    return PROPERTY.format(
+        attribute=attribute,
+        kind=kind if is_certain else f"{kind} | None",
+        about=_docstring(_about(point), " " * 8),
+        get="_certain" if is_certain else "_value",
+        name=_quoted(point.name),
+    )
 
 
 # --- types ----------------------------------------------------------------------------------
@@ -238,10 +245,7 @@ def _kind(point: Point) -> str:
 
 
 def _written_kind(point: Point) -> str:
-    """Return the type of what can be written to a point."""
-    kind = _kind_of_one(point)
-    kind = kind.replace("list[", "Sequence[")
-    return f"Sequence[{kind}]" if point.count > 1 else kind
+    return _kind(point).replace("list[", "Sequence[")
 
 
 def _kind_of_one(point: Point) -> str:
@@ -279,17 +283,14 @@ def _about(point: Point) -> str:
     return f"{first}\n\n{point.description}" if point.description else first
 
 
-def _docstring(text: str, indent: str) -> Iterator[str]:
-    """Yield the lines of a text inside of a docstring, which it cannot end."""
+def _docstring(text: str, indent: str) -> str:
+    """Return a text for the inside of a docstring, which it cannot end."""
+    lines: list[str] = []
     for line in text.expandtabs(4).split("\n"):
         safe = "".join(_escaped(each, '"') for each in line.strip())
-        if not safe:
-            yield ""
-            continue
-        for part in textwrap.wrap(
-            safe, WIDTH - len(indent), break_long_words=False, break_on_hyphens=False
-        ):
-            yield indent + part
+        width = WIDTH - len(indent)
+        lines += textwrap.wrap(safe, width, break_long_words=False, break_on_hyphens=False) or [""]
+    return "\n".join(indent + line if line else "" for line in lines)
 
 
 def _quoted(text: str) -> str:
@@ -310,13 +311,9 @@ def _literal(value: Any) -> str:
     """Return a value of a point's field as Python writes it."""
     if isinstance(value, str):
         return _quoted(value)
-    if value is None or isinstance(value, bool | int):
-        return repr(value)
-    if isinstance(value, float) and math.isfinite(value):
-        return repr(value)
     if isinstance(value, Mapping):
         items = (f"{_literal(key)}: {_literal(each)}" for key, each in value.items())
         return f"{{{', '.join(items)}}}"
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_literal, value))}]"
-    raise TypeError(f"a point cannot be written with {value!r}")
+    return repr(value)

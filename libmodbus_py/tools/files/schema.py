@@ -1,16 +1,16 @@
 """
 The keys of files: one row for each, whatever the format of the file.
 
-A table of keys is written out, or derived from a class whose arguments are the keys; then names and
-defaults come from the signature of the class, and texts from its docstring.
+A table of keys is written out, or derived from a class whose arguments are the keys.
 """
 
 from __future__ import annotations
 
 import inspect
+import math
 import re
 import reprlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -42,45 +42,26 @@ def anything(path: Path, value: object) -> object:
 
 @dataclass(frozen=True)
 class Key:
-    """
-    One key of a table in a file.
-
-    Attributes:
-        name: the key.
-        check: checks the value.
-        text: what the key means.
-        default: the value if the key is missing; `REQUIRED` if the key is required.
-        kind: the annotation of its value, such as "int"; empty if that is not known.
-    """
+    """One key of a table in a file; `text` says what it means."""
 
     name: str
     check: Check = anything
     text: str = ""
-    default: Any = None
-    kind: str = ""
+    default: Any = None  # `REQUIRED` if the key is required
+    kind: str = ""  # the annotation of its value, such as "int"; empty if that is not known
 
 
-class Keys(Mapping[str, Key]):
+class Keys(dict[str, Key]):
     """
-    All keys of one table in a file, by name.
+    All keys of one table in a file, by name, in the order in which errors name them.
 
     Args:
-        keys: in the order in which errors name them.
         make: called with the values; by default they become a dict.
     """
 
     def __init__(self, keys: Iterable[Key], make: Callable[..., Any] = dict) -> None:
-        self._keys = {key.name: key for key in keys}
+        super().__init__({key.name: key for key in keys})
         self._make = make
-
-    def __getitem__(self, name: str) -> Key:
-        return self._keys[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._keys)
-
-    def __len__(self) -> int:
-        return len(self._keys)
 
     def but(self, *names: str) -> Keys:
         """Return all keys but these; reading them returns a dict."""
@@ -96,8 +77,8 @@ class Keys(Mapping[str, Key]):
             replace(key, default=None) if key.default is REQUIRED else key for key in self.values()
         )
 
-    def __or__(self, other: Keys) -> Keys:
-        return Keys((self._keys | other._keys).values())
+    def __or__(self, other: Mapping[str, Key]) -> Keys:  # type: ignore[override]
+        return Keys({**self, **other}.values())
 
     def read(self, path: Path, given: object) -> Any:
         """
@@ -107,58 +88,34 @@ class Keys(Mapping[str, Key]):
             TypeError, ValueError: `given` is not a table, a key is missing or unknown, or has
                     a wrong value; with the path of the key.
         """
-        found = self.checked(path, table(path, given))
-        with inside(*path):
-            return self._make(**found)
-
-    def checked(self, path: Path, given: Mapping[str, object]) -> dict[str, Any]:
-        """
-        Check the keys of a table and their values.
-
-        Raises:
-            TypeError, ValueError: as `read`.
-        """
-        for name in given:
-            if name not in self._keys:
-                close = close_option(name, self._keys)
-                reason = f"no such key; allowed are {', '.join(self._keys)}{close}"
+        found = table(path, given)
+        for name in found:
+            if name not in self:
+                close = close_option(name, self)
+                reason = f"no such key; allowed are {', '.join(self)}{close}"
                 raise WrongValue.about((*path, shown_key(name)), reason)
-        for key in self._keys.values():
-            if key.default is REQUIRED and key.name not in given:
+        for key in self.values():
+            if key.default is REQUIRED and key.name not in found:
                 raise WrongValue((*path, key.name), "is missing")
-        return {name: self._keys[name].check((*path, name), value) for name, value in given.items()}
+        values = {name: self[name].check((*path, name), value) for name, value in found.items()}
+        with inside(*path):
+            return self._make(**values)
 
 
 def keys_of(make: Callable[..., Any], **checks: Check) -> Keys:
-    """
-    Return the arguments of a class as keys; the class checks all values but those of `checks`.
-
-    Texts are those of the section "Args" or "Attributes" of the docstring of the class.
-    """
-    texts = _texts(inspect.getdoc(make) or "")
+    """Return the arguments of a class as keys; it checks all values but those of `checks`."""
     return Keys(
         (
             Key(
                 each.name,
                 checks.get(each.name, anything),
-                texts.get(each.name, ""),
-                each.default,
-                str(each.annotation),
+                default=each.default,
+                kind=str(each.annotation),
             )
             for each in inspect.signature(make).parameters.values()
         ),
         make,
     )
-
-
-def _texts(docstring: str) -> dict[str, str]:
-    """Return the text of each argument in a section; several arguments may share one text."""
-    found: dict[str, str] = {}
-    section = re.search(r"^(?:Args|Attributes):\n((?:    .*\n?|\n)*)", docstring, re.MULTILINE)
-    for entry in re.split(r"\n(?=    \w)", section[1] if section else ""):
-        names, _, text = entry.strip().partition(":")
-        found |= dict.fromkeys(names.split(", "), " ".join(text.split()))
-    return found
 
 
 # --- checks ----------------------------------------------------------------------------
@@ -264,12 +221,7 @@ _AMOUNT = re.compile(r"\s*([0-9]{1,15}(?:\.[0-9]{1,9})?)\s*([A-Za-z]+)\s*")
 
 def in_seconds(name: str | Path, text: object, low: str, high: str) -> float:
     """
-    Return the seconds of an amount of time, such as "90 days" or "36 h".
-
-    Args:
-        name: the argument, or the path of the key.
-        text: the amount.
-        low, high: the smallest and the greatest amount that are allowed.
+    Return the seconds of an amount of time, such as "90 days", within two amounts.
 
     Raises:
         TypeError: not a text.
@@ -289,20 +241,16 @@ def _amount(
     allowed = f'must be {what} in "{low}".."{high}"'
     if not isinstance(text, str):
         raise WrongType(name, f"{allowed}, not {type(text).__name__}")
-    amount = _read(text, units)
-    bounds = _read(low, units), _read(high, units)
-    if amount is None or bounds[0] is None or bounds[1] is None:
-        raise WrongValue(name, f"{allowed}, not {text[:40]!r}")
-    if not bounds[0] <= amount <= bounds[1]:
+    amount = _in_units(text, units)
+    if not _in_units(low, units) <= amount <= _in_units(high, units):
         raise WrongValue(name, f"{allowed}, not {text[:40]!r}")
     return amount
 
 
-def _read(text: str, units: dict[str, int]) -> float | None:
+def _in_units(text: str, units: dict[str, int]) -> float:
+    """Return an amount in its smallest unit; nan if it is none."""
     found = _AMOUNT.fullmatch(text)
-    if found is None or found[2] not in units:
-        return None
-    return float(found[1]) * units[found[2]]
+    return float(found[1]) * units.get(found[2], math.nan) if found else math.nan
 
 
 # --- roles: [roles.NAME], with the arguments of Allow ---------------------------------------------
@@ -313,9 +261,6 @@ def roles(path: Path, given: object) -> Rules:
     Return the rules of all roles; the empty name stands for clients without a role.
 
     A unit without rules of its own has those of the file, which are passed ready-made.
-
-    Raises:
-        TypeError, ValueError: a table is not a rule; with the path of the key.
     """
     if isinstance(given, Rules):
         return given
@@ -328,12 +273,7 @@ def roles(path: Path, given: object) -> Rules:
 
 
 def parts_of_tables(path: Path, given: object) -> Any:
-    """
-    Return names of tables, and an `Access` for each part of a table.
-
-    Raises:
-        TypeError, ValueError: a part has a missing or an unknown key.
-    """
+    """Return names of tables, and an `Access` for each part of a table."""
     if not isinstance(given, list):
         return given
     return [

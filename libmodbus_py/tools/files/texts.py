@@ -26,18 +26,11 @@ __all__ = [
 
 
 class FilePlace(NamedTuple):
-    """
-    A place in a file.
-
-    Attributes:
-        file: the path of the file; empty where a text comes from no file.
-        line: from 1; None for the file as a whole.
-        column: the heading of a column; empty in TOML, and for a whole row.
-    """
+    """A place in a file; everything is left out where it is not known."""
 
     file: str = ""
-    line: int | None = None
-    column: str = ""
+    line: int | None = None  # from 1
+    column: str = ""  # the heading
 
     def __str__(self) -> str:
         line = f"line {self.line}" if self.line else ""
@@ -86,21 +79,20 @@ class FileError(WrongValue):
 Content = TypeVar("Content")
 
 
-def read_text(path: str | PathLike[str], kind: type[FileError]) -> str:
-    """
-    Return the text of a file in UTF-8.
-
-    Raises:
-        FileError: of `kind`: the file cannot be read, or is not UTF-8.
-    """
-    place = FilePlace(fspath(path))
+def _content(path: str | PathLike[str], kind: type[FileError]) -> bytes:
     try:
-        return FilePath(path).read_bytes().decode("utf-8")
+        return FilePath(path).read_bytes()
     except OSError as error:
-        raise kind((), f"cannot read {place}: {error.strerror}") from error
+        raise kind((), f"cannot read {fspath(path)}: {error.strerror}") from error
+
+
+def read_text(path: str | PathLike[str], kind: type[FileError]) -> str:
+    """Return the text of a file in UTF-8; raise a `kind` if there is none."""
+    try:
+        return _content(path, kind).decode("utf-8")
     except UnicodeDecodeError as error:
-        reason = f'byte {error.start} is not UTF-8; save it as UTF-8, in Excel as "CSV UTF-8"'
-        raise kind((), reason, place=place) from None
+        reason = f"byte {error.start} is not UTF-8; save it as UTF-8"
+        raise kind((), reason, place=FilePlace(fspath(path))) from None
 
 
 def read_table(path: str | PathLike[str], kind: type[FileError]) -> tuple[str, str]:
@@ -109,41 +101,23 @@ def read_table(path: str | PathLike[str], kind: type[FileError]) -> tuple[str, s
 
     UTF-16 is recognised by its first two bytes. What is not UTF-8 is cp1252, in which Excel saves
     CSV in Western Europe and America. The note is empty for UTF-8.
-
-    Raises:
-        FileError: of `kind`: the file cannot be read, or has bytes that no such encoding has.
     """
-    place = FilePlace(fspath(path))
-    try:
-        data = FilePath(path).read_bytes()
-    except OSError as error:
-        raise kind((), f"cannot read {place}: {error.strerror}") from error
-    for encoding in ("utf-16",) if data[:2] in _UTF_16 else ("utf-8", "cp1252"):
+    data = _content(path, kind)
+    is_utf_16 = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    for encoding in ("utf-16",) if is_utf_16 else ("utf-8", "cp1252"):
         try:
             text = data.decode(encoding)
         except UnicodeDecodeError:
             continue
         return text, "" if encoding == "utf-8" else f"read as {encoding}, because it is not UTF-8"
-    raise kind((), "is neither UTF-8, UTF-16 nor cp1252; save it as UTF-8", place=place)
-
-
-_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    reason = "is neither UTF-8, UTF-16 nor cp1252; save it as UTF-8"
+    raise kind((), reason, place=FilePlace(fspath(path)))
 
 
 def load_file(
     path: str | PathLike[str], parse: Callable[[str], Content], kind: type[FileError]
 ) -> Content:
-    """
-    Read a file in TOML and return its parsed content.
-
-    Args:
-        parse: returns the content of a text; raises TypeErrors and ValueErrors, with the path of
-            the key.
-
-    Raises:
-        FileError: of `kind`: the file cannot be read, or `parse` raised an error, with the file
-            and the line.
-    """
+    """Return the parsed content of a file in TOML; raise errors as a `kind`, with their line."""
     text = read_text(path, kind)
     try:
         return parse(text)
@@ -155,19 +129,11 @@ def load_file(
 # --- reading again, while a program uses the former content --------------------------------
 
 
-def reread(
-    load: Callable[[], Content],
-    use: Callable[[Content], str],
-) -> str:
+def reread(load: Callable[[], Content], use: Callable[[Content], str]) -> str:
     """
-    Load a file again, use its content, and return a line that says what changed.
+    Load a file again, use its content, and return the line of `use` about what changed.
 
     A mistake in the file changes nothing, and is the line.
-
-    Args:
-        load: returns the content, or raises TypeError or ValueError with the mistake.
-        use: applies the content and returns the line; raises TypeError or ValueError, before it
-            changes anything, if the content cannot be used.
     """
     try:
         return use(load())
@@ -176,14 +142,7 @@ def reread(
 
 
 def compared(path: str, noun: str, before: Mapping[Any, Any], after: Mapping[Any, Any]) -> str:
-    """
-    Return a line about what changed in a file that was read again.
-
-    Args:
-        path: of the file.
-        noun: what the file describes, such as "device".
-        before, after: these things, by their names or numbers.
-    """
+    """Return a line about what changed in a file: things called `noun`, by name or number."""
     both = before.keys() & after.keys()
     counts = {
         "new": len(after.keys() - both),
@@ -199,18 +158,11 @@ def compared(path: str, noun: str, before: Mapping[Any, Any], after: Mapping[Any
 
 _PART = r"""(?:[\w\-]+|"[^"\n]*"|'[^'\n]*')"""
 _NAME = rf"{_PART}(?:[ \t]*\.[ \t]*{_PART})*"
-_HEADER = re.compile(rf"[ \t]*(\[\[?)[ \t]*({_NAME})[ \t]*\]\]?")
-_KEY = re.compile(rf"[ \t]*({_NAME})[ \t]*=")
-_PARTS = re.compile(_PART)
+_LINE = re.compile(rf"[ \t]*(?:(\[\[?)[ \t]*({_NAME})[ \t]*\]|({_NAME})[ \t]*=)")
 
 
 def read_toml(text: str) -> dict[str, Any]:
-    """
-    Return the content of a TOML document.
-
-    Raises:
-        ValueError: the text is not TOML; the message names line and column.
-    """
+    """Return the content of a TOML document; a ValueError names line and column."""
     try:
         return tomllib.loads(text)
     except RecursionError:
@@ -224,28 +176,22 @@ def shown_key(key: str) -> str:
 
 def line_of(text: str, path: Path) -> int | None:
     """
-    Return the line of a key; tomllib reports lines of syntax errors only.
+    Return the line, from 1, of a key, or of what is nearest around it; None if there is nothing.
 
     Args:
-        text: a TOML document with one key or header in a line.
+        text: a TOML document with one key or header in a line; tomllib reports lines of syntax
+            errors only.
         path: such as ``("unit", 0, "coils", 2, "values", 7)``, with keys as `shown_key`
             returns them; tables in arrays and items are counted from 0.
-
-    Returns:
-        The line, from 1, of the key or header; where the text contains only keys below it, the
-        first line of that; else that of the nearest table or key around the key; None if there is
-        none.
     """
-    around: tuple[int, int] | None = None
-    below: int | None = None
+    nearest, depth = None, 0
     for line, found in _paths(text):
-        if path[: len(found)] == found:
-            around = max(around or (0, 0), (len(found), line))
-        elif below is None and found[: len(path)] == path:
-            below = line
-    if below is not None and path and (around is None or around[0] < len(path)):
-        return below
-    return around[1] if around else None
+        shared = 0
+        while found[: shared + 1] == path[: shared + 1] and shared < min(len(found), len(path)):
+            shared += 1
+        if shared > depth:
+            nearest, depth = line, shared
+    return nearest
 
 
 def _paths(text: str) -> Iterator[tuple[int, Path]]:
@@ -254,15 +200,13 @@ def _paths(text: str) -> Iterator[tuple[int, Path]]:
     table: Path = ()
     # Not splitlines, which accepts more line endings than TOML.
     for line, content in enumerate(text.split("\n"), start=1):
-        if found := _HEADER.match(content):
-            table = _table_path(_names(found[2]), found[1] == "[[", seen)
-            yield line, table
-        elif found := _KEY.match(content):
-            yield line, (*table, *_names(found[1]))
-
-
-def _names(dotted: str) -> list[str]:
-    return [shown_key(part.strip("\"'")) for part in _PARTS.findall(dotted)]
+        if found := _LINE.match(content):
+            names = [
+                shown_key(part.strip("\"'")) for part in re.findall(_PART, found[2] or found[3])
+            ]
+            if found[1]:
+                table = _table_path(names, found[1] == "[[", seen)
+            yield line, table if found[1] else (*table, *names)
 
 
 def _table_path(names: list[str], is_array: bool, seen: Counter[Path]) -> Path:

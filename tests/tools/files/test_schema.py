@@ -14,7 +14,6 @@ from libmodbus_py import Point, load
 from libmodbus_py.protocol.mistakes import Mistake, path_text
 from libmodbus_py.protocol.mistakes import Path as KeyPath
 from libmodbus_py.services.fleet import files as fleet_files
-from libmodbus_py.services.gateway import config as gateway_file
 from libmodbus_py.tools.files.csv_text import CELLS
 from libmodbus_py.tools.files.map_contents import POINT
 from libmodbus_py.tools.files.map_file import READERS
@@ -33,7 +32,6 @@ from libmodbus_py.tools.files.schema import (
     whole,
 )
 from libmodbus_py.tools.files.texts import compared, line_of, reread
-from libmodbus_py.tools.simulator import keys
 from tests.support.cases import each_case
 
 INNER = Keys([Key("must", whole(0, 9), default=REQUIRED), Key("may", flag)])
@@ -100,24 +98,9 @@ def test_right_values_are_what_they_stand_for() -> None:
     assert OUTER.read((), given) == {**given, "data": b"\1\2", "point": Point("a", "coils", 1)}
 
 
-def test_keys_of_a_class_are_its_arguments_with_their_defaults_and_texts() -> None:
-    found = POINT["count"]
-    assert (found.default, found.kind) == (1, "int")
-    assert found.text == "the number of values; 1 for a single value, more for a list of values."
+def test_keys_of_a_class_are_its_arguments_with_their_defaults() -> None:
+    assert (POINT["count"].default, POINT["count"].kind) == (1, "int")
     assert POINT["name"].default is REQUIRED
-
-
-@pytest.mark.parametrize(
-    "table_of_keys",
-    [
-        *(keys.FILE, keys.UNIT, keys.SERVER_ID, keys.FIFO, keys.FAULT, *keys.CONTENTS.values()),
-        *(gateway_file.FILE, gateway_file.ROUTE),
-        *(fleet_files.FILE, fleet_files.DEVICE, POINT),
-    ],
-)
-def test_every_key_of_every_file_says_what_it_means(table_of_keys: Keys) -> None:
-    assert table_of_keys
-    assert [key.name for key in table_of_keys.values() if not key.text] == []
 
 
 def test_every_key_can_stand_in_a_cell_that_csv_has_a_column_for() -> None:
@@ -211,7 +194,6 @@ value = true
         (("unit", 0, "coils", 1, "address", 3), 10),
         (("unit", 1, "coils", 0, "value"), 14),
         (("unit", 1, "id"), 12),
-        (("unit", 2, "id"), None),
         (("fault",), None),
     ],
 )
