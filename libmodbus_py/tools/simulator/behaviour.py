@@ -5,12 +5,10 @@ Values that move by themselves: counters, waves, random walks, copies.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import groupby
 from typing import Any
 
-from ...maps.point import Point
 from ...protocol.checks import integer, seconds
 from ...protocol.checks import number as check_number
 from ...protocol.mistakes import WrongValue
@@ -64,8 +62,7 @@ class Counter:
         interval: seconds from one step to the next, 0.001..86400.
         start: the first value.
         wrap: the value, never reached, at which it restarts from `start`; the excess of the
-            last step over it is kept. None is the end of the type;
-            a float then stays at its end.
+            last step over it is kept. None is the end of the type; a float then stays at its end.
     """
 
     step: Number = 1
@@ -87,19 +84,17 @@ class Counter:
 
     def begin(self, point: SimulatedPoint, others: Clockwork) -> Compute:
         low, high = _limits(point, start=self.start)
-        wrap = self.wrap
-        beyond = point.point.step
+        wrap, beyond = self.wrap, point.point.step
         if wrap is None and beyond:
             wrap = high + beyond if self.step > 0 else low - beyond
         elif wrap is not None and not low - (beyond or 1) <= wrap <= high + (beyond or 1):
             span = f"{low - (beyond or 1)}..{high + (beyond or 1)} for {point.point.type_name}"
             raise WrongValue("wrap", f"must be in {span}, not {wrap}")
 
-        def compute(indices: Sequence[int], now: float) -> list[Number]:
+        def compute(index: int, now: float) -> Number:
             way = self.step * int(now / self.interval)
             # Both have the sign of the step.
-            value = self.start + (way if wrap is None else way % (wrap - self.start))
-            return [value] * len(indices)
+            return self.start + (way if wrap is None else way % (wrap - self.start))
 
         return compute
 
@@ -125,9 +120,9 @@ class Sine:
     def begin(self, point: SimulatedPoint, others: Clockwork) -> Compute:
         _limits(point, low=self.low, high=self.high)
 
-        def compute(indices: Sequence[int], now: float) -> list[Number]:
+        def compute(index: int, now: float) -> Number:
             share = (1 + math.sin(math.tau * now / self.period)) / 2
-            return [self.low * (1 - share) + self.high * share] * len(indices)
+            return self.low * (1 - share) + self.high * share
 
         return compute
 
@@ -163,19 +158,17 @@ class RandomWalk:
 
     def begin(self, point: SimulatedPoint, others: Clockwork) -> Compute:
         _limits(point, low=self.low, high=self.high)
-        origin = _mixed(list(TABLES).index(point.table), point.first)
+        origin = _mixed(list(TABLES).index(point.table), point.span.start)
         low, high, span = self.low, self.high, self.high - self.low
         waves = [self.step * 3 / 8]
         while waves[-1] < span and len(waves) < MOST_WAVES:
             waves.append(4 * waves[-1])
 
-        def compute(indices: Sequence[int], now: float) -> list[Number]:
+        def compute(index: int, now: float) -> Number:
             seed = _mixed(others.seed, origin) if self.seed is None else self.seed
-            moves = int(now / self.interval)
-            ways = [span / 2 + _way(_mixed(seed, index), moves, waves) for index in indices]
+            way = span / 2 + _way(_mixed(seed, index), int(now / self.interval), waves)
             # It turns round at the limits, as often as necessary.
-            turned = [low + abs((way + span) % (2 * span) - span) for way in ways]
-            return [min(max(value, low), high) for value in turned]
+            return min(max(low + abs((way + span) % (2 * span) - span), low), high)
 
         return compute
 
@@ -191,17 +184,17 @@ def _way(seed: int, moves: int, waves: list[float]) -> float:
     """
     way = 0.0
     for wave, height in enumerate(waves):
-        point, rest = divmod(moves, 1 << 4 * wave)
-        here = _point(seed, wave, point)
+        at, rest = divmod(moves, 1 << 4 * wave)
+        here = _height(seed + wave, at)
         if rest:
-            here += (_point(seed, wave, point + 1) - here) * rest / (1 << 4 * wave)
+            here += (_height(seed + wave, at + 1) - here) * rest / (1 << 4 * wave)
         way += height * here
     return way
 
 
-def _point(seed: int, wave: int, at: int) -> float:
-    """Return a number in -1..1; 0 at the start."""
-    return _mixed(seed + wave, at) / (1 << 63) - 1 if at else 0.0
+def _height(seed: int, at: int) -> float:
+    """Return a random number in -1..1; 0 at the start."""
+    return _mixed(seed, at) / (1 << 63) - 1 if at else 0.0
 
 
 def _mixed(seed: int, number: int) -> int:
@@ -239,52 +232,43 @@ class Copy:
 
     def begin(self, point: SimulatedPoint, others: Clockwork) -> Compute:
         sources = [self._source(index, others) for index in range(point.point.count)]
-        for source, _ in {id(each): (each, at) for each, at in sources}.values():
-            self._check_types(source.point, point.point)
-        for each in sources:
-            _check_row(*each, others)
+        for source, at in sources:
+            self._check(source, at, point, others)
 
-        def compute(indices: Sequence[int], now: float) -> list[Any]:
-            values: list[Any] = []
-            for _, run in groupby((sources[index] for index in indices), lambda each: id(each[0])):
-                found = list(run)
-                source = found[0][0]
-                copied = others.values(source, [at for _, at in found], now)
-                is_number = source.point.limits[0] is not None
-                values += [value * self.scale for value in copied] if is_number else copied
-            return values
+        def compute(index: int, now: float) -> Any:
+            source, at = sources[index]
+            value = others.value(source, at, now)
+            return value if source.point.limits[0] is None else value * self.scale
 
         return compute
 
-    def _check_types(self, source: Point, own: Point) -> None:
-        are_numbers = source.limits[0] is not None and own.limits[0] is not None
-        if not are_numbers and (source.type_name != own.type_name or self.scale != 1):
+    def _check(
+        self, source: SimulatedPoint, at: int, own: SimulatedPoint, others: Clockwork
+    ) -> None:
+        names = source.point.type_name, own.point.type_name
+        are_numbers = source.point.limits[0] is not None and own.point.limits[0] is not None
+        if not are_numbers and (names[0] != names[1] or self.scale != 1):
             raise ValueError(
-                f"{source.type_name} cannot be copied to {own.type_name}: values that are not"
+                f"{names[0]} cannot be copied to {names[1]}: values that are not"
                 " numbers need the same type on both sides, and no scale"
             )
+        for _ in range(MOST_COPIES - 1):
+            if not isinstance(source.behaviour, Copy):
+                return
+            source, at = source.behaviour._source(at, others)
+        if isinstance(source.behaviour, Copy):
+            raise ValueError(f"more than {MOST_COPIES} copies in a row, or a circle of them")
 
     def _source(self, index: int, others: Clockwork) -> tuple[SimulatedPoint, int]:
         """Return the point that one value of this point follows, and the index in it."""
         first = others.find(self.table, self.address)
-        address = self.address + index * (1 if first is None else first.size)
+        address = self.address + index * (1 if first is None else first.point.read.size)
         source = others.find(self.table, address)
-        if source is None or (address - source.first) % source.size:
-            raise ValueError(f"in {self.table} no value begins at {address}")
-        return source, (address - source.first) // source.size
-
-
-def _check_row(source: SimulatedPoint, at: int, others: Clockwork) -> None:
-    """
-    Raises:
-        ValueError: more copies follow each other from a value on than are allowed.
-    """
-    copies = 1
-    while isinstance(source.behaviour, Copy):
-        copies += 1
-        if copies > MOST_COPIES:
-            raise ValueError(f"more than {MOST_COPIES} copies in a row, or a circle of them")
-        source, at = source.behaviour._source(at, others)
+        if source is not None:
+            at, rest = divmod(address - source.span.start, source.point.read.size)
+            if not rest:
+                return source, at
+        raise ValueError(f"in {self.table} no value begins at {address}")
 
 
 BEHAVIOURS: dict[str, Callable[..., Behaviour]] = {

@@ -10,92 +10,47 @@ from __future__ import annotations
 import math
 import random
 import time
-from array import array
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, Protocol
 
 from ...device.mapping import Mapping
-from ...maps.point import Point, Rights
+from ...maps.point import Point
 from ...protocol.errors import ServerDeviceFailure
-from ...protocol.mistakes import Path
+from ...protocol.mistakes import Path, WrongValue, inside
 from ...protocol.tables import TABLES
 
 __all__ = ["Behaviour", "Clockwork", "Compute", "SimulatedPoint"]
 
-Compute = Callable[[Sequence[int], float], list[Any]]
-"""Function that returns the values with these indices in a point, at seconds since the start."""
+Compute = Callable[[int, float], Any]
+"""Function that returns the value with this index in a point, at seconds since the start."""
 
 
 class Behaviour(Protocol):
     """The movement of a point's values. TypeError, ValueError: an attribute is wrong."""
 
     def begin(self, point: SimulatedPoint, others: Clockwork) -> Compute:
-        """
-        Return the function that computes the values of a point.
-
-        Args:
-            others: the points of the device, which the point may follow.
-
-        Raises:
-            ValueError: the values of the point cannot move this way.
-        """
+        """Return what computes a point's values; raise ValueError if they cannot move this way."""
         ...
 
 
 @dataclass(frozen=True)
 class SimulatedPoint:
-    """
-    A point of a simulated device, or some records of a file.
+    """A point of a simulated device, or some records of a file."""
 
-    Attributes:
-        path: path of the point in the device file.
-        point: its location, and the meaning of its cells. For records its table has no meaning,
-            and its address is the number of the first record.
-        cells: its initial cells; those of one value if all values are the same.
-        behaviour: how its values move; None if they do not.
-        moved_by: path of the behaviour in the device file.
-        file: the number of the file that contains these records; 0 for a table.
-        is_named: True if the point has its own name, False if it is named after its table.
-        is_mapped: True if it comes from a register map.
-    """
-
-    path: Path
-    point: Point
-    cells: array[int]
+    path: Path  # in the device file
+    point: Point  # of records, its address is the first one, and its table has no meaning
+    cells: tuple[int, ...] = ()  # at first; none if all are 0
     behaviour: Behaviour | None = None
-    moved_by: Path = ()
-    file: int = 0
-    is_named: bool = False
-    is_mapped: bool = False
+    moved_by: Path = ()  # the path of the behaviour
+    file: int = 0  # the number of the file that contains these records
+    is_mapped: bool = False  # the point comes from a register map
 
-    @cached_property
+    @property
     def table(self) -> str:
         """Its table, or "file"."""
         return "file" if self.file else self.point.table
-
-    @cached_property
-    def first(self) -> int:
-        """The address where its first value begins."""
-        return self.point.address
-
-    @cached_property
-    def stop(self) -> int:
-        """The address after the last value."""
-        return self.point.cells.stop
-
-    @cached_property
-    def size(self) -> int:
-        """The cells of one value."""
-        return self.point.read.size
-
-    @property
-    def access(self) -> Rights | None:
-        """The access that clients have: "read", "write" or "read_write"."""
-        # A moving value written by a client would be lost at the next read.
-        return "read" if self.behaviour else self.point.access
 
     @property
     def area(self) -> tuple[str, int]:
@@ -103,9 +58,14 @@ class SimulatedPoint:
         return self.table, self.file
 
     @property
-    def all_cells(self) -> array[int]:
-        """The initial content of all its cells."""
-        return self.cells * (len(self.point.cells) // len(self.cells))
+    def span(self) -> range:
+        """The addresses of all its cells, or records."""
+        return self.point.cells
+
+    def slice_of(self, index: int) -> slice:
+        """Return the addresses of one value."""
+        first = self.span.start + index * self.point.read.size
+        return slice(first, first + self.point.read.size)
 
     @property
     def identity(self) -> tuple[object, ...]:
@@ -114,12 +74,7 @@ class SimulatedPoint:
         scale = (point.scale, point.offset, point.scale_from, point.scale_as)
         names = (point.missing, point.bit, point.byte, str(point.states), str(point.bits))
         meaning = (point.type, point.order, point.time_zone, *scale, *names)
-        moves = type(self.behaviour).__name__
-        return (*self.area, self.first, self.stop, meaning, moves, self.cells.tobytes())
-
-    def slice_of(self, first: int, last: int) -> slice:
-        """Return the addresses from one value to another, both by their indices."""
-        return slice(self.first + first * self.size, self.first + (last + 1) * self.size)
+        return (self.area, self.span, meaning, type(self.behaviour), self.cells)
 
 
 class Clockwork:
@@ -127,12 +82,8 @@ class Clockwork:
     Keeps the moving values of a mapping up to date, as far as they are read.
 
     Args:
-        mapping: the mapping that contains the values.
-        points: all points of the mapping; they do not overlap.
+        points: all points of the mapping.
         clock: returns seconds; the time of the call is the start.
-
-    Attributes:
-        seed: the seed of random moves without a seed of their own.
     """
 
     def __init__(
@@ -144,22 +95,21 @@ class Clockwork:
         self._mapping = mapping
         self._clock = clock
         self._start = clock()
-        self.seed: int = random.getrandbits(64)
+        self.seed: int = random.getrandbits(64)  # of random moves without a seed of their own
         self._points: dict[str, list[SimulatedPoint]] = {table: [] for table in TABLES}
-        for point in sorted(points, key=lambda point: point.first):
-            self._points[point.table].append(point)
-        self._moving: dict[tuple[str, int], Compute] = {}
-        self._held: set[tuple[str, int]] = set()
+        for each in sorted(points, key=lambda each: each.span.start):
+            self._points[each.table].append(each)
+        self._moving: dict[tuple[str, range], tuple[SimulatedPoint, Compute]] = {}
+        self._held: set[tuple[str, range]] = set()
+        for each in [each for points in self._points.values() for each in points]:
+            if each.behaviour is not None:
+                with inside(*each.moved_by):
+                    self._moving[each.table, each.span] = each, self._begun(each, each.behaviour)
 
-    def start(self, point: SimulatedPoint) -> None:
-        """
-        Start the behaviour of a point, if it has one.
-
-        Raises:
-            ValueError: the behaviour does not suit the values of the point.
-        """
-        if point.behaviour is not None:
-            self._moving[point.table, point.first] = point.behaviour.begin(point, self)
+    def _begun(self, each: SimulatedPoint, behaviour: Behaviour) -> Compute:
+        if (source := each.point.scale_from) is not None:
+            raise WrongValue.about((), f"a point that {source} scales does not move")
+        return behaviour.begin(each, self)
 
     def go_on_from(self, before: Clockwork) -> None:
         """Continue with the start, the seed and the held values of another clockwork."""
@@ -169,32 +119,36 @@ class Clockwork:
     def find(self, table: str, address: int) -> SimulatedPoint | None:
         """Return the point that has an address."""
         points = self._points[table]
-        at = bisect_right(points, address, key=lambda point: point.first) - 1
-        return points[at] if at >= 0 and address < points[at].stop else None
+        at = bisect_right(points, address, key=lambda each: each.span.start)
+        return next((each for each in points[at - 1 :: -1] if at and address in each.span), None)
+
+    # --- held values ---------------------------------------------------------------------------
+
+    def _with(self, table: str, cells: range) -> set[tuple[str, range]]:
+        """Return the keys of the moving points that have some of these cells."""
+        return {
+            (each_table, span)
+            for each_table, span in self._moving
+            if each_table == table and span.start < cells.stop and cells.start < span.stop
+        }
 
     def moves(self, table: str, cells: range) -> bool:
         """Return True if a value moves that has some of these cells, and is not held."""
-        return any(each not in self._held for each in self._with(table, cells))
+        return bool(self._with(table, cells) - self._held)
 
     def holds(self, table: str, cells: range) -> bool:
         """Return True if all moving values that have some of these cells are held."""
         found = self._with(table, cells)
-        return bool(found) and self._held.issuperset(found)
+        return bool(found) and found <= self._held
 
     def hold(self, table: str, cells: range, *, is_on: bool) -> None:
         """Hold the moving values that have some of these cells, or let them move again."""
         if is_on:
-            self._held.update(self._with(table, cells))
+            self._held |= self._with(table, cells)
         else:
-            self._held.difference_update(self._with(table, cells))
+            self._held -= self._with(table, cells)
 
-    def _with(self, table: str, cells: range) -> list[tuple[str, int]]:
-        """Return the keys of the moving points that have some of these cells."""
-        return [
-            (table, each.first)
-            for each in self._points[table]
-            if each.first < cells.stop and cells.start < each.stop and each.behaviour is not None
-        ]
+    # --- values --------------------------------------------------------------------------------
 
     def refresh(self, table: str, address: int, count: int) -> None:
         """
@@ -203,55 +157,33 @@ class Clockwork:
         Raises:
             ServerDeviceFailure: the source of a copy contains no value of its type.
         """
-        if not self._moving:
-            return
-        now = self._clock() - self._start
-        stop = address + count
-        points = self._points[table]
-        at = max(bisect_right(points, address, key=lambda point: point.first) - 1, 0)
-        while at < len(points) and points[at].first < stop:
-            point = points[at]
-            first = max(address - point.first, 0) // point.size
-            last = (min(stop, point.stop) - point.first - 1) // point.size
-            self._refresh(point, range(first, last + 1), now)
-            at += 1
+        now, stop = self._clock() - self._start, address + count
+        for key in self._with(table, range(address, stop)):
+            each, _ = self._moving[key]
+            size, start = each.point.read.size, each.span.start
+            first = max(address - start, 0) // size
+            for index in range(first, (min(stop, each.span.stop) - start - 1) // size + 1):
+                self._refresh(each, index, now)
 
-    def values(self, point: SimulatedPoint, indices: Sequence[int], now: float) -> list[Any]:
-        """Return some values of a point, at a time since the start."""
-        self._refresh(point, indices, now)
-        cells: list[int] = []
-        for first, last in _runs(indices):
-            cells += map(int, self._table(point)[point.slice_of(first, last)])
+    def value(self, each: SimulatedPoint, index: int, now: float) -> Any:
+        """Return one value of a point, at a time since the start; nan for no value."""
+        self._refresh(each, index, now)
+        cells = getattr(self._mapping, each.table)[each.slice_of(index)]
         try:
-            found = point.point.values_in(cells)
+            (found,) = each.point.values_in(list(map(int, cells)))
         except ValueError as error:
             raise ServerDeviceFailure(str(error)) from None
-        # A copy of no value is computed with, like a nan.
-        return [math.nan if value is None else value for value in found]
+        return math.nan if found is None else found
 
-    def _refresh(self, point: SimulatedPoint, indices: Sequence[int], now: float) -> None:
-        key = point.table, point.first
-        compute = self._moving.get(key)
-        if compute is None or key in self._held:
-            return
-        values = [_fitting(point.point, value) for value in compute(indices, now)]
-        for first, last in _runs(indices):
-            count = last - first + 1
-            self._table(point)[point.slice_of(first, last)] = point.point.cells_for(values[:count])
-            del values[:count]
-
-    def _table(self, point: SimulatedPoint) -> Any:
-        return getattr(self._mapping, point.table)
+    def _refresh(self, each: SimulatedPoint, index: int, now: float) -> None:
+        key = each.table, each.span
+        if key in self._moving and key not in self._held:
+            value = _nearest(each.point, self._moving[key][1](index, now))
+            table = getattr(self._mapping, each.table)
+            table[each.slice_of(index)] = each.point.cells_for([value])
 
 
-def _runs(indices: Sequence[int]) -> list[tuple[int, int]]:
-    """Return the first and the last of each run of indices that follow each other."""
-    if indices[-1] - indices[0] == len(indices) - 1:
-        return [(indices[0], indices[-1])]
-    return [(index, index) for index in indices]
-
-
-def _fitting(point: Point, value: Any) -> Any:
+def _nearest(point: Point, value: Any) -> Any:
     """Return the value of a point that is nearest to a number; 0 for nan."""
     low, high = point.limits
     if low is None or high is None:

@@ -11,35 +11,26 @@ a range does not allow.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from functools import partial
-from itertools import groupby
 from os import PathLike, fspath
 from os.path import dirname
 from typing import Any
 
-from ...device.functions import DEFAULT_SERVER_ID, RecordFile
+from ...device.functions import DEFAULT_SERVER_ID
 from ...device.mapping import Mapping as Tables
-from ...maps.point import Point
-from ...maps.point_plan import scale_mistakes
 from ...protocol.checks import integer
 from ...protocol.mistakes import Path, WrongValue, close_to, inside, placed
 from ...protocol.pdu.interface import OBJECT_NAMES
-from ...protocol.tables import TABLES
+from ...protocol.tables import TABLES, joined
+from ...protocol.values import value_type
 from ..faults.fault import Fault
 from ..files.schema import bytes_or_text
 from ..files.texts import FileError, load_file, read_toml, shown_key
 from .clockwork import Clockwork, SimulatedPoint
-from .keys import FAULT, FIFO, FILE, UNIT
-from .points import (
-    Maps,
-    check_overlaps,
-    checked_defaults,
-    mapped_contents,
-    mapped_points,
-    own_points,
-    without_parts,
-)
+from .keys import DEFAULTS, FAULT, FIFO, FILE, TYPING, UNIT
+from .points import Found, Maps, points_of
 from .simulated import SimulatedDevice, Simulation
 
 __all__ = [
@@ -133,7 +124,7 @@ def _parse(text: str, *, maps: Maps, clock: Clock) -> Simulation:
 
 def _simulation(content: dict[str, Any], *, maps: Maps, clock: Clock) -> Simulation:
     given = FILE.read((), content)
-    defaults = checked_defaults((), given)
+    defaults = _defaults((), given)
     faults: dict[int | None, list[Fault]] = {None: _faults((), given)}
     devices: dict[int | None, SimulatedDevice] = {}
     of_all = {"roles": given["roles"]} if "roles" in given else {}
@@ -160,88 +151,73 @@ def _faults(path: Path, given: Mapping[str, Any]) -> list[Fault]:
     return [FAULT.read((*path, "fault", at), each) for at, each in enumerate(raw)]
 
 
+def _defaults(path: Path, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the checked defaults of points, of the file or of a unit."""
+    path = (*path, "defaults")
+    found: dict[str, Any] = DEFAULTS.read(path, given.get("defaults", {}))
+    options = {key: value for key, value in found.items() if key in TYPING and key != "type"}
+    with inside(*path):
+        value_type(found.get("type", "string:1"), **options)
+    return found
+
+
 # --- one unit --------------------------------------------------------------------------------
 
 
 def _device(
     path: Path,
     unit: dict[str, Any],
-    definition: object,
+    definition: tuple[object, ...],
     defaults: dict[str, Any],
     maps: Maps,
     clock: Clock,
 ) -> SimulatedDevice:
     """Return the device of a unit, whose keys are checked."""
-    defaults = defaults | checked_defaults(path, unit)
-    named = own_points(path, unit, defaults)
-    contents, parts = without_parts(named)
-    check_overlaps(contents)
-    of_maps = mapped_points(unit, maps)
-    contents += mapped_contents(path, unit, of_maps)
-    check_overlaps(contents)
-    _check_names(named, of_maps)
-    in_tables = [each for each in contents if each.table in TABLES]
-    mapping = _mapping(in_tables)
-    clockwork = Clockwork(mapping, in_tables, clock)
-    _start(clockwork, in_tables)
-    device = SimulatedDevice(
+    defaults = defaults | _defaults(path, unit)
+    found = points_of(path, unit, defaults, maps)
+    mapping, records, contents = _filled(found)
+    of_maps = [each.point for each in contents if each.is_mapped]
+    return SimulatedDevice(
         mapping,
         name=unit.get("name", ""),
         description=unit.get("description", ""),
-        definition=(definition, defaults, of_maps),
+        definition=(*definition, defaults, of_maps),
         contents=contents,
-        mapped=of_maps | parts,
-        clockwork=clockwork,
+        clockwork=Clockwork(mapping, [each for each in contents if not each.file], clock),
+        files=records,
         fifos=_fifos((*path, "fifo"), unit),
         identification=_identification((*path, "identification"), unit),
         server_id=DEFAULT_SERVER_ID._replace(**unit.get("server_id", {})),
         exception_status=unit.get("exception_status", 0),
         authorize=unit.get("roles"),
     )
-    device.files.update(_files([each for each in contents if each.file]))
-    return device
 
 
-def _check_names(own: list[SimulatedPoint], of_maps: Mapping[str, Point]) -> None:
-    names = set(of_maps)
-    for each in own:
-        if each.is_named and each.point.name in names:
-            reason = f"there is already a point {each.point.name}"
-            raise WrongValue.about((*each.path, "name"), reason)
-        if each.is_named:
-            names.add(each.point.name)
-    by_name = {each.point.name: each for each in own if each.table in TABLES}
-    points = {name: each.point for name, each in by_name.items()}
-    for name, mistake in scale_mistakes({**of_maps, **points}):
-        raise mistake.renamed(by_name[name].path)
-
-
-def _mapping(points: list[SimulatedPoint]) -> Tables:
-    ranges: dict[str, list[range]] = {table: [] for table in TABLES}
-    for each in points:
-        ranges[each.table].append(range(each.first, each.stop))
-    mapping = Tables(**ranges)
-    for each in points:
-        if any(each.cells):  # new tables contain zeros, which take no memory
-            getattr(mapping, each.table)[each.first : each.stop] = each.all_cells
-    return mapping
-
-
-def _start(clockwork: Clockwork, points: list[SimulatedPoint]) -> None:
-    for each in points:
-        if each.behaviour is not None:
-            if each.point.scale_from is not None:
-                reason = f"a point that {each.point.scale_from} scales does not move"
-                raise WrongValue.about(each.moved_by, reason)
-            with inside(*each.moved_by):
-                clockwork.start(each)
-
-
-def _files(records: list[SimulatedPoint]) -> Iterator[tuple[int, RecordFile]]:
-    in_order = sorted(records, key=lambda each: (each.file, each.first))
-    for number, parts in groupby(in_order, key=lambda each: each.file):
-        cells = {at: cell for each in parts for at, cell in enumerate(each.all_cells, each.first)}
-        yield number, RecordFile(cells)
+def _filled(
+    found: list[Found],
+) -> tuple[Tables, dict[int, dict[int, int]], list[SimulatedPoint]]:
+    """Return the tables and the records with their first values, and points that know them."""
+    spans: dict[str, list[range]] = {table: [] for table in TABLES}
+    records: dict[int, dict[int, int]] = {}
+    for each, change in found:
+        if each.file:
+            cells = change.cells if change else [0] * len(each.span)
+            records.setdefault(each.file, {}).update(zip(each.span, cells, strict=True))
+        else:
+            spans[each.table].append(each.span)
+    mapping = Tables(**{table: joined(ranges) for table, ranges in spans.items()})
+    for each, change in found:
+        if change is not None and not each.file:
+            table, span = getattr(mapping, each.table), slice(each.span.start, each.span.stop)
+            table[span] = change.over(table[span])
+    contents = []
+    for each, _ in found:
+        if each.file:
+            first = [records[each.file][record] for record in each.span]
+        else:
+            first = getattr(mapping, each.table)[each.span.start : each.span.stop]
+        contents.append(replace(each, cells=tuple(map(int, first)) if any(first) else ()))
+    return mapping, records, contents
 
 
 def _fifos(where: Path, unit: Mapping[str, Any]) -> dict[int, list[int]]:

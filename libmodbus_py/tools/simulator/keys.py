@@ -9,6 +9,7 @@ from __future__ import annotations
 from ...protocol.checks import integer
 from ...protocol.mistakes import Path, WrongValue
 from ...protocol.pdu import RECORDS_PER_FILE
+from ...protocol.tables import TABLES
 from ..faults.fault import LONGEST, Fault
 from ..files.map_contents import POINT
 from ..files.schema import (
@@ -35,8 +36,7 @@ __all__ = [
 # fmt: on
 
 
-def unit_id(path: Path, value: object) -> int:
-    """Check the id of a unit."""
+def _unit_id(path: Path, value: object) -> int:
     number = integer(path, value, 0, 255)
     if 247 < number < 255:
         raise WrongValue(path, f"must be in 0..247, or 255, not {number}")
@@ -45,24 +45,17 @@ def unit_id(path: Path, value: object) -> int:
 
 def _maps(path: Path, value: object) -> list[tuple[Path, str]]:
     """Check one path of a register map, or several; return each with its own place."""
-    if isinstance(value, str):
-        return [(path, value)]
-    if not isinstance(value, list):
-        raise WrongValue(path, "must be the path of a register map, or a list of them")
-    for at, name in enumerate(value):
+    found = [((*path, at), name) for at, name in enumerate(value)] if type(value) is list else []
+    for where, name in found or [(path, value)]:
         if not isinstance(name, str):
-            raise WrongValue((*path, at), "must be the path of a register map")
-    return [((*path, at), name) for at, name in enumerate(value)]
+            raise WrongValue(where, "must be the path of a register map, or a list of them")
+    return found or [(path, str(value))]
 
-
-# --- tables ------------------------------------------------------------------------------
 
 FAULT = keys_of(Fault, data=bytes_or_text(0, LONGEST))
 
-MOVES = Keys(
-    Key(name, keys_of(make).read, f"how the values change: see `{make.__name__}`")
-    for name, make in BEHAVIOURS.items()
-)
+MOVES = Keys(Key(name, keys_of(make).read) for name, make in BEHAVIOURS.items())
+"""How values change."""
 
 VALUES = Keys(
     [
@@ -78,19 +71,21 @@ TYPING = POINT.only("type", "order", "encoding", "padding")
 
 DEFAULTS = (TYPING | POINT.only("access")).optional()
 
-_COUNT = Keys([Key("count", whole(1, 0x10000), "the number of values", 1)])
-
-_IN_TABLE = POINT_KEYS.optional() | POINT.only("address") | _COUNT | VALUES | MOVES
+_IN_TABLE = (
+    POINT_KEYS.optional()
+    | POINT.only("address")
+    | Keys([Key("count", whole(1, 0x10000))])
+    | VALUES
+    | MOVES
+)
 
 CONTENTS: dict[str, Keys] = {
-    **dict.fromkeys(
-        ("coils", "discrete_inputs", "holding_registers", "input_registers"), _IN_TABLE
-    ),
+    **dict.fromkeys(TABLES, _IN_TABLE),
     "file": Keys(
         [
             Key("number", whole(1, 0xFFFF), "the number of the file", REQUIRED),
             Key("record", whole(0, RECORDS_PER_FILE - 1), "the first record", REQUIRED),
-            Key("count", whole(1, RECORDS_PER_FILE), "the number of values", 1),
+            Key("count", whole(1, RECORDS_PER_FILE)),
         ]
     )
     | VALUES
@@ -116,25 +111,20 @@ FIFO = Keys(
 
 UNIT = Keys(
     [
-        Key("id", unit_id, "0..247 or 255; a single unit without an id answers for every unit"),
-        Key("name", text(100), "a name, for people", ""),
-        Key("description", text(250), "a description, for people", ""),
-        Key("exception_status", whole(0, 255), "the response to function 7", 0),
+        Key("id", _unit_id, "0..247 or 255; a single unit without an id answers for every unit"),
+        Key("name", text(100), "a name, for people"),
+        Key("description", text(250), "a description, for people"),
+        Key("exception_status", whole(0, 255), "the response to function 7"),
         Key("server_id", SERVER_ID.read, "the response to function 17"),
         Key("identification", table, "the response to function 43/14"),
         Key("defaults", table, "keys of all points of the unit, unless a point has its own"),
         Key("map", _maps, "paths of register maps; the device has all their points"),
         Key("values", table, "initial values of points of the maps, by name"),
         Key("moves", table, "how points of the maps change, by name"),
-        *(Key(name, tables, "a table for each point") for name in CONTENTS if name != "file"),
-        Key("file", tables, "a table for each run of records"),
+        *(Key(name, tables, "a table for each point, or run of records") for name in CONTENTS),
         Key("fifo", tables, "a table for each queue"),
         Key("fault", tables, "a table for each fault"),
-        Key(
-            "roles",
-            roles,
-            "what each role may read and write, in this unit",
-        ),
+        Key("roles", roles, "what each role may read and write, in this unit"),
     ]
 )
 
@@ -143,10 +133,6 @@ FILE = Keys(
         Key("unit", tables, "a table for each unit", REQUIRED),
         Key("fault", tables, "a table for each fault of all units"),
         Key("roles", roles, "what each role may read and write: [roles.NAME]"),
-        Key(
-            "defaults",
-            table,
-            "keys of all points, unless their unit or they have their own",
-        ),
+        Key("defaults", table, "keys of all points, unless their unit or they have their own"),
     ]
 )

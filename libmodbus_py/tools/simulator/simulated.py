@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 from ...device.access import Access
@@ -32,6 +31,9 @@ class SimulatedDevice(Device):
 
     Attributes:
         name, description: as in the file; "" if missing.
+        points: the points of the tables, by name: those of its register maps, and its own. Points
+            without a name are named after their table and address, such as
+            "holding_registers_100".
     """
 
     def __init__(
@@ -42,42 +44,37 @@ class SimulatedDevice(Device):
         description: str,
         definition: object,
         contents: list[SimulatedPoint],
-        mapped: Mapping[str, Point],
         clockwork: Clockwork,
         **options: Any,
     ) -> None:
-        self._contents = contents  # which make the rules of the device, and so do its maps
-        self._mapped = mapped
-        moving = [each for each in contents if each.behaviour]
-        hook = _refreshing(clockwork, moving) if moving else None
-        super().__init__(mapping, before_read=hook, **options)
-        self.has_points = True
+        self._contents = contents
+        self._moving = [each for each in contents if each.behaviour]
+        points = [
+            # A value that moves could be written, but would be lost at the next read.
+            replace(each.point, access="read")
+            if clockwork.moves(each.table, each.span)
+            else each.point
+            for each in contents
+            if each.table in TABLES
+        ]
+        spans: dict[str, list[range]] = {}
+        for each in self._moving:
+            spans.setdefault(each.table, []).append(each.span)
+        hook = Hook(self._refresh_access, **spans) if spans else None
+        super().__init__(mapping, points=RegisterMap(points), before_read=hook, **options)
         self.name: str = name
         self.description: str = description
         self._definition = definition
         self._clockwork = clockwork
         self._first_fifos = {address: tuple(queue) for address, queue in self.fifos.items()}
 
-    @property
-    def points(self) -> RegisterMap:
-        """
-        The points of the tables, by name: those of its register maps, and its own.
+    def _ruled_cells(self) -> Iterable[RuledCells]:
+        yield from super()._ruled_cells()
+        for each in self._contents:
+            if each.file:
+                yield RuledCells(each.area, each.span, each.point.access, each.point)
 
-        Points without a name are named after their table and address, such as
-        "holding_registers_100".
-        """
-        return self._all_points
-
-    @cached_property
-    def _all_points(self) -> RegisterMap:
-        points = dict(self._mapped)
-        own = [each for each in self._contents if each.table in TABLES and not each.is_mapped]
-        for each in sorted(own, key=lambda each: not each.is_named):
-            name = each.point.name
-            while name in points:
-                name += "_"
-            points[name] = replace(each.point, name=name, access=each.access)
-        return RegisterMap(points.values())
+    # --- values by name ------------------------------------------------------------------------
 
     def __getitem__(self, name: str) -> Any:
         point = known_point(self.points, name)
@@ -99,6 +96,9 @@ class SimulatedDevice(Device):
         for point in points:
             self._clockwork.refresh(point.table, point.address, len(point.cells))
 
+    def _refresh_access(self, access: Access) -> None:
+        self._clockwork.refresh(access.table, access.address, access.count)
+
     def movement(self, point: Point) -> bool | None:
         """Return True if a point moves, False if it is held, None if it never moves."""
         with self.mapping:
@@ -119,15 +119,7 @@ class SimulatedDevice(Device):
             self._refresh(point)
             self._clockwork.hold(point.table, point.cells, is_on=is_on)
 
-    def _ruled_cells(self) -> Iterable[RuledCells]:
-        for each in self._contents:
-            cells = range(each.first, each.stop)
-            yield RuledCells(each.area, cells, each.access, each.point)
-        # Points that share cells with others are in pieces there, which have no bounds.
-        whole = {id(each.point) for each in self._contents}
-        for point in self._mapped.values():
-            if point.has_bounds and id(point) not in whole:
-                yield RuledCells.of(point)._replace(access=None)
+    # --- values kept over a restart, and in another device of the same unit ---------------------
 
     def first_values(self) -> Iterator[Access]:
         """
@@ -136,13 +128,13 @@ class SimulatedDevice(Device):
         Hold the mapping's lock.
         """
         for each in self._contents:
-            if each.behaviour is not None or any(each.cells):
-                count = each.stop - each.first
-                access = Access(each.table, each.first, count, tuple(each.all_cells), each.file)
-                if each.behaviour is not None:
-                    present = values_at(access, self.mapping, self.files)
-                    access = replace(access, values=present or ())
-                yield access
+            if each.cells:
+                yield _access(each, each.cells)
+        for each in self._moving:
+            yield _access(each, self._present(each))
+
+    def _present(self, each: SimulatedPoint) -> tuple[Any, ...]:
+        return values_at(_access(each), self.mapping, self.files) or ()
 
     def is_as(self, other: SimulatedDevice) -> bool:
         """Return True if the file describes both devices alike."""
@@ -155,43 +147,18 @@ class SimulatedDevice(Device):
         known = {each.identity for each in before._contents}
         with before.mapping, self.mapping:
             for each in self._contents:
-                if each.identity in known and each.table in TABLES:
-                    self._copy(before, each)
+                if each.identity in known and each.file:
+                    self.files[each.file].write(each.span.start, before._present(each))
                 elif each.identity in known:
-                    self._copy_records(before, each)
+                    table = getattr(self.mapping, each.table)
+                    table[each.span.start : each.span.stop] = before._present(each)
             for address, first in self._first_fifos.items():
                 if before._first_fifos.get(address) == first:
                     self.fifos[address] = before.fifos[address]
 
-    def _copy(self, before: SimulatedDevice, each: SimulatedPoint) -> None:
-        old = getattr(before.mapping, each.table)
-        new = getattr(self.mapping, each.table)
-        first, stop = each.first, each.stop
-        # Equal cells are not written, because untouched pages of zeros take no memory.
-        if _cells(old, first, stop) != _cells(new, first, stop):
-            new[first:stop] = old[first:stop]
 
-    def _copy_records(self, before: SimulatedDevice, each: SimulatedPoint) -> None:
-        first, length = each.first, each.stop - each.first
-        written = before.files[each.file].read(first, length)
-        self.files[each.file].write(first, tuple(written))
-
-
-def _refreshing(clockwork: Clockwork, moving: Iterable[SimulatedPoint]) -> Hook:
-    """Return the hook that computes moving values when they are read."""
-
-    def refresh(access: Access) -> None:
-        clockwork.refresh(access.table, access.address, access.count)
-
-    ranges: dict[str, list[range]] = {}
-    for each in moving:
-        ranges.setdefault(each.table, []).append(range(each.first, each.stop))
-    return Hook(refresh, **ranges)
-
-
-def _cells(table: Any, first: int, stop: int) -> bytes:
-    start = table.addresses.start
-    return bytes(table.view[first - start : stop - start])
+def _access(each: SimulatedPoint, values: tuple[Any, ...] = ()) -> Access:
+    return Access(each.table, each.span.start, len(each.span), values, each.file)
 
 
 @dataclass(frozen=True)
