@@ -10,11 +10,9 @@ from __future__ import annotations
 
 import contextlib
 import hmac
-import http.client
 import json
 import re
 import secrets
-import select
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from email.message import Message
@@ -29,7 +27,7 @@ from ...protocol.json_text import json_text
 from ..faults.server import Server
 from ..timed_server import TimedServer
 from .server_source import ServerSource
-from .streams import Action, FullError, PageSource, PageStream, Streams
+from .streams import Action, FullError, PageSource, Streams
 from .table_source import TableSource
 
 __all__ = ["Page", "live_page", "table_page"]
@@ -41,50 +39,43 @@ TOKEN = re.compile("[A-Za-z0-9_-]{22,200}")
 class _PageGuard:
     """Checks the requests to one page."""
 
-    def __init__(
-        self, host: str, addresses: Collection[str], port: int, token: str | None = None
-    ) -> None:
+    def __init__(self, host: str, addresses: Collection[str], port: int, token: str | None) -> None:
         self.token: str = token or secrets.token_urlsafe(24)
         self._port = port
+        self._cookie = f"libmodbus_page_{port}"
+        self.set_cookie: str = f"{self._cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
         self._is_any = any(ip_address(each.partition("%")[0]).is_unspecified for each in addresses)
         is_here = self._is_any or any(map(is_loopback, addresses))
         names = (host, *addresses, *(["localhost"] if is_here else []))
         self._names = {each.lower() for each in names}
-        self._cookie = f"libmodbus_page_{self._port}"
-
-    @property
-    def cookie(self) -> str:
-        """The value of the Set-Cookie header, with which a browser sends the token from then on."""
-        return f"{self._cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
     def refusal(self, query: str, headers: Message, *, is_change: bool) -> str:
         """Return the reason to refuse a request; an empty string if it is allowed."""
-        host = headers.get("Host", "")
+        host, origin = headers.get("Host", ""), headers.get("Origin")
         if len(headers.get_all("Host", [])) != 1 or not self._is_own(host):
             return "the Host header is not the address of this page"
-        origin = headers.get("Origin")
         if (is_change and origin is None) or origin not in (None, f"http://{host}"):
             return "the Origin header is not the address of this page"
-        if not self._has_token(query, headers):
+        given = [*_tokens(query), *self._kept(headers)]
+        if not any(hmac.compare_digest(each.encode(), self.token.encode()) for each in given):
             return "the token is missing or wrong: open the URL that was printed"
         return ""
 
     def _is_own(self, host: str) -> bool:
         try:
             name, port = split_host_and_port(host.lower())
+            if (80 if port is None else port) != self._port:
+                return False
+            # All addresses of this machine are allowed, and names of other pages are no addresses.
+            return name in self._names or (
+                self._is_any and bool(ip_address(name.partition("%")[0]))
+            )
         except ValueError:
             return False
-        if (80 if port is None else port) != self._port:
-            return False
-        return name in self._names or (self._is_any and _is_address(name))
-
-    def _has_token(self, query: str, headers: Message) -> bool:
-        given = [*_tokens(query), *self._kept(headers)]
-        return any(hmac.compare_digest(each.encode(), self.token.encode()) for each in given)
 
     def _kept(self, headers: Message) -> Iterator[str]:
         """
-        Yield the values of the page's cookie, and ignore all other cookies.
+        Yield the values of the page's cookie.
 
         Pages on all ports of a machine share their cookies, and `http.cookies` stops at the first
         that it cannot parse, such as one that contains JSON.
@@ -98,29 +89,16 @@ class _PageGuard:
 
 def _tokens(query: str) -> list[str]:
     try:
-        return parse_qs(query, max_num_fields=8).get("token", [])
+        return parse_qs(query, max_num_fields=MOST_FIELDS).get("token", [])
     except ValueError:  # there are more fields
         return []
 
 
-def _is_address(name: str) -> bool:
-    try:
-        ip_address(name.partition("%")[0])
-    except ValueError:
-        return False
-    return True
-
-
 # --- the checks of requests -----------------------------------------------------------------------
-
 
 # Seconds that a request and its answer may take.
 LIMIT = 10.0
 
-# Seconds after which an idle stream sends a comment, which shows whether the browser is there.
-HEARTBEAT = 5.0
-
-MOST_HEAD = 16_384
 MOST_BODY = 65_536
 MOST_FIELDS = 8
 
@@ -150,48 +128,15 @@ HEADERS = {
 
 
 class _WebServer(TimedServer):
-    """
-    The page on one address.
+    """The page on one address; `url` has the token that a browser must send."""
 
-    Args:
-        token: the token that requests must have; None for a new one.
-
-    Attributes:
-        url: with the token that a browser must send.
-
-    Raises:
-        OSError: the address cannot be used.
-    """
-
-    def __init__(self, host: str, port: int, streams: Streams, token: str | None = None) -> None:
+    def __init__(self, host: str, port: int, source: PageSource, token: str | None) -> None:
         super().__init__(host, port, Handler, LIMIT)
-        self.streams = streams
-        self.actions: dict[str, Action] = {"/view": streams.look_at, **streams.source.actions}
-        self.guard: _PageGuard = _PageGuard(host, self.addresses, self.port, token)
+        self.streams = Streams(source)
+        self.actions: dict[str, Action] = {"/view": self.streams.look_at, **source.actions}
+        self.downloads = source.downloads
+        self.guard = _PageGuard(host, self.addresses, self.port, token)
         self.url: str = f"{self.place}/?token={self.guard.token}"
-
-
-class Head:
-    """The head of a request, of at most `MOST_HEAD` bytes."""
-
-    def __init__(self, file: Any) -> None:
-        self._file = file
-        self._left = MOST_HEAD
-
-    def readline(self, size: int = -1) -> bytes:
-        most = self._left + 1
-        line: bytes = self._file.readline(min(size, most) if size >= 0 else most)
-        self._left -= len(line)
-        if self._left < 0:
-            raise http.client.LineTooLong("head")
-        return line
-
-    def read(self, size: int) -> bytes:
-        data: bytes = self._file.read(size)
-        return data
-
-    def close(self) -> None:
-        self._file.close()
 
 
 class Refused(Exception):
@@ -210,10 +155,6 @@ class Handler(BaseHTTPRequestHandler):
     sys_version = ""
     timeout = LIMIT
 
-    def setup(self) -> None:
-        super().setup()
-        self.rfile = Head(self.rfile)  # type: ignore[assignment]
-
     def do_GET(self) -> None:
         self._answer(self._get)
 
@@ -230,34 +171,30 @@ class Handler(BaseHTTPRequestHandler):
 
     def _answer(self, answer: Callable[[str, str], None]) -> None:
         try:
-            path, query = self._split()
-            why = self.server.guard.refusal(query, self.headers, is_change=self.command != "GET")
+            try:
+                parts = urlsplit(self.path)
+            except ValueError:
+                raise Refused(400, "the path is invalid") from None
+            is_change = self.command != "GET"
+            why = self.server.guard.refusal(parts.query, self.headers, is_change=is_change)
             if why:
                 raise Refused(403, why)
-            answer(path, query)
+            answer(parts.path, parts.query)
         except Refused as refusal:
-            self._send(refusal.status, "application/json", _json({"error": str(refusal)}))
-
-    def _split(self) -> tuple[str, str]:
-        try:
-            parts = urlsplit(self.path)
-        except ValueError:
-            raise Refused(400, "the path is invalid") from None
-        return parts.path, parts.query
+            self._send_json({"error": str(refusal)}, refusal.status)
 
     def _get(self, path: str, query: str) -> None:
+        download = self.server.downloads.get(path)
         if path == "/events":
             self._stream()
-            return
-        download = self.server.streams.source.downloads.get(path)
-        if download is not None:
+        elif download is not None:
             text = download(_fields(query))
-            self._send(200, "text/csv; charset=utf-8", text.encode(errors="replace"))
-            return
-        if path not in FILES:
+            self._send("text/csv; charset=utf-8", text.encode(errors="replace"))
+        elif path in FILES:
+            name, kind = FILES[path]
+            self._send(kind, FOLDER.joinpath(name).read_bytes(), with_cookie=path == "/")
+        else:
             raise Refused(404, "not found")
-        name, kind = FILES[path]
-        self._send(200, kind, FOLDER.joinpath(name).read_bytes(), with_cookie=path == "/")
 
     def _post(self, path: str, query: str) -> None:
         action = self.server.actions.get(path)
@@ -265,10 +202,11 @@ class Handler(BaseHTTPRequestHandler):
             raise Refused(404, "not found")
         try:
             found = action(self._body())
-        except (TypeError, ValueError, KeyError) as error:
-            text = str(error) if not isinstance(error, KeyError) else f"{error} is missing"
-            raise Refused(400, text) from None
-        self._send(200, "application/json", _json(found or {}))
+        except KeyError as error:
+            raise Refused(400, f"{error} is missing") from None
+        except (TypeError, ValueError) as error:
+            raise Refused(400, str(error)) from None
+        self._send_json(found or {})
 
     def _body(self) -> dict[str, Any]:
         if self.headers.get_content_type() != "application/json":
@@ -278,48 +216,39 @@ class Handler(BaseHTTPRequestHandler):
             raise Refused(411, "Content-Length is missing")
         if len(length) > 9 or int(length) > MOST_BODY:
             raise Refused(413, f"the body has more than {MOST_BODY} bytes")
-        data = self.rfile.read(int(length))
         try:
-            found = json.loads(data)
+            found = json.loads(self.rfile.read(int(length)))
         except (ValueError, RecursionError):
             raise Refused(400, "the body is not valid JSON") from None
         if not isinstance(found, dict):
             raise Refused(400, "the body is not a JSON object")
         return found
 
-    def _send(self, status: int, kind: str, data: bytes, *, with_cookie: bool = False) -> None:
+    def _send(
+        self, kind: str, data: bytes, status: int = 200, *, with_cookie: bool = False
+    ) -> None:
         self.send_response(status)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(data)))
         if with_cookie:
-            self.send_header("Set-Cookie", self.server.guard.cookie)
+            self.send_header("Set-Cookie", self.server.guard.set_cookie)
         self.end_headers()
         self.wfile.write(data)
 
-    # --- the stream ----------------------------------------------------------------------------
+    def _send_json(self, found: object, status: int = 200) -> None:
+        self._send("application/json", json_text(found).encode(), status)
 
     def _stream(self) -> None:
         try:
-            with self.server.streams.opened() as stream:
+            with self.server.streams.opened(self.connection) as messages:
                 self.server.keep(self.connection)
                 self.send_response(200)
                 self.send_header("Content-Type", "text/event-stream; charset=utf-8")
                 self.end_headers()
-                self._feed(stream)
+                for message in messages:
+                    self.wfile.write(message.encode())
         except FullError as error:
             raise Refused(503, str(error)) from None
-
-    def _feed(self, stream: PageStream) -> None:
-        """Send messages until the browser closes the connection or stops reading."""
-        poll = select.poll()
-        poll.register(self.connection, select.POLLIN | select.POLLHUP)
-        poll.register(stream.wake, select.POLLIN)
-        while True:
-            ready = dict(poll.poll(HEARTBEAT * 1000))
-            if self.connection.fileno() in ready:  # the browser has closed the connection
-                return
-            message = stream.take() if ready else ": \n\n"
-            self.wfile.write(message.encode())
 
 
 def _fields(query: str) -> dict[str, str]:
@@ -327,10 +256,6 @@ def _fields(query: str) -> dict[str, str]:
         return dict(parse_qsl(query, max_num_fields=MOST_FIELDS))
     except ValueError:
         raise Refused(400, "the query has too many fields") from None
-
-
-def _json(found: object) -> bytes:
-    return json_text(found).encode()
 
 
 # --- pages while a block runs ---------------------------------------------------------------------
@@ -376,45 +301,23 @@ def live_page(
         OSError: the address cannot be used, or the system has no thread left.
     """
     source = ServerSource(server)
-    with _page_of(source, host, port, token, server.tracing(source.log.note)) as page:
+    with server.tracing(source.log.note), _page_of(source, host, port, token) as page:
         yield page
 
 
-@contextlib.contextmanager
 def table_page(
     source: TableSource, host: str = "127.0.0.1", port: int = 0, token: str | None = None
-) -> Iterator[Page]:
-    """
-    Show tables on a live page while the ``with`` block runs; nothing can be changed on it.
-
-    Args:
-        source: the tables.
-        host, port, token: as for `live_page`.
-
-    Raises:
-        TypeError, ValueError, OSError: as for `live_page`.
-    """
-    with _page_of(source, host, port, token, contextlib.nullcontext()) as page:
-        yield page
+) -> contextlib.AbstractContextManager[Page]:
+    """Show tables, on which nothing can be changed, on a live page; otherwise as `live_page`."""
+    return _page_of(source, host, port, token)
 
 
 @contextlib.contextmanager
-def _page_of(
-    source: PageSource,
-    host: str,
-    port: int,
-    token: str | None,
-    tracing: contextlib.AbstractContextManager[None],
-) -> Iterator[Page]:
+def _page_of(source: PageSource, host: str, port: int, token: str | None) -> Iterator[Page]:
     if not isinstance(token, str | None):
         raise TypeError(f"token must be a string, not {type(token).__name__}")
     if token is not None and not TOKEN.fullmatch(token):
         raise ValueError("token must have 22 or more letters, digits, - or _")
-    streams = Streams(source)
-    web = _WebServer(host, port, streams, token)
-    with contextlib.ExitStack() as stack:
-        stack.callback(web.server_close)
-        stack.enter_context(tracing)
-        stack.enter_context(streams.sending())
-        stack.enter_context(web.serving("page web"))
+    web = _WebServer(host, port, source, token)
+    with web.serving("page web"):
         yield Page(web.url)

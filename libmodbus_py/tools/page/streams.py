@@ -1,51 +1,46 @@
 """
 Keeps open pages up to date: each is sent the rows that it lacks, at most ten times a second.
 
-A page shows tables of rows: ``{table: {key: row}}``, in JSON. For each open page, the server keeps
+A page shows tables of rows: ``{table: {key: row}}``, in JSON. For each open page, its thread keeps
 the tables that it has sent, compares them with those that the page shows now, and sends the
 difference, which is the only kind of message::
 
     {"log": {"17": [...], "3": null}, "1/coils": null}
 
 A row is new or has changed; null in its place means that the row, or the whole table, is gone. A
-new page has no tables, so its first message contains everything. A page that has not read its last
-message gets the next one afterwards, with all that has changed meanwhile.
+new page has no tables, so its first message contains everything. A page that reads slowly gets the
+next message afterwards, with all that has changed meanwhile.
 """
 
 from __future__ import annotations
 
 import contextlib
 import secrets
+import select
+import socket
 import threading
 import time
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from typing import Any, Protocol
 
-from ...ports.hosts import start_thread
 from ...protocol.json_text import COMPACT_JSON
 from ...protocol.logs import HarmlessLogger
 from ...system import Flag
 
-__all__ = [
-    "Action",
-    "Download",
-    "FullError",
-    "PageSource",
-    "PageStream",
-    "Streams",
-    "Tables",
-    "difference",
-]
+__all__ = ["Action", "Download", "FullError", "PageSource", "Streams", "Tables", "difference"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Pages that may be open at once: each takes a thread.
 MOST_STREAMS = 16
 
-# Seconds between two comparisons. Each is followed by a pause of at least nine times its duration,
-# so that comparisons take at most a tenth of one processor.
+# Seconds between two comparisons. Each is followed by a pause of at least nine times its duration
+# and as many times as pages are open, so that all take at most a tenth of one processor.
 PERIOD = 0.1
 REST = 9
+
+# Seconds after which an idle stream sends a comment, which shows whether the browser is there.
+HEARTBEAT = 5.0
 
 Tables = dict[str, Mapping[Any, Any]]
 """Table -> key -> row, for JSON. Rows that were returned are not changed afterwards."""
@@ -62,7 +57,7 @@ Download = Callable[[Mapping[str, str]], str]
 
 class PageSource(Protocol):
     """
-    The things that all open pages of one address show; a thread of the page calls the methods.
+    The things that all open pages of one address show.
 
     Attributes:
         script: the script of the page that shows these tables.
@@ -75,20 +70,15 @@ class PageSource(Protocol):
     downloads: Mapping[str, Download]
 
     def common(self) -> Tables:
-        """Return the tables that all pages show."""
+        """Return the tables that all pages show; one thread at a time calls it."""
         ...
 
     def view(self, given: Mapping[str, Any]) -> Hashable:
-        """
-        Return the view that a page requests.
-
-        Raises:
-            TypeError, ValueError, KeyError: there is no such view.
-        """
+        """Return the view that a request names; raise as an `Action` if there is no such view."""
         ...
 
     def viewed(self, view: Any) -> Tables:
-        """Return the tables of a view; none if it does not exist any more."""
+        """Return the tables of a view, none if it no longer exists; called as `common`."""
         ...
 
 
@@ -109,158 +99,88 @@ class FullError(Exception):
     """`MOST_STREAMS` pages are open."""
 
 
-class PageStream:
-    """
-    One open page.
-
-    Attributes:
-        name: identifies the page in its requests.
-        wake: a descriptor that is readable when there is a message.
-        view: the view that the page shows; None before its first request.
-    """
+class _OpenPage:
+    """An open page, the view that it shows, if any, and a flag that is set for another view."""
 
     def __init__(self) -> None:
-        self.name: str = secrets.token_hex(8)
-        self.opened: float = time.time()
+        self.head = {"stream": secrets.token_hex(8), "now": time.time()}
         self.view: Hashable = None
-        self._flag = Flag()
-        self.wake: int = self._flag.descriptor
-        self._sent: Tables = {}
-        self._lock = threading.Lock()
-        self._message = ""
-
-    def bring(self, tables: Tables) -> None:
-        """Send what differs from the tables that were sent, once the last message was taken."""
-        with self._lock:
-            if self._message or self.wake < 0:
-                return
-            if changed := difference(self._sent, tables):
-                self._message = f"data: {COMPACT_JSON.encode(changed)}\n\n"
-                self._sent = tables
-                self._flag.set()
-
-    def take(self) -> str:
-        """Return the message that waits."""
-        with self._lock:
-            message, self._message = self._message, ""
-            self._flag.clear()
-        return message
-
-    def end(self) -> None:
-        with self._lock:
-            self.wake = -1
-            self._flag.close()
+        self.flag = Flag()
 
 
 class Streams:
-    """
-    All open pages of one address.
-
-    Args:
-        source: the things that the pages show.
-    """
+    """All open pages of one address."""
 
     def __init__(self, source: PageSource) -> None:
         self.source = source
-        self._streams: dict[str, PageStream] = {}
-        self._changed = threading.Condition()
-        self._is_wanted = True
-        self._is_asked = False  # a page waits for its first message, or for another view
+        self._pages: dict[Any, _OpenPage] = {}
+        self._lock = threading.Lock()
         self._has_failed = False
-        self._thread = threading.Thread(target=self._run, name="page", daemon=True)
-
-    # --- open pages ------------------------------------------------------------------
 
     @contextlib.contextmanager
-    def sending(self) -> Iterator[None]:
-        """
-        Send changes to open pages, from a thread, while the ``with`` block runs.
-
-        Raises:
-            OSError: the system cannot start another thread.
-        """
-        start_thread(self._thread)
-        try:
-            yield
-        finally:
-            with self._changed:
-                self._is_wanted = False
-                self._changed.notify_all()
-            self._thread.join(5)
-
-    @contextlib.contextmanager
-    def opened(self) -> Iterator[PageStream]:
+    def opened(self, connection: socket.socket) -> Iterator[Iterator[str]]:
         """
         Open one more page while the block runs.
+
+        Returns:
+            The messages to the page, which end when the browser closes the connection.
 
         Raises:
             FullError: `MOST_STREAMS` pages are open already.
         """
-        with self._changed:
-            if len(self._streams) >= MOST_STREAMS:
+        with self._lock:
+            if len(self._pages) >= MOST_STREAMS:
                 raise FullError(f"{MOST_STREAMS} pages are open, which is the maximum")
-            stream = PageStream()
-            self._streams[stream.name] = stream
-            self._ask()
+            page = _OpenPage()
+            self._pages[page.head["stream"]] = page
         try:
-            yield stream
+            yield self._messages(page, connection)
         finally:
-            with self._changed:
-                del self._streams[stream.name]
-            stream.end()
+            with self._lock:
+                del self._pages[page.head["stream"]]
+                page.flag.close()
 
     def look_at(self, given: Mapping[str, Any]) -> None:
-        """
-        Set the view of a page.
-
-        Raises:
-            TypeError, ValueError, KeyError: there is no such page or view.
-        """
-        name = given["stream"]
-        stream = self._streams.get(name) if isinstance(name, str) else None
-        if stream is None:
-            raise ValueError("this page is no longer open")
+        """Set the view of a page; raise as an `Action` if there is no such page or view."""
         view = self.source.view(given)
-        with self._changed:
-            stream.view = view
-            self._ask()
+        with self._lock:
+            name = given["stream"]
+            page = self._pages.get(name) if isinstance(name, str) else None
+            if page is None:
+                raise ValueError("this page is no longer open")
+            page.view = view
+            page.flag.set()
 
-    def _ask(self) -> None:
-        self._is_asked = True
-        self._changed.notify_all()
+    def _messages(self, page: _OpenPage, connection: socket.socket) -> Iterator[str]:
+        poll = select.poll()
+        poll.register(connection, select.POLLIN | select.POLLHUP)
+        poll.register(page.flag.descriptor, select.POLLIN)
+        sent: Tables = {}
+        spoke = time.monotonic()
+        while True:
+            began = time.thread_time()
+            tables = self._tables(page, sent)
+            if changed := difference(sent, tables):
+                sent, spoke = tables, time.monotonic()
+                yield f"data: {COMPACT_JSON.encode(changed)}\n\n"
+            elif time.monotonic() - spoke > HEARTBEAT:
+                spoke = time.monotonic()
+                yield ": \n\n"
+            took = time.thread_time() - began
+            ready = dict(poll.poll(1000 * max(PERIOD, REST * took * len(self._pages))))
+            if connection.fileno() in ready:  # the browser has closed the connection
+                return
+            page.flag.clear()
 
-    # --- messages ----------------------------------------------------------------------
-
-    def _run(self) -> None:
-        while self._wait():
-            before = time.thread_time()
-            try:
-                self._send()
-            except Exception:
-                if not self._has_failed:  # once, not ten times a second
-                    self._has_failed = True
-                    logger.exception("the page cannot be updated; this is logged once")
-            took = time.thread_time() - before
-            with self._changed:
-                self._changed.wait_for(lambda: not self._is_wanted, REST * took)
-                rest = PERIOD - took - REST * took
-                self._changed.wait_for(lambda: self._is_asked or not self._is_wanted, rest)
-                self._is_asked = False
-
-    def _wait(self) -> bool:
-        """Wait until a page is open; return False at the end."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._streams or not self._is_wanted)
-            return self._is_wanted
-
-    def _send(self) -> None:
-        with self._changed:
-            looking = [(each, each.view) for each in self._streams.values()]
-        common = self.source.common()
-        viewed = {
-            view: self.source.viewed(view)
-            for view in {view for _, view in looking if view is not None}
-        }
-        for stream, view in looking:
-            own = {"script": self.source.script, "stream": stream.name, "now": stream.opened}
-            stream.bring({"page": own, **common, **viewed.get(view, {})})
+    def _tables(self, page: _OpenPage, sent: Tables) -> Tables:
+        """Return what the page shows now; what was sent if that cannot be found out."""
+        try:
+            with self._lock:
+                common = self.source.common()
+                viewed = {} if page.view is None else self.source.viewed(page.view)
+        except Exception:
+            if not self._has_failed:  # once, not ten times a second
+                self._has_failed = True
+                logger.exception("the page cannot be updated; this is logged once")
+            return sent
+        return {"page": {"script": self.source.script, **page.head}, **common, **viewed}

@@ -4,7 +4,6 @@ A page as a whole: what it shows first, what changes on it, pages beside each ot
 
 from __future__ import annotations
 
-import json
 import threading
 from typing import Any
 
@@ -20,7 +19,7 @@ from libmodbus_py import (
     ServerDeviceBusy,
 )
 from libmodbus_py.page import live_page
-from libmodbus_py.tools.page.streams import PageStream, difference
+from libmodbus_py.tools.page.streams import difference
 from tests.support.cases import each_case
 from tests.tools.page.watching import NAMES, Visitor, made_server, shown, until
 
@@ -43,20 +42,6 @@ BEFORE = {"log": {1: ["a"], 2: ["b"]}, "view": {"count": 1}}
 def test_a_message_is_the_difference_of_rows(after: Any, message: object) -> None:
     assert difference(BEFORE, after) == message  # type: ignore[arg-type]
     assert difference({}, after) == after
-
-
-def test_a_page_that_reads_too_slowly_gets_all_that_changed_meanwhile() -> None:
-    stream = PageStream()
-    try:
-        stream.bring({"log": {1: "a"}})
-        for rows in ({2: "b"}, {2: "c", 3: "d"}):
-            stream.bring({"log": rows})
-        assert json.loads(stream.take().removeprefix("data:")) == {"log": {"1": "a"}}
-        assert stream.take() == ""
-        stream.bring({"log": {2: "c"}})
-        assert json.loads(stream.take().removeprefix("data:")) == {"log": {"1": None, "2": "c"}}
-    finally:
-        stream.end()
 
 
 def test_everything_there_is_comes_first() -> None:

@@ -217,12 +217,6 @@ BYTES = [
 ]
 
 
-def test_a_head_is_not_longer_than_it_may_be() -> None:
-    with shown() as (_, _, visitor):
-        assert visitor.ask("GET", "/", A="x" * 15_000)[0] == 200
-        assert visitor.ask("GET", "/", A="x" * 17_000)[0] == 431
-
-
 def test_bytes_that_are_no_request() -> None:
     with shown() as (_, _, visitor):
         for data in BYTES:
