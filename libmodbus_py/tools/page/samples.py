@@ -12,21 +12,11 @@ import sys
 import threading
 import time
 from array import array
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-__all__ = [
-    "MOST_PAIRS",
-    "SPARK",
-    "Counts",
-    "RowHistory",
-    "Samples",
-    "Series",
-    "charted",
-    "samples_of_each",
-    "with_gaps",
-]
+__all__ = ["Counts", "RowHistory", "Samples", "Series", "charted", "samples_of_each", "with_gaps"]
 
 # Samples of one value; with one sample a second, those of ten minutes.
 MOST_SAMPLES = 600
@@ -37,11 +27,9 @@ FEWEST = 60
 # Bytes of the samples of all values, each of which takes 16 bytes.
 MOST_BYTES = 64_000_000
 
-MOST_PAIRS = 1000
-"""The most samples of a chart, which has hardly more pixels."""
-
+# The most samples of a sparkline, which is as many pixels wide, and its levels.
 SPARK = 60
-"""The most samples of a sparkline, which is as many pixels wide."""
+LEVELS = 20
 
 # Seconds between two samples; a sample that comes sooner replaces the previous one.
 SHORTEST = 0.4
@@ -53,10 +41,8 @@ NUMBERS = (float, int, bool)
 
 GREATEST = sys.float_info.max
 
-# Levels of a sparkline, which is as many pixels tall.
-LEVELS = 20
-
 Pairs = list[tuple[float, "float | None"]]
+"""Time and number of samples; None for a gap."""
 
 
 def samples_of_each(count: int) -> int:
@@ -70,7 +56,6 @@ def _is_number(value: object) -> bool:
 
 
 def _is_gap(passed: float, every: float | None) -> bool:
-    """Return True if too many seconds passed between two samples that are `every` seconds apart."""
     return every is not None and passed > GAP * max(every, SHORTEST)
 
 
@@ -79,12 +64,10 @@ class Samples:
     The last samples of one value; a value that is not a number, or is missing, is a gap.
 
     Args:
-        every: seconds between two samples; None if a number is valid until the next one, infinity
-            if no time without samples is a gap.
+        every: seconds between two samples; None if a number is valid until the next one.
         most: the most samples that are kept, at least 2.
 
     Attributes:
-        every: as given.
         newest: the time of the last sample.
         low, high: the lowest and the highest number since the first sample; None if there is none.
     """
@@ -107,23 +90,15 @@ class Samples:
         number = math.nan
         if _is_number(value):
             number = value
-            if self.low is None or self.high is None:
-                self.low = self.high = number
-            elif number < self.low:
-                self.low = number
-            elif number > self.high:
-                self.high = number
+            self.low = number if self.low is None else min(self.low, number)
+            self.high = number if self.high is None else max(self.high, number)
         passed = time - self.newest
         if 0 <= passed < SHORTEST:
             if number == number:  # a gap must not replace a number
                 self._numbers[-1] = number
             return
-        last = self._numbers[-1] if self._numbers else math.nan
-        if last == last and _is_gap(passed, self.every):
-            self._keep(self.newest + SHORTEST, math.nan)
-        self._keep(time, number)
-
-    def _keep(self, time: float, number: float) -> None:
+        if self._numbers and self._numbers[-1] == self._numbers[-1] and _is_gap(passed, self.every):
+            self._numbers.extend((self.newest + SHORTEST, math.nan))
         self.newest = time
         self._numbers.extend((time, number))
         self.resize(self._most)
@@ -134,29 +109,24 @@ class Samples:
         del self._numbers[: -2 * most]
 
     def pairs(self, since: float = -math.inf) -> Pairs:
-        """Return time and number of each sample after a time, the oldest first; None for a gap."""
+        """Return the samples after a time in its order, also if the clock was set back."""
         numbers = self._numbers[:]
         found = [
             (time, value if value == value else None)
             for time, value in zip(numbers[::2], numbers[1::2], strict=True)
             if time > since
         ]
-        # The clock may have been set back.
-        return (
-            found
-            if all(a[0] <= b[0] for a, b in pairwise(found))
-            else sorted(found, key=lambda each: each[0])
-        )
+        return sorted(found, key=lambda each: each[0])
 
-    def spark(self, count: int) -> list[int]:
+    def spark(self) -> list[int]:
         """Return the last samples as levels from 0 to 20, and -1 for each gap."""
-        values = self._numbers[-2 * count :][1::2]
+        values = self._numbers[-2 * SPARK :][1::2]
         numbers = [each for each in values if each == each]
         if not numbers:
             return []
         low = min(numbers)
         span = max(numbers) - low
-        if not 0 < span < math.inf:
+        if not 0 < span < math.inf:  # all are equal, or too far apart
             return [LEVELS // 2 if each == each else -1 for each in values]
         by = LEVELS / span
         return [int((each - low) * by) if each == each else -1 for each in values]
@@ -170,17 +140,12 @@ class Series(NamedTuple):
 
 
 def charted(pairs: Pairs, now: float, units: str, every: float | None) -> dict[str, Any]:
-    """
-    Return samples up to now as JSON for a chart; `every` as for `Samples`.
-
-    Samples are later than now if the clock was set back. A value that is not a number is a gap.
-    """
-    shown = [(at, value if _is_number(value) else None) for at, value in pairs if at <= now]
-    kept = _thinned(shown, MOST_PAIRS)
+    """Return the samples up to now as JSON for a chart; `every` as for `Samples`."""
+    shown = [(at, value) for at, value in pairs if at <= now]
     return {
         "now": now,
-        "times": [round(at, 2) for at, _ in kept],
-        "values": [each for _, each in kept],
+        "times": [round(at, 2) for at, _ in shown],
+        "values": [value if _is_number(value) else None for _, value in shown],
         "units": units,
         "is_stepped": every is None,
     }
@@ -193,21 +158,6 @@ def with_gaps(pairs: Pairs, every: float | None) -> Pairs:
         if _is_gap(after[0] - before[0], every) and None not in (before[1], after[1]):
             found.append((before[0] + SHORTEST, None))
         found.append(after)
-    return found
-
-
-def _thinned(pairs: Sequence[tuple[float, float | None]], most: int) -> Pairs:
-    """Return at most so many samples: the extremes of each stretch of time, and every gap."""
-    if len(pairs) <= most:
-        return list(pairs)
-    length = -(-len(pairs) // (most // 4))
-    found: Pairs = []
-    for start in range(0, len(pairs), length):
-        stretch = pairs[start : start + length]
-        numbers = [(value, at) for at, (_, value) in enumerate(stretch) if value is not None]
-        gap = next((at for at, (_, value) in enumerate(stretch) if value is None), None)
-        kept = {0, *(at for _, at in (min(numbers), max(numbers)))} if numbers else {0}
-        found += [stretch[at] for at in sorted(kept | ({gap} if gap is not None else set()))]
     return found
 
 
@@ -226,9 +176,7 @@ class Counts(NamedTuple):
     Counters of a row.
 
     Attributes:
-        requests: requests so far.
-        answers: responses so far.
-        seconds: the time of these responses together, in seconds.
+        seconds: the time of all responses together.
         waiting: requests that wait now; None if none can.
     """
 
@@ -249,8 +197,8 @@ class RowHistory:
     """
     Samples the counters of rows, at most once a second. Safe from any thread.
 
-    A number is that of the time since the previous sample. Without requests, and while no page is
-    open, this may be long: then the number begins a second after the previous sample.
+    A number is that of the time since the previous sample. While there are no requests, and no page
+    is open, there is no sample: the chart has a gap.
 
     Args:
         counts: returns the name of each row, as in its first cell, and its counters.
@@ -274,34 +222,31 @@ class RowHistory:
         if 0 <= now - self._at < SAMPLED or not self._lock.acquire(blocking=False):
             return
         try:
-            self._sample(now)
+            passed, self._at = now - self._at, now
+            counted = dict(self._counts())
+            most = samples_of_each(len(counted) * len(UNITS))
+            self._known = {
+                name: self._row(name, counts, now, passed, most) for name, counts in counted.items()
+            }
         finally:
             self._lock.release()
 
-    def _sample(self, now: float) -> None:
-        before, self._at, passed = self._at, now, now - self._at
-        counted = dict(self._counts())
-        most = samples_of_each(len(counted) * len(UNITS))
-        known = {}
-        for name, counts in counted.items():
-            if name in self._known:
-                old, series = self._known[name]
-                figures = _figures(old, counts, passed) if passed > 0 else {}
-            else:
-                series, figures = {column: Samples(math.inf, most) for column in UNITS}, {}
-            for column, figure in figures.items():
+    def _row(
+        self, name: Name, counts: Counts, now: float, passed: float, most: int
+    ) -> tuple[Counts, dict[str, Samples]]:
+        if name not in self._known:
+            return counts, {column: Samples(SAMPLED, most) for column in UNITS}
+        before, series = self._known[name]
+        if passed > 0:
+            for column, figure in _figures(before, counts, passed).items():
                 series[column].resize(most)
-                if passed > GAP * SAMPLED:
-                    first = None if column == "queue" else figure  # it had its own length then
-                    series[column].add(before + SAMPLED, first)
                 series[column].add(now, figure)
-            known[name] = counts, series
-        self._known = known
+        return counts, series
 
     def spark(self, name: Name, column: str) -> list[int]:
         """Return the last numbers of a row as levels; an empty list if there are none."""
-        known = self._known.get(name)
-        return [] if known is None else known[1][column].spark(SPARK)
+        series = self.series(name, column)
+        return [] if series is None else series.samples.spark()
 
     def series(self, name: Name, column: str) -> Series | None:
         """Return the numbers of a row; None if there is no such row or column."""

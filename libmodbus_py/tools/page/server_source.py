@@ -16,7 +16,7 @@ from ...protocol.checks import integer, number
 from ...protocol.plain import text_of
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...protocol.values import ORDERS, TYPES, readings, value_type
-from ..faults.fault import KINDS, OPTIONAL, Fault, FaultSwitch
+from ..faults.fault import KINDS, OPTIONAL, Fault
 from ..faults.server import Server
 from ..simulator.simulated import SimulatedDevice
 from .log import Log
@@ -24,18 +24,37 @@ from .samples import Samples, charted
 from .streams import Action, Download, Tables
 from .units import SAMPLED, ShownUnit, cell_rows, point_rows, shown_of
 
-# fmt: off
-__all__ = [
-    "ServerSource", "add_fault", "fault_rows", "set_point",
-    "turn_fault",
-]
-# fmt: on
+__all__ = ["ServerSource", "set_point"]
 
 # Characters of a value that is typed.
 MOST_TEXT = 2000
 
 # Faults of a server to which pages can add others.
 MOST_FAULTS = 200
+
+# Points whose samples are kept.
+MOST_SAMPLED = 5000
+
+# Seconds of the longest chart.
+MOST_SECONDS = 86_400.0
+
+# The choices that the page offers; for each kind of fault, the setting that it needs, if any.
+WORDS: dict[str, Any] = {
+    "types": list(TYPES),
+    "orders": list(ORDERS),
+    "kinds": {
+        kind: setting or ("length" if "length" in OPTIONAL.get(kind, ()) else None)
+        for kind, setting in KINDS.items()
+    },
+}
+
+# The settings of a fault that a page can choose.
+SETTINGS = ("kind", "function", "every", "probability", "seconds", "code", "length")
+
+Given = Mapping[str, Any]
+
+# Unit, table or "points", the first of them, and the end.
+View = tuple["int | None", str, int, int]
 
 
 def set_point(unit: ShownUnit, point: Point, text: str) -> None:
@@ -45,32 +64,19 @@ def set_point(unit: ShownUnit, point: Point, text: str) -> None:
     Raises:
         ValueError: the text is not such a value, or the device computes the value itself.
     """
-    _check_length(text)
-    value = typed_values(point, text)
     with unit.device.mapping as mapping:
         try:
-            unit.device.update({point.name: value})
+            unit.device.update({point.name: typed_values(point, text)})
         except TypeError as error:
             raise ValueError(str(error)) from None
         _check_set(unit, point, cells_after(point, mapping))
 
 
-def _set_cells(
-    unit: ShownUnit, table: str, address: int, text: str, type: str, order: str
-) -> range:
-    """Set cells from an address on to a value of a type; in tables of bits the type is ignored."""
-    is_bits = TABLES[table].is_bits
-    try:
-        point = Point(
-            name="value",
-            table=table,  # type: ignore[arg-type]
-            address=address,
-            type=None if is_bits else type,  # type: ignore[arg-type]
-            order=order,  # type: ignore[arg-type]
-        )
-    except TypeError as error:
-        raise ValueError(str(error)) from None
-    _check_length(text)
+def _set_cells(unit: ShownUnit, given: Given, text: str) -> Point:
+    """Set cells from an address on to a value of a type, and return them as a point."""
+    table, address = _table(given["table"]), _address(given)
+    kind = None if TABLES[table].is_bits else given["type"]
+    point = Point("value", table, address, type=kind, order=given["order"])  # type: ignore[arg-type]
     is_register = point.type == "uint16"
     value = typed_register(text) if is_register else typed_value(point, text)
     with unit.device.mapping as mapping:
@@ -79,26 +85,7 @@ def _set_cells(
             raise ValueError(f"the device lacks {table} {address}..{span.stop - 1}")
         place[address : span.stop] = cells = point.cells_of(value)
         _check_set(unit, point, cells)
-    return point.cells
-
-
-def _readings_at(unit: ShownUnit, table: str, address: int) -> list[list[str]]:
-    """Return type, order and value for each way to decode the cells from an address on."""
-    if TABLES[table].is_bits:
-        return []
-    found = []
-    for registers in (1, 2, 4):
-        with unit.device.mapping as mapping:
-            place = getattr(mapping, table)
-            cells = place[address : address + registers] if place.has(address, registers) else []
-        for type, order, value in readings(cells) if cells else []:
-            found.append([type, order, text_of(value, value_type(type, order=order))])
-    return found
-
-
-def _check_length(text: str) -> None:
-    if len(text) > MOST_TEXT:
-        raise ValueError(f"value must have at most {MOST_TEXT} characters")
+    return point
 
 
 def _check_set(unit: ShownUnit, point: Point, cells: list[Any]) -> None:
@@ -108,40 +95,20 @@ def _check_set(unit: ShownUnit, point: Point, cells: list[Any]) -> None:
         raise ValueError("the device computes this value itself")
 
 
-# --- faults ---------------------------------------------------------------------------------------
-
-
-def fault_rows(switch: FaultSwitch) -> dict[int, list[Any]]:
-    """Return unit, kind, settings and state of each fault, by its number, the oldest first."""
-    return {
-        each.number: [each.unit, each.fault.kind, _settings(each.fault), each.is_on]
-        for each in sorted(switch.states(), key=lambda state: state.number)
-    }
-
-
-def turn_fault(switch: FaultSwitch, number: int, *, is_on: bool) -> None:
-    """
-    Switch a fault on or off.
-
-    Raises:
-        ValueError: the server does not have this fault any more.
-    """
-    found = [each for each in switch.states() if each.number == number]
-    if not found:
-        raise ValueError("this fault no longer exists")
-    switch.turn(found[0], is_on=is_on)
-
-
-def add_fault(switch: FaultSwitch, unit: int | None, fault: Fault) -> None:
-    """
-    Add a fault and switch it on; `unit` is None for every unit.
-
-    Raises:
-        ValueError: there are `MOST_FAULTS` already.
-    """
-    if len(switch.states()) >= MOST_FAULTS:
-        raise ValueError(f"there are {MOST_FAULTS} faults already, which is the maximum")
-    switch.switch_on(fault, unit=unit)
+def _readings_at(unit: ShownUnit, table: str, address: int) -> list[list[str]]:
+    """Return type, order and value for each way to decode the cells from an address on."""
+    found: list[list[str]] = []
+    for registers in (1, 2, 4):
+        with unit.device.mapping as mapping:
+            place = getattr(mapping, table)
+            if TABLES[table].is_bits or not place.has(address, registers):
+                break
+            cells = place[address : address + registers]
+        found += [
+            [type, order, text_of(value, value_type(type, order=order))]
+            for type, order, value in readings(cells)
+        ]
+    return found
 
 
 def _settings(fault: Fault) -> str:
@@ -154,44 +121,8 @@ def _settings(fault: Fault) -> str:
     )
 
 
-# --- the source -----------------------------------------------------------------------------------
-
-
-# The choices that the page offers; for each kind of fault, the setting that it needs, if any.
-WORDS: dict[str, Any] = {
-    "types": list(TYPES),
-    "orders": list(ORDERS),
-    "kinds": {
-        kind: setting or next((each for each in OPTIONAL.get(kind, ()) if each == "length"), None)
-        for kind, setting in KINDS.items()
-    },
-}
-
-# The settings of a fault that a page can choose.
-SETTINGS = ("kind", "function", "every", "probability", "seconds", "code", "length")
-
-# Points whose samples are kept.
-MOST_SAMPLED = 5000
-
-# Seconds of the longest chart.
-MOST_SECONDS = 86_400.0
-
-Given = Mapping[str, Any]
-
-# Unit, table or "points", the first of them, and the end.
-View = tuple["int | None", str, int, int]
-
-
 class ServerSource:
-    """
-    The `PageSource` of a server.
-
-    Args:
-        server: the server, whose devices may be replaced meanwhile.
-
-    Attributes:
-        log: takes the trace of the server.
-    """
+    """The `PageSource` of a server, whose devices may be replaced; `log` takes its trace."""
 
     script = "server.js"
 
@@ -226,21 +157,23 @@ class ServerSource:
 
     def common(self) -> Tables:
         counters = asdict(self._server.statistics)
+        faults = sorted(self._server.fault_switch.states(), key=lambda state: state.number)
         return {
             "words": WORDS,
             "units": {_name(number): unit.row for number, unit in self._units().items()},
-            "faults": fault_rows(self._server.fault_switch),
+            "faults": {
+                each.number: [each.unit, each.fault.kind, _settings(each.fault), each.is_on]
+                for each in faults
+            },
             "counters": {name: each for name, each in counters.items() if isinstance(each, int)},
             **self.log.tables(),
         }
-
-    # --- the view ------------------------------------------------------------------------------
 
     def view(self, given: Given) -> View:
         first, stop = (integer(name, given[name], 0, TABLE_SIZE) for name in ("first", "stop"))
         what = given["what"]
         if what != "points":
-            _checked_table("what", what)
+            _table(what)
         return self._unit(given).number, what, first, stop
 
     def viewed(self, view: View) -> Tables:
@@ -264,39 +197,36 @@ class ServerSource:
         self._samples[key] = samples
         return samples
 
+    # --- actions -------------------------------------------------------------------------------
+
     def _history(self, given: Given) -> dict[str, Any]:
         row = given["row"]
         if not isinstance(row, list) or len(row) != 2 or not isinstance(row[1], str):
             raise ValueError("row must be a unit and a name")
         unit = self._unit({"unit": row[0]})
         samples = self._samples.get((unit.number, row[1]))
-        points = [each for each in unit.points if each.name == row[1]]
-        if samples is None or not points:
+        units = [each.units for each in unit.points if each.name == row[1]]
+        if samples is None or not units:
             raise ValueError("this value no longer exists")
         now = time.time()
         since = now - number("seconds", given["seconds"], 1, MOST_SECONDS)
-        return charted(samples.pairs(since), now, points[0].units, SAMPLED)
-
-    # --- changes -------------------------------------------------------------------------------
+        return charted(samples.pairs(since), now, units[0], SAMPLED)
 
     def _set(self, given: Given) -> None:
         unit, text = self._unit(given), given["text"]
         if not isinstance(text, str):
             raise TypeError("text must be a string")
+        if len(text) > MOST_TEXT:
+            raise ValueError(f"value must have at most {MOST_TEXT} characters")
         if "point" in given:
             point = _point(unit, given)
             set_point(unit, point, text)
-            self._record(unit, point.table, point.cells)
         else:
-            table, address = _checked_table("table", given["table"]), _address(given)
-            cells = _set_cells(unit, table, address, text, given["type"], given["order"])
-            self._record(unit, table, cells)
-
-    def _record(self, unit: ShownUnit, table: str, cells: range) -> None:
-        self.log.wrote(unit.number, table, cells.start, cells.stop, "this page")
+            point = _set_cells(unit, given, text)
+        self.log.wrote(unit.number, point.table, point.cells, "this page")
 
     def _read(self, given: Given) -> object:
-        table = _checked_table("table", given["table"])
+        table = _table(given["table"])
         return {"readings": _readings_at(self._unit(given), table, _address(given))}
 
     def _hold(self, given: Given) -> None:
@@ -307,13 +237,20 @@ class ServerSource:
         unit.device.hold(point, is_on=given["on"] is True)
 
     def _switch(self, given: Given) -> None:
+        switch = self._server.fault_switch
         number = integer("number", given["number"], 0, 1_000_000_000)
-        turn_fault(self._server.fault_switch, number, is_on=given["on"] is True)
+        found = [each for each in switch.states() if each.number == number]
+        if not found:
+            raise ValueError("this fault no longer exists")
+        switch.turn(found[0], is_on=given["on"] is True)
 
     def _add(self, given: Given) -> None:
+        switch = self._server.fault_switch
         unit = None if given["unit"] is None else self._unit(given).number
         fault = Fault(**{name: given[name] for name in SETTINGS if given.get(name) is not None})
-        add_fault(self._server.fault_switch, unit, fault)
+        if len(switch.states()) >= MOST_FAULTS:
+            raise ValueError(f"there are {MOST_FAULTS} faults already, which is the maximum")
+        switch.switch_on(fault, unit=unit)
 
 
 def _name(number: int | None) -> str:
@@ -327,9 +264,9 @@ def _point(unit: ShownUnit, given: Given) -> Point:
     return point
 
 
-def _checked_table(argument: str, name: object) -> str:
+def _table(name: object) -> str:
     if not isinstance(name, str) or name not in TABLES:
-        raise ValueError(f"{argument} must be one of {', '.join(TABLES)}")
+        raise ValueError(f"table must be one of {', '.join(TABLES)}")
     return name
 
 

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 
 from ...protocol.checks import integer, number
 from .log import Log
-from .samples import MOST_PAIRS, SPARK, Pairs, Samples, Series, charted, samples_of_each, with_gaps
+from .samples import Pairs, Samples, Series, charted, samples_of_each, with_gaps
 from .streams import Action, Download, Tables
 from .text import cell_text, value_text
 
@@ -37,8 +37,8 @@ MOST_SECONDS = 7 * 86_400.0
 # A time of fewer seconds before the samples in memory is not filled from the journal.
 SHORTEST = 2.0
 
-# Seconds between two selections of the rows that are searched for, or have problems.
-SELECTED = 1.0
+# Samples from a journal; a chart has hardly more pixels than a third of them.
+MOST_OLDER = 4000
 
 Older = Callable[[str, str, float, float, int], Sequence["tuple[float, float | None]"]]
 """Device, name, since, until and most -> samples of a longer memory, the oldest first."""
@@ -52,7 +52,6 @@ class Column(NamedTuple):
     A column of the table.
 
     Attributes:
-        title: the title of the column.
         kind: how its cells are shown: "row" names the row by a group, a name and perhaps more;
             "state" is a word, a reason, and since when; "value" is a text and its units; "age" and
             the time of a state are seconds since the epoch, or 0; "spark" are the levels of a
@@ -66,21 +65,15 @@ class Column(NamedTuple):
 
 
 class PageRow(Protocol):
-    """A row of the table; a thread of the page calls its methods."""
+    """A row of the table: the text that is searched, in lower case, and a cell for each column."""
 
     @property
-    def words(self) -> str:
-        """The text that is searched, in lower case."""
-        ...
+    def words(self) -> str: ...
 
     @property
-    def is_problem(self) -> bool:
-        """True if the row shows a problem."""
-        ...
+    def is_problem(self) -> bool: ...
 
-    def cells(self) -> list[Any]:
-        """Return a cell for each column, for JSON."""
-        ...
+    def cells(self) -> list[Any]: ...
 
 
 class Shown(Protocol):
@@ -89,8 +82,6 @@ class Shown(Protocol):
 
     Attributes:
         kind: the kind of the page in one word, such as "fleet".
-        title: the title of the page.
-        columns: the columns of the table.
         log: the log that is shown beside the table; None for no log.
         older: finds samples of values that are not in memory any more; None without a journal.
     """
@@ -114,30 +105,17 @@ class Shown(Protocol):
         ...
 
     def series(self, name: tuple[str, str], column: str) -> Series | None:
-        """
-        Return the numbers of a sparkline; None if the row or column no longer exists.
-
-        Args:
-            name: the first two texts of the cell that names the row.
-            column: the title of the column.
-        """
+        """Return the numbers of a row, by the texts of its first cell; None if it is gone."""
         ...
 
 
 class TableSource:
-    """
-    A `PageSource` of a table.
-
-    Args:
-        shown: what the page shows.
-    """
+    """The `PageSource` of a table."""
 
     script = "table.js"
 
     def __init__(self, shown: Shown) -> None:
         self._shown = shown
-        # What is searched for -> until when this selection is used, and its rows.
-        self._selections: dict[tuple[str, bool], tuple[float, Sequence[PageRow]]] = {}
         self.actions: Mapping[str, Action] = {"/history": self._history}
         log = shown.log
         self.downloads: Mapping[str, Download] = {} if log is None else {"/log.csv": log.download}
@@ -155,8 +133,6 @@ class TableSource:
         }
         return {"head": head, "figures": dict(shown.figures()), **(log.tables() if log else {})}
 
-    # --- the view ------------------------------------------------------------------------------
-
     def view(self, given: Mapping[str, Any]) -> View:
         wanted = given["find"]
         first, stop = (integer(each, given[each], 0, MOST_ROWS) for each in ("first", "stop"))
@@ -166,23 +142,13 @@ class TableSource:
 
     def viewed(self, view: View) -> Tables:
         wanted, only, first, stop = view
-        rows = self._selected(wanted, only)
+        rows, words = self._shown.rows(), wanted.split()
+        if only:
+            rows = [each for each in rows if each.is_problem]
+        if words:
+            rows = [row for row in rows if all(each in row.words for each in words)]
         shown = {at: row.cells() for at, row in enumerate(rows[first:stop], first)}
         return {"view": {"count": len(rows), "find": wanted}, "rows": shown}
-
-    def _selected(self, wanted: str, only: bool) -> Sequence[PageRow]:
-        rows = self._shown.rows()
-        if not (wanted or only):
-            return rows
-        now = time.monotonic()
-        self._selections = {key: each for key, each in self._selections.items() if each[0] > now}
-        if (wanted, only) not in self._selections:
-            words = wanted.split()
-            found = [each for each in rows if _is_wanted(each, words, only)]
-            self._selections[wanted, only] = now + SELECTED, found
-        return self._selections[wanted, only][1]
-
-    # --- history -------------------------------------------------------------------------------
 
     def _history(self, given: Mapping[str, Any]) -> dict[str, Any]:
         name, column = given["row"], given["column"]
@@ -207,17 +173,10 @@ class TableSource:
         until = recent[0][0] if recent else now
         if self._shown.older is None or until - since < SHORTEST:
             return recent
-        most = 4 * MOST_PAIRS
-        older = self._shown.older(name[0], name[1], since, until, most)
-        # Of each of `most` / 3 spans of time, a journal returns three samples at most.
-        apart = None if every is None else max(every, 2 * 3 / most * (until - since))
+        older = self._shown.older(name[0], name[1], since, until, MOST_OLDER)
+        # Of each of `MOST_OLDER` / 3 spans of time, a journal returns three samples at most.
+        apart = None if every is None else max(every, 2 * 3 / MOST_OLDER * (until - since))
         return with_gaps([*(each for each in older if each[0] < until), *recent], apart)
-
-
-def _is_wanted(row: PageRow, words: Sequence[str], only: bool) -> bool:
-    if only and not row.is_problem:
-        return False
-    return not words or all(each in row.words for each in words)
 
 
 # --- rows of values, each device's below a row of the device --------------------------------------
@@ -236,13 +195,7 @@ COLUMNS = (
 
 
 class GroupRow(PageRow, Protocol):
-    """
-    The row of a device, whose columns are `COLUMNS`.
-
-    Attributes:
-        is_down: True if the device does not answer.
-        answered_at: when it last answered, in seconds since the epoch; 0 before.
-    """
+    """The row of a device; it last answered at a time in seconds since the epoch, 0 before."""
 
     @property
     def is_down(self) -> bool: ...
@@ -252,13 +205,7 @@ class GroupRow(PageRow, Protocol):
 
 
 class ShownPoint(NamedTuple):
-    """
-    A point.
-
-    Attributes:
-        device, name, units: the names of device and point, and the units of measurement.
-        every: seconds between two values; None if a value comes only when it has changed.
-    """
+    """A point; seconds between two values are None if one comes only when it has changed."""
 
     device: str
     name: str
@@ -271,10 +218,7 @@ class ValueRow:
     See `PageRow`: the last value of a point.
 
     Attributes:
-        point: the point.
-        device: the row of its device.
         reading: time, device, name, value, unit, quality, reason, and perhaps more; None at first.
-        samples: the last numbers of the value.
     """
 
     __slots__ = ("device", "point", "reading", "samples")
@@ -301,12 +245,12 @@ class ValueRow:
             return [names, ["new", "", 0], ["", units], [], "", "", 0]
         is_good = reading[5] == "good"
         age = max(reading[0], self.device.answered_at) if is_good else reading[0]
-        reason = "" if self.device.is_down else in_words(reading[6])
+        reason = "" if self.device.is_down else _in_words(reading[6])
         return [
             names,
             [reading[5], reason, 0],
             ["-" if reading[3] is None else value_text(reading[3]), units],
-            samples.spark(SPARK),
+            samples.spark(),
             "" if samples.low is None else value_text(samples.low),
             "" if samples.high is None else value_text(samples.high),
             round(age, 1),
@@ -315,13 +259,10 @@ class ValueRow:
 
 class Values:
     """
-    The rows of devices and their values. Any thread may call `put`.
+    The rows of devices and their values, in order. Any thread may call `put`.
 
     Args:
         device_row: returns the row of a device, by its name.
-
-    Attributes:
-        rows: the rows in order.
     """
 
     def __init__(self, device_row: Callable[[str], GroupRow]) -> None:
@@ -330,20 +271,19 @@ class Values:
         self.rows: list[PageRow] = []
 
     def describe(self, points: Iterable[ShownPoint]) -> None:
-        """Set the points, each device's together, and keep the values of those that stay."""
-        before, rows, after = self._values, list[PageRow](), dict[Any, ValueRow]()
+        """Take new points, each device's together, and keep the values of those that stay."""
+        before, rows, after = self._values, list[PageRow](), dict[tuple[str, str], ValueRow]()
         given = list(points)
-        most, device = samples_of_each(len(given)), None
+        most, devices = samples_of_each(len(given)), dict[str, GroupRow]()
         for point in given:
-            if device is None or device[0] != point.device:
-                device = point.device, self._device_row(point.device)
-                rows.append(device[1])
-            key = point.device, point.name
-            row = before.get(key) or ValueRow(point, device[1], Samples(point.every, most))
-            row.point, row.device, row.samples.every = point, device[1], point.every
+            if point.device not in devices:
+                devices[point.device] = self._device_row(point.device)
+                rows.append(devices[point.device])
+            key, device = (point.device, point.name), devices[point.device]
+            row = after[key] = before.get(key) or ValueRow(point, device, Samples(None, most))
+            row.point, row.device, row.samples.every = point, device, point.every
             row.samples.resize(most)
             rows.append(row)
-            after[key] = row
         self._values, self.rows = after, rows
 
     def put(self, readings: Iterable[tuple[Any, ...]]) -> None:
@@ -361,7 +301,7 @@ class Values:
         return None if value is None else Series(value.samples, value.point.units)
 
 
-def in_words(reason: str) -> str:
+def _in_words(reason: str) -> str:
     """Return the name of an error as words: "IllegalDataAddress" is "illegal data address"."""
     plain = re.sub("^Modbus|Error$", "", reason)
     return cell_text(re.sub("(?<=[a-z])(?=[A-Z])", " ", plain).lower())

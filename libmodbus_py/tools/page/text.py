@@ -10,7 +10,7 @@ from typing import Any
 from ...maps.point import Point
 from ...protocol.plain import text_of
 
-__all__ = ["cell_text", "judged_point", "point_text", "value_text"]
+__all__ = ["cell_text", "point_text", "value_text"]
 
 # Characters of a cell.
 MOST_TEXT = 200
@@ -39,23 +39,15 @@ def value_text(value: Any) -> str:
         return text if len(text := repr(value)) <= LONGEST else f"{value:.7g}"
     if isinstance(value, list | tuple):
         more = ", ..." if len(value) > MOST_VALUES else ""
-        return cell_text(
-            ", ".join("-" if x is None else value_text(x) for x in value[:MOST_VALUES]) + more
-        )
+        shown = ("-" if each is None else value_text(each) for each in value[:MOST_VALUES])
+        return cell_text(", ".join(shown) + more)
     if isinstance(value, dict):
         return cell_text(" ".join(f"{name}={value_text(each)}" for name, each in value.items()))
-    if isinstance(value, int | str):
-        return cell_text(value)
-    return cell_text(reprlib.repr(value))
+    return cell_text(value if isinstance(value, int | str) else reprlib.repr(value))
 
 
-def point_text(point: Point, cells: list[Any], source: Any) -> str:
-    """Return the value of a point as a row shows it, or the reason that it has none."""
-    return judged_point(point, cells, source)[1]
-
-
-def judged_point(point: Point, cells: list[Any], source: Any) -> tuple[Any, str]:
-    """Return the value of a point, or None if it has none, and the text that a row shows."""
+def point_text(point: Point, cells: list[Any], source: Any) -> tuple[Any, str]:
+    """Return the value of a point, or None if it has none, and its text or the reason."""
     try:
         value, _, reason = point.judge(cells, source=source)
     except (TypeError, ValueError) as error:

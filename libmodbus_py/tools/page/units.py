@@ -8,15 +8,13 @@ device refuses, because clients may not read them, the page shows the cells as t
 from __future__ import annotations
 
 import time
-from bisect import bisect_left
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 from ...device.device import Device
 from ...device.mapping import Table
-from ...device.named_values import source_after
+from ...device.named_values import PointIndex, RuledCells, source_after
 from ...maps.point import Point
 from ...protocol.errors import ExceptionResponse
 from ...protocol.logs import HarmlessLogger
@@ -24,17 +22,10 @@ from ...protocol.tables import TABLES
 from ...server.units import SERVER_ITSELF
 from ..faults.server import Server
 from ..simulator.simulated import SimulatedDevice
-from .samples import SPARK, Samples
-from .text import judged_point
+from .samples import Samples
+from .text import point_text
 
-__all__ = [
-    "SAMPLED",
-    "ShownServer",
-    "ShownUnit",
-    "cell_rows",
-    "point_rows",
-    "shown_of",
-]
+__all__ = ["SAMPLED", "ShownServer", "ShownUnit", "cell_rows", "point_rows", "shown_of"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -53,36 +44,38 @@ MOST_CELLS = 16_384
 CHUNK = 64
 
 
-class Refreshing:
-    """
-    Lets a device compute values before they are shown; called under the lock of its mapping.
+class ShownUnit:
+    """One device of a server; its number is None if it answers every unit."""
 
-    Ranges that the device refuses are tried in halves, and the refused cells are not tried again
-    for `RETRY` seconds.
-    """
-
-    def __init__(self, device: Device) -> None:
-        self._device = device
-        self._runs: dict[tuple[str, range], list[range]] = {}
+    def __init__(self, number: int | None, device: Device) -> None:
+        self.number: int | None = number
+        self.device: Device = device
+        self.points: tuple[Point, ...] = tuple(device.points.values())
+        self._computed: dict[tuple[str, range], list[range]] = {}
         self._until = 0.0
         self._has_failed = False
 
+    def movement(self, point: Point) -> bool | None:
+        """Return True if a point moves, False if it is held, None if it never moves by itself."""
+        return self.device.movement(point) if isinstance(self.device, SimulatedDevice) else None
+
     def refresh(self, table: str, addresses: range) -> None:
+        """
+        Let the device compute cells before they are shown; called under the lock of its mapping.
+
+        A range that it refuses is tried in halves; refused cells are not tried for `RETRY` seconds.
+        """
         if (now := time.monotonic()) >= self._until:
             self._until = now + RETRY
-            self._runs.clear()
+            self._computed.clear()
         key = table, addresses
-        runs = self._runs.get(key, [addresses])
-        good = [each for run in runs for each in self._refreshed(table, run)]
-        if good != [addresses]:
-            self._runs[key] = good
+        runs = self._computed.get(key, [addresses])
+        self._computed[key] = [each for run in runs for each in self._refreshed(table, run)]
 
     def _refreshed(self, table: str, run: range) -> list[range]:
         """Return the parts of a range that were computed."""
-        if not run:
-            return []
         try:
-            self._device.refresh(table, run.start, len(run))
+            self.device.refresh(table, run.start, len(run))
         except ExceptionResponse:
             middle = len(run) // 2
             parts = [run[:middle], run[middle:]] if middle else []
@@ -93,76 +86,32 @@ class Refreshing:
                 logger.exception("%s %s: before_read failed", table, run)
         return [run]
 
-
-@dataclass(frozen=True)
-class ShownUnit:
-    """
-    One device.
-
-    Attributes:
-        number: 0..255; None for a device that answers every unit.
-        name, description: the texts in its device file; empty without a device file.
-        points: the named values of the device.
-    """
-
-    number: int | None
-    device: Device
-    name: str = ""
-    description: str = ""
-    points: tuple[Point, ...] = ()
-
-    @cached_property
-    def refreshing(self) -> Refreshing:
-        return Refreshing(self.device)
-
-    def movement(self, point: Point) -> bool | None:
-        """Return True if a point moves, False if it is held, None if it never moves by itself."""
-        return self.device.movement(point) if isinstance(self.device, SimulatedDevice) else None
-
-    def refresh(self, table: str, addresses: range) -> None:
-        """Let the device compute values; called under the lock of its mapping."""
-        self.refreshing.refresh(table, addresses)
-
-    def cells_and_source(self, point: Point) -> tuple[list[Any], Any]:
-        """Return the cells of a point, none without memory, and the value that scales it."""
+    def value_and_text(self, point: Point, cells: list[Any] | None = None) -> tuple[Any, str]:
+        """Return the value of a point, or None, and its text; of its cells now, or of others."""
         with self.device.mapping as mapping:
-            self.refresh(point.table, point.cells)
+            if cells is None:
+                self.refresh(point.table, point.cells)
             try:
-                table = getattr(mapping, point.table)
-                return table[point.cells.start : point.cells.stop], self.source(point)
+                own = getattr(mapping, point.table)[point.cells.start : point.cells.stop]
+                source = source_after(point, self.device.points, mapping)
             except (IndexError, KeyError, ValueError):  # a map may have what the device lacks
-                return [], None
-
-    def source(self, point: Point) -> Any:
-        """
-        Return the value of the point that scales a point.
-
-        Raises:
-            IndexError, KeyError, ValueError: the device lacks that point.
-        """
-        return source_after(point, self.device.points, self.device.mapping)
+                own, source = [], None
+        return point_text(point, own if cells is None else cells, source)
 
     @cached_property
-    def _by_address(self) -> dict[str, list[Point]]:
-        found: dict[str, list[Point]] = {}
-        for each in sorted(self.points, key=_place):
-            found.setdefault(each.table, []).append(each)
-        return found
-
-    def points_from(self, table: str, address: int) -> Iterator[Point]:
-        """Yield the points of a table that begin at or after an address, in order."""
-        points = self._by_address.get(table, [])
-        yield from points[bisect_left(points, (table, address), key=_place) :]
+    def index(self) -> PointIndex:
+        """The points by their addresses."""
+        return PointIndex(map(RuledCells.of, self.points))
 
     @cached_property
     def row(self) -> dict[str, Any]:
-        """The unit in JSON; its tables as lists of ranges."""
+        """The unit in JSON; its tables as lists of ranges. Only devices of files have names."""
         mapping = self.device.mapping
         tables = {table: getattr(mapping, table).ranges for table in TABLES}
         return {
             "number": self.number,
-            "name": self.name,
-            "description": self.description,
+            "name": str(getattr(self.device, "name", "")),
+            "description": str(getattr(self.device, "description", "")),
             "tables": {
                 table: [[each.start, each.stop] for each in ranges]
                 for table, ranges in tables.items()
@@ -172,33 +121,16 @@ class ShownUnit:
         }
 
 
-def _place(point: Point) -> tuple[str, int]:
-    return point.table, point.address
-
-
 def _point_row(point: Point) -> list[Any]:
     many = f" x {point.count}" if point.count > 1 else ""
     order = "" if point.order == "ABCD" else f" {point.order}"
     kind = f"{point.type or 'bit'}{order}{many}"
-    return [
-        point.name,
-        point.table,
-        point.address,
-        kind,
-        point.units,
-        point.access,
-        point.description,
-    ]
+    where = point.table, point.address
+    return [point.name, *where, kind, point.units, point.access, point.description]
 
 
-@dataclass(frozen=True)
-class ShownServer:
-    """
-    All devices of a server.
-
-    Attributes:
-        given: the devices of the server; if the server has other ones, this object is out of date.
-    """
+class ShownServer(NamedTuple):
+    """The devices that a server was given, and its units with them."""
 
     given: Device | Mapping[int, Device]
     units: dict[int | None, ShownUnit]
@@ -219,13 +151,7 @@ def shown_of(server: Server) -> ShownServer:
     """Return the devices that a server has now."""
     given = server.devices
     devices = {None: given} if isinstance(given, Device) else dict(sorted(given.items()))
-    return ShownServer(given, {number: _unit(number, device) for number, device in devices.items()})
-
-
-def _unit(number: int | None, device: Device) -> ShownUnit:
-    """Return a unit; only devices of device files have names."""
-    name, description = (str(getattr(device, key, "")) for key in ("name", "description"))
-    return ShownUnit(number, device, name, description, tuple(device.points.values()))
+    return ShownServer(given, {number: ShownUnit(number, each) for number, each in devices.items()})
 
 
 # --- rows -----------------------------------------------------------------------------------------
@@ -237,31 +163,21 @@ def point_rows(unit: ShownUnit, first: int, stop: int, samples_of: SamplesOf) ->
     """
     Return rows of points: text, True if the point moves, False if held, and its sparkline.
 
-    Args:
-        unit: the unit.
-        first, stop: the range of their indexes.
-        samples_of: returns the samples of a point, to which its value is added once a second.
+    The value of each point is added to its samples once a second.
     """
     now, rows = time.time(), {}
     points = unit.points[first : min(stop, first + MOST_POINTS)]
     for at, point in enumerate(points, first):
-        value, text = judged_point(point, *unit.cells_and_source(point))
+        value, text = unit.value_and_text(point)
         samples = samples_of(unit, point)
         if not 0 <= now - samples.newest < SAMPLED:
             samples.add(now, value)
-        rows[at] = [text, unit.movement(point), samples.spark(SPARK)]
+        rows[at] = [text, unit.movement(point), samples.spark()]
     return rows
 
 
 def cell_rows(unit: ShownUnit, name: str, first: int, stop: int) -> dict[int, list[Any]]:
-    """
-    Return rows of `CHUNK` cells of a table, by the address of the first; None before the table.
-
-    Args:
-        unit: the unit.
-        name: the name of the table.
-        first, stop: the range of addresses; rows are whole.
-    """
+    """Return rows of `CHUNK` cells of a table, by the address of the first; None before it."""
     mapping = unit.device.mapping
     table: Table[Any] = getattr(mapping, name)
     begin, end = table.addresses.start, table.addresses.stop
@@ -273,7 +189,9 @@ def cell_rows(unit: ShownUnit, name: str, first: int, stop: int) -> dict[int, li
         return {}
     with mapping:
         for run in table.ranges:
-            unit.refresh(name, range(max(run.start, begin), min(run.stop, stop)))
+            shown = range(max(run.start, begin), min(run.stop, stop))
+            if shown:
+                unit.refresh(name, shown)
         start = begin - table.addresses.start
         cells = [None] * (begin - first) + table.view[start : start + stop - begin].tolist()
     return {first + at: cells[at : at + CHUNK] for at in range(0, len(cells), CHUNK)}

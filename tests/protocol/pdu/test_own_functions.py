@@ -19,7 +19,7 @@ from libmodbus_py.protocol.errors import (
 )
 from libmodbus_py.protocol.pdu import RawRequest, Request, decode_request
 from libmodbus_py.protocol.plain import plain
-from libmodbus_py.tools.page.log import _words
+from libmodbus_py.tools.page.log import request_words
 from tests.protocol.pdu.examples import Doubled
 from tests.support.cases import each_case
 
@@ -73,7 +73,7 @@ def test_a_request_that_is_no_dataclass_is_shown(
 ) -> None:
     assert str(request_) == text
     assert plain(request_) == fields
-    assert _words(request_) == words
+    assert request_words(request_) == words
 
 
 def test_failures_of_a_request_that_is_no_dataclass_are_told() -> None:

@@ -14,5 +14,4 @@ def short_periods(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatc
     """Shorten the seconds between two looks at what changed, but not below a browser."""
     if not request.path.name.endswith("_in_browser.py"):
         monkeypatch.setattr("libmodbus_py.tools.page.streams.PERIOD", SHORT)
-        monkeypatch.setattr("libmodbus_py.tools.page.table_source.SELECTED", SHORT)
         monkeypatch.setattr("libmodbus_py.tools.timed_server.SWEEP", SHORT)

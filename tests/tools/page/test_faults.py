@@ -12,19 +12,11 @@ from libmodbus_py import (
     Fault,
     Mapping,
     ModbusTimeoutError,
-    Server,
     ServerDeviceBusy,
 )
-from libmodbus_py.tools.page.server_source import add_fault, fault_rows, turn_fault
-from libmodbus_py.tools.testing.recording import RecordingServer
 from tests.tools.page.watching import shown, until
 
 GIVEN = {1: [Fault("exception", code=6, function=3)], None: [Fault("no_answer", function=1)]}
-
-
-@pytest.fixture
-def server() -> Server:
-    return Server({1: Device(Mapping())}, faults=GIVEN)
 
 
 def test_faults_are_switched_off_and_on() -> None:
@@ -94,48 +86,13 @@ def test_others_may_change_devices_and_faults() -> None:
         visitor.receive(lambda: visitor.cells("3/holding_registers"))
 
 
-def test_a_fault_is_listed_with_its_settings(server: Server) -> None:
-    switch = server.fault_switch
-    add_fault(switch, 7, Fault("exception", code=2, function=3))
-    add_fault(switch, None, Fault("delay", seconds=1.5))
-    found = [each[2] for each in fault_rows(switch).values()]
-    assert found[2:] == ["function 3, code 2", "seconds 1.5"]
-
-
-def test_there_may_be_so_many_and_no_more(server: Server) -> None:
-    for _ in range(198):
-        add_fault(server.fault_switch, None, Fault("no_answer"))
-    with pytest.raises(ValueError, match="there are 200 faults"):
-        add_fault(server.fault_switch, None, Fault("no_answer"))
-    assert len(fault_rows(server.fault_switch)) == 200
-
-
-def test_what_others_change_is_followed(server: Server) -> None:
-    switch = server.fault_switch
-    gone = min(fault_rows(switch))
-    turn_fault(switch, gone, is_on=False)
-    server.replace(server.devices, {3: [Fault("disconnect")]})
-    assert list(fault_rows(switch).values()) == [[3, "disconnect", "", True]]
-    for number in (gone, -1):
-        with pytest.raises(ValueError, match="fault no longer exists"):
-            turn_fault(switch, number, is_on=True)
-
-
-def test_equal_faults_are_switched_each_for_itself() -> None:
-    switch = Server(Device(Mapping()), {1: [Fault("no_answer"), Fault("no_answer")]}).fault_switch
-    turn_fault(switch, max(fault_rows(switch)), is_on=False)
-    assert [each[-1] for each in fault_rows(switch).values()] == [True, False]
-
-
-def test_a_page_and_the_pytest_plugin_do_not_undo_each_other() -> None:
-    recording = RecordingServer(["tcp://127.0.0.1:0"], Device(Mapping(coils=8)), None)
-    switch = recording.faults
-    try:
-        with switch.switch_on(Fault("exception", code=6)):
-            add_fault(switch, None, Fault("no_answer"))
-            assert [each[1] for each in fault_rows(switch).values()] == ["exception", "no_answer"]
-            turn_fault(switch, max(fault_rows(switch)), is_on=False)
-            assert [each.is_on for each in switch.states()] == [False, True]
-        assert [each[1::2] for each in fault_rows(switch).values()] == [["no_answer", False]]
-    finally:
-        recording.close()
+def test_there_may_be_so_many_and_no_more() -> None:
+    given = [Fault("delay", seconds=1.5), *[Fault("no_answer")] * 198]
+    with shown(faults={1: given}) as (server, _, visitor), visitor.watching():
+        assert visitor.rows("faults")[0] == [1, "delay", "seconds 1.5", True]
+        number = max(map(int, visitor.seen["faults"]))  # equal ones are switched one by one
+        assert visitor.post("/fault", number=number, on=False) == {}
+        assert [each.is_on for each in server.fault_switch.states()] == [True] * 198 + [False]
+        fault = {"unit": 2, "kind": "no_answer"}
+        assert visitor.post("/faults", **fault) == {}
+        assert "there are 200 faults already" in visitor.post("/faults", **fault)

@@ -9,14 +9,10 @@ import math
 import threading
 from typing import Any
 
-from hypothesis import given
-from hypothesis import strategies as st
-
 from libmodbus_py.tools.page.samples import (
     Counts,
     RowHistory,
     Samples,
-    _thinned,
     with_gaps,
 )
 from tests.support.cases import each_case
@@ -46,21 +42,20 @@ def test_the_latest_samples_are_kept_and_the_extremes_of_all() -> None:
 def test_what_is_no_number_is_a_gap(value: Any) -> None:
     samples = made(1, value, 3)
     assert [each for _, each in samples.pairs()] == [1, None, 3]
-    assert samples.spark(60) == [0, -1, 20]
+    assert samples.spark() == [0, -1, 20]
     assert (samples.low, samples.high) == (1, 3)
 
 
 def test_bits_are_drawn_as_0_and_1() -> None:
-    assert made(True, False, True).spark(60) == [20, 0, 20]
+    assert made(True, False, True).spark() == [20, 0, 20]
 
 
-def test_a_sparkline_has_the_last_samples_also_after_the_ring_is_full() -> None:
-    samples = made(*range(13), most=10)
-    assert samples.spark(4) == [0, 6, 13, 20]
-    assert samples.spark(60) == made(*range(3, 13)).spark(60)
-    assert made(5, 5, None).spark(3) == [10, 10, -1]
-    assert made(None, None).spark(3) == []
-    assert made(-1e308, 1e308).spark(3) == [10, 10]  # the span is not a number
+def test_a_sparkline_has_the_last_samples_in_20_levels() -> None:
+    assert made(*range(80), most=70).spark() == [at * 20 // 59 for at in range(60)]
+    assert made(*range(13), most=4).spark() == [0, 6, 13, 20]
+    assert made(5, 5, None).spark() == [10, 10, -1]
+    assert made(None, None).spark() == []
+    assert made(-1e308, 1e308).spark() == [10, 10]  # the span is not a number
 
 
 def test_samples_that_are_too_close_replace_each_other_but_a_gap_hides_no_number() -> None:
@@ -84,7 +79,6 @@ def test_a_clock_that_was_set_back_leaves_them_in_order() -> None:
         (1.0, [1, 2, None, 3]),  # nothing came for three seconds and more
         (2.0, [1, 2, 3]),
         (None, [1, 2, 3]),  # it came when it changed
-        (math.inf, [1, 2, 3]),
     ],
 )
 def test_a_time_without_samples_is_a_gap(every: float | None, values: list[float | None]) -> None:
@@ -93,7 +87,7 @@ def test_a_time_without_samples_is_a_gap(every: float | None, values: list[float
     for time, value in given:
         samples.add(time, value)
     assert [each for _, each in samples.pairs()] == values
-    assert samples.spark(60).count(-1) == values.count(None)
+    assert samples.spark().count(-1) == values.count(None)
     assert [each for _, each in with_gaps([*given], every)] == values
 
 
@@ -102,20 +96,6 @@ def test_a_gap_is_one_sample_however_long_it_is() -> None:
     for time, value in [(1.0, 1), (2.0, None), (900.0, None), (5000.0, 2)]:
         samples.add(time, value)
     assert samples.pairs() == [(1.0, 1), (2.0, None), (900.0, None), (5000.0, 2)]
-
-
-@given(st.lists(st.one_of(st.none(), st.integers(-99, 99)), max_size=300), st.integers(4, 60))
-def test_thinned_samples_keep_extremes_gaps_and_order(values: list[int | None], most: int) -> None:
-    pairs = [(float(at), value) for at, value in enumerate(values)]
-    found = _thinned(pairs, most)
-    assert len(found) <= max(most, 4)
-    assert found == sorted(found, key=lambda pair: pair[0])
-    assert set(found) <= set(pairs)
-    numbers = [each for each in values if each is not None]
-    if numbers:
-        kept = [each for _, each in found if each is not None]
-        assert (min(kept), max(kept)) == (min(numbers), max(numbers))
-    assert (None in values) == (None in [each for _, each in found])
 
 
 # --- numbers made of counters ---------------------------------------------------------------------
@@ -154,13 +134,12 @@ def test_a_number_is_what_changed_in_the_seconds_since_the_last_sample() -> None
     assert counters.history.spark(LINE, "rate") == [20, 10, 0]
 
 
-def test_a_number_of_a_long_time_is_drawn_from_its_beginning() -> None:
-    """Nobody asked and nobody looked: the rate of that time is known all the same."""
+def test_a_time_without_requests_and_pages_is_a_gap() -> None:
     counters = Counters()
     counters.history.sample()
     counters.go_on(1, 5)
     counters.go_on(100, 50)
-    assert counters.numbers() == [(1001.0, 5.0), (1002.0, 0.5), (1101.0, 0.5)]
+    assert counters.numbers() == [(1001.0, 5.0), (1001.4, None), (1101.0, 0.5)]
 
 
 def test_numbers_over_time_are_those_of_the_time_between() -> None:

@@ -90,7 +90,7 @@ def test_values_of_device_files_are_what_points_mean(device: Device) -> None:
 
 def test_a_page_shows_and_sets_what_points_mean(device: Device) -> None:
     points = device.points
-    unit = ShownUnit(None, device, points=tuple(points.values()))
+    unit = ShownUnit(None, device)
 
     def texts() -> list[str]:
         return [row[0] for row in point_rows(unit, 0, 100, lambda *_: Samples()).values()]
