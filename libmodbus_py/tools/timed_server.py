@@ -5,6 +5,7 @@ A TCP server with a thread and a limited time for each connection: for the page,
 from __future__ import annotations
 
 import contextlib
+import errno
 import selectors
 import socket
 import socketserver
@@ -87,7 +88,12 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
 
     def get_request(self) -> tuple[socket.socket, Any]:
         for key, _ in self._ready.select(0):
-            request, address = cast(socket.socket, key.fileobj).accept()
+            try:
+                request, address = cast(socket.socket, key.fileobj).accept()
+            except OSError as error:
+                if error.errno in (errno.EMFILE, errno.ENFILE):
+                    time.sleep(SWEEP)  # until a descriptor is free
+                raise
             request.setblocking(True)
             return request, address
         raise BlockingIOError("no connection waits any more")
@@ -98,10 +104,11 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
         self._ready.close()
         super().server_close()
 
-    def keep(self, request: socket.socket) -> None:
-        """Take the limit from a connection, which is closed at the end."""
+    def keep(self, request: socket.socket, limit: float | None = None) -> None:
+        """Give a connection another limit from now on; None for none: it is closed at the end."""
         with self._lock:
-            self._open[request] = None
+            self._open.pop(request, None)  # the oldest is the first
+            self._open[request] = None if limit is None else time.monotonic() + limit
 
     def process_request(self, request: Any, client_address: Any) -> None:
         with self._lock:

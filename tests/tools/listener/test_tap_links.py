@@ -5,18 +5,17 @@ The connections through a tap: all of them end, whoever falls silent, and none k
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 import threading
-import time
 from collections.abc import Iterator
 
 import pytest
 
 from libmodbus_py.listen import listen
-from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.tools import timed_server
 from libmodbus_py.tools.listener import sources
 from libmodbus_py.tools.listener.separator import LineFraming, Separator
-from libmodbus_py.tools.listener.sources import TapLink
 from tests.server.test_server import BODIES, MADE
 from tests.support.cases import each_case
 from tests.support.commands import run
@@ -33,11 +32,11 @@ class Tapped:
         self._stack = contextlib.ExitStack()
         self._device = self._stack.enter_context(socket.create_server(("127.0.0.1", 0)))
         url = f"rtu+tcp://127.0.0.1:{self._device.getsockname()[1]}"
-        self._line = self._stack.enter_context(listen("rtu+tcp://127.0.0.1:0", between=url))
+        self.line = self._stack.enter_context(listen("rtu+tcp://127.0.0.1:0", between=url))
 
     def connected(self) -> Ends:
         """Return both ends of a new connection."""
-        port = int(self._line.url.rpartition(":")[2])
+        port = int(self.line.url.rpartition(":")[2])
         client = self._stack.enter_context(socket.create_connection(("127.0.0.1", port), 30))
         self._device.settimeout(30)
         device = self._stack.enter_context(self._device.accept()[0])
@@ -96,7 +95,7 @@ def test_a_side_that_takes_nothing_ends_it(tapped: Tapped, monkeypatch: pytest.M
 def test_the_one_that_was_idle_longest_makes_room(
     tapped: Tapped, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sources, "MAX_LINKS", 2)
+    monkeypatch.setattr(timed_server, "MOST_CONNECTIONS", 2)
     first, second = tapped.connected(), tapped.connected()
     assert passes(second)
     assert passes(first)
@@ -117,19 +116,23 @@ def test_closing_ends_one_that_is_being_connected() -> None:
             assert client.recv(1) == b""
 
 
-def test_the_system_probes_both_sides() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        other = socket.create_connection(server.getsockname())
-        carried = TapLink(server.accept()[0], time.monotonic)
-        carried.connect(parse(f"rtu+tcp://127.0.0.1:{server.getsockname()[1]}"))
-        device = server.accept()[0]
-        other.close()
-        device.close()
-        carried.carry(lambda *_: None)
-        for end in carried._ends:
-            assert end.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
-            assert end.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == sources.KEEPALIVE
-        carried.close()
+def test_the_system_probes_both_sides(tapped: Tapped, monkeypatch: pytest.MonkeyPatch) -> None:
+    probed: list[tuple[socket.socket, float]] = []
+    monkeypatch.setattr(sources, "keep_alive", lambda *given: probed.append(given))
+    assert passes(tapped.connected())
+    assert [seconds for _, seconds in probed] == [sources.KEEPALIVE] * 2
+
+
+def test_a_forked_child_that_closes_its_copy_ends_neither(tapped: Tapped) -> None:
+    ends = tapped.connected()
+    assert passes(ends)
+    child = os.fork()
+    if child == 0:
+        tapped.line.close()
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0
+    assert passes(ends)
+    assert passes(tapped.connected())
 
 
 # --- listeners and TLS ----------------------------------------------------------------------------
