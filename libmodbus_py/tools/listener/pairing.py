@@ -21,15 +21,14 @@ from ...ports.schemes import framing_of
 from ...ports.trace import Traced
 from ...protocol.errors import InvalidResponse
 from ...protocol.framing import Frame
-from ...protocol.pdu import Request
+from ...protocol.pdu import RawRequest, Request
 from .transaction import (
     Ending,
     Transaction,
     answered,
     damage_alone,
-    damaged,
+    decoded,
     misused,
-    request_of,
     unasked,
 )
 
@@ -50,13 +49,15 @@ SETTLED = 0.5
 # The most open requests, and the most requests with late responses, that are remembered.
 MOST = 256
 
+# The most connections of a trace that are followed at once.
+MOST_CONNECTIONS = 1000
+
 
 class Spoiled(NamedTuple):
     """
-    A frame or damaged bytes that were received instead of a response.
+    What was received instead of a response, up to a time.
 
     Attributes:
-        ended: the time of its last byte, in seconds.
         outcome: the outcome of the request if its response does not follow.
         alone: the separate transaction that is reported if the response does follow.
     """
@@ -66,13 +67,12 @@ class Spoiled(NamedTuple):
     alone: Transaction
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, slots=True)
 class OpenRequest:
     """
     A request that may still be answered.
 
     Attributes:
-        began, ended: the times of its first and its last byte, in seconds.
         burst: a number that is equal for requests that a client sent without waiting.
         repeats: how often it had been sent before without a response.
     """
@@ -98,16 +98,13 @@ class OpenRequest:
 
 class Pairing:
     """
-    The open requests of one connection or line.
+    The open requests of one connection or line; the caller empties `done`.
 
     Args:
         is_line: True if unit 0 is a broadcast, as with RTU and ASCII frames.
         is_server: True for the frames that a server received and sent. No frame is missing then:
             requests may have arrived together, and every frame that was sent answers one of them.
         timeout: seconds after which a request counts as unanswered.
-
-    Attributes:
-        done: transactions that have ended, in order; the caller empties it.
     """
 
     def __init__(
@@ -125,8 +122,7 @@ class Pairing:
     @property
     def due(self) -> OpenRequest | None:
         """The request that is answered next: the first one in the last burst."""
-        latest = self._open[-1].burst if self._open else 0
-        return next((each for each in self._open if each.burst == latest), None)
+        return next((each for each in self._open if each.burst == self._open[-1].burst), None)
 
     def given_up(self, unit: int) -> OpenRequest | None:
         """Return the last request to a unit of a line whose response may still arrive."""
@@ -140,7 +136,7 @@ class Pairing:
             self._burst += 1
         self._asked_at = ended
         repeats = self._end_earlier(frame) if self._open else 0
-        request = request_of(frame.pdu)
+        request = decoded(frame.pdu) or RawRequest.decode(frame.pdu)
         asked = OpenRequest(began, ended, frame, request, self._burst, repeats)
         if (self._is_line and frame.unit == 0) or not request.expects_response:
             self._end(asked, Ending("broadcast"))
@@ -158,7 +154,11 @@ class Pairing:
         if (asked is None or outcome.kind == "invalid") and self._end_late(began, ended, frame):
             return None
         if asked is None:
-            self._put_aside(began, ended, frame)
+            which = "" if self._is_line else f", transaction {frame.transaction}"
+            text = f"sent as unit {frame.unit}, function {frame.pdu[0] & 0x7F}{which}"
+            wrong = Ending("invalid", None, InvalidResponse(text, received=frame.pdu))
+            due = self.due if self._is_server else None
+            self._set_aside(ended, unasked(began, frame), due, wrong)
             return None
         for each in self._open[: self._open.index(asked)]:
             if each.frame.transaction == frame.transaction:  # a later one was answered
@@ -173,20 +173,13 @@ class Pairing:
 
     def damage(self, began: float, ended: float, data: bytes) -> None:
         """Record bytes that form no frame, which arrived instead of a response or with one."""
-        alone = damage_alone(began, data)
-        if (asked := self.due) is None:
-            self.done.append(alone)
-        else:
-            self._spoil(asked, Spoiled(ended, damaged(data), alone))
+        self._set_aside(ended, damage_alone(began, data), self.due)
 
     def misuse(self, began: float, ended: float, frame: Frame) -> None:
         """Take a frame whose function code is not allowed, instead of a response or alone."""
-        alone = misused(began, frame)
         asked = self.due
-        if asked is None or asked.frame.unit != frame.unit:
-            self.done.append(alone)
-        else:
-            self._spoil(asked, Spoiled(ended, Ending("invalid", None, alone.error), alone))
+        is_of_unit = asked is not None and asked.frame.unit == frame.unit
+        self._set_aside(ended, misused(began, frame), asked if is_of_unit else None)
 
     def withdraw(self, asked: OpenRequest) -> None:
         """Turn an open request into a response that belongs to no request."""
@@ -233,21 +226,20 @@ class Pairing:
         self._end(late, outcome._replace(kind="late"), ended)
         return True
 
-    def _put_aside(self, began: float, ended: float, frame: Frame) -> None:
-        """Take a response without a request; if a server sent it, it belongs to the request due."""
-        alone = unasked(began, frame)
-        if not self._is_server or (asked := self.due) is None:
+    def _set_aside(
+        self,
+        ended: float,
+        alone: Transaction,
+        asked: OpenRequest | None,
+        outcome: Ending | None = None,
+    ) -> None:
+        """Keep what may be the spoiled response to a request; without a request, report it."""
+        if asked is None:
             self.done.append(alone)
             return
-        which = "" if self._is_line else f", transaction {frame.transaction}"
-        text = f"sent as unit {frame.unit}, function {frame.pdu[0] & 0x7F}{which}"
-        error = InvalidResponse(text, received=frame.pdu)
-        self._spoil(asked, Spoiled(ended, Ending("invalid", None, error), alone))
-
-    def _spoil(self, asked: OpenRequest, spoiled: Spoiled) -> None:
         if asked.spoiled is not None:
             self.done.append(asked.spoiled.alone)
-        asked.spoiled = spoiled
+        asked.spoiled = Spoiled(ended, outcome or Ending(alone.kind, None, alone.error), alone)
 
     # --- ending a request -----------------------------------------------------------------
 
@@ -300,17 +292,8 @@ def _key(frame: Frame) -> tuple[int, int]:
 # --- traces of servers and clients ----------------------------------------------------------------
 
 
-# The most connections that are followed at once.
-MOST_CONNECTIONS = 1000
-
-
 class Exchange(NamedTuple):
-    """
-    A transaction of one connection.
-
-    Attributes:
-        peer: as in `Traced`: for a server, the client; None for clients.
-    """
+    """A transaction of one connection; `peer` is as in `Traced`."""
 
     peer: str | None
     transaction: Transaction
@@ -318,36 +301,27 @@ class Exchange(NamedTuple):
 
 class TracePairing:
     """
-    Pairs the requests and responses of all connections in one trace.
+    Pairs the requests and responses of all connections in one trace; the caller empties `done`.
 
     Args:
         is_server: True for the trace of a server, False for that of a client.
         timeout: seconds after which a request counts as unanswered.
-
-    Attributes:
-        done: exchanges that have ended, in order; the caller empties it.
     """
 
     def __init__(self, *, is_server: bool = True, timeout: float = TIMEOUT) -> None:
         self.done: list[Exchange] = []
-        self._request: str = "received" if is_server else "sent"
         self._is_server = is_server
         self._timeout = timeout
         self._connections: dict[tuple[str, str | None], Pairing] = {}
 
     def take(self, traced: Traced, at: float | None = None) -> None:
-        """
-        Take an ADU of the trace.
-
-        Args:
-            at: the time on another clock than that of `Traced.time`, in seconds.
-        """
+        """Take an ADU of the trace; `at` is the time on another clock than that of the trace."""
         at = traced.time if at is None else at
         pairing = self._pairing(traced)
         pairing.tick(at)
         unit, pdu = traced.unit, traced.pdu
         frame = None if unit is None else Frame(unit, pdu, traced.transaction or 0)
-        if traced.direction != self._request:
+        if (traced.direction == "received") is not self._is_server:
             if frame is None:
                 pairing.damage(at, at, traced.adu)
             else:
@@ -362,11 +336,11 @@ class TracePairing:
 
     def tick(self, at: float) -> None:
         """End the requests that have been open for too long at this time."""
-        for key, pairing in list(self._connections.items()):
+        for (endpoint, peer), pairing in list(self._connections.items()):
             pairing.tick(at)
-            self._collect(key[1], pairing)
+            self._collect(peer, pairing)
             if pairing.is_idle(at):
-                del self._connections[key]
+                del self._connections[endpoint, peer]
 
     def end(self) -> None:
         """End all open requests, because nothing more will be received."""
@@ -376,7 +350,10 @@ class TracePairing:
 
     def _pairing(self, traced: Traced) -> Pairing:
         key = traced.endpoint, traced.peer
-        found = self._connections.pop(key, None) or self._made(traced.endpoint)
+        found = self._connections.pop(key, None)
+        if found is None:
+            is_line = framing_of(traced.endpoint) in ("rtu", "ascii")
+            found = Pairing(is_line=is_line, is_server=self._is_server, timeout=self._timeout)
         while len(self._connections) >= MOST_CONNECTIONS:
             oldest = next(iter(self._connections))
             self._connections[oldest].end()
@@ -384,11 +361,6 @@ class TracePairing:
         self._connections[key] = found  # the latest is the last
         return found
 
-    def _made(self, endpoint: str) -> Pairing:
-        is_line = framing_of(endpoint) in ("rtu", "ascii")
-        return Pairing(is_line=is_line, is_server=self._is_server, timeout=self._timeout)
-
     def _collect(self, peer: str | None, pairing: Pairing) -> None:
-        if pairing.done:
-            self.done += [Exchange(peer, each) for each in pairing.done]
-            pairing.done.clear()
+        self.done += [Exchange(peer, each) for each in pairing.done]
+        pairing.done.clear()

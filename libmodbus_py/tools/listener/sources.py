@@ -177,10 +177,10 @@ class Tap(TimedServer):
             keep_alive(end, KEEPALIVE)
             poll.register(end, select.POLLIN)
         while ways:
-            self.keep(client, IDLE)
             ready = poll.poll(milliseconds(IDLE if len(ways) == 2 else LEAVING))
             if not ready:
                 return
+            self.keep(client, IDLE)
             for descriptor, events in ready:
                 sender, source, sink = ways[descriptor]
                 data = source.recv(READ_SIZE)

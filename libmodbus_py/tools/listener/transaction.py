@@ -16,7 +16,7 @@ from ...protocol.pdu import RawRequest, Request, decode_request
 # fmt: off
 __all__ = [
     "KINDS", "Ending", "Heard", "Kind", "OnHeard", "Part", "Summary", "Transaction", "answered",
-    "damage_alone", "damaged", "decoded", "misused", "request_of", "unasked",
+    "damage_alone", "decoded", "misused", "unasked",
 ]
 # fmt: on
 
@@ -46,15 +46,7 @@ Part = Literal["request", "response", "damage"]
 
 
 class Heard(NamedTuple):
-    """
-    A request, a response, or bytes that are not a frame.
-
-    Attributes:
-        began, ended: the times of the first and the last byte, in seconds.
-        part: "request", "response" or "damage".
-        frame: unit and PDU; None for damage.
-        data: the bytes of damage; empty for frames.
-    """
+    """A request, a response, or damaged bytes, with the times of the first and the last byte."""
 
     began: float
     ended: float
@@ -133,22 +125,12 @@ class Ending(NamedTuple):
 
 
 def decoded(pdu: bytes) -> Request[Any] | None:
-    """
-    Decode a request as a server does.
-
-    Return a `RawRequest` for function codes without a class; None if a server refuses the PDU.
-    """
+    """Decode a request as a server does, or as a `RawRequest`; None if a server refuses it."""
     try:
         return decode_request(pdu)
     except ExceptionResponse as refusal:
-        if refusal.code == 1 and 0 < pdu[0] < 0x80:
-            return RawRequest.decode(pdu)
-        return None
-
-
-def request_of(pdu: bytes) -> Request[Any]:
-    """Decode any request with a function code in 1..127; `RawRequest` if a server refuses it."""
-    return decoded(pdu) or RawRequest.decode(pdu)
+        is_unknown = refusal.code == 1 and 0 < pdu[0] < 0x80
+        return RawRequest.decode(pdu) if is_unknown else None
 
 
 def answered(request: Request[Any], pdu: bytes) -> Ending:
@@ -162,16 +144,11 @@ def answered(request: Request[Any], pdu: bytes) -> Ending:
         return Ending("invalid", None, error)
 
 
-def damaged(data: bytes) -> Ending:
-    """Return the outcome for bytes that were received instead of a response."""
+def damage_alone(began: float, data: bytes) -> Transaction:
+    """Return the transaction for bytes that are not a frame and belong to no request."""
     size = len(data)
     why = f"{size} bytes that are not a frame" if size > 1 else "a byte that is not a frame"
-    return Ending("damaged", None, FrameError(why, received=data))
-
-
-def damage_alone(began: float, data: bytes) -> Transaction:
-    """Return the transaction for bytes that belong to no request."""
-    return Transaction(began, "damaged", error=damaged(data).error)
+    return Transaction(began, "damaged", error=FrameError(why, received=data))
 
 
 def misused(began: float, frame: Frame) -> Transaction:
@@ -197,13 +174,7 @@ def unasked(began: float, frame: Frame) -> Transaction:
 
 @dataclass
 class AnswerTimes:
-    """
-    The response times of a unit, in seconds.
-
-    Attributes:
-        count: the number of responses.
-        shortest, mean, longest: 0.0 before the first response.
-    """
+    """The number of responses of a unit, and their times in seconds; 0 before the first."""
 
     count: int = 0
     shortest: float = 0.0
@@ -228,11 +199,9 @@ class UnitSummary:
     The traffic of one unit.
 
     Attributes:
-        transactions: the number of transactions.
         functions: ``{function code: number of requests}``.
         errors: ``{error: number}``; the error is a kind of transaction or "exception N".
         repeats: the number of requests that were repetitions.
-        times: the response times.
     """
 
     transactions: int = 0
@@ -254,6 +223,18 @@ class UnitSummary:
         if transaction.kind in ("answered", "exception") and transaction.duration is not None:
             self.times.note(transaction.duration)
 
+    def __str__(self) -> str:
+        functions = ", ".join(f"{code} ({count})" for code, count in sorted(self.functions.items()))
+        errors = ", ".join(f"{count} {name}" for name, count in self.errors.most_common())
+        times = (self.times.shortest, self.times.mean, self.times.longest)
+        took = " / ".join(f"{each * 1000:.1f}" for each in times) + " ms (shortest, mean, longest)"
+        return (
+            f"{self.transactions} transactions, {self.repeats} repeats\n"
+            f"  functions     {functions or '-'}\n"
+            f"  answer times  {took if self.times.count else '-'}\n"
+            f"  errors        {errors or 'none'}"
+        )
+
 
 @dataclass
 class Summary:
@@ -266,19 +247,19 @@ class Summary:
         units: ``{unit 0..255: summary of the unit}``.
     """
 
-    transactions: int = 0
     damaged: int = 0
     units: dict[int, UnitSummary] = field(default_factory=dict)
+
+    @property
+    def transactions(self) -> int:
+        return sum(unit.transactions for unit in self.units.values())
 
     def note(self, transaction: Transaction) -> None:
         """Count one more."""
         if transaction.unit is None:
             self.damaged += 1
-            return
-        unit = self.units.setdefault(transaction.unit, UnitSummary())
-        before = unit.transactions
-        unit.note(transaction)
-        self.transactions += unit.transactions - before
+        else:
+            self.units.setdefault(transaction.unit, UnitSummary()).note(transaction)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the counts as a dict that JSON can represent; times are in seconds."""
@@ -301,19 +282,5 @@ class Summary:
 
     def __str__(self) -> str:
         lines = [f"{self.transactions} transactions, {self.damaged} runs of damaged bytes"]
-        for number, unit in sorted(self.units.items()):
-            functions = ", ".join(
-                f"{code} ({unit.functions[code]})" for code in sorted(unit.functions)
-            )
-            errors = ", ".join(f"{count} {name}" for name, count in unit.errors.most_common())
-            times = unit.times
-            took = "{:.1f} / {:.1f} / {:.1f} ms (shortest, mean, longest)".format(
-                *(each * 1000 for each in (times.shortest, times.mean, times.longest))
-            )
-            lines += [
-                f"unit {number}: {unit.transactions} transactions, {unit.repeats} repeats",
-                f"  functions     {functions or '-'}",
-                f"  answer times  {took if times.count else '-'}",
-                f"  errors        {errors or 'none'}",
-            ]
+        lines += [f"unit {number}: {unit}" for number, unit in sorted(self.units.items())]
         return "\n".join(lines)
