@@ -29,10 +29,10 @@ from ...tasks import Pauses, WriterThread, end_tasks, finish
 from ..outputs.output import file_at
 from ..readings import Reading
 from ..statistics import JournalStatistics
-from .journal_file import Begun, JournalFile, JournalState
+from .journal_file import Begun, JournalFile
 from .journal_reader import HistoricalValue, JournalReader, history
-from .place import LONGEST_EPISODE_S, JournalPlace, RecentPolls
-from .schema import JournalDamaged, JournalError, JournalPoll, Unused, numbered
+from .place import JournalPlace, RecentPolls
+from .schema import JournalDamaged, JournalError, JournalPoll, numbered
 
 __all__ = ["KEEP_BOUNDS", "SIZE_BOUNDS", "Journal"]
 
@@ -105,7 +105,6 @@ class Journal:
         self._reading = WriterThread(self.path)
         self._reader = JournalReader(self.path)
         self._places: list[JournalPlace] = []
-        self._unused = Unused()
         self._recent = RecentPolls(0)
         # Polls of the transaction under way, or of one that failed.
         self._batch: list[JournalPoll] = []
@@ -116,7 +115,6 @@ class Journal:
         # Done when the places are written, or cannot be.
         self._noting: asyncio.Future[None] | None = None
         self._force_at = math.inf
-        self._reported_until = -math.inf
         self._task: asyncio.Task[None] | None = None
 
     def history(
@@ -157,35 +155,27 @@ class Journal:
         """
         if self._task is not None:
             raise RuntimeError(f"the journal {self.path} is already in use; make another one")
+        self._writing.start()
+        self._reading.start()
         try:
-            self._writing.start()
-            self._reading.start()
-            begun = await self._begun(outputs)
-        except BaseException as error:
-            if self._reading.is_running:  # the thread may be opening the file now
-                await finish(self._writing.call(self._file.close), LAST_WAIT_S)
+            try:
+                begun: Begun = await self._writing.call(self._file.open, outputs)
+            except JournalDamaged as error:
+                begun = await self._writing.call(self._file.replace, error, outputs)
+        except BaseException:
+            await finish(self._writing.call(self._file.close), LAST_WAIT_S)  # it may be opening
             self._stop_threads()
-            if isinstance(error, OSError):
-                raise JournalError(f"{self.path}: {error.strerror}") from None
             raise
-        self._unused = Unused(begun.runs)
         self._recent = RecentPolls(begun.first - 1)
-        self._places = [JournalPlace(name, self, begun.places[name]) for name in outputs]
+        self._places = [
+            JournalPlace(name, self, begun.places[name], begun.waiting[name]) for name in outputs
+        ]
         self._task = asyncio.create_task(self._run(), name=f"journal {self.path}")
         return self._places
 
-    async def _begun(self, outputs: Sequence[str]) -> Begun:
-        begun: Begun
-        try:
-            begun = await self._writing.call(self._file.open, outputs)
-        except JournalDamaged as error:
-            begun = await self._writing.call(self._file.replace, error, outputs)
-        return begun
-
     def _stop_threads(self) -> None:
-        for thread in (self._writing, self._reading):
-            if thread.is_running:
-                thread.stop()
+        self._writing.stop()
+        self._reading.stop()
 
     async def close(self) -> None:
         """Write what waits, and close the file; a disk that hangs delays this by 5 s."""
@@ -196,7 +186,6 @@ class Journal:
         try:
             await finish(self._end(), LAST_WAIT_S)
         finally:
-            self._end_noting()
             self._stop_threads()
 
     async def _end(self) -> None:
@@ -206,7 +195,7 @@ class Journal:
             await self._write()
         except Exception as error:
             self._note_trouble(error)
-            lost = self.between(self._written, self.last)
+            lost = self.last - self._written
             self.statistics.dropped += lost
             logger.error("%s: %d readings are lost", self.path, lost)
         await self._reading.call(self._reader.close)
@@ -229,31 +218,21 @@ class Journal:
         if self._task is None:
             return list(readings)
         added: list[Reading] = []
-        dropped = self._recent.dropped
         for poll in numbered(readings, self.next_id):
             self._recent.add(poll)
             added += poll.readings
-        if self._recent.dropped > dropped:
-            self._note_dropped(self._recent.dropped - dropped)
-        for place in self._places:
-            place.wake()
-        self._wake.set()
-        return added
-
-    def _note_dropped(self, count: int) -> None:
-        self.statistics.dropped += count
-        now = asyncio.get_running_loop().time()
-        if now > self._reported_until:
+        dropped, self._recent.dropped = self._recent.dropped, 0
+        if dropped and not self.statistics.dropped:
             logger.error(
                 "%s: the disk is too slow, or takes no readings; the oldest are dropped", self.path
             )
-        self._reported_until = now + LONGEST_EPISODE_S
+        self.statistics.dropped += dropped
+        for place in self._places:
+            place.wake(len(added))
+        self._wake.set()
+        return added
 
     # --- what places need -------------------------------------------------------------------
-
-    def between(self, after: int, last: int) -> int:
-        """Return the number of readings that have ids above `after`, up to `last`."""
-        return self._unused.between(after, last)
 
     def note(self) -> asyncio.Future[None]:
         """Begin to write the places; return a future that ends when they are, or cannot be."""
@@ -313,12 +292,7 @@ class Journal:
         self._hurry.clear()
 
     async def _write(self) -> None:
-        """
-        Write polls and places in one transaction.
-
-        Raises:
-            JournalError: nothing was written; the polls are written the next time.
-        """
+        """Write polls and places in one transaction; polls that cannot be, come the next time."""
         self._batch = self._batch or self._recent.take(MOST_AT_ONCE)
         noting, self._noting = self._noting, None
         places = {each.name: each.confirmed for each in self._places}
@@ -328,9 +302,6 @@ class Journal:
         finally:
             if noting is not None and not noting.done():
                 noting.set_result(None)  # outputs do not wait for a disk that takes nothing
-        self._note_written(written)
-
-    def _note_written(self, written: JournalState) -> None:
         self.statistics.bytes = written.size
         self.statistics.written += sum(len(each.readings) for each in self._batch)
         self._batch = []
@@ -341,7 +312,7 @@ class Journal:
         for place in self._places:
             place.deleted(written.deleted)
             place.wake()
-        if self._recent.taken < self.last or not written.is_over:
+        if self._recent.taken < self.last or written.deleted:  # there may be more to delete
             self._wake.set()
 
     def _note_trouble(self, error: Exception) -> None:
@@ -360,7 +331,3 @@ class Journal:
         names = [each.name for each in self._places]
         await self._writing.call(self._file.replace, error, names, self._written + 1)
         self._damage = None
-
-    def _end_noting(self) -> None:
-        if self._noting is not None and not self._noting.done():
-            self._noting.set_result(None)

@@ -49,9 +49,6 @@ DELETED_FOR_EACH = 10
 # Pages of 4 kB that are given back to the system at once.
 FREED = 500
 
-WITH_IDENTITY = ("", "-wal")
-"""Ends of the names of files without which a journal is lost: the database and its changes."""
-
 INSERT_POLL = "INSERT OR IGNORE INTO poll VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
 
 NEWEST_POINTS = (
@@ -64,14 +61,9 @@ FORGET_DEVICES = (
     "DELETE FROM device WHERE NOT EXISTS (SELECT 1 FROM poll WHERE poll.device = device.id)"
 )
 
-# The runs that all readings and all outputs have left behind.
-FORGET_RUNS = """
-DELETE FROM run WHERE first < (
-    SELECT max(first) FROM run WHERE first <= min(
-        ifnull((SELECT min(id) FROM poll), 1 << 62),
-        ifnull((SELECT min(confirmed) + 1 FROM place), 1 << 62)
-    )
-)
+WAITING = """
+SELECT confirmed, (SELECT CAST(total(readings) AS INTEGER) FROM poll WHERE poll.id > confirmed)
+  FROM place WHERE output = ?
 """
 
 SET_PLACE = (
@@ -81,23 +73,18 @@ SET_PLACE = (
 
 
 class Begun(NamedTuple):
-    """
-    The first id of a run, the runs as `Unused` takes them, and the id that each output confirmed.
-    """
+    """The first id of a run; for each output the id it confirmed, and how many readings wait."""
 
     first: int
-    runs: list[tuple[int, int]]
     places: dict[str, int]
+    waiting: dict[str, int]
 
 
 class JournalState(NamedTuple):
-    """
-    The bytes of a journal, the last id that was deleted or 0, and False if there is more to delete.
-    """
+    """The bytes of a journal, and the first ids and numbers of readings of polls now deleted."""
 
     size: int
-    deleted: int
-    is_over: bool
+    deleted: list[tuple[int, int]]
 
 
 class JournalFile:
@@ -115,15 +102,11 @@ class JournalFile:
         self._keep = keep
         self._size = size
         self._lock = -1
-        self._was_used = False
         self._database: sqlite3.Connection | None = None
         # Device -> its labels and points in the last poll.
         self._points: dict[str, tuple[Mapping[str, str], Points]] = {}
         self._to_delete = 0.0
-        # Device and inode of each file `WITH_IDENTITY` when it was opened.
-        self._identity: list[tuple[int, int] | None] = []
-        # The name of a damaged file in whose place there is no new one yet.
-        self._moved: str | None = None
+        self._identity: tuple[int, int] | None = None
 
     # --- life -------------------------------------------------------------------------------
 
@@ -135,39 +118,39 @@ class JournalFile:
             JournalError: this file cannot be used; another program uses it, for example.
             JournalDamaged: the file is not a database, or a damaged one.
         """
+        # Some other file must not be taken for a damaged journal, which is renamed.
+        was_used = os.path.exists(f"{self.path}-lock")
         try:
             self._take_lock()
             with raised(self.path):
                 self._database = self._connected()
                 begun = self._begin(outputs, first)
-                self._identity = self._found()
-                return begun
         except JournalDamaged as error:
-            was_journal = self._was_used
             self.close()
-            if not was_journal:
+            if not was_used:
                 raise JournalError(f"{self.path}: is not a journal") from error
             raise
         except BaseException:
             self.close()
             raise
+        self._identity = _identity_of(self.path)
+        return begun
 
     def _take_lock(self) -> None:
+        self._release_lock()  # its file may have been deleted, and another program have a new one
         path = f"{self.path}-lock"
         try:
-            if self._lock >= 0 and _identity_of(path) != _identity_of(self._lock):
-                # Another program may have the lock of this name by now.
-                os.close(self._lock)
-                self._lock = -1
-            if self._lock < 0:
-                # Some other file must not be taken for a damaged journal.
-                self._was_used = os.path.exists(path)
-                self._lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            self._lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
             lock_file(self._lock)
         except BlockingIOError:
             raise JournalError(f"{self.path}: is used by another program") from None
         except OSError as error:
             raise JournalError(f"{path}: {error.strerror}") from None
+
+    def _release_lock(self) -> None:
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
 
     def _connected(self) -> sqlite3.Connection:
         database = sqlite3.connect(self.path, isolation_level=None, check_same_thread=False)
@@ -211,37 +194,34 @@ class JournalFile:
     def _begin(self, outputs: Collection[str], first: int) -> Begun:
         database = self._used
         with self._transaction():
-            [[last]] = database.execute("SELECT max(id + readings - 1) FROM poll")
-            [[begun]] = database.execute("SELECT max(first) FROM run")
-            known = max(last or 0, (begun or 1) - 1)
-            first = first or first_id(time.time(), known)
-            database.execute(
-                "INSERT OR REPLACE INTO run VALUES (?, ?)",
-                (first, first - 1 - known if known else 0),
-            )
+            [[read]] = database.execute("SELECT max(id + readings - 1) FROM poll")
+            [[confirmed]] = database.execute("SELECT max(confirmed) FROM place")
+            first = first or first_id(time.time(), max(read or 0, confirmed or 0))
             # A new output begins with the next reading.
             database.executemany(
                 "INSERT INTO place VALUES (?, ?) ON CONFLICT DO NOTHING",
                 [(name, first - 1) for name in outputs],
             )
-            database.execute(FORGET_RUNS)
             database.execute(FORGET_DEVICES)
             database.execute("DELETE FROM point WHERE device NOT IN (SELECT id FROM device)")
-            runs = database.execute("SELECT first, unused FROM run ORDER BY first").fetchall()
-            places = dict(database.execute("SELECT output, confirmed FROM place"))
-        return Begun(first, runs, {name: places[name] for name in outputs})
+            found = {name: database.execute(WAITING, (name,)).fetchone() for name in outputs}
+        return Begun(
+            first,
+            {name: place for name, (place, _) in found.items()},
+            {name: waiting for name, (_, waiting) in found.items()},
+        )
 
     def close(self) -> None:
         """Force all data onto the disk, close the file, and let others open it."""
+        self._close_database("PRAGMA synchronous = FULL")
+        self._release_lock()
+
+    def _close_database(self, last: str = "") -> None:
         database, self._database = self._database, None
         self._points = {}
         if database is not None:
-            with contextlib.suppress(sqlite3.Error):
-                database.execute("PRAGMA synchronous = FULL")
-                database.close()
-        if self._lock >= 0:
-            os.close(self._lock)
-            self._lock = -1
+            with contextlib.suppress(sqlite3.Error), contextlib.closing(database):
+                database.execute(last)
 
     def replace(self, error: JournalDamaged, outputs: Collection[str], first: int = 0) -> Begun:
         """
@@ -250,36 +230,26 @@ class JournalFile:
         Raises:
             JournalError: the new file cannot be used; it may be possible later.
         """
-        if self._moved is None:
-            self._moved = self._set_aside()
+        self._close_database()
+        self._take_lock()
+        with raised(self.path):
+            self._set_aside()
         begun = self.open(outputs, first)
-        kept = f"it is kept as {self._moved}, and a" if self._moved else "a"
-        logger.error("%s; %s new journal begins", error, kept)
-        self._moved = None
+        logger.error("%s; a new journal begins", error)
         return begun
 
-    def _set_aside(self) -> str:
-        """Close the file and give it another name, which is returned; empty if it is gone."""
-        database, self._database = self._database, None
-        self._points = {}
-        if database is not None:
-            with contextlib.suppress(sqlite3.Error):
-                database.close()
-        with raised(self.path):
-            self._take_lock()
-            found = self._found()
-            if self._identity and found[0] != self._identity[0] and found[1] == self._identity[1]:
-                # Changes of a file that is gone would be merged into the one in its place.
-                os.unlink(f"{self.path}-wal")
-            moved = _free_name(f"{self.path}-damaged")
-            for ending in ("", "-wal", "-shm"):
-                with contextlib.suppress(FileNotFoundError):
+    def _set_aside(self) -> None:
+        """Give the file another name; the changes of one that is gone would spoil the next one."""
+        is_gone = self._identity not in (None, _identity_of(self.path))
+        moved = _free_name(f"{self.path}-damaged")
+        for ending in ("-wal", "-shm", ""):
+            with contextlib.suppress(FileNotFoundError):
+                if is_gone and ending:
+                    os.unlink(f"{self.path}{ending}")
+                else:
                     os.rename(f"{self.path}{ending}", f"{moved}{ending}")
-            return moved if os.path.exists(moved) else ""
-
-    def _found(self) -> list[tuple[int, int] | None]:
-        """Return what identifies the files that are under the names of the journal now."""
-        return [_identity_of(f"{self.path}{ending}") for ending in WITH_IDENTITY]
+        if os.path.exists(moved):
+            logger.error("%s: is kept as %s", self.path, moved)
 
     @property
     def _used(self) -> sqlite3.Connection:
@@ -317,11 +287,11 @@ class JournalFile:
             confirmed: the last id that all outputs confirmed.
 
         Raises:
-            JournalTrouble: nothing was written; it may be possible later.
+            JournalError: nothing was written; it may be possible later.
             JournalDamaged: nothing was written; the file is damaged, or was deleted or replaced.
         """
         with raised(self.path):
-            if self._found() != self._identity:  # what is written would not be found again
+            if _identity_of(self.path) != self._identity:  # nobody would find it
                 raise JournalDamaged(f"{self.path}: was deleted or replaced while it was in use")
             with self._transaction():
                 rows = [row for poll in polls if (row := self._row(poll)) is not None]
@@ -385,36 +355,25 @@ class JournalFile:
         )
         excess = (pages - free) * page - self._size
         if excess > 0:
-            most = MOST_DELETED if excess > self._size / 20 else MOST_DELETED // 10
-            deleted = self._delete_up_to(self._oldest(most))
+            polls = self._oldest(MOST_DELETED if excess > self._size / 20 else MOST_DELETED // 10)
         else:
-            deleted = self._delete_up_to(self._old(confirmed))
+            horizon = time.time() - self._keep
+            oldest = self._oldest(int(min(MOST_DELETED, self._to_delete)), confirmed)
+            polls = list(takewhile(lambda each: each[2] < horizon, oldest))
+        if polls:
+            with self._transaction():
+                self._used.execute("DELETE FROM poll WHERE id <= ?", (polls[-1][0],))
+            self._to_delete = max(0.0, self._to_delete - len(polls))
         if pages * page > self._size:
             # As a script, because `execute` ends after the first page.
             self._used.executescript(f"PRAGMA incremental_vacuum({FREED})")
-        wal = _size_of(f"{self.path}-wal")
-        return JournalState(pages * page + wal, deleted, not deleted)
+        size = pages * page + _size_of(f"{self.path}-wal")
+        return JournalState(size, [(first, count) for first, count, _ in polls])
 
     def _oldest(self, most: int, last: int = 1 << 62) -> list[tuple[int, int, float]]:
         return self._used.execute(
             "SELECT id, readings, time FROM poll WHERE id <= ? ORDER BY id LIMIT ?", (last, most)
         ).fetchall()
-
-    def _old(self, confirmed: int) -> list[tuple[int, int, float]]:
-        """Return the oldest polls that are old enough to be deleted."""
-        horizon = time.time() - self._keep
-        oldest = self._oldest(int(min(MOST_DELETED, self._to_delete)), confirmed)
-        return list(takewhile(lambda each: each[2] < horizon, oldest))
-
-    def _delete_up_to(self, polls: Sequence[tuple[int, int, float]]) -> int:
-        """Delete polls, which are the oldest, and return the last id; 0 if there are none."""
-        if not polls:
-            return 0
-        number, count, _ = polls[-1]
-        with self._transaction():
-            self._used.execute("DELETE FROM poll WHERE id <= ?", (number,))
-        self._to_delete = max(0.0, self._to_delete - len(polls))
-        return number + count - 1
 
 
 def _size_of(path: str) -> int:
@@ -423,10 +382,10 @@ def _size_of(path: str) -> int:
     return 0
 
 
-def _identity_of(file: str | int) -> tuple[int, int] | None:
+def _identity_of(path: str) -> tuple[int, int] | None:
     """Return device and inode of a file; None if it is gone."""
     with contextlib.suppress(FileNotFoundError):
-        found = os.stat(file)
+        found = os.stat(path)
         return found.st_dev, found.st_ino
     return None
 

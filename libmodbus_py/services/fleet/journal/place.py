@@ -6,16 +6,18 @@ it lacks from here, and for outputs that keep up; and those that one output has 
 from __future__ import annotations
 
 import asyncio
-import math
 from collections import OrderedDict
 from collections.abc import Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from ....protocol.logs import HarmlessLogger
 from ..readings import Buffer, Reading
 from .schema import JournalPoll
 
-__all__ = ["LONGEST_EPISODE_S", "JournalPlace", "RecentPolls"]
+if TYPE_CHECKING:
+    from .journal import Journal
+
+__all__ = ["JournalPlace", "RecentPolls"]
 
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
@@ -23,52 +25,34 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 MOST_POLLS = 100
 """Polls that `polls` returns: what a suspected poll is compared with."""
 
-LONGEST_EPISODE_S = 600.0
-"""Seconds without a dropped reading after which the next one is reported again."""
-
 NOTING_S = 1.0
 """Seconds after which an output that confirmed readings goes on although the disk is slow."""
 
 
-class _Journal(Protocol):
-    """The part of `Journal` that a place uses."""
-
-    @property
-    def last(self) -> int: ...
-
-    async def after(self, number: int, most: int) -> tuple[list[JournalPoll], int]: ...
-
-    def between(self, after: int, last: int) -> int: ...
-
-    def note(self) -> asyncio.Future[None]: ...
-
-
 class JournalPlace(Buffer):
     """
-    The readings of a journal behind the last one that an output has confirmed.
+    The readings of a journal behind the last one that an output has confirmed, `waiting` in number.
 
-    What was taken and not confirmed is taken again in the next run of the program.
-
-    Attributes:
-        confirmed: the id of the last reading that the output has confirmed; it never falls.
-        dropped: number of readings that were deleted before the output confirmed them, or can never
-            be written.
+    What was taken and not confirmed is taken again in the next run of the program. `confirmed` is
+    the id of the last reading that the output has confirmed; it never falls.
     """
 
-    def __init__(self, name: str, journal: _Journal, confirmed: int) -> None:
+    def __init__(self, name: str, journal: Journal, confirmed: int, waiting: int) -> None:
         super().__init__()
         self.name: str = name
         self.confirmed: int = confirmed
         self._journal = journal
+        self._waiting = waiting
         # The id of the last reading that was fetched.
         self._fetched = confirmed
-        self._reported_until = -math.inf
+        self._was_full = False
 
     def __len__(self) -> int:
-        return self._journal.between(self.confirmed, self._journal.last)
+        return self._waiting
 
-    def wake(self) -> None:
-        """Look for readings: the journal has more of them."""
+    def wake(self, added: int = 0) -> None:
+        """Look for readings: the journal has so many more, or can read others now."""
+        self._waiting += added
         self._filled.set()
 
     def put_back(self, readings: Sequence[Reading]) -> None:
@@ -77,37 +61,46 @@ class JournalPlace(Buffer):
 
     def drop(self, readings: Sequence[Reading]) -> None:
         """Count readings that were taken, and can never be written."""
-        if readings and readings[-1].id > self.confirmed:
-            super().drop(readings)
-            self.confirmed = readings[-1].id
+        if (passed := self._pass(readings)) > 0:
+            self.dropped += passed
             self._journal.note()
 
     async def confirm(self, readings: Sequence[Reading]) -> None:
         """Store that the output has accepted readings; return when this is in the file."""
-        if readings and readings[-1].id > self.confirmed:
-            self.confirmed = readings[-1].id
+        if self._pass(readings) > 0:
             await asyncio.wait([self._journal.note()], timeout=NOTING_S)
+
+    def _pass(self, readings: Sequence[Reading]) -> int:
+        """Move behind readings, and return the number of those that were not passed before."""
+        passed = [each.id for each in readings if each.id > self.confirmed]
+        self.confirmed = max(passed, default=self.confirmed)
+        self._waiting -= len(passed)
+        return len(passed)
 
     def give_up(self) -> None:
         """Close the place; the readings that wait are for the next run."""
         self.close()
         self._kept.clear()
 
-    def deleted(self, last: int) -> None:
-        """Count the readings that were deleted from the journal before they were confirmed."""
-        if last <= self.confirmed:
+    def deleted(self, polls: Sequence[tuple[int, int]]) -> None:
+        """Count polls, by first id and number of readings, that were deleted unconfirmed."""
+        lost = [(first, count) for first, count in polls if first > self.confirmed]
+        if not lost:
             return
-        self.dropped += self._journal.between(self.confirmed, last)
-        self.confirmed = last
-        self._fetched = max(self._fetched, last)
-        while self._kept and self._kept[0].id <= last:
+        self._lose(sum(count for _, count in lost))
+        self.confirmed = sum(lost[-1]) - 1
+        self._fetched = max(self._fetched, self.confirmed)
+        while self._kept and self._kept[0].id <= self.confirmed:
             self._kept.popleft()
-        now = asyncio.get_running_loop().time()
-        if now > self._reported_until:
+        if not self._was_full:
+            self._was_full = True
             logger.error(
                 "%s: the journal is full; its oldest readings are dropped unconfirmed", self.name
             )
-        self._reported_until = now + LONGEST_EPISODE_S
+
+    def _lose(self, count: int) -> None:
+        self.dropped += count
+        self._waiting -= count
 
     @property
     def _is_at_end(self) -> bool:
@@ -123,19 +116,12 @@ class JournalPlace(Buffer):
         polls, end = await self._journal.after(before, most)
         for each in polls:
             if each.first > self._fetched:  # else these were deleted while they were read
-                self._skip_to(each.first - 1)
                 self._kept.extend(each.readings)
                 self._fetched = each.last
-        self._skip_to(end)
+        self._fetched = max(self._fetched, end)
+        if self._fetched >= self._journal.last:  # what waits and is not here cannot be read
+            self._lose(self._waiting - len(self._kept))
         return self._fetched > before
-
-    def _skip_to(self, number: int) -> None:
-        """Count the readings up to an id, which the journal lacks."""
-        if number > self._fetched:
-            self.dropped += self._journal.between(self._fetched, number)
-            if self.confirmed == self._fetched:
-                self.confirmed = number
-            self._fetched = number
 
 
 # Readings that are kept for outputs that keep up: about 7 MB.
@@ -149,10 +135,8 @@ class RecentPolls:
     """
     The newest polls of a run. Their ids follow each other without a gap.
 
-    Attributes:
-        last: the last id that was added.
-        taken: the last id that was taken for the file, or dropped before it could be.
-        dropped: number of readings that were dropped before they were taken for the file.
+    `last` is the last id that was added, `taken` the last one that was taken for the file, or
+    dropped before it could be; `dropped` counts those.
     """
 
     def __init__(self, last: int) -> None:

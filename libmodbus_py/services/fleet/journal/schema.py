@@ -7,7 +7,6 @@ The tables of a journal.
     point  (id, points, device, name, unit) `points` is the id of the first point of its list
     poll   (id, readings, time, device, points, chosen, data, trouble)       see `Row`
     place  (output, confirmed)              the last reading that each output has confirmed
-    run    (first, unused)                  see `Unused`
     reading                                 a view: one row for each reading
 
 The newest list of points of a device has all points that the device ever had. A poll refers to
@@ -20,7 +19,6 @@ from __future__ import annotations
 import contextlib
 import json
 import sqlite3
-from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import NamedTuple
@@ -32,8 +30,7 @@ from ..readings import Reading
 # fmt: off
 __all__ = [
     "APPLICATION", "SCHEMA", "VERSION", "JournalDamaged", "JournalError", "JournalPoll",
-    "JournalTrouble", "Points", "Row", "Unused", "decoded", "encoded", "first_id", "numbered",
-    "raised",
+    "Points", "Row", "decoded", "encoded", "first_id", "numbered", "raised",
 ]
 # fmt: on
 
@@ -72,10 +69,6 @@ CREATE TABLE place (
     output TEXT PRIMARY KEY,
     confirmed INTEGER NOT NULL
 ) WITHOUT ROWID;
-CREATE TABLE run (
-    first INTEGER PRIMARY KEY,
-    unused INTEGER NOT NULL
-);
 CREATE VIEW reading AS
 SELECT poll.id + value.key AS id,
        strftime('%Y-%m-%dT%H:%M:%fZ', poll.time, 'unixepoch') AS time,
@@ -107,10 +100,7 @@ class JournalPoll(NamedTuple):
 
 
 class Points:
-    """
-    A list of the points of a device, by name and unit, to whose positions rows refer. Its first
-    point has `id`.
-    """
+    """Points of a device, by name and unit, to whose positions rows refer; the first has `id`."""
 
     def __init__(self, id: int, device: int, named: Sequence[tuple[str, str]]) -> None:
         self.id: int = id
@@ -123,13 +113,8 @@ class Row(NamedTuple):
     """
     A row of the table `poll`; `data`, `chosen` and `trouble` are JSON.
 
-    Attributes:
-        id, readings: the id of the first reading, and their number.
-        device, points: the id of the device, and of the first of its points.
-        chosen: the positions of the points that the row contains; None for the first ones, in
-            order.
-        trouble: quality and reason of each reading that is not simply good, by its position in the
-            data; None if all are good.
+    `chosen` has the positions of the points in their list; None for the first ones, in order.
+    `trouble` has quality and reason of readings that are not good, by their positions in `data`.
     """
 
     id: int
@@ -181,9 +166,7 @@ def encoded(poll: JournalPoll, points: Points) -> Row:
 
 
 def decoded(row: Row, device: str, labels: Mapping[str, str], points: Points) -> JournalPoll:
-    """
-    Return a row as a poll; AttributeError, LookupError, TypeError or ValueError if it is damaged.
-    """
+    """Return a row as a poll; AttributeError, LookupError, TypeError, ValueError for damage."""
     values = json.loads(row.data)
     positions = range(row.readings) if row.chosen is None else json.loads(row.chosen)
     trouble = json.loads(row.trouble) if row.trouble else {}
@@ -206,38 +189,9 @@ def first_id(now: float, last: int) -> int:
     """
     Return the first id of a run in a journal with this last id, 0 if it is new.
 
-    It is the time in microseconds, `now` being in seconds: a journal that replaces a deleted one
-    has greater ids too, because a fleet has less than a million readings a second.
+    It is the time in microseconds, so that a journal in place of a deleted one has greater ids.
     """
     return max(int(now * 1e6), last + MARGIN if last else 1)
-
-
-class Unused:
-    """The ids that no reading has: before the first id of each run some are left out."""
-
-    def __init__(self, runs: Iterable[tuple[int, int]] = ()) -> None:
-        self._first: list[int] = []
-        self._unused: list[int] = []
-        self._sums: list[int] = [0]
-        for first, unused in runs:
-            self.add(first, unused)
-
-    def add(self, first: int, unused: int) -> None:
-        """Note a run."""
-        self._first.append(first)
-        self._unused.append(unused)
-        self._sums.append(self._sums[-1] + unused)
-
-    def between(self, after: int, last: int) -> int:
-        """Return the number of readings that have ids above `after`, up to `last`."""
-        return max(0, self._used(last) - self._used(after))
-
-    def _used(self, number: int) -> int:
-        at = bisect_right(self._first, number)
-        unused = self._sums[at]
-        if at < len(self._first):  # the id may be one of those left out before the next run
-            unused += max(0, number - (self._first[at] - self._unused[at]) + 1)
-        return number - unused
 
 
 _DAMAGE = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
@@ -254,15 +208,11 @@ _REASONS: dict[int, str] = {
 
 
 class JournalError(Exception):
-    """A journal cannot be used: it has another version, or another program uses it."""
+    """A journal cannot be used: another program uses it, or the disk is full, for example."""
 
 
 class JournalDamaged(JournalError):
     """The file of a journal is damaged, or another program has deleted or replaced it."""
-
-
-class JournalTrouble(JournalError):
-    """A journal cannot be used now; a disk is full, for example."""
 
 
 @contextlib.contextmanager
@@ -274,6 +224,6 @@ def raised(path: str) -> Iterator[None]:
         code = (getattr(error, "sqlite_errorcode", None) or 0) & 0xFF
         if code in _DAMAGE:
             raise JournalDamaged(f"{path}: is damaged: {error}") from error
-        raise JournalTrouble(f"{path}: {_REASONS.get(code, str(error))}") from error
+        raise JournalError(f"{path}: {_REASONS.get(code, str(error))}") from error
     except OSError as error:
-        raise JournalTrouble(f"{path}: {error.strerror or error}") from error
+        raise JournalError(f"{path}: {error.strerror or error}") from error

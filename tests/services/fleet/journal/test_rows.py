@@ -15,7 +15,6 @@ from libmodbus_py.services.fleet.journal.place import RecentPolls
 from libmodbus_py.services.fleet.journal.schema import (
     MARGIN,
     Points,
-    Unused,
     decoded,
     encoded,
     first_id,
@@ -33,23 +32,6 @@ def test_the_first_id_is_above_all_that_may_have_been_given() -> None:
     # The clock was set back, and the last readings were sent, but never came to the disk.
     assert first_id(0.0, 10**15) == 10**15 + MARGIN
     assert first_id(0.0, 0) == 1
-
-
-def test_ids_that_no_reading_has_are_not_counted() -> None:
-    unused = Unused([(100, 0), (1000, 50), (5000, 1000)])  # 950..999 and 4000..4999
-    for after, last, count in (
-        (99, 949, 850),
-        (99, 999, 850),
-        (99, 1000, 851),
-        (960, 1000, 1),
-        (999, 1009, 10),
-        (3998, 4001, 1),
-        (3998, 5000, 2),
-        (4999, 5009, 10),
-        (99, 5000, 850 + 3000 + 1),
-        (5009, 5000, 0),
-    ):
-        assert unused.between(after, last) == count, (after, last)
 
 
 def test_readings_become_polls_with_ids_in_order() -> None:
