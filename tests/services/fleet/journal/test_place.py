@@ -53,7 +53,7 @@ def test_an_output_goes_on_where_it_confirmed() -> None:
         assert await place.take_polls(1) == batch
         await place.confirm(batch)
         assert (place.confirmed, len(place), shelf.noted) == (4, 4, 1)
-        for ids in ([5, 6, 7, 8], []):
+        for ids in ([5, 6], [7, 8], []):
             batch = await place.take_polls(100, 0.5)
             assert [each.id for each in batch] == ids
             await place.confirm(batch)
