@@ -12,20 +12,12 @@ from ....protocol.checks import integer
 from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType, WrongValue
 from ...other_servers import SecretFile, server_url
-from ..commands import Commands
+from ..commands import Commands, encoded, wanted_of
 from ..config import DeviceConfig
 from ..readings import MOST_KEPT, Reading
 from .mqtt_connection import MqttConnection
-from .mqtt_messages import OFFLINE, ONLINE, DeviceStates, Message, Messages
+from .mqtt_messages import OFFLINE, ONLINE, DeviceStates, Message, Messages, State
 from .topics import Topic, plain_topic
-
-if TYPE_CHECKING:
-    import aiomqtt
-
-
-from typing import TYPE_CHECKING
-
-from ..commands import encoded, wanted_of
 
 if TYPE_CHECKING:
     import aiomqtt
@@ -124,13 +116,17 @@ class Mqtt:
             self.exclusive += (f"the client_id {client_id!r} at {self.name}",)
         is_of_points = not isinstance(topic, str) or "{name}" in topic or "{device}" not in topic
         self._topic = Topic("topic", topic, ("device", "name") if is_of_points else ("device",))
-        point = (
-            self._topic if is_of_points else Topic("topic", f"{topic}/{{name}}", ("device", "name"))
-        )
+        # The topic of a point, for commands.
+        self._point = self._topic
+        if not is_of_points:
+            self._point = Topic("topic", f"{topic}/{{name}}", ("device", "name"))
         self._status = plain_topic("status", status)
         if self._status and self._topic.can_be(self._status):
             raise WrongValue("status", f"must not be the topic of a reading: {status!r}")
-        self._state_topic = _of_devices(device_status, self._topic, point, self._status)
+        self._state_topic: Topic | None = None
+        if plain_topic("device_status", device_status):
+            self._state_topic = Topic("device_status", device_status, ("device",))
+            self._check_state_topic(self._state_topic)
         self._states = DeviceStates(self._state_topic) if self._state_topic else None
         self._retain = retain
         self._qos = integer("qos", qos, 0, 1)
@@ -146,19 +142,24 @@ class Mqtt:
             largest=max_message or LARGEST_BYTES,
         )
         self.takes_commands: bool = commands
-        self._point = point
         self._labels: dict[str, Mapping[str, str]] = {}
         self._commands: Commands | None = None
+        self._offline: Message | None = (self._status, OFFLINE) if self._status else None
         self._connection = MqttConnection(
-            server,
-            user=user,
-            password=password,
-            ca=ca,
-            client_id=client_id,
-            will=(self._status, OFFLINE) if self._status else None,
+            server, user=user, password=password, ca=ca, client_id=client_id, will=self._offline
         )
         # Connections in a row that were lost while last values were published again.
         self._losses = 0
+
+    def _check_state_topic(self, states: Topic) -> None:
+        commands = [f"{self._point.template}{each}" for each in ("/set", "/set/result")]
+        for others, of in (
+            ([self._topic.template, *commands], "a reading"),
+            ([self._status], "the status"),
+        ):
+            if any(states.can_be(each) for each in others):
+                reason = f"must not be the topic of {of}: {states.template!r}"
+                raise WrongValue("device_status", reason)
 
     @property
     def identity(self) -> str:
@@ -176,12 +177,7 @@ class Mqtt:
         return f"topics of commands that can be the same: {topics} of {self.name}"
 
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
-        """
-        Set the devices of the readings.
-
-        Raises:
-            ValueError: a device lacks a label that a topic holds; nothing changes then.
-        """
+        """Set the devices; ValueError if one lacks a label that a topic holds, and none is set."""
         for topic in filter(None, (self._topic, self._state_topic)):
             topic.check(devices)
         self._labels = {name: each.labels for name, each in devices.items()}
@@ -198,38 +194,37 @@ class Mqtt:
         if self._status:
             await connection.publish((self._status, ONLINE), 1, retain=True)
             await connection.subscribe(self._status)
-        # The broker may have been restarted, and may have lost what it retained.
-        await self._publish_again()
+        # The broker may have been restarted, and may have lost what it retained; or it ended the
+        # connection at these values each time before.
+        self._losses += 1
+        if self._losses <= MOST_LOSSES:
+            await self._publish(self._messages.again())
+            if self._states is not None:
+                await self._publish_states(self._states, self._states.published)
+        else:
+            logger.error("%s ends connections at last values, which are left out", self.name)
+        self._losses = 0
 
     async def write(self, readings: Sequence[Reading]) -> None:
         await self._publish(self._messages.of(readings))
-        self._messages.keep(readings)
+        self._messages.keep()
         if self._states is not None:
             changed = self._states.changed(readings)
-            await self._publish_states(self._states.messages(changed))
-            self._states.note(changed, readings)
+            await self._publish_states(self._states, changed)
+            self._states.keep(changed, readings)
 
     async def close(self) -> None:
-        await self._connection.close((self._status, OFFLINE) if self._status else None)
+        await self._connection.close(self._offline)
 
     async def _publish(self, messages: Iterator[Message]) -> None:
         await self._connection.publish_all(
             messages, self._qos, retain=self._retain, unused=self._topic.filter
         )
 
-    async def _publish_states(self, messages: Iterator[Message]) -> None:
-        await self._connection.publish_all(messages, 1, retain=True, unused=self._topic.filter)
-
-    async def _publish_again(self) -> None:
-        """Publish all last values, unless the broker ended the connection each time before."""
-        self._losses += 1
-        if self._losses <= MOST_LOSSES:
-            await self._publish(self._messages.again())
-            if self._states is not None:
-                await self._publish_states(self._states.messages(self._states.published))
-        else:
-            logger.error("%s ends connections at last values, which are left out", self.name)
-        self._losses = 0
+    async def _publish_states(self, states: DeviceStates, changed: Mapping[str, State]) -> None:
+        await self._connection.publish_all(
+            states.messages(changed), 1, retain=True, unused=self._topic.filter
+        )
 
     async def _hear(self, message: aiomqtt.Message) -> None:
         """Answer a command, or the last will of another worker or of an earlier connection."""
@@ -252,17 +247,3 @@ class Mqtt:
         if outcome is not None:
             result = f"{topic}/result", encoded(outcome)
             await self._connection.publish(result, self._qos, retain=False)
-
-
-def _of_devices(template: str, topic: Topic, point: Topic, status: str) -> Topic | None:
-    """Return the topic of the states of devices; see `Mqtt`."""
-    key = "device_status"
-    if not plain_topic(key, template):
-        return None
-    made = Topic(key, template, ("device",))
-    taken = [topic.template, *(f"{point.template}{each}" for each in ("/set", "/set/result"))]
-    if any(made.can_be(each) for each in taken):
-        raise WrongValue(key, f"must not be the topic of a reading: {template!r}")
-    if made.can_be(status):
-        raise WrongValue(key, f"must not be the topic of the status: {template!r}")
-    return made

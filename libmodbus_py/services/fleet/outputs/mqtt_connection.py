@@ -10,7 +10,7 @@ import logging
 import re
 import socket
 import ssl
-from collections.abc import Callable, Coroutine, Iterable, Iterator
+from collections.abc import Callable, Coroutine, Iterator
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,8 @@ from .output import OutputError
 
 if TYPE_CHECKING:
     import aiomqtt
+
+    Hear = Callable[[aiomqtt.Message], Coroutine[Any, Any, None]]
 
 __all__ = ["MqttConnection"]
 
@@ -71,16 +73,10 @@ class MqttConnection:
         self._will = will
         self._client: aiomqtt.Client | None = None
         self._listening: asyncio.Task[None] | None = None
-        self._sending: set[asyncio.Task[None]] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
 
-    async def open(self, hear: Callable[[aiomqtt.Message], Coroutine[Any, Any, None]]) -> None:
-        """
-        Connect, and call `hear` in a task of its own for each message that is received.
-
-        Raises:
-            OutputError: aiomqtt is missing.
-            OSError: the broker cannot be reached now, or a file cannot be read.
-        """
+    async def open(self, hear: Hear) -> None:
+        """Connect, and call `hear` in a task of its own for each message that is received."""
         try:
             import aiomqtt
         except ImportError:
@@ -104,10 +100,30 @@ class MqttConnection:
             try:
                 await client.__aenter__()
             except BaseException:
-                _let_go(client)
+                if client._client.socket() is not None:  # aiomqtt 2.5 leaves it open
+                    client._client._sock_close()
                 raise
         self._client = client
-        self._listening = asyncio.create_task(self._listen(client, hear))
+        self._listening = self._begin(self._listen(client, hear))
+
+    async def _listen(self, client: aiomqtt.Client, hear: Hear) -> None:
+        """Pass messages on until the connection is lost."""
+        with contextlib.suppress(OSError), _as_connection_error():
+            async for message in client.messages:
+                self._begin(_heard(hear(message)))
+
+    def _begin(self, call: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        # In a task, because a cancellation may get lost in a call of aiomqtt.
+        task = asyncio.create_task(call)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    @property
+    def _used(self) -> aiomqtt.Client:
+        if self._client is None:
+            raise ConnectionResetError("the connection was lost")
+        return self._client
 
     async def publish(self, message: Message, qos: int, *, retain: bool) -> None:
         """Publish a message; return when the broker has acknowledged it, with QoS 1."""
@@ -121,7 +137,15 @@ class MqttConnection:
         Publish messages; return when the broker has all, also with QoS 0. Nothing subscribes to
         `unused`.
         """
-        await self._while_connected(self._publish_all(messages, qos, retain, unused))
+        assert self._listening is not None
+        task = self._begin(self._publish_all(messages, qos, retain, unused))
+        try:
+            await asyncio.wait([self._listening, task], return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            task.cancel()
+        if not task.done() or self._listening.done():
+            raise ConnectionResetError("the connection was lost")
+        task.result()
 
     async def _publish_all(
         self, messages: Iterator[Message], qos: int, retain: bool, unused: str
@@ -130,7 +154,10 @@ class MqttConnection:
         with _as_connection_error():
             while together := list(islice(messages, TOGETHER)):
                 count += len(together)
-                await _all(client.publish(*message, qos, retain) for message in together)
+                publishing = [client.publish(*message, qos, retain) for message in together]
+                for outcome in await asyncio.gather(*publishing, return_exceptions=True):
+                    if isinstance(outcome, BaseException):
+                        raise outcome
             if count and not qos:
                 # The broker acknowledges no publish, but this, which comes behind them, and
                 # changes nothing: a connection that it ended because of one of them is noticed.
@@ -144,7 +171,7 @@ class MqttConnection:
     async def close(self, last: Message | None) -> None:
         """Publish a last message, retained, if there is one, and disconnect."""
         client, self._client = self._client, None
-        await end_tasks([*self._sending, *([self._listening] if self._listening else [])])
+        await end_tasks([*self._tasks])
         self._listening = None
         if client is None:
             return
@@ -153,55 +180,10 @@ class MqttConnection:
         with contextlib.suppress(OSError), _as_connection_error():
             await client.__aexit__(None, None, None)
 
-    @property
-    def _used(self) -> aiomqtt.Client:
-        if self._client is None:
-            raise ConnectionResetError("the connection was lost")
-        return self._client
-
-    async def _while_connected(self, sending: Coroutine[Any, Any, None]) -> None:
-        assert self._listening is not None
-        task = self._begin(sending)
-        try:
-            await asyncio.wait([self._listening, task], return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            task.cancel()
-        if not task.done() or self._listening.done():
-            raise ConnectionResetError("the connection was lost")
-        task.result()
-
-    async def _listen(
-        self, client: aiomqtt.Client, hear: Callable[[aiomqtt.Message], Coroutine[Any, Any, None]]
-    ) -> None:
-        """Pass messages on until the connection is lost."""
-        with contextlib.suppress(OSError), _as_connection_error():
-            async for message in client.messages:
-                self._begin(_heard(hear(message)))
-
-    def _begin(self, sending: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-        # In a task, because a cancellation may get lost in a call of aiomqtt.
-        task = asyncio.create_task(sending)
-        self._sending.add(task)
-        task.add_done_callback(self._sending.discard)
-        return task
-
 
 async def _heard(hearing: Coroutine[Any, Any, None]) -> None:
     with contextlib.suppress(ConnectionError):
         await hearing
-
-
-async def _all(publishing: Iterable[Coroutine[Any, Any, None]]) -> None:
-    for outcome in await asyncio.gather(*publishing, return_exceptions=True):
-        if isinstance(outcome, BaseException):
-            raise outcome
-
-
-def _let_go(client: aiomqtt.Client) -> None:
-    """Close the socket of a client that could not connect; aiomqtt 2.5 leaves it open."""
-    paho = client._client
-    if paho.socket() is not None:
-        paho._sock_close()
 
 
 class _Debugging(HarmlessLogger):

@@ -4,20 +4,20 @@ Topics and payloads of readings at an MQTT broker, and what the broker retains o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 
 from ..readings import Reading
 from .forms import object_text, poll_messages
 from .topics import Topic
 
-__all__ = ["OFFLINE", "ONLINE", "DeviceStates", "Message", "Messages"]
+__all__ = ["OFFLINE", "ONLINE", "DeviceStates", "Message", "Messages", "State"]
 
 Message = tuple[str, bytes]
 """A topic and a payload."""
 
-Key = tuple[str, ...]
-"""The names of what has one topic: a device and a point, or a device."""
+Last = dict[str, Reading]
+"""Point -> its last reading; the one that came last has the labels of the topic."""
 
 ONLINE, OFFLINE = b"online", b"offline"
 
@@ -26,11 +26,8 @@ class Messages:
     """
     Makes messages of readings, and keeps the last values, which the broker may lose.
 
-    Args:
-        is_of_points: True for a message for each reading, False for one for each poll of a device.
-        is_retained: True if the broker retains the last message of each topic. That of a device has
-            the last values of its other points, too.
-        largest: the bytes that a message may have.
+    There is a message of up to `largest` bytes for each reading, or for each poll of a device. If
+    it is retained, that of a device has the last values of its other points, too.
     """
 
     def __init__(
@@ -40,76 +37,62 @@ class Messages:
         self._is_of_points = is_of_points
         self._is_retained = is_retained
         self._largest = largest
-        # The last reading of each point; its labels are those of the topic at which it is.
-        self._kept: dict[Key, dict[str, Reading]] = {}
+        # Device, or device and point -> what its topic retains, and will after these messages.
+        self._kept: dict[tuple[str, ...], Last] = {}
+        self._ahead: dict[tuple[str, ...], Last] = {}
 
     def of(self, readings: Sequence[Reading]) -> Iterator[Message]:
         """Yield the messages with readings, after those that take back values at former topics."""
-        ahead: dict[Key, dict[str, Reading]] = {}
-        for key, found in self._groups(readings):
+        self._ahead = {}
+        for key, last in self._groups(readings):
             if self._is_retained:
-                before = ahead.get(key, self._kept.get(key, {}))
-                found = _merged(before, found)
-                yield from self._taken_back(list(before.values()), list(found.values()))
-                ahead[key] = _staying(found)
-            last = list(found.values())
-            yield from self._messages(self._topic_of(last), last)
+                before = self._ahead.get(key, self._kept.get(key, {}))
+                last = {name: each for name, each in before.items() if name not in last} | last
+                if before and self._topic.labels:
+                    yield from self._taken_back(self._topic_of(before), last)
+                self._ahead[key] = {
+                    name: each for name, each in last.items() if each.quality != "offline"
+                }
+            yield from self._messages(self._topic_of(last), [*last.values()])
 
-    def _taken_back(self, before: list[Reading], last: list[Reading]) -> Iterator[Message]:
-        """Yield a message for a topic with a former label, where the broker retains values."""
-        if not before or not self._topic.labels:
-            return
-        former = self._topic_of(before)
+    def _taken_back(self, former: str, last: Last) -> Iterator[Message]:
+        """Yield messages for a topic with a former label."""
         if former != self._topic_of(last):
-            gone = [each._replace(value=None, quality="offline", reason="") for each in last]
+            gone = [
+                each._replace(value=None, quality="offline", reason="") for each in last.values()
+            ]
             yield from self._messages(former, gone)
 
-    def keep(self, readings: Sequence[Reading]) -> None:
-        """Keep readings that were published, if the broker retains them."""
-        if not self._is_retained:
-            return
-        for key, found in self._groups(readings):
-            staying = _staying(_merged(self._kept.get(key, {}), found))
-            if staying:
-                self._kept[key] = staying
-            else:
-                self._kept.pop(key, None)
+    def keep(self) -> None:
+        """Keep the readings of the last messages: they were published."""
+        self._kept.update(self._ahead)
+        for key in [key for key, last in self._ahead.items() if not last]:
+            self._kept.pop(key, None)
 
     def again(self) -> Iterator[Message]:
         """Yield the messages with the last values."""
-        for kept in self._kept.values():
-            last = list(kept.values())
-            yield from self._messages(self._topic_of(last), last)
+        for last in self._kept.values():
+            yield from self._messages(self._topic_of(last), [*last.values()])
 
-    def _groups(self, readings: Sequence[Reading]) -> Iterator[tuple[Key, dict[str, Reading]]]:
-        """Yield the readings of each message by the names of their points."""
+    def _groups(self, readings: Sequence[Reading]) -> Iterator[tuple[tuple[str, ...], Last]]:
         if self._is_of_points:
             for each in readings:
                 yield (each.device, each.name), {each.name: each}
-            return
-        for (device, _), group in groupby(readings, lambda each: each.poll):
-            yield (device,), {each.name: each for each in group}
+        else:
+            for (device, _), group in groupby(readings, lambda each: each.poll):
+                yield (device,), {each.name: each for each in group}
 
-    def _topic_of(self, readings: Sequence[Reading]) -> str:
-        last = readings[-1]
-        return self._topic.of(last.labels, device=last.device, name=last.name)
+    def _topic_of(self, last: Last) -> str:
+        newest = next(reversed(last.values()))
+        return self._topic.of(newest.labels, device=newest.device, name=newest.name)
 
     def _messages(self, topic: str, readings: Sequence[Reading]) -> Iterator[Message]:
         if self._is_of_points:
             for each in readings:
                 yield topic, object_text(each).encode()
-            return
-        for _, data in poll_messages(readings, self._largest):
-            yield topic, data
-
-
-def _merged(before: dict[str, Reading], found: dict[str, Reading]) -> dict[str, Reading]:
-    """Return the last readings of a topic; those that came last, whose labels count, are last."""
-    return {**{name: each for name, each in before.items() if name not in found}, **found}
-
-
-def _staying(found: dict[str, Reading]) -> dict[str, Reading]:
-    return {name: each for name, each in found.items() if each.quality != "offline"}
+        else:
+            for _, data in poll_messages(readings, self._largest):
+                yield topic, data
 
 
 State = tuple[str, bool]
@@ -120,33 +103,28 @@ class DeviceStates:
     """
     The devices that answer: at least one of their points was read, or refused, the last time.
 
-    Attributes:
-        published: device -> its state at the broker; without removed devices.
+    `published` has their states at the broker, without those of removed devices.
     """
 
     def __init__(self, topic: Topic) -> None:
         self._topic = topic
+        # Device -> its points that were answered the last time.
         self._answered: dict[str, set[str]] = {}
         self.published: dict[str, State] = {}
 
     def changed(self, readings: Sequence[Reading]) -> dict[str, State]:
         """Return the states of the devices of readings that are to be published."""
+        states: dict[str, State] = {}
         for each in readings:
             points = self._answered.setdefault(each.device, set())
             if each.quality in ("good", "bad"):
                 points.add(each.name)
             else:
                 points.discard(each.name)
-        states = {
-            each.device: (
-                self._topic.of(each.labels, device=each.device),
-                bool(self._answered[each.device]),
-            )
-            for each in readings
-        }
+            states[each.device] = self._topic.of(each.labels, device=each.device), bool(points)
         return {name: state for name, state in states.items() if self.published.get(name) != state}
 
-    def messages(self, states: dict[str, State]) -> Iterator[Message]:
+    def messages(self, states: Mapping[str, State]) -> Iterator[Message]:
         """Yield the messages with states; a device whose labels have changed has two topics."""
         for name, (topic, answers) in states.items():
             former, _ = self.published.get(name, (topic, False))
@@ -154,7 +132,7 @@ class DeviceStates:
                 yield former, OFFLINE
             yield topic, ONLINE if answers else OFFLINE
 
-    def note(self, published: dict[str, State], readings: Sequence[Reading]) -> None:
+    def keep(self, published: dict[str, State], readings: Sequence[Reading]) -> None:
         """Keep states that were published, and forget devices that are not polled any more."""
         self.published |= published
         for each in readings:

@@ -45,7 +45,9 @@ class Levels:
 
 _LEVELS = Levels(r"[/+#%\0]")
 
-_PART = re.compile(r"(\{[^{}]*\})")
+# A level of a topic: text, and one name or label at most. "{device}-{name}" would be a-b-c for c of
+# a-b and for b-c of a.
+_LEVEL = re.compile(r"([^{}]*)(?:\{([^{}]*)\}([^{}]*))?")
 
 _LABEL = "label."
 
@@ -55,43 +57,33 @@ UNKNOWN = "unknown"
 
 class Topic:
     """
-    A topic with names and labels, such as "plant/{label.site}/{device}/{name}".
+    A topic with `names`, each on a level of its own, and with labels of devices, such as
+    "plant/{label.site}/{device}/{name}".
 
-    Args:
-        key: the argument, for errors.
-        template: the topic. Each level holds one name or label at most.
-        names: the names that it must hold, each once: "device" and "name", or "device".
-
-    Attributes:
-        labels: the names of the labels that it holds.
-        filter: the topic filter that matches all topics.
+    `labels` are the names of these labels, `filter` is the topic filter that matches all topics.
     """
 
     def __init__(self, key: str, template: object, names: tuple[str, ...]) -> None:
         self.template: str = plain_topic(key, template)
         self._key = key
-        self._parts = _PART.split(self.template)
-        held = [part[1:-1] for part in self._parts[1::2]]
+        found = [_LEVEL.fullmatch(level) for level in self.template.split("/")]
+        self._levels = [each.groups("") for each in found if each is not None]
+        held = [name for _, name, _ in self._levels]
         self.labels: list[str] = [
             each.removeprefix(_LABEL) for each in held if each.startswith(_LABEL)
         ]
-        if sorted(each for each in held if not each.startswith(_LABEL)) != sorted(names):
+        others = [each for each in held if each and not each.startswith(_LABEL)]
+        if None in found or "" in self.labels or "{}" in self.template:
+            reason = "each level must have one {name} at most, and text without braces"
+            raise WrongValue.about(key, f"{reason}: {template!r}")
+        if sorted(others) != sorted(names):
             wanted = " and ".join(f"{{{name}}}" for name in names)
             raise WrongValue(key, f"must hold {wanted} once, not {template!r}")
-        if "" in self.labels:
-            raise WrongValue.about(key, f"{{label.}} names no label: {template!r}")
-        if set("{}") & set("".join(self._parts[::2])):
-            raise WrongValue.about(key, f"a brace belongs to no name: {template!r}")
-        levels = self.template.split("/")
-        if any(len(_PART.findall(level)) > 1 for level in levels):
-            # "{device}-{name}" would be a-b-c for c of a-b and for b-c of a.
-            reason = f"{', '.join(f'{{{each}}}' for each in held)} must stand apart, with / between"
-            raise WrongValue.about(key, f"{reason} them: {template!r}")
-        self.filter: str = "/".join("+" if "{" in level else level for level in levels)
+        self.filter: str = "/".join("+" if name else text for text, name, _ in self._levels)
         self._pattern = re.compile(
-            "".join(
-                re.escape(part) if at % 2 == 0 else _group(part[1:-1])
-                for at, part in enumerate(self._parts)
+            "/".join(
+                f"{re.escape(before)}{_group(name)}{re.escape(behind)}"
+                for before, name, behind in self._levels
             )
         )
 
@@ -105,31 +97,20 @@ class Topic:
 
     def of(self, labels: Mapping[str, str], **names: str) -> str:
         """Return the topic of a device, or of one of its points."""
-        held = {
-            **names,
-            **{f"{_LABEL}{each}": labels.get(each) or UNKNOWN for each in self.labels},
-        }
-        return "".join(
-            part if at % 2 == 0 else _LEVELS.spell(held[part[1:-1]])
-            for at, part in enumerate(self._parts)
+        held = {"": "", **names}
+        held |= {f"{_LABEL}{each}": labels.get(each) or UNKNOWN for each in self.labels}
+        return "/".join(
+            f"{before}{_LEVELS.spell(held[name])}{behind}" for before, name, behind in self._levels
         )
 
     def read(self, topic: str) -> dict[str, str] | None:
-        """
-        Return the names in a topic; None if it is not one that `of` returns for some labels.
-
-        Labels are not compared.
-        """
+        """Return the names in a topic that `of` returns for some labels; None for others."""
         found = self._pattern.fullmatch(topic)
         if found is None:
             return None
-        names: dict[str, str] = {}
-        for key, level in found.groupdict().items():
-            name = _LEVELS.read(level)
-            if name is None:
-                return None
-            names[key] = name
-        return names
+        names = {key: _LEVELS.read(level) for key, level in found.groupdict().items()}
+        known = {key: name for key, name in names.items() if name is not None}
+        return known if len(known) == len(names) else None
 
     def can_be(self, topic: str) -> bool:
         """Return True if this is another topic, or template of topics, for some names."""
@@ -150,4 +131,6 @@ def plain_topic(key: str, topic: object) -> str:
 
 
 def _group(name: str) -> str:
-    return "[^/]+" if name.startswith(_LABEL) else f"(?P<{name}>[^/]+)"
+    if name.startswith(_LABEL):
+        return "[^/]+"
+    return f"(?P<{name}>[^/]+)" if name else ""

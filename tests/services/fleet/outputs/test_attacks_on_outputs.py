@@ -191,7 +191,7 @@ def test_a_clock_that_jumps_back_leaves_the_topic_of_a_label_that_changed() -> N
 
     def published(readings: list[Reading]) -> list[str]:
         topics = [topic for topic, _ in messages.of(readings)]
-        messages.keep(readings)
+        messages.keep()
         return topics
 
     first = [each._replace(labels={"site": "old"}) for each in poll(3600)]

@@ -333,7 +333,7 @@ def test_a_flood_of_commands_is_bounded(broker: Broker) -> None:
         ({"ca": "x"}, "ca can only be used with mqtts"),
         ({"topic": "x/{name}"}, "topic must hold"),
         ({"topic": "x/{device}/{name}/{zone}"}, "topic must hold"),
-        ({"topic": "x/{device}{name}"}, "must stand apart"),
+        ({"topic": "x/{device}{name}"}, "each level must have one {name}"),
         ({"topic": "#/{device}/{name}"}, "must be a topic without"),
         ({"status": "+"}, "status must be a topic without"),
     ],

@@ -49,7 +49,7 @@ class TestDeviceStates:
         changed = states.changed([reading("a")])
         assert changed == {"a": ("states/unknown/a", True)}
         assert states.changed([reading("a")]) == changed
-        states.note(changed, [reading("a")])
+        states.keep(changed, [reading("a")])
         assert states.changed([reading("a")]) == {}
 
     def test_a_device_with_another_label_has_another_topic(self) -> None:
@@ -62,7 +62,7 @@ class TestDeviceStates:
             labelled = [reading("a")._replace(labels={"site": site})]
             changed = states.changed(labelled)
             assert list(states.messages(changed)) == sent
-            states.note(changed, labelled)
+            states.keep(changed, labelled)
 
 
 def test_only_the_standard_output_wants_no_earlier_readings() -> None:

@@ -132,7 +132,7 @@ def test_a_device_answers_while_a_point_of_it_is_read_or_refused(
         readings = poll("a", letters)
         changed = known.changed(readings)
         assert known.changed(readings) == changed  # a write that failed is tried again
-        known.note(changed, readings)
+        known.keep(changed, readings)
         found.append(changed["a"][1] if changed else None)
     assert found == states
 
@@ -142,7 +142,7 @@ def test_removed_devices_take_no_room() -> None:
     for number in range(100):
         for letters in ("gg", "oo"):
             readings = poll(f"device {number}", letters)
-            known.note(known.changed(readings), readings)
+            known.keep(known.changed(readings), readings)
     assert (known.published, known._answered) == ({}, {})
 
 
@@ -173,7 +173,7 @@ def test_each_device_has_its_topic_also_after_a_restart_of_the_broker(broker: Br
         ("states", "device_status must hold {device} once"),
         ("{device}/{name}", "device_status must hold {device} once"),
         ("{device}/{device}", "device_status must hold {device} once"),
-        ("x{/{device}", "device_status: a brace belongs to no name"),
+        ("x{/{device}", "device_status: each level must have one {name}"),
         ("modbus/{device}/state", "device_status must not be the topic of a reading"),
         ("modbus/state/{device}", "device_status must not be the topic of a reading"),
         ("{device}/a/b", "device_status must not be the topic of a reading"),
