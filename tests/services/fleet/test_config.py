@@ -83,12 +83,12 @@ def test_whole_numbers_in_a_table_have_twenty_digits_at_most() -> None:
 @each_case(
     ("topic", "said"),
     [
-        ("x/{device}-{name}", "must stand apart"),
-        ("x/{name}.{device}/y", "must stand apart"),
-        ("x/{device}/{name}/{", "a brace belongs to no name"),
-        ("x}/{device}/{name}", "a brace belongs to no name"),
+        ("x/{device}-{name}", "each level must have one {name}"),
+        ("x/{name}.{device}/y", "each level must have one {name}"),
+        ("x/{device}/{name}/{", "each level must have one {name}"),
+        ("x}/{device}/{name}", "each level must have one {name}"),
         ("x/{{device}/{name}", "topic"),
-        ("x/{device}}/{name}", "a brace belongs to no name"),
+        ("x/{device}}/{name}", "each level must have one {name}"),
         ("x/{device!r}/{name}", "topic must hold"),
     ],
 )

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import contextlib
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -88,26 +87,37 @@ class Influx:
     ) -> None:
         self._protocol = LineProtocol(measurement)
         self.buffer: int = buffer
+        self._file: LineFile | None = None
         texts = {"database": database, "bucket": bucket, "organization": organization, "user": user}
         if url is None:
-            others = {**texts, "password": password, "token": token, "ca": ca}
-            needless = [name for name, value in others.items() if value is not None]
-            if needless:
-                raise WrongValue(needless[0], "can only be used with url")
-            self.path: str = "-" if path is None else path
-            file = LineFile(self.path, self._protocol.format, buffer)
+            for name, value in {**texts, "password": password, "token": token, "ca": ca}.items():
+                if value is not None:
+                    raise WrongValue(name, "can only be used with url")
+            self._file = file = LineFile(
+                "-" if path is None else path, self._protocol.format, buffer
+            )
+            self.path: str = file.path
             self.name: str = file.name
             self.is_live: bool = file.is_live
             self.exclusive: tuple[str, ...] = file.exclusive
             self.identity: str = file.identity
-            self._sink: LineFile | _Server = file
             return
         if path is not None:
             raise WrongValue("path", "cannot be used with url")
-        secret = token if token is not None else password
-        self._sink = server = _Server(self._protocol, url, texts, secret, ca)
+        server = server_url(
+            "url", url, PORTS, example="http://192.0.2.1:8086", login=LOGIN, may_have_path=True
+        )
+        if ca is not None and server.scheme != "https":
+            raise WrongValue("ca", "can only be used with https://")
         _check(texts, password, token)
-        self.name = server.name
+        self._url = f"{url.rstrip('/')}{'/write' if database else '/api/v2/write'}"
+        query = {"db": database, "bucket": bucket, "org": organization, "precision": "ns"}
+        self._query = {key: value for key, value in query.items() if value}
+        self._user = user
+        self._secret = password if token is None else token
+        self._trust = Trust(ca) if server.scheme == "https" else None
+        self._client: httpx.AsyncClient | None = None
+        self.name = f"influx {server.place}"
         self.is_live = False
         place = "/".join(each for each in (organization, bucket, database) if each)
         self.exclusive = (f"the measurement {measurement!r} in {place!r} of {self.name}",)
@@ -118,46 +128,9 @@ class Influx:
         self._protocol.describe(devices)
 
     async def open(self) -> None:
-        await self._sink.open()
-
-    async def write(self, readings: Sequence[Reading]) -> None:
-        await self._sink.write(readings)
-
-    async def close(self) -> None:
-        await self._sink.close()
-
-
-class _Server:
-    """
-    A server, which takes lines by HTTP.
-
-    Redirections are not followed, because they would lead the credentials elsewhere.
-    """
-
-    def __init__(
-        self,
-        protocol: LineProtocol,
-        url: str,
-        texts: Mapping[str, str | None],
-        secret: str | SecretFile | None,
-        ca: str | None,
-    ) -> None:
-        server = server_url(
-            "url", url, PORTS, example="http://192.0.2.1:8086", login=LOGIN, may_have_path=True
-        )
-        if ca is not None and server.scheme != "https":
-            raise WrongValue("ca", "can only be used with https://")
-        self.name: str = f"influx {server.place}"
-        path = "/write" if texts["database"] else "/api/v2/write"
-        self._url = f"{url.rstrip('/')}{path}"
-        query = {"db": texts["database"], "bucket": texts["bucket"], "org": texts["organization"]}
-        self._query = {key: value for key, value in query.items() if value} | {"precision": "ns"}
-        self._protocol = protocol
-        self._user, self._secret = texts["user"], secret
-        self._trust = Trust(ca) if server.scheme == "https" else None
-        self._client: httpx.AsyncClient | None = None
-
-    async def open(self) -> None:
+        if self._file is not None:
+            await self._file.open()
+            return
         try:
             import httpx
         except ImportError:
@@ -166,28 +139,41 @@ class _Server:
         self._client = httpx.AsyncClient(verify=context, timeout=TIMEOUT_S)
 
     async def write(self, readings: Sequence[Reading]) -> None:
-        lines = self._protocol.lines(readings)
-        if not lines:
-            return
+        if self._file is not None:
+            await self._file.write(readings)
+        elif lines := self._protocol.lines(readings):
+            await self._send(lines)
+
+    async def close(self) -> None:
+        if self._file is not None:
+            await self._file.close()
+        elif self._client is not None:
+            client, self._client = self._client, None
+            await finish(client.aclose())
+
+    async def _send(self, lines: bytes) -> None:
+        import httpx
+
         secret = await text_of(self._secret)
         try:
             async with asyncio.timeout(TIMEOUT_S):
-                with _as_os_error():
-                    status, answer = await self._post(lines, secret)
+                status, answer = await self._post(lines, secret)
         except TimeoutError:
             raise TimeoutError(f"the server did not answer in {TIMEOUT_S:g} s") from None
+        except (httpx.ReadError, httpx.WriteError, httpx.RemoteProtocolError) as error:
+            raise ConnectionResetError(_reason(error)) from None  # while lines were sent
+        except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError) as error:
+            raise OSError(_reason(error)) from None
         if status == ACCEPTED_STATUS:
             return
         if status < 300:
             message = f"the server answered {status} to a write, InfluxDB 204: is this its URL?"
             raise OSError(message)
         message = f"{status} {_shown(answer, self._user, secret)}".rstrip()
-        if status in REFUSED:
-            raise ReadingsRefused(message)
-        raise OSError(message)
+        raise (ReadingsRefused if status in REFUSED else OSError)(message)
 
     async def _post(self, lines: bytes, secret: str | None) -> tuple[int, bytes]:
-        """Return the status of the answer, and what it says."""
+        """Return the status of the answer, and what it says; redirections are not followed."""
         client, headers = self._client, {"Content-Type": "text/plain; charset=utf-8"}
         assert client is not None
         if secret is not None and self._user is None:
@@ -203,11 +189,6 @@ class _Server:
                 if len(begin) >= LONGEST_ANSWER_BYTES:
                     break
             return answer.status_code, begin
-
-    async def close(self) -> None:
-        client, self._client = self._client, None
-        if client is not None:
-            await finish(client.aclose())
 
 
 def _check(
@@ -229,19 +210,6 @@ def _check(
         raise WrongValue("token", "cannot be used with user")
 
 
-@contextlib.contextmanager
-def _as_os_error() -> Iterator[None]:
-    """Raise ConnectionError if the connection is lost while lines are sent, OSError else."""
-    import httpx
-
-    try:
-        yield
-    except (httpx.ReadError, httpx.WriteError, httpx.RemoteProtocolError) as error:
-        raise ConnectionResetError(_reason(error)) from None
-    except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError) as error:
-        raise OSError(_reason(error)) from None
-
-
 def _reason(error: Exception) -> str:
     return without_controls(str(error))[:LONGEST_SHOWN_CHARACTERS] or type(error).__name__
 
@@ -258,7 +226,7 @@ def _shown(answer: bytes, user: str | None, secret: str | None) -> str:
     return " ".join(without_controls(text).split())[:LONGEST_SHOWN_CHARACTERS]
 
 
-_MEASUREMENT = re.compile(r"([, ])")
+_MEASUREMENT = re.compile(r"[^_#\\][^\\]{0,199}")
 
 _KEY = re.compile(r"([,= ])")
 
@@ -273,16 +241,19 @@ class LineProtocol:
 
     ``modbus,device=north,site=Halle voltage=230.5,power=1200 1700000000000000000``
 
-    Numbers are floats, because a field has one type for good in InfluxDB, and scaled values are
-    whole numbers now and then. A point with named states is text, also a number without a name.
-    Items of lists and named bits are fields of their own, such as ``flags.door``. A point without a
-    value has the fields ``NAME.quality`` and ``NAME.reason`` in its place.
+    Numbers are floats, because a field has one type for good in InfluxDB. So a point with named
+    states is text, also where a number has no name.
 
     Source: the line protocol of InfluxDB 1.x and 2.x.
     """
 
-    def __init__(self, measurement: str) -> None:
-        self._measurement = _MEASUREMENT.sub(r"\\\1", _name("measurement", measurement))
+    def __init__(self, measurement: object) -> None:
+        if not isinstance(measurement, str):
+            raise WrongType("measurement", f"must be text, not {type(measurement).__name__}")
+        if not _MEASUREMENT.fullmatch(measurement) or not measurement.isprintable():
+            allowed = "1 to 200 printable characters without \\, the first neither _ nor #"
+            raise WrongValue("measurement", f"must be {allowed}, not {measurement[:50]!r}")
+        self._measurement = re.sub("([, ])", r"\\\1", measurement)
         # Device -> its points whose values are text, also of devices that were removed.
         self._texts: dict[str, frozenset[str]] = {}
 
@@ -357,13 +328,3 @@ def _spelled(name: str) -> str:
     # A backslash cannot be escaped, and would escape the character behind it.
     escaped = without_controls(name).replace("\n", "%0A").replace("\\", "%5C")
     return _KEY.sub(r"\\\1", escaped)
-
-
-def _name(key: str, name: object) -> str:
-    if not isinstance(name, str):
-        raise WrongType(key, f"must be text, not {type(name).__name__}")
-    is_written = 1 <= len(name) <= 200 and name.isprintable() and "\\" not in name
-    if not is_written or name.startswith(("_", "#")):
-        allowed = "1 to 200 printable characters without \\, the first neither _ nor #"
-        raise WrongValue(key, f"must be {allowed}, not {name[:50]!r}")
-    return name

@@ -26,32 +26,22 @@ __all__ = ["CsvOutput", "Format", "JsonOutput", "LineFile"]
 
 
 # Bytes that are read at once from a file whose last line was not ended.
-PIECE = 1 << 20
+CHUNK_BYTES = 1 << 20
 
 
 class Format(NamedTuple):
     """
-    A format of lines.
+    A format of lines: a name, what makes lines of readings, and the first bytes of each file.
 
-    Attributes:
-        name: of outputs with this format, such as "csv".
-        lines: returns readings as lines.
-        begin: the first bytes of each file.
-        has_header: True if `begin` is a header, which is written to an empty file; False if it is
-            the beginning of each line.
-        quote: what encloses text within which a line does not end; empty if there is none.
+    These are a header, which an empty file gets, or the beginning of each line. A line does not end
+    within a text that is enclosed by `quote`.
     """
 
     name: str
     lines: Callable[[Sequence[Reading]], bytes]
     begin: bytes
-    has_header: bool = False
+    header: bytes = b""
     quote: bytes = b""
-
-    @property
-    def header(self) -> bytes:
-        """The header of a file; empty if it has none."""
-        return self.begin if self.has_header else b""
 
 
 class LineFile:
@@ -64,18 +54,16 @@ class LineFile:
     stopped in the midst of a line, that line is ended first.
     """
 
-    def __init__(
-        self,
-        path: str,
-        form: Format,
-        buffer: int = MOST_KEPT,
-    ) -> None:
+    def __init__(self, path: str, form: Format, buffer: int = MOST_KEPT) -> None:
         if not isinstance(path, str | os.PathLike) or not os.fspath(path):
             raise WrongType("path", f"must be text, not {path!r}")
-        if "\0" in os.fspath(path):
-            raise WrongValue("path", "must not contain the character 0")
         self.path: str = os.fspath(path)
-        thing = "the standard output" if self.path == "-" else file_at(self.path)
+        if "\0" in self.path:
+            raise WrongValue("path", "must not contain the character 0")
+        # True if readings of earlier runs are not wanted.
+        self.is_live: bool = self.path == "-"
+        self.name: str = form.name if self.is_live else f"{form.name} {self.path}"
+        thing = "the standard output" if self.is_live else file_at(self.path)
         self.exclusive: tuple[str, ...] = (thing,)
         self.buffer: int = buffer
         self._form = form
@@ -84,18 +72,9 @@ class LineFile:
         self._thread = WriterThread(self.path)
 
     @property
-    def is_live(self) -> bool:
-        """True if readings of earlier runs are not wanted."""
-        return self.path == "-"
-
-    @property
     def identity(self) -> str:
         """The name of its place in a journal, the same in whatever folder the program starts."""
         return f"{self._form.name} {os.path.abspath(self.path)}"
-
-    @property
-    def name(self) -> str:
-        return self._form.name if self.path == "-" else f"{self._form.name} {self.path}"
 
     async def open(self) -> None:
         self._thread.start()
@@ -116,7 +95,7 @@ class LineFile:
 
     def _open(self) -> None:
         with self._named():
-            if self.path == "-":
+            if self.is_live:
                 self._descriptor = os.dup(1)
             else:
                 flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
@@ -137,7 +116,7 @@ class LineFile:
 
     def _is_replaced(self) -> bool:
         """True if the path leads to another file than the open one, or to none."""
-        if self.path == "-":
+        if self.is_live:
             return False
         try:
             return not os.path.samestat(os.stat(self.path), os.fstat(self._descriptor))
@@ -148,37 +127,29 @@ class LineFile:
         """Return what must stand before the first reading."""
         if not self._size:
             return self._form.header
-        if self.path == "-":
+        if self.is_live:
             return b""
         try:
             file = open(self.path, "rb")  # noqa: SIM115
         except OSError:  # it may only be written
             return b""
         with file:
-            begin = file.read(len(self._form.begin))
-            if begin != self._form.begin:
-                return self._begin_anew(begin)
+            if file.read(len(self._form.begin)) != self._form.begin:
+                wanted = self._form.begin.decode().strip()
+                reason = f"does not begin with {wanted!r}, so nothing is written; rename the file"
+                raise OSError(errno.EEXIST, reason)
             file.seek(-1, os.SEEK_END)
-            if file.read(1) != b"\n":
-                return self._end_of_quotation(file) + b"\n"
-        return b""
+            if file.read(1) == b"\n":
+                return b""
+            return self._form.quote * self._is_quoting(file) + b"\n"
 
-    def _begin_anew(self, begin: bytes) -> bytes:
-        """Empty a file that ends in the midst of its beginning; refuse all others."""
-        if not self._form.begin.startswith(begin):
-            wanted = self._form.begin.decode().strip()
-            reason = f"does not begin with {wanted!r}, so nothing is written; rename the file"
-            raise OSError(errno.EEXIST, reason)
-        os.ftruncate(self._descriptor, 0)
-        return self._form.header
-
-    def _end_of_quotation(self, file: BinaryIO) -> bytes:
-        quote = self._form.quote
-        if not quote:
-            return b""
+    def _is_quoting(self, file: BinaryIO) -> bool:
+        """Return True if a file ends within a quoted text."""
+        if not self._form.quote:
+            return False
         file.seek(0)
-        count = sum(piece.count(quote) for piece in iter(lambda: file.read(PIECE), b""))
-        return quote if count % 2 else b""
+        chunks = iter(lambda: file.read(CHUNK_BYTES), b"")
+        return sum(chunk.count(self._form.quote) for chunk in chunks) % 2 == 1
 
     def _put_whole(self, data: bytes) -> None:
         """Write all of the data, or nothing to a file that has no room."""
@@ -197,7 +168,7 @@ class LineFile:
         try:
             yield
         except OSError as error:
-            if self.path == "-":
+            if self.is_live:
                 raise OutputError(f"standard output: {error.strerror}") from error
             raise OSError(error.errno, error.strerror, self.path) from error
 
@@ -258,7 +229,7 @@ class CsvOutput(LineFile):
         columns = _columns(labels)
         header = csv_rows([(*COLUMNS, *columns)]).encode()
         lines = partial(as_csv, labels=columns)
-        super().__init__(path, Format("csv", lines, header, has_header=True, quote=b'"'), buffer)
+        super().__init__(path, Format("csv", lines, header, header, quote=b'"'), buffer)
 
 
 def _columns(labels: object) -> list[str]:

@@ -181,17 +181,6 @@ def test_a_file_with_other_columns_is_not_continued(tmp_path: Path) -> None:
     assert path.read_bytes() == before
 
 
-@each_case("kind", ["json", "csv", "influx"])
-def test_a_file_that_ends_in_its_beginning_is_begun_anew(tmp_path: Path, kind: str) -> None:
-    path = tmp_path / kind
-    written(made(kind, {"path": str(path)}), reading(1))
-    whole = path.read_bytes()
-    for cut in range(1, 5):
-        path.write_bytes(whole[:cut])
-        written(made(kind, {"path": str(path)}), reading(1))
-        assert path.read_bytes() == whole
-
-
 # --- the standard output ------------------------------------------------------------------------
 
 
