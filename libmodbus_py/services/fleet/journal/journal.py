@@ -10,8 +10,7 @@ there, one transaction after the other, and forces it onto the disk::
     a transaction has failed  -> the same polls are tried again, after a pause
     the file is damaged       -> it is given another name, and a new one begins
 
-All of it runs in one thread, which calls the methods of `JournalFile` in order. Another thread
-reads for outputs that are behind.
+One thread calls the methods of `JournalFile`, in order; it reads for outputs that are behind, too.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from ..outputs.output import file_at
 from ..readings import Reading
 from ..statistics import JournalStatistics
 from .journal_file import Begun, JournalFile
-from .journal_reader import HistoricalValue, JournalReader, history
+from .journal_reader import HistoricalValue, history
 from .place import JournalPlace, RecentPolls
 from .schema import JournalDamaged, JournalError, JournalPoll, numbered
 
@@ -101,9 +100,7 @@ class Journal:
             in_seconds("keep", keep, *KEEP_BOUNDS),
             in_bytes("size", size, *SIZE_BOUNDS),
         )
-        self._writing = WriterThread(self.path)
-        self._reading = WriterThread(self.path)
-        self._reader = JournalReader(self.path)
+        self._thread = WriterThread(self.path)
         self._places: list[JournalPlace] = []
         self._recent = RecentPolls(0)
         # Polls of the transaction under way, or of one that failed.
@@ -155,16 +152,15 @@ class Journal:
         """
         if self._task is not None:
             raise RuntimeError(f"the journal {self.path} is already in use; make another one")
-        self._writing.start()
-        self._reading.start()
+        self._thread.start()
         try:
             try:
-                begun: Begun = await self._writing.call(self._file.open, outputs)
+                begun: Begun = await self._thread.call(self._file.open, outputs)
             except JournalDamaged as error:
-                begun = await self._writing.call(self._file.replace, error, outputs)
+                begun = await self._thread.call(self._file.replace, error, outputs)
         except BaseException:
-            await finish(self._writing.call(self._file.close), LAST_WAIT_S)  # it may be opening
-            self._stop_threads()
+            await finish(self._thread.call(self._file.close), LAST_WAIT_S)  # it may be opening
+            self._thread.stop()
             raise
         self._recent = RecentPolls(begun.first - 1)
         self._places = [
@@ -172,10 +168,6 @@ class Journal:
         ]
         self._task = asyncio.create_task(self._run(), name=f"journal {self.path}")
         return self._places
-
-    def _stop_threads(self) -> None:
-        self._writing.stop()
-        self._reading.stop()
 
     async def close(self) -> None:
         """Write what waits, and close the file; a disk that hangs delays this by 5 s."""
@@ -186,7 +178,7 @@ class Journal:
         try:
             await finish(self._end(), LAST_WAIT_S)
         finally:
-            self._stop_threads()
+            self._thread.stop()
 
     async def _end(self) -> None:
         try:
@@ -198,8 +190,7 @@ class Journal:
             lost = self.last - self._written
             self.statistics.dropped += lost
             logger.error("%s: %d readings are lost", self.path, lost)
-        await self._reading.call(self._reader.close)
-        await self._writing.call(self._file.close)
+        await self._thread.call(self._file.close)
 
     # --- what a fleet calls -----------------------------------------------------------------
 
@@ -249,7 +240,7 @@ class Journal:
             return polls, number
         before = min(self._recent.before, self._written)
         try:
-            polls = await self._reading.call(self._reader.read, number, most)
+            polls = await self._thread.call(self._file.read, number, most)
         except JournalError as error:
             self._note_trouble(error)
             self._wake.set()
@@ -273,7 +264,7 @@ class Journal:
                     await self._replace(self._damage)
                 if asyncio.get_running_loop().time() >= self._force_at:
                     self._force_at = math.inf
-                    await self._writing.call(self._file.force)  # before a write that may fail
+                    await self._thread.call(self._file.force)  # before a write that may fail
                 await self._write()
                 pauses.reset()
             except Exception as error:  # a defect, too, is tried again, and shown
@@ -298,7 +289,7 @@ class Journal:
         places = {each.name: each.confirmed for each in self._places}
         confirmed = min(places.values(), default=self.last)
         try:
-            written = await self._writing.call(self._file.write, self._batch, places, confirmed)
+            written = await self._thread.call(self._file.write, self._batch, places, confirmed)
         finally:
             if noting is not None and not noting.done():
                 noting.set_result(None)  # outputs do not wait for a disk that takes nothing
@@ -327,7 +318,6 @@ class Journal:
 
     async def _replace(self, error: JournalDamaged) -> None:
         """Begin a new file in place of a damaged one."""
-        await self._reading.call(self._reader.close)
         names = [each.name for each in self._places]
-        await self._writing.call(self._file.replace, error, names, self._written + 1)
+        await self._thread.call(self._file.replace, error, names, self._written + 1)
         self._damage = None

@@ -5,6 +5,7 @@ The file of a journal: an SQLite database. Its methods block; one thread calls t
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import sqlite3
 import time
@@ -15,6 +16,7 @@ from typing import NamedTuple
 from ....protocol.json_text import SORTED_JSON
 from ....protocol.logs import HarmlessLogger
 from ....system import lock_file
+from ..readings import NO_LABELS
 from .schema import (
     APPLICATION,
     SCHEMA,
@@ -24,12 +26,13 @@ from .schema import (
     JournalPoll,
     Points,
     Row,
+    decoded,
     encoded,
     first_id,
     raised,
 )
 
-__all__ = ["Begun", "JournalFile", "JournalState"]
+__all__ = ["Begun", "JournalFile", "Written"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -56,9 +59,11 @@ NEWEST_POINTS = (
     " AND points = (SELECT max(points) FROM point WHERE device = ?) ORDER BY id"
 )
 
-# The devices all of whose readings were deleted.
-FORGET_DEVICES = (
-    "DELETE FROM device WHERE NOT EXISTS (SELECT 1 FROM poll WHERE poll.device = device.id)"
+POLLS = f"SELECT {', '.join(Row._fields)} FROM poll WHERE id > ? ORDER BY id"
+
+POINTS = (
+    "SELECT device.name, labels, point.name, unit"
+    " FROM point JOIN device ON device.id = device WHERE points = ? ORDER BY point.id"
 )
 
 WAITING = """
@@ -72,6 +77,10 @@ SET_PLACE = (
 )
 
 
+# What the contents of a damaged row raise.
+DAMAGES = (AttributeError, LookupError, TypeError, ValueError, RecursionError)
+
+
 class Begun(NamedTuple):
     """The first id of a run; for each output the id it confirmed, and how many readings wait."""
 
@@ -80,8 +89,8 @@ class Begun(NamedTuple):
     waiting: dict[str, int]
 
 
-class JournalState(NamedTuple):
-    """The bytes of a journal, and the first ids and numbers of readings of polls now deleted."""
+class Written(NamedTuple):
+    """The bytes of a journal; of each poll that was deleted, the first id and the readings."""
 
     size: int
     deleted: list[tuple[int, int]]
@@ -103,27 +112,26 @@ class JournalFile:
         self._size = size
         self._lock = -1
         self._database: sqlite3.Connection | None = None
-        # Device -> its labels and points in the last poll.
+        # Device -> its labels and points in the last poll that was written.
         self._points: dict[str, tuple[Mapping[str, str], Points]] = {}
+        # The same lists by their ids, for reading: name and labels of the device, names and units.
+        self._lists: dict[int, tuple[str, Mapping[str, str], list[tuple[str, str]]]] = {}
         self._to_delete = 0.0
         self._identity: tuple[int, int] | None = None
 
     # --- life -------------------------------------------------------------------------------
 
     def open(self, outputs: Collection[str], first: int = 0) -> Begun:
-        """
-        Open the file, or create it, and begin a run with the id `first`, 0 for one by the clock.
-
-        Raises:
-            JournalError: this file cannot be used; another program uses it, for example.
-            JournalDamaged: the file is not a database, or a damaged one.
-        """
+        """Open or create the file, and begin a run with the id `first`, 0 for one by the clock."""
         # Some other file must not be taken for a damaged journal, which is renamed.
         was_used = os.path.exists(f"{self.path}-lock")
         try:
             self._take_lock()
             with raised(self.path):
-                self._database = self._connected()
+                self._database = sqlite3.connect(
+                    self.path, isolation_level=None, check_same_thread=False
+                )
+                self._prepare(self._database)
                 begun = self._begin(outputs, first)
         except JournalDamaged as error:
             self.close()
@@ -151,15 +159,6 @@ class JournalFile:
         if self._lock >= 0:
             os.close(self._lock)
             self._lock = -1
-
-    def _connected(self) -> sqlite3.Connection:
-        database = sqlite3.connect(self.path, isolation_level=None, check_same_thread=False)
-        try:
-            self._prepare(database)
-        except BaseException:
-            database.close()
-            raise
-        return database
 
     def _prepare(self, database: sqlite3.Connection) -> None:
         def pragma(text: str) -> int | str | None:
@@ -202,8 +201,6 @@ class JournalFile:
                 "INSERT INTO place VALUES (?, ?) ON CONFLICT DO NOTHING",
                 [(name, first - 1) for name in outputs],
             )
-            database.execute(FORGET_DEVICES)
-            database.execute("DELETE FROM point WHERE device NOT IN (SELECT id FROM device)")
             found = {name: database.execute(WAITING, (name,)).fetchone() for name in outputs}
         return Begun(
             first,
@@ -218,38 +215,30 @@ class JournalFile:
 
     def _close_database(self, last: str = "") -> None:
         database, self._database = self._database, None
-        self._points = {}
+        self._points, self._lists = {}, {}
         if database is not None:
             with contextlib.suppress(sqlite3.Error), contextlib.closing(database):
                 database.execute(last)
 
     def replace(self, error: JournalDamaged, outputs: Collection[str], first: int = 0) -> Begun:
-        """
-        Rename a damaged file, and begin a new one, as `open` does.
-
-        Raises:
-            JournalError: the new file cannot be used; it may be possible later.
-        """
+        """Rename a damaged file, and begin a new one, as `open` does."""
         self._close_database()
         self._take_lock()
-        with raised(self.path):
-            self._set_aside()
-        begun = self.open(outputs, first)
-        logger.error("%s; a new journal begins", error)
-        return begun
-
-    def _set_aside(self) -> None:
-        """Give the file another name; the changes of one that is gone would spoil the next one."""
+        names = (f"{self.path}-damaged", *(f"{self.path}-damaged-{at}" for at in range(2, 1000)))
+        moved = next(name for name in names if not os.path.exists(name))
+        # The changes of a database that is gone would spoil the one in its place.
         is_gone = self._identity not in (None, _identity_of(self.path))
-        moved = _free_name(f"{self.path}-damaged")
         for ending in ("-wal", "-shm", ""):
-            with contextlib.suppress(FileNotFoundError):
+            with raised(self.path), contextlib.suppress(FileNotFoundError):
                 if is_gone and ending:
                     os.unlink(f"{self.path}{ending}")
                 else:
                     os.rename(f"{self.path}{ending}", f"{moved}{ending}")
         if os.path.exists(moved):
             logger.error("%s: is kept as %s", self.path, moved)
+        begun = self.open(outputs, first)
+        logger.error("%s; a new journal begins", error)
+        return begun
 
     @property
     def _used(self) -> sqlite3.Connection:
@@ -274,21 +263,11 @@ class JournalFile:
     # --- writing ----------------------------------------------------------------------------
 
     def write(
-        self,
-        polls: Sequence[JournalPoll],
-        places: Mapping[str, int],
-        confirmed: int,
-    ) -> JournalState:
+        self, polls: Sequence[JournalPoll], places: Mapping[str, int], confirmed: int
+    ) -> Written:
         """
-        Write polls and the places of outputs in one transaction, and delete what is too old.
-
-        Args:
-            places: output -> the last id that it confirmed.
-            confirmed: the last id that all outputs confirmed.
-
-        Raises:
-            JournalError: nothing was written; it may be possible later.
-            JournalDamaged: nothing was written; the file is damaged, or was deleted or replaced.
+        Write polls, and by output the last id that it confirmed, in one transaction or not at all,
+        and delete what is too old. `confirmed` is the last id that all outputs confirmed.
         """
         with raised(self.path):
             if _identity_of(self.path) != self._identity:  # nobody would find it
@@ -332,22 +311,46 @@ class JournalFile:
         self._used.execute("INSERT OR IGNORE INTO device (name, labels) VALUES (?, ?)", row)
         [[device]] = self._used.execute("SELECT id FROM device WHERE (name, labels) = (?, ?)", row)
         rows = self._used.execute(NEWEST_POINTS, (device, device)).fetchall()
-        known = [(point, unit) for _, point, unit in rows]
+        number = rows[0][0] if rows else 0
+        named = [(point, unit) for _, point, unit in rows]
         wanted = [(each.name, each.unit) for each in poll.readings]
-        if {*wanted} <= {*known}:
-            return Points(rows[0][0], device, known)
-        [[last]] = self._used.execute("SELECT max(id) FROM point")
-        number = (last or 0) + 1
-        named = [*dict.fromkeys([*wanted, *known])]
-        self._used.executemany(
-            "INSERT INTO point VALUES (?, ?, ?, ?, ?)",
-            [(number + at, number, device, *each) for at, each in enumerate(named)],
-        )
-        return Points(number, device, named)
+        if not {*wanted} <= {*named}:
+            [[number]] = self._used.execute("SELECT ifnull(max(id), 0) + 1 FROM point")
+            named = [*dict.fromkeys([*wanted, *named])]
+            self._used.executemany(
+                "INSERT INTO point VALUES (?, ?, ?, ?, ?)",
+                [(number + at, number, device, *each) for at, each in enumerate(named)],
+            )
+        return Points(number, device, {each: at for at, each in enumerate(named)})
+
+    # --- reading ----------------------------------------------------------------------------
+
+    def read(self, after: int, most: int) -> list[JournalPoll]:
+        """Return the polls behind an id, at least one if there is one, without damaged rows."""
+        found: list[JournalPoll] = []
+        count = 0
+        with raised(self.path), contextlib.closing(self._used.execute(POLLS, (after,))) as rows:
+            for row in map(Row._make, rows):
+                count += row.readings
+                if found and count > most:
+                    break
+                try:
+                    found.append(decoded(row, *self._list(row.points)))
+                except DAMAGES as error:
+                    logger.error("%s: poll %s cannot be read: %s", self.path, row.id, error)
+        return found
+
+    def _list(self, number: int) -> tuple[str, Mapping[str, str], list[tuple[str, str]]]:
+        if number not in self._lists:
+            points = self._used.execute(POINTS, (number,)).fetchall()
+            name, labels, *_ = points[0]
+            named = [(point, unit) for *_, point, unit in points]
+            self._lists[number] = name, json.loads(labels) or NO_LABELS, named
+        return self._lists[number]
 
     # --- deleting ---------------------------------------------------------------------------
 
-    def _delete(self, confirmed: int) -> JournalState:
+    def _delete(self, confirmed: int) -> Written:
         """Delete the oldest polls, if there are too many or they are too old."""
         [[page], [pages], [free]] = (
             self._used.execute(f"PRAGMA {name}").fetchone()
@@ -368,7 +371,7 @@ class JournalFile:
             # As a script, because `execute` ends after the first page.
             self._used.executescript(f"PRAGMA incremental_vacuum({FREED})")
         size = pages * page + _size_of(f"{self.path}-wal")
-        return JournalState(size, [(first, count) for first, count, _ in polls])
+        return Written(size, [(first, count) for first, count, _ in polls])
 
     def _oldest(self, most: int, last: int = 1 << 62) -> list[tuple[int, int, float]]:
         return self._used.execute(
@@ -388,9 +391,3 @@ def _identity_of(path: str) -> tuple[int, int] | None:
         found = os.stat(path)
         return found.st_dev, found.st_ino
     return None
-
-
-def _free_name(path: str) -> str:
-    """Return a path that no file has."""
-    names = (path, *(f"{path}-{number}" for number in range(2, 1000)))
-    return next((name for name in names if not os.path.exists(name)), path)

@@ -1,14 +1,13 @@
 """
-Readers of a journal, also while it is being written: polls for outputs that are behind, and the
-past of a value for charts. These functions block.
+The past of a value in a journal, for charts, also while the journal is being written. These
+functions block.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 import sqlite3
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from heapq import merge
 from itertools import chain, groupby, islice
 from pathlib import Path
@@ -16,22 +15,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ....protocol.checks import integer
 from ....protocol.logs import HarmlessLogger
-from ..readings import NO_LABELS
-from .schema import JournalError, JournalPoll, Points, Row, decoded, raised
+from .schema import JournalError, raised
 
 if TYPE_CHECKING:
     from ....tools.page.table_source import Older
 
-__all__ = ["HistoricalValue", "JournalReader", "history", "past_in", "thinned"]
+__all__ = ["HistoricalValue", "history", "past_in", "thinned"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Milliseconds to wait for a lock; readers need one only while a journal is opened or closed.
 BUSY_MS = 2000
-
-POLLS = f"SELECT {', '.join(Row._fields)} FROM poll WHERE id > ? ORDER BY id"
-
-POINTS = "SELECT device, name, unit FROM point WHERE points = ? ORDER BY id"
 
 POSITIONS = """
 SELECT point.device, point.points, point.id - point.points
@@ -70,69 +64,14 @@ class HistoricalValue(NamedTuple):
     quality: str
 
 
-def _connected(path: str) -> sqlite3.Connection:
-    place = f"{Path(path).absolute().as_uri()}?mode=ro"
-    database = sqlite3.connect(place, uri=True, isolation_level=None, check_same_thread=False)
-    database.execute(f"PRAGMA busy_timeout = {BUSY_MS}")
-    return database
-
-
-class JournalReader:
-    """Reads polls for outputs that are behind; one thread at a time calls its methods."""
-
-    def __init__(self, path: str) -> None:
-        self._path = path
-        self._database: sqlite3.Connection | None = None
-        self._points: dict[int, tuple[str, Mapping[str, str], Points]] = {}
-
-    def read(self, after: int, most: int) -> list[JournalPoll]:
-        """Return the polls behind an id, at least one if there is one, without damaged rows."""
-        with raised(self._path):
-            if self._database is None:
-                self._database = _connected(self._path)
-            found: list[JournalPoll] = []
-            count = 0
-            with contextlib.closing(self._database.execute(POLLS, (after,))) as rows:
-                for row in map(Row._make, rows):
-                    count += row.readings
-                    if found and count > most:
-                        break
-                    if (poll := self._decoded(row)) is not None:
-                        found.append(poll)
-            return found
-
-    def _decoded(self, row: Row) -> JournalPoll | None:
-        try:
-            if row.points not in self._points:
-                self._points[row.points] = self._points_of(row.points)
-            return decoded(row, *self._points[row.points])
-        except (AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
-            logger.error("%s: poll %s cannot be read: %s", self._path, row.id, error)
-            return None
-
-    def _points_of(self, number: int) -> tuple[str, Mapping[str, str], Points]:
-        assert self._database is not None
-        points = self._database.execute(POINTS, (number,)).fetchall()
-        device = points[0][0]
-        query = "SELECT name, labels FROM device WHERE id = ?"
-        [[name, labels]] = self._database.execute(query, (device,))
-        named = [(point, unit) for _, point, unit in points]
-        return name, json.loads(labels) or NO_LABELS, Points(number, device, named)
-
-    def close(self) -> None:
-        """Close the file, until `read` is called again."""
-        database, self._database = self._database, None
-        self._points = {}
-        if database is not None:
-            database.close()
-
-
 def history(
     path: str, device: str, name: str, since: float, until: float, most: int = 1000
 ) -> list[HistoricalValue]:
     """Return the values of a point from the journal at a path; see `Journal.history`."""
     integer("most", most, 3, 1_000_000)
-    with raised(path), contextlib.closing(_connected(path)) as database:
+    place = f"{Path(path).absolute().as_uri()}?mode=ro"
+    with raised(path), contextlib.closing(sqlite3.connect(place, uri=True)) as database:
+        database.execute(f"PRAGMA busy_timeout = {BUSY_MS}")
         positions = database.execute(POSITIONS, (device, name)).fetchall()
         span = {"since": since, "until": until}
         series = [

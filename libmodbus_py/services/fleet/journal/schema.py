@@ -99,14 +99,12 @@ class JournalPoll(NamedTuple):
     readings: Sequence[Reading]
 
 
-class Points:
-    """Points of a device, by name and unit, to whose positions rows refer; the first has `id`."""
+class Points(NamedTuple):
+    """The positions in a list of points of a device, by name and unit; the first one has `id`."""
 
-    def __init__(self, id: int, device: int, named: Sequence[tuple[str, str]]) -> None:
-        self.id: int = id
-        self.device: int = device
-        self.named: Sequence[tuple[str, str]] = named
-        self.positions: dict[tuple[str, str], int] = {each: at for at, each in enumerate(named)}
+    id: int
+    device: int
+    positions: Mapping[tuple[str, str], int]
 
 
 class Row(NamedTuple):
@@ -165,15 +163,17 @@ def encoded(poll: JournalPoll, points: Points) -> Row:
     )
 
 
-def decoded(row: Row, device: str, labels: Mapping[str, str], points: Points) -> JournalPoll:
-    """Return a row as a poll; AttributeError, LookupError, TypeError, ValueError for damage."""
+def decoded(
+    row: Row, device: str, labels: Mapping[str, str], named: Sequence[tuple[str, str]]
+) -> JournalPoll:
+    """Return a row as a poll of a device that has points with these names and units."""
     values = json.loads(row.data)
     positions = range(row.readings) if row.chosen is None else json.loads(row.chosen)
     trouble = json.loads(row.trouble) if row.trouble else {}
     readings = [
         Reading(row.time, device, name, value, unit, "good", "", row.id + at, labels)
         for at, ((name, unit), value) in enumerate(
-            zip([points.named[each] for each in positions], values, strict=True)
+            zip([named[each] for each in positions], values, strict=True)
         )
     ]
     for at, (quality, reason) in trouble.items():

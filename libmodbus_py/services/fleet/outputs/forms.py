@@ -100,13 +100,8 @@ _json = JSON.encode
 
 def poll_messages(readings: Sequence[Reading], largest: int) -> Iterator[tuple[list[str], bytes]]:
     """
-    Yield the names in each message with these readings of a device, and its data.
-
-    Several messages, each of up to `largest` bytes, also have ``"part": 1, "parts": 3``. The newest
-    reading has the labels.
-
-    Raises:
-        ReadingsRefused: a single reading has more bytes.
+    Yield the names in each message with these readings of a device, and its data; ReadingsRefused
+    if one has more than `largest` bytes. Several messages also have ``"part": 1, "parts": 3``.
     """
     device, labels = readings[0].device, readings[-1].labels
     values = {

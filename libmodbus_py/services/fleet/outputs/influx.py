@@ -49,23 +49,8 @@ class Influx:
     Writes readings in the line protocol of InfluxDB: one line for each poll of a device, with its
     labels as tags and its points as fields. Telegraf and other databases read it, too.
 
-    Args:
-        path: the path of a file to append to; "-" for the standard output. This is the default,
-            if there is no `url`.
-        url: of a server: "http://192.0.2.1:8086", or "https://...".
-        database: the database of InfluxDB 1.
-        bucket: the bucket of InfluxDB 2; the server needs `token`, and mostly `organization`.
-        organization: of the bucket.
-        user, password: of InfluxDB 1.
-        token: of InfluxDB 2. Passwords and tokens cannot be written in a fleet file.
-        ca: a file with the certificate authorities to trust, for https; those of the system
-            unless given. It is read again when it changes.
-        measurement: the name of the measurement.
-        buffer: the most readings that wait; the oldest are dropped beyond.
-
-    Raises:
-        TypeError, ValueError: an argument of the wrong type or range, or two that exclude each
-            other.
+    The arguments are the keys of fleet files: `path` for a file or "-", which is the default, or
+    `url` of a server, with `database` for InfluxDB 1 and `bucket` for InfluxDB 2.
 
     Source: the HTTP interfaces of InfluxDB 1.x (``/write``) and 2.x (``/api/v2/write``).
     """

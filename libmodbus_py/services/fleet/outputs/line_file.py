@@ -193,35 +193,14 @@ class LineFile:
 
 
 class JsonOutput(LineFile):
-    """
-    Appends readings to a file: device, name, time (ISO 8601, UTC), value, unit, quality, and
-    the reason if there is no value, and the labels of the device if it has any.
-
-    Args:
-        path: the path of the file; "-" for the standard output. The fleet ends when the standard
-            output is closed.
-        buffer: the most readings that wait for the file; the oldest are dropped beyond.
-
-    Raises:
-        TypeError, ValueError: an argument of the wrong type or range.
-    """
+    """Appends lines of JSON: device, name, time, value, unit, quality, and reason, id, labels."""
 
     def __init__(self, path: str = "-", buffer: int = MOST_KEPT) -> None:
         super().__init__(path, Format("json", as_json, b'{"device": '), buffer)
 
 
 class CsvOutput(LineFile):
-    """
-    Appends readings to a file; the first line of a new file contains the names of the columns.
-
-    Args:
-        path, buffer: as for `JsonOutput`.
-        labels: names of labels of devices, each of which is a column behind the others; empty
-            for devices that lack the label.
-
-    Raises:
-        TypeError, ValueError: an argument of the wrong type or range.
-    """
+    """Appends rows of CSV, with a column for each of these labels; a new file begins with names."""
 
     def __init__(
         self, path: str = "-", buffer: int = MOST_KEPT, labels: Sequence[str] = ()

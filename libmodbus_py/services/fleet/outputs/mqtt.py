@@ -43,8 +43,7 @@ LARGEST_BYTES = 268_435_000
 
 class Mqtt:
     """
-    Publishes each reading to its own topic, retained, so that a new subscriber receives the last
-    values at once: ``{"time": ..., "value": 230.5, "unit": "V", "quality": "good"}``.
+    Publishes each reading to its own topic, or, if `topic` has no {name}, each poll of a device.
 
     The topic `status` contains "online" while this output is connected, and "offline" otherwise,
     which the broker publishes when the connection is lost (last will). Several workers have one
@@ -53,35 +52,9 @@ class Mqtt:
     When the connection is established again, the last values are published again, because a broker
     that was restarted may have lost them.
 
-    Args:
-        url: the URL of the broker, such as "mqtt://192.0.2.1" or "mqtts://broker.example:8883"
-            (TLS).
-        user, password: credentials of the broker; None for none. A `SecretFile` is read again for
-            each connection, and on SIGHUP.
-        topic: the topic of a reading, with {device} and {name} on different levels, and labels
-            of devices such as {label.site}; in all of them, the characters ``/ + # %`` are
-            written %2F and so on. Without {name}, each poll of a device is one message:
-            ``{"device": ..., "values": {NAME: {...}}}``; if it is retained, it also has the last
-            values of the other points of the device.
-        status: the topic of the status, which no reading may have; empty for none.
-        device_status: the topic with "online" while a device answers, else "offline", with
-            {device} and labels; no reading may have it. Empty for none.
-        retain: True if the broker keeps the last value of each topic.
-        qos: 0, or 1 for readings that the broker must acknowledge.
-        ca: a file with the certificate authorities to trust, for mqtts; those of the system
-            unless given. It is read again like a `SecretFile`.
-        client_id: the client identifier; None to have the broker assign one.
-        commands: True to write the values published to `topic` + "/set" to the device; see
-            `Commands`. The outcome is published to `topic` + "/set/result". If the topic has no
-            {name}, "/{name}" comes before "/set".
-        max_message: the most bytes of a message, 1024 or more, if the broker takes no larger
-            ones; a larger poll is several messages, with ``"part": 1, "parts": 3``. It needs a
-            topic without {name} and `retain` False, because the broker retains one message of a
-            topic. None for what MQTT can carry.
-        buffer: the most readings that wait for the broker; the oldest are dropped beyond.
-
-    Raises:
-        TypeError, ValueError: an argument of the wrong type or range.
+    The arguments are the keys of fleet files. `max_message` is the most bytes of a message, 1024 or
+    more; a larger poll is several. It cannot be used with messages that the broker retains, one for
+    a topic.
     """
 
     def __init__(

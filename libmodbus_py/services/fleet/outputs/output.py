@@ -60,25 +60,13 @@ class Output(Protocol):
         ...
 
     async def open(self) -> None:
-        """
-        Connect; called again after each failure, once `close` was called.
-
-        Raises:
-            OSError: the output cannot be reached now.
-            OutputError: the output failed permanently.
-        """
+        """Connect; called again after each failure, once `close` was called."""
         ...
 
     async def write(self, readings: Sequence[Reading]) -> None:
         """
-        Write readings, all of a poll in one call; they are passed again if this fails. From time
-        to time the list is empty, so that a lost connection is noticed.
-
-        Raises:
-            ConnectionError: the other side did not accept the readings; it may be away.
-            OSError: the readings cannot be written now.
-            ReadingsRefused: these readings, or one of them, can never be written.
-            OutputError: the output failed permanently.
+        Write readings, all of a poll in one call. From time to time the list is empty, so that a
+        lost connection is noticed. ReadingsRefused means that one of them can never be written.
         """
         ...
 
@@ -88,13 +76,12 @@ class Output(Protocol):
 
 
 def shared(outputs: Sequence[Output]) -> tuple[int, int, str] | None:
-    """
-    Return the positions of the first two outputs that would use one thing, and the thing in words.
-    """
+    """Return the positions of two outputs that would use one thing, and the thing in words."""
     for (at, first), (second_at, second) in combinations(enumerate(outputs), 2):
         # One task calls an output: an object that is there twice would be called by two.
         what = f"the same {first.name}" if first is second else used(second, _exclusive(first))
-        what = what or getattr(first, "shares", _nothing)(second)
+        if what is None and hasattr(first, "shares"):
+            what = first.shares(second)
         if what is not None:
             return at, second_at, what
     return None
@@ -120,27 +107,19 @@ def used(output: Output, others: Container[str]) -> str | None:
     return next((each for each in _exclusive(output) if each in others), None)
 
 
+def _exclusive(thing: object) -> tuple[str, ...]:
+    return getattr(thing, "exclusive", ())
+
+
 def file_at(path: str) -> str:
     """Return the words for a file, the same for all paths that lead to it."""
     return f"the file {os.path.realpath(path)}"
 
 
-def _exclusive(thing: object) -> tuple[str, ...]:
-    return getattr(thing, "exclusive", ())
-
-
-def _nothing(_: object) -> None:
-    """An output shares nothing unless it has a method for this."""
-
-
 class OutputKind(NamedTuple):
     """
-    One kind of outputs: the file in this folder, and the class, whose arguments are keys in fleet
-    files.
-
-    Attributes:
-        form: what it appends to a file, for the help of an option of the command line; empty if it
-            needs more than a path.
+    One kind of outputs: its file and class, whose arguments are keys in fleet files; and what it
+    appends to a file, for the help of an option, empty if it needs more than a path.
     """
 
     module: str

@@ -7,7 +7,6 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-import sqlite3
 import time
 from pathlib import Path
 
@@ -15,7 +14,7 @@ import pytest
 
 from libmodbus_py import Fleet
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
-from libmodbus_py.services.fleet.journal.journal_reader import JournalReader, history, past_in
+from libmodbus_py.services.fleet.journal.journal_reader import history, past_in
 from libmodbus_py.services.fleet.journal.schema import (
     JournalDamaged,
     JournalError,
@@ -40,51 +39,13 @@ def poll(device: str, first: int, ago: float = 0, count: int = 2) -> JournalPoll
     return made
 
 
-def names(path: str) -> dict[str, int]:
-    """Return the devices in a journal, and how many points each has there: no others are there."""
-    database = sqlite3.connect(path)
-    asked = "SELECT name, (SELECT count(*) FROM point WHERE device = device.id) FROM device"
-    rows = dict(database.execute(asked.replace("device = ", "point.device = ")).fetchall())
-    [[points]] = database.execute("SELECT count(*) FROM point")
-    database.close()
-    assert points == sum(rows.values())
-    return rows
-
-
-def test_devices_without_readings_are_forgotten_with_their_points(path: str) -> None:
-    file, first = opened(path)
-    file.write([poll("gone", first, 2 * KEEP), poll("kept", first + 2)], {}, first + 3)
-    assert names(path) == {"kept": 2, "gone": 2}  # its labels may be asked for in this run
-    file.close()
-    file, first = opened(path)
-    assert names(path) == {"kept": 2}
-    file.write([poll("other", first, count=3), poll("gone", first + 3)], {}, first)
-    with contextlib.closing(JournalReader(path)) as reader:
-        polls = reader.read(0, 99)
-    read = [(each.readings[0].device, len(each.readings)) for each in polls]
-    assert read == [("kept", 2), ("other", 3), ("gone", 2)]
-    assert [each.value for each in history(path, "gone", "p1", 0, 1e12)] == [0.1]
-    file.close()
-
-
-def test_devices_whose_readings_wait_are_kept(path: str) -> None:
-    """They are older than what is kept, and an output is away."""
-    file, first = opened(path)
-    file.write([poll("old", first, 2 * KEEP)], {}, 0)
-    file.close()
-    file, _ = opened(path)
-    assert names(path) == {"old": 2}
-    file.close()
-
-
 def test_readings_keep_the_labels_of_their_time(path: str) -> None:
     file, first = opened(path)
     for at, site in enumerate(["x", "y", "x"]):
         given = poll("slow", first + 2 * at)
         labelled = [each._replace(labels={"site": site}) for each in given.readings]
         file.write([given._replace(readings=labelled)], {}, 0)
-    with contextlib.closing(JournalReader(path)) as reader:
-        read = [each.readings[0].labels["site"] for each in reader.read(0, 99)]
+    read = [each.readings[0].labels["site"] for each in file.read(0, 99)]
     assert read == ["x", "y", "x"]
     assert len(history(path, "slow", "p1", 0, 1e12)) == 3
     file.close()
@@ -164,19 +125,6 @@ def test_the_journal_of_another_program_in_its_place_is_left_alone(path: str) ->
             first.replace(JournalDamaged("was deleted"), [])
         second.write(polls(3 * 10**9, 3), {}, 0)
         assert len(in_journal(path)) == 12
-
-
-def test_a_reader_that_has_it_open_ends_in_peace(path: str) -> None:
-    file, reader = JournalFile(path, 1e9, 10**9), JournalReader(path)
-    with contextlib.closing(file), contextlib.closing(reader):
-        file.open([])
-        file.write(polls(1, 3), {}, 0)
-        assert len(reader.read(0, 2)) == 1
-        delete(path, "", "-wal", "-shm")
-        assert [each.first for each in reader.read(1, 100)] == [3, 5]
-        reader.close()
-        with pytest.raises(JournalError, match="cannot be opened"):
-            reader.read(0, 2)
 
 
 def test_a_page_shows_what_is_in_memory(path: str) -> None:

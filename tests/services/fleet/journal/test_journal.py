@@ -20,7 +20,6 @@ from libmodbus_py.fleet import Journal, JournalError, Reading
 from libmodbus_py.services.fleet.journal import journal as journal_module
 from libmodbus_py.services.fleet.journal import place as recent
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
-from libmodbus_py.services.fleet.journal.journal_reader import JournalReader
 from libmodbus_py.services.fleet.journal.schema import JournalDamaged
 from libmodbus_py.services.fleet.outputs import pump as pumps
 from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
@@ -328,7 +327,7 @@ def test_a_journal_that_is_damaged_while_it_is_used_is_replaced(
 def test_damage_that_a_reader_meets_is_healed_too(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    reader = Failing(monkeypatch, JournalReader, "read", None)
+    reader = Failing(monkeypatch, JournalFile, "read", None)
     monkeypatch.setattr(recent, "MOST_IN_MEMORY", 3)
     away = Broker("away", is_away=True)
 
@@ -362,7 +361,7 @@ def test_a_damaged_journal_is_replaced_when_a_fleet_begins(
 def test_a_disk_that_reports_errors_to_a_reader_is_asked_again(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    reader = Failing(monkeypatch, JournalReader, "read", None)
+    reader = Failing(monkeypatch, JournalFile, "read", None)
     monkeypatch.setattr(recent, "MOST_IN_MEMORY", 3)
     away = Broker("away", is_away=True)
 

@@ -5,7 +5,6 @@ used is refused in one line.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import sqlite3
 import subprocess
@@ -20,7 +19,7 @@ import pytest
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.journal import journal_file
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
-from libmodbus_py.services.fleet.journal.journal_reader import JournalReader, history
+from libmodbus_py.services.fleet.journal.journal_reader import history
 from libmodbus_py.services.fleet.journal.schema import (
     MARGIN,
     JournalDamaged,
@@ -60,21 +59,14 @@ def test_polls_are_read_as_they_were_written(file: JournalFile) -> None:
     every = polls(1000, 10)
     file.write(every[:7], {}, 0)
     file.write(every[7:], {}, 0)
-    reader = JournalReader(file.path)
-    assert reader.read(999, 1000) == every
-    assert reader.read(1003, 5) == every[2:4]
-    assert reader.read(1019, 1000) == []
-    reader.close()
-    assert reader.read(1017, 1) == every[9:]
-    reader.close()
-
-
-def test_a_poll_of_a_single_point_is_read_as_it_was_written(file: JournalFile) -> None:
-    every = list(numbered(readings("a", 1000.0)[:1], 7))
-    file.write(every, {}, 0)
-    reader = JournalReader(file.path)
-    assert reader.read(0, 10) == every
-    reader.close()
+    single = list(numbered(readings("a", 2000.0)[:1], 1020))
+    file.write(single, {}, 0)
+    for _ in range(2):
+        assert file.read(999, 1000) == every + single
+        assert file.read(1003, 5) == every[2:4]
+        assert file.read(1020, 1000) == []
+        file.close()
+        file.open([])
 
 
 def test_a_poll_that_is_written_again_is_there_once(file: JournalFile) -> None:
@@ -171,8 +163,7 @@ def test_polls_of_the_points_that_have_changed_add_no_lists_of_points(
     assert len(history(file.path, "a", "p11", 0, 1e9)) == sum(
         1 for (name,) in asked(file.path, "SELECT name FROM reading") if name == "p11"
     )
-    with contextlib.closing(JournalReader(file.path)) as reader:
-        read = [one for poll in reader.read(0, 10_000) for one in poll.readings]
+    read = [one for poll in file.read(0, 10_000) for one in poll.readings]
     assert len(read) == number - 1
     assert all(each.value in range(each.id - 11, each.id + 1) for each in read)
 
@@ -430,10 +421,8 @@ def test_a_damaged_row_is_left_out(file: JournalFile, caplog: pytest.LogCaptureF
     file.write(every, {}, 0)
     for number, column, text in ((3, "data", "[1"), (5, "data", "[1]"), (7, "trouble", "[]")):
         file._used.execute(f"UPDATE poll SET {column} = ? WHERE id = ?", (text, number))
-    reader = JournalReader(file.path)
-    assert reader.read(0, 100) == [every[0], every[4]]
+    assert file.read(0, 100) == [every[0], every[4]]
     assert caplog.text.count("cannot be read") == 3
-    reader.close()
 
 
 # --- histories ------------------------------------------------------------------------------

@@ -42,7 +42,8 @@ def test_readings_become_polls_with_ids_in_order() -> None:
     assert [one._replace(id=0) for each in found for one in each.readings] == mixed
 
 
-POINTS = Points(5, 3, [("p0", "V"), ("p1", ""), ("p2", "W")])
+NAMED = [("p0", "V"), ("p1", ""), ("p2", "W")]
+POINTS = Points(5, 3, {each: at for at, each in enumerate(NAMED)})
 
 
 @each_case(
@@ -55,7 +56,7 @@ POINTS = Points(5, 3, [("p0", "V"), ("p1", ""), ("p2", "W")])
     ],
 )
 def test_a_row_gives_back_what_was_put_into_it(readings: Sequence[tuple[str, object]]) -> None:
-    units = dict(POINTS.named)
+    units = dict(NAMED)
     whole = [
         Reading(1.25, "a", name, value, units[name], "good", "", 20 + at)
         for at, (name, value) in enumerate(readings)
@@ -64,7 +65,7 @@ def test_a_row_gives_back_what_was_put_into_it(readings: Sequence[tuple[str, obj
     [poll] = numbered(whole, 20)
     row = encoded(poll, POINTS)
     assert (row.id, row.readings, row.time, row.device, row.points) == (20, len(whole), 1.25, 3, 5)
-    assert decoded(row, "a", {}, POINTS) == poll
+    assert decoded(row, "a", {}, NAMED) == poll
     if len(whole) == 3:
         assert row.chosen is None
 
