@@ -7,8 +7,7 @@ From the fleet file to the wire, and back::
       devices_csv  ... and devices in CSV, for thousands
     config         the options of a device: DeviceConfig; also as JSON; and the table [engine]
     fleet          polls devices and passes readings to outputs: Fleet
-      line         the times of polls, and one connection: the order in which devices are polled
-        poller     ... one device: its polls, its state, and what was reported of it
+      poller       one device: its polls and its state; and the connection that devices share
       receivers    passes readings to the journal, to outputs, and to iterators
     readings       values of devices, the choice of those that are reported, and those that wait
     journal        readings on the disk, a folder of its own

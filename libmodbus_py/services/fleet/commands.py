@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import math
 import time
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
@@ -19,7 +18,7 @@ from ...protocol.mistakes import WrongValue
 from ...protocol.plain import time_text
 from .statistics import FleetStatistics
 
-__all__ = ["Commands", "Wanted", "Writing", "encoded", "wanted_of"]
+__all__ = ["Commands", "Wanted", "encoded", "wanted_of"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -31,10 +30,7 @@ LONGEST_BYTES = 4096
 
 
 class Wanted(NamedTuple):
-    """
-    A received command: the value, its id (repeated in the outcome), and why it is invalid, if it
-    is.
-    """
+    """A command: the value, its id (repeated in the outcome), and why it is invalid, if it is."""
 
     value: Any = None
     id: str | int | None = None
@@ -49,8 +45,8 @@ def wanted_of(data: bytes) -> Wanted:
     if len(data) > LONGEST_BYTES:
         return Wanted(problem=f"it must have at most {LONGEST_BYTES} bytes, not {len(data)}")
     try:
-        content = _read(data)
-        # The escapes of JSON can name characters that no text can contain.
+        content = json.loads(data.decode(), object_pairs_hook=each_once)
+        # Refuses nan and infinity, and characters that no text can contain, but escapes can name.
         JSON.encode(content).encode()
     except WrongValue as error:
         return Wanted(problem=f"{error} in its JSON")
@@ -64,23 +60,6 @@ def wanted_of(data: bytes) -> Wanted:
     if not isinstance(number, str | int | None) or len(str(number)[:101]) > 100:
         return Wanted(problem="id must be text or a number, of at most 100 characters")
     return Wanted(content["value"], number)
-
-
-def _read(data: bytes) -> Any:
-    return json.loads(
-        data.decode(), parse_constant=_refuse, parse_float=_finite, object_pairs_hook=each_once
-    )
-
-
-def _refuse(constant: str) -> None:
-    raise ValueError(f"{constant} is not JSON")
-
-
-def _finite(text: str) -> float:
-    number = float(text)
-    if not math.isfinite(number):
-        raise ValueError(f"{text} is too large")
-    return number
 
 
 def encoded(outcome: dict[str, Any]) -> bytes:
@@ -125,9 +104,8 @@ class Commands:
         answered elsewhere.
         """
         problem = self._problem(device, name, wanted)
-        if problem is None:
-            return None
-        problem = problem or await self._in_turn(device, name, wanted)
+        if problem == "":
+            problem = await self._in_turn(device, name, wanted)
         if problem is None:
             return None
         statistics = self._fleet.statistics
@@ -147,6 +125,7 @@ class Commands:
         return wanted.problem or self._fleet.unknown(device, name)
 
     async def _in_turn(self, device: str, name: str, wanted: Wanted) -> str | None:
+        """Write a value after those that came before; return as `_problem`."""
         if self._count >= MOST_AT_ONCE:
             return f"{MOST_AT_ONCE} writes are already under way"
         self._count += 1
@@ -154,13 +133,10 @@ class Commands:
             async with self._turns.setdefault(device, asyncio.Lock()):
                 # The device may have gone while this waited.
                 problem = self._problem(device, name, wanted)
-                return await self._write(device, name, wanted) if problem == "" else problem
-        finally:
-            self._count -= 1
-
-    async def _write(self, device: str, name: str, wanted: Wanted) -> str:
-        try:
-            await self._fleet.write(device, {name: wanted.value})
+                if problem == "":
+                    await self._fleet.write(device, {name: wanted.value})
+                return problem
         except (TypeError, ValueError, ModbusError, OverflowError) as error:
             return str(error)
-        return ""
+        finally:
+            self._count -= 1

@@ -8,36 +8,47 @@ import asyncio
 import time
 import weakref
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from hashlib import blake2b
 from os import PathLike
 from typing import Any, Self
 
-from ...maps.register_map import RegisterMap
 from ...maps.typed import json_value
 from ...protocol.logs import HarmlessLogger
-from ...protocol.mistakes import named_arguments
+from ...protocol.mistakes import inside, named_arguments
 from .commands import Commands
-from .config import DeviceConfig, by_connection, checked
+from .config import DeviceConfig, checked
 from .files import load
 from .journal.journal import Journal
-from .line import FleetLine, MayAsk, Timetable, first_time, next_time
 from .outputs.output import Output
-from .poller import DeviceState, Poller, Reads, offline
-from .readings import MOST_KEPT, Reading
-from .receivers import Readings, Receivers
+from .poller import DeviceState, FleetLine, MayAsk, Poller, Reads, offline
+from .readings import MOST_KEPT, Buffer
+from .receivers import Receivers
 from .statistics import FleetStatistics
 
-__all__ = ["Fleet"]
+__all__ = ["Fleet", "first_time", "next_time"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-# Polls due within this many seconds share a timer, because a timer for each would be expensive.
-TOGETHER = 0.002
-
-# The most polls that begin in one iteration of the event loop.
-MOST_AT_ONCE = 200
-
 # The most devices per second that are polled if each is polled once only.
 ONCE_A_SECOND = 1000.0
+
+
+def first_time(name: str, interval: float, now: float, wall: float) -> float:
+    """
+    Return the first time of a device, `wall` being the time of day now, in seconds since the epoch.
+
+    Its phase is derived from its name and the time of day, so that every machine polls it at the
+    same moments, and thousands are never polled at once.
+    """
+    digest = blake2b(name.encode(), digest_size=8).digest()
+    phase = int.from_bytes(digest, "big") / 2**64 * interval
+    return now + (phase - wall) % interval
+
+
+def next_time(planned: float, interval: float, now: float) -> tuple[float, int]:
+    """Return the first time after now, and how many earlier times are skipped."""
+    missed = max(0, int((now - planned) // interval))
+    return planned + (missed + 1) * interval, missed
 
 
 @named_arguments
@@ -92,17 +103,15 @@ class Fleet:
         self._receivers = Receivers(outputs, journal, self.statistics)
         self._lines: dict[str, FleetLine] = {}
         self._pollers: dict[str, Poller] = {}
-        self._timetable: Timetable[Poller] = Timetable()
-        # (map, items, gap, max_registers) -> requests; each lives as long as a device uses it.
+        # What devices with the same map and the same points share, as long as one uses it.
         self._reads: weakref.WeakValueDictionary[tuple[Any, ...], Reads] = (
             weakref.WeakValueDictionary()
         )
         self._closing: set[asyncio.Task[None]] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._timer: asyncio.TimerHandle | None = None
-        self._timer_at = 0.0
-        # The devices that are still to be polled, if each is polled once.
-        self._once: set[str] | None = None
+        # True to poll each device once; the devices that are still to be polled then.
+        self._once = False
+        self._unpolled: set[str] = set()
         self._is_over = asyncio.Event()
         # Seconds from the time of the event loop to the time of day when the fleet started:
         # phases are the same on all machines, and setting the clock moves no poll.
@@ -142,8 +151,7 @@ class Fleet:
             OutputError: an output failed permanently.
             JournalError: the journal cannot be used.
         """
-        if once:
-            self._once = set(self._devices)
+        self._once = once
         await self._start()
         try:
             self._end_if_all_polled()
@@ -152,7 +160,7 @@ class Fleet:
             await self._stop()
 
     def _end_if_all_polled(self) -> None:
-        if self._once is not None and not self._once:
+        if self._once and not self._unpolled:
             self._is_over.set()
 
     async def _start(self) -> None:
@@ -166,9 +174,6 @@ class Fleet:
             self._begin(device)
 
     async def _stop(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
         for key in list(self._lines):
             self._end_line(key)
         try:
@@ -223,19 +228,22 @@ class Fleet:
             self._receivers.describe(before)
             raise
         self._devices = after
-        self._receivers.put(self._withdrawn(before, after, passed_on))
-        moved = self._moved(after)
-        for name, device in before.items():
-            if after.get(name) != device or device.connection_key in moved:
-                self._end(device)
+        now = time.time()
+        for name, poller in list(self._pollers.items()):
+            still = after.get(name)
+            if still == poller.config:
+                continue
+            if poller.config.connection_key not in passed_on:
+                self._receivers.put(poller.withdrawn(now, still.names if still else ()))
+            self._end(poller)
+        urls = {each.connection_key: each.endpoint.url for each in after.values()}
+        ended = [key for key, line in self._lines.items() if line.url != urls.get(key)]
+        former = {key: self._end_line(key) for key in ended}
         for device in after.values():
             if device.name not in self._pollers:
                 self._begin(device)
-        for key, line in moved.items():
-            self._lines[key].replaces(line.client)
-        used = {each.connection_key for each in after.values()}
-        for key in [key for key in self._lines if key not in used]:
-            self._end_line(key)
+        for key in former.keys() & self._lines.keys():
+            self._lines[key].replaces(former[key].client)
         self._end_if_all_polled()
 
     def take_back(self) -> None:
@@ -253,77 +261,48 @@ class Fleet:
         """Report all points of devices as "offline" that no fleet polls."""
         now = time.time()
         for device in devices:
-            points = [(name, device.map[name].units) for name in device.names]
-            self._receivers.put(offline(device, points, now))
-
-    def _withdrawn(
-        self,
-        before: Mapping[str, DeviceConfig],
-        after: Mapping[str, DeviceConfig],
-        passed_on: Collection[str],
-    ) -> list[Reading]:
-        now, readings = time.time(), list[Reading]()
-        for name, device in before.items():
-            still = after.get(name)
-            if still is not device and device.connection_key not in passed_on:
-                readings += self._pollers[name].withdrawn(now, still.names if still else ())
-        return readings
-
-    def _moved(self, devices: Mapping[str, DeviceConfig]) -> dict[str, FleetLine]:
-        """End the lines whose options changed, and return them by their keys."""
-        moved = {
-            key: self._lines[key]
-            for key, group in by_connection(devices.values()).items()
-            if key in self._lines and self._lines[key].url != group[0].endpoint.url
-        }
-        for key in moved:
-            self._end_line(key)
-        return moved
+            self._receivers.put(offline(device, now))
 
     def _begin(self, device: DeviceConfig) -> None:
-        poller = self._pollers[device.name] = Poller(device, self._reads_of(device))
-        self._line(device).add(poller)
-        self.statistics.devices += 1
         assert self._loop is not None
+        poller = self._pollers[device.name] = Poller(device, self._reads_of(device))
+        self._line_of(device).pollers[device.name] = poller
+        self.statistics.devices += 1
         now = self._loop.time()
         interval = poller.interval
-        if self._once is not None:
-            self._once.add(device.name)
+        if self._once:
+            self._unpolled.add(device.name)
             interval = min(interval, len(self._devices) / ONCE_A_SECOND)
-        poller.at = first_time(device.name, interval, now, now + self._wall)
-        self._put(poller)
+        self._poll_at(poller, first_time(device.name, interval, now, now + self._wall))
 
-    def _end(self, device: DeviceConfig) -> None:
-        poller = self._pollers.pop(device.name, None)
-        if poller is None:
-            return
-        self._timetable.remove(poller)
-        if self._once is not None:
-            self._once.discard(device.name)
-        line = self._lines.get(device.connection_key)
-        if line is not None:
-            line.withdraw_device(device.name)
+    def _end(self, poller: Poller) -> None:
+        poller.timer.cancel()
+        del self._pollers[poller.name]
+        line = self._lines[poller.config.connection_key]
+        del line.pollers[poller.name]
+        line.withdraw(poller)
+        self._unpolled.discard(poller.name)
         self._count(poller.state, -1)
         self.statistics.devices -= 1
 
-    def _end_line(self, key: str) -> None:
-        line = self._lines.pop(key)
-        line.stop()
-        for poller in list(line.pollers.values()):
-            self._end(poller.config)
+    def _end_line(self, key: str) -> FleetLine:
         assert self._loop is not None
+        line = self._lines[key]
+        for poller in list(line.pollers.values()):
+            self._end(poller)
+        del self._lines[key]
         closing = self._loop.create_task(line.close())
         self._closing.add(closing)
         closing.add_done_callback(self._closing.discard)
-
-    def _line(self, device: DeviceConfig) -> FleetLine:
-        key = device.connection_key
-        line = self._lines.get(key)
-        if line is None:
-            line = self._lines[key] = FleetLine(
-                key, device.endpoint, self._may_ask, self.statistics, self._polled, self._back
-            )
         return line
+
+    def _line_of(self, device: DeviceConfig) -> FleetLine:
+        key = device.connection_key
+        if key not in self._lines:
+            self._lines[key] = FleetLine(
+                device, self._may_ask, self.statistics, self._polled, self._poll_soon
+            )
+        return self._lines[key]
 
     def _reads_of(self, device: DeviceConfig) -> Reads:
         key = (id(device.map), device.items, device.groups, device.gap, device.max_registers)
@@ -334,44 +313,33 @@ class Fleet:
 
     # --- polls ----------------------------------------------------------------------------------
 
-    def _put(self, poller: Poller) -> None:
-        self._timetable.put(poller, poller.at)
-        if self._timer is None or poller.at < self._timer_at:
-            self._set_timer(poller.at)
-
-    def _set_timer(self, at: float) -> None:
+    def _poll_at(self, poller: Poller, at: float) -> None:
         assert self._loop is not None
-        if self._timer is not None:
-            self._timer.cancel()
-        self._timer_at = at
-        self._timer = self._loop.call_at(at, self._ring)
+        if poller.timer is not None:
+            poller.timer.cancel()
+        poller.at = at
+        poller.timer = self._loop.call_at(at, self._due, poller)
 
-    def _ring(self) -> None:
+    def _due(self, poller: Poller) -> None:
         assert self._loop is not None
-        self._timer = None
-        now = self._loop.time()
-        for at, poller in self._timetable.due(now, MOST_AT_ONCE):
-            if self._once is None:
-                poller.at, missed = next_time(at, poller.interval, now)
-                self.statistics.skipped += missed
-                self._timetable.put(poller, poller.at)
-            self._lines[poller.config.connection_key].due(poller, at)
-        next_at = self._timetable.next_at
-        if next_at is not None:
-            self._set_timer(max(next_at, self._loop.time() + TOGETHER))
+        planned = poller.at
+        if not self._once:
+            at, missed = next_time(planned, poller.interval, self._loop.time())
+            self.statistics.skipped += missed
+            self._poll_at(poller, at)
+        self._lines[poller.config.connection_key].due(poller, planned)
 
     def _polled(self, poller: Poller, before: DeviceState | None) -> None:
         if before is not None:
             now = time.time()
-            self._note(poller, before, now)
+            self._count_poll(poller, before, now)
             self._receivers.put(poller.readings(now, self._receivers.next_id))
             if poller.misses:
                 self._let_rest(poller)
-        if self._once is not None:
-            self._once.discard(poller.name)
-            self._end_if_all_polled()
+        self._unpolled.discard(poller.name)
+        self._end_if_all_polled()
 
-    def _note(self, poller: Poller, before: DeviceState, now: float) -> None:
+    def _count_poll(self, poller: Poller, before: DeviceState, now: float) -> None:
         statistics = self.statistics
         if not poller.misses:
             poller.answered_at = now
@@ -398,27 +366,23 @@ class Fleet:
 
     def _let_rest(self, poller: Poller) -> None:
         assert self._loop is not None
-        if self._once is None:
-            owing = self._lines[poller.config.connection_key].client.ready_at(poller.unit)
-            until = max(self._loop.time() + poller.pause, owing)
-            if poller.at < until:
-                poller.at, _ = next_time(poller.at, poller.interval, until)
-                self._put(poller)
+        until = self._loop.time() + poller.pause
+        if not self._once and poller.at < until:
+            self._poll_at(poller, next_time(poller.at, poller.interval, until)[0])
 
-    def _back(self, pollers: list[Poller]) -> None:
-        """Poll devices again after their connection was established; they need not rest."""
+    def _poll_soon(self, poller: Poller) -> None:
+        """Poll a device at the next of its times, because it need not rest any more."""
         assert self._loop is not None
-        if self._once is None:
-            for poller in pollers:
-                now, interval = self._loop.time(), poller.interval
-                poller.at -= max(0, (poller.at - now) // interval) * interval
-                self._put(poller)
+        early = (poller.at - self._loop.time()) // poller.interval
+        if early > 0:
+            self._poll_at(poller, poller.at - early * poller.interval)
 
     # --- readings ----------------------------------------------------------------------------
 
-    def readings(self, buffer: int = MOST_KEPT) -> Readings:
+    def readings(self, buffer: int = MOST_KEPT) -> Buffer:
         """
-        Return the readings from now on, until the fleet stops, for ``async for``.
+        Return the readings from now on, until the fleet stops, for ``async for``; its attribute
+        `dropped` counts those that were lost.
 
         Args:
             buffer: the most readings that wait for the iteration, 1..10000000; the oldest are
@@ -452,21 +416,14 @@ class Fleet:
         """
         poller = self._pollers[device]
         points = poller.config.map
-        values = {name: _value_of(points, name, value) for name, value in values.items()}
+        wanted = dict(values)
+        for name in points.keys() & wanted.keys():
+            with inside(name):
+                wanted[name] = json_value(points[name], wanted[name])
         line = self._lines[poller.config.connection_key]
-        client = line.client_of(poller).for_unit(poller.config.unit)
-        if points.scale_sources(values) or any(points[name].is_part for name in values):
+        client = line.client_of(poller).for_unit(poller.unit)
+        if points.scale_sources(wanted) or any(points[name].is_part for name in wanted):
             # More is asked than what is known before: a scale, or whether function 22 is there.
-            await client.write_map(points, values)
+            await client.write_map(points, wanted)
         else:
-            await client.execute_many(points.writes(values), max_in_flight=1)
-
-
-def _value_of(points: RegisterMap, name: str, value: Any) -> Any:
-    """Return a value of JSON as it is written, or raise ValueError; of unknown points as it is."""
-    if name not in points:
-        return value
-    try:
-        return json_value(points[name], value)
-    except ValueError as error:
-        raise ValueError(f"{name}: {error}") from None
+            await client.execute_many(points.writes(wanted), max_in_flight=1)

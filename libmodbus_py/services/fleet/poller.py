@@ -1,30 +1,41 @@
 """
-One device while it is polled: the requests of a poll, the state of the device, and its readings.
+One device while it is polled, and the connection that it shares with others.
+
+A poll is requests, each after the outcome of the one before. The first waits for its turn, the
+others come before those of other devices, because the values of a poll should be read together. If
+the first is not answered, the poll is over and the device is down; its next poll is a trial. If a
+request is refused, the poll goes on until it is known which points the device refuses.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Generator, Iterable, Sequence
+import errno
+from collections.abc import Callable, Collection, Generator, Sequence
 from enum import Enum
+from functools import partial
 from typing import Any
 
+from ...client.asynchronous import AsyncClient
+from ...client.reconnecting import State
 from ...maps.holes import Holes, PartialAnswer, Unreadable, is_refusal, reading
 from ...maps.plan import unreadable_of
 from ...maps.point_plan import PointPlan
 from ...maps.watched import PointIntervals, Totals
-from ...protocol.errors import ModbusError
-from ..line import LineRequest, rest_after
+from ...protocol.errors import ModbusConnectionError, ModbusError
+from ..line import FairQueue, LineRequest, SharedLine, rest_after
 from .config import DeviceConfig
-from .readings import NO_LABELS, Changes, Reading, classified, is_down
+from .readings import Changes, Reading, classified, is_down
+from .statistics import FleetStatistics
 
-__all__ = ["DeviceState", "OnePoll", "Poller", "Reads", "offline"]
+__all__ = ["DeviceState", "FleetLine", "MayAsk", "Poller", "Reads", "offline"]
 
 LONGEST_REST_S = 60.0
 """The time between two trials of a device that does not answer, unless its interval is longer."""
 
-
 MOST_PLANS = 64
 """Plans for different sets of points of a kind of device that are kept."""
+
+MayAsk = Callable[[str], bool]
 
 
 class DeviceState(Enum):
@@ -36,22 +47,18 @@ class DeviceState(Enum):
 
 
 class Reads:
-    """The requests and points of a kind of device; thousands of devices share one object."""
+    """The points and requests of a kind of device; thousands of devices share one object."""
 
-    __slots__ = ("__weakref__", "_config", "_intervals", "_plans", "names", "plan", "units")
+    __slots__ = ("__weakref__", "_config", "_plans", "intervals", "names", "plan", "units")
 
     def __init__(self, config: DeviceConfig) -> None:
         self.plan: PointPlan = config.plan()
         self.names: tuple[str, ...] = config.names
-        self.units: tuple[str, ...] = tuple(config.map[name].units for name in config.names)
-        own = tuple(config.map[name].interval for name in config.names)
-        self._intervals = own if any(each is not None for each in own) else ()
+        points = [config.map[name] for name in self.names]
+        self.units: tuple[str, ...] = tuple(each.units for each in points)
+        self.intervals: tuple[float | None, ...] = tuple(each.interval for each in points)
         self._config = config
         self._plans: dict[tuple[int, ...], PointPlan] = {}
-
-    def pace(self, interval: float) -> PointIntervals | None:
-        """Return the intervals of the points of a device; None if none has its own."""
-        return PointIntervals(self._intervals, interval) if self._intervals else None
 
     def plan_of(self, due: tuple[int, ...] | None) -> PointPlan:
         """Return the requests that read the points with some indexes; None for all."""
@@ -64,105 +71,6 @@ class Reads:
         return self._plans[due]
 
 
-class OnePoll:
-    """
-    One poll of a device: requests, each after the outcome of the one before, and the values.
-
-    The poll ends if its first request is not answered. If the device refuses a request, the poll
-    goes on until it is known which points are refused.
-
-    Args:
-        holes: what the device refused in earlier polls; None for nothing.
-        first: the index of the request that is asked first.
-        now: the time in seconds, of any steady clock.
-        connects: how many connections the client of the device has made.
-
-    Attributes:
-        request: the next request; None when the poll is over.
-        error: the first error; None if all requests, and parts of them, were answered.
-        is_answered: True if the device answered, even if it refused.
-        holes: what the device refuses, as far as it is known.
-        news: sentences about points that the device was found to refuse.
-    """
-
-    __slots__ = (
-        *("_answers", "_first", "_plan", "_requests", "_steps", "_outcomes", "_time"),
-        *("error", "holes", "is_answered", "news", "request"),
-    )
-
-    def __init__(
-        self,
-        plan: PointPlan,
-        holes: Holes | None = None,
-        *,
-        first: int = 0,
-        now: float = 0.0,
-        connects: int = 1,
-    ) -> None:
-        self.error: ModbusError | None = None
-        self.is_answered: bool = False
-        self.holes: Holes | None = holes
-        self.news: list[str] = []
-        self._plan = plan
-        self._first = first
-        self._time = now, connects
-        self._answers: list[Any] = []
-        self._outcomes: list[Any] = []
-        self._steps: Generator[Any, Any, list[Any]] | None = None
-        self._requests: Sequence[Any] = plan.requests
-        if holes:
-            self._requests = self._new_steps(holes)
-        self._advance()
-
-    def take(self, outcome: Any) -> None:
-        """Take the response to the request, or its error."""
-        is_error = isinstance(outcome, ModbusError)
-        if is_error and self.error is None:
-            self.error = outcome
-        self._outcomes.append(outcome)
-        if not (is_error and is_down(outcome)):
-            self.is_answered = True
-        elif not self.is_answered:
-            self._outcomes += [outcome] * (len(self._requests) - len(self._outcomes))
-        if len(self._outcomes) == len(self._requests):
-            self._go_on()
-        self._advance()
-
-    def values(self) -> dict[str, Any]:
-        """Return the values by the names of the points, with errors in place of missing ones."""
-        found: dict[str, Any] = self._plan.results(self._answers, return_exceptions=True)
-        return found
-
-    def _advance(self) -> None:
-        done, requests = len(self._outcomes), self._requests
-        is_over = done == len(requests)
-        self.request: Any = None if is_over else requests[(self._first + done) % len(requests)]
-
-    def _new_steps(self, holes: Holes) -> Sequence[Any]:
-        """Begin to leave out what is refused; return the first requests."""
-        self._steps = reading(self._plan.blocks, holes, *self._time, tell=self.news.append)
-        return next(self._steps)
-
-    def _go_on(self) -> None:
-        """Search for what was refused, or end the poll."""
-        # The first request was not the first one of the plan.
-        first = len(self._outcomes) - self._first % len(self._outcomes)
-        outcomes = self._outcomes[first:] + self._outcomes[:first]
-        if self._steps is None:
-            self._answers = outcomes
-            if not any(map(is_refusal, outcomes)):
-                return
-            self.holes = self.holes or Holes()
-            self._new_steps(self.holes)
-        assert self._steps is not None
-        try:
-            self._requests, self._outcomes = self._steps.send(outcomes), []
-        except StopIteration as done:
-            self._answers = done.value
-            if self.error is None:
-                self.error = next(filter(None, map(_error_of, self._answers)), None)
-
-
 class Poller(LineRequest):
     """
     A device of a fleet: its current poll, its state, and what was reported of it.
@@ -172,7 +80,7 @@ class Poller(LineRequest):
         state: NEW until its first poll is over.
         error: the first error of the last poll, or that of a point that was left out; None if all
             points were read.
-        at: when the device is polled next, or was polled last.
+        at: when the device is polled next, or was polled last; set by its fleet, as is `timer`.
         misses: polls in a row without an answer.
         answered_at: when the last poll that was answered was over, in seconds since the epoch; 0
             before.
@@ -182,9 +90,10 @@ class Poller(LineRequest):
     """
 
     __slots__ = (
-        *("_changes", "_due", "_first", "_holes", "_pace", "_poll", "_totals"),
+        *("_answers", "_changes", "_due", "_first", "_first_error", "_holes", "_is_answered"),
+        *("_outcomes", "_pace", "_plan", "_requests", "_steps", "_time", "_totals"),
         *("answered_at", "at", "config", "error", "name", "news", "reads", "rest_until"),
-        *("since", "state"),
+        *("since", "state", "timer"),
     )
 
     def __init__(self, config: DeviceConfig, reads: Reads) -> None:
@@ -193,14 +102,17 @@ class Poller(LineRequest):
         self.name: str = config.name
         self.reads: Reads = reads
         self.at: float = 0.0
+        self.timer: Any = None
         self.answered_at: float = 0.0
         self.rest_until: float = 0.0
         self.news: list[str] = []
-        self._pace = reads.pace(config.interval)
+        self._pace = (
+            PointIntervals(reads.intervals, config.interval) if any(reads.intervals) else None
+        )
         self._due: tuple[int, ...] | None = None
-        self._poll: OnePoll | None = None
-        self._holes: Holes | None = None
-        self._first = 0
+        self._holes = Holes()
+        self._first = 0  # the index of the request of a plan that is asked first
+        self._answers: list[Any] = []
         self.forget()
 
     def forget(self) -> None:
@@ -230,45 +142,90 @@ class Poller(LineRequest):
     @property
     def unreadable(self) -> list[Unreadable]:
         """The points that the device refuses, and that are left out until they are tried again."""
-        if self._holes is None:
-            return []
         device = f"{self.config.endpoint}, unit {self.config.unit}"
         return unreadable_of(self.reads.plan, self._holes, device)
+
+    # --- a poll -----------------------------------------------------------------------------
 
     def begin(self, planned: float = 0.0, connects: int = 1) -> None:
         """Begin a poll that is due at `planned`; the client has made so many connections."""
         self.waits_since = planned
         if self._pace is not None:
             self._due = self._pace.due(planned)
-        plan = self.reads.plan_of(self._due)
-        self._poll = OnePoll(plan, self._holes, first=self._first, now=planned, connects=connects)
-        self.request: Any = self._poll.request
+        self._plan = self.reads.plan_of(self._due)
+        self._time = planned, connects
+        self._first_error: ModbusError | None = None
+        self._is_answered = False
+        self._steps: Generator[Any, Any, list[Any]] | None = None
+        self._outcomes: list[Any] = []
+        self._requests: Sequence[Any] = self._search() if self._holes else self._plan.requests
+        self._advance()
 
     def take(self, outcome: Any, now: float) -> None:
         """Take the outcome of the request; with the last one, the state of the device changes."""
-        poll = self._poll
-        assert poll is not None
-        poll.take(outcome)
-        self.request = poll.request
+        is_error = isinstance(outcome, ModbusError)
+        if is_error and self._first_error is None:
+            self._first_error = outcome
+        self._outcomes.append(outcome)
+        if not (is_error and is_down(outcome)):
+            self._is_answered = True
+        elif not self._is_answered:
+            self._outcomes += [outcome] * (len(self._requests) - len(self._outcomes))
+        if len(self._outcomes) == len(self._requests):
+            self._go_on()
         self.rest_until = now + self.config.spacing
-        if poll.request is not None:
+        self._advance()
+        if self.request is not None:
             return
-        self._holes = poll.holes
-        self.news += poll.news
-        self.error = poll.error
-        self.misses: int = 0 if poll.is_answered else self.misses + 1
+        self._steps, self._outcomes = None, []  # thousands of devices would keep them
+        self.error = self._first_error
+        self.misses: int = 0 if self._is_answered else self.misses + 1
         if self.misses:
             # The device may be silent about this request only, so that another one comes first.
             self._first += 1
         self.state = DeviceState.DOWN if self.misses else DeviceState.UP
 
+    def _advance(self) -> None:
+        done, requests = len(self._outcomes), self._requests
+        is_over = done == len(requests)
+        self.request: Any = None if is_over else requests[(self._first + done) % len(requests)]
+
+    def _search(self) -> Sequence[Any]:
+        """Begin to leave out what is refused; return the first requests."""
+        tell = self.news.append
+        self._steps = reading(self._plan.blocks, self._holes, *self._time, tell=tell)
+        return next(self._steps)
+
+    def _go_on(self) -> None:
+        """Search for what was refused, or end the poll."""
+        # The first request was not the first one of the plan.
+        first = len(self._outcomes) - self._first % len(self._outcomes)
+        outcomes = self._outcomes[first:] + self._outcomes[:first]
+        if self._steps is None:
+            self._answers = outcomes
+            if not any(map(is_refusal, outcomes)):
+                return
+            self._search()
+        assert self._steps is not None
+        try:
+            self._requests, self._outcomes = self._steps.send(outcomes), []
+        except StopIteration as done:
+            self._answers = done.value
+            if self._first_error is None:
+                self._first_error = next(filter(None, map(_error_of, self._answers)), None)
+
+    # --- its readings -------------------------------------------------------------------------
+
+    def values(self) -> dict[str, Any]:
+        """Return the values of the poll that is over by name, with errors for missing ones."""
+        answers, self._answers = self._answers, []
+        found: dict[str, Any] = self._plan.results(answers, return_exceptions=True)
+        return found
+
     def readings(self, time: float, first: int = 0) -> list[Reading]:
         """Return the readings of the poll that is over, with ids from `first` on; 0 for no ids."""
-        poll, self._poll = self._poll, None
-        assert poll is not None
         names, units = self.reads.names, self.reads.units
-        found = poll.values()
-        values = list(found.values()) if self._pace is None else [*map(found.get, names)]
+        values = [*map(self.values().get, names)]
         doubtful, fell = self._totals.take(values)
         if self._pace is not None:
             lost = {
@@ -279,10 +236,8 @@ class Poller(LineRequest):
             self._pace.done(lost | doubtful)
         for at in doubtful:
             values[at] = self._totals.before(at)
-        reported = self._changes.pick(values, self._due)
-        if doubtful:
-            reported = [at for at in reported if at not in doubtful]
-        device, labels, readings = self.name, self.config.labels or NO_LABELS, []
+        reported = [at for at in self._changes.pick(values, self._due) if at not in doubtful]
+        device, labels, readings = self.name, self.config.labels, []
         for number, at in enumerate(reported, first):
             value, quality, reason = classified(values[at])
             if at in fell:
@@ -293,10 +248,7 @@ class Poller(LineRequest):
 
     def withdrawn(self, time: float, still_read: Collection[str] = ()) -> list[Reading]:
         """Return readings that take back those that were reported, without the points named."""
-        if self.state is DeviceState.NEW:
-            return []
-        units = zip(self.reads.names, self.reads.units, strict=True)
-        return offline(self.config, [each for each in units if each[0] not in still_read], time)
+        return [] if self.state is DeviceState.NEW else offline(self.config, time, still_read)
 
 
 def _error_of(answer: Any) -> ModbusError | None:
@@ -306,10 +258,87 @@ def _error_of(answer: Any) -> ModbusError | None:
     return answer if isinstance(answer, ModbusError) else None
 
 
-def offline(device: DeviceConfig, points: Iterable[tuple[str, str]], time: float) -> list[Reading]:
-    """Return readings that take back points of a device, given by their names and units."""
-    labels = device.labels or NO_LABELS
+def offline(device: DeviceConfig, time: float, still_read: Collection[str] = ()) -> list[Reading]:
+    """Return readings that take back the points of a device, without those named."""
+    points = [device.map[name] for name in device.names if name not in still_read]
     return [
-        Reading(time, device.name, name, None, unit, "offline", "", 0, labels)
-        for name, unit in points
+        Reading(time, device.name, each.name, None, each.units, "offline", labels=device.labels)
+        for each in points
     ]
+
+
+class FleetLine(SharedLine[Poller]):
+    """
+    Polls the devices of one connection in the order in which they are due.
+
+    A device that is down is tried when no other waits, one at a time; such a trial costs others no
+    more than one of their own answers takes.
+
+    Args:
+        on_polled: called after each poll with the state before it; None if it was not sent.
+        on_back: called with each device that was down because there was no connection.
+    """
+
+    def __init__(
+        self,
+        config: DeviceConfig,
+        may_ask: MayAsk | None,
+        statistics: FleetStatistics,
+        on_polled: Callable[[Poller, DeviceState | None], None],
+        on_back: Callable[[Poller], None],
+    ) -> None:
+        self._is_gated = may_ask is not None
+        self.url: str = config.endpoint.url
+        gate = None if may_ask is None else partial(may_ask, config.connection_key)
+        client = AsyncClient(self.url, may_send=gate, on_state=self._note_state)
+        super().__init__(client, FairQueue, most_trials=1)
+        self.pollers: dict[str, Poller] = {}
+        self._clients: dict[float | None, AsyncClient] = {None: client}
+        self._statistics = statistics
+        self._on_polled = on_polled
+        self._on_back = on_back
+
+    def client_of(self, each: Poller) -> AsyncClient:
+        timeout = each.config.timeout
+        if timeout not in self._clients:
+            self._clients[timeout] = self.client.for_unit(1, timeout=timeout)
+        return self._clients[timeout]
+
+    def due(self, poller: Poller, planned: float) -> None:
+        """Poll a device, unless its last poll is still under way."""
+        if poller.request is not None:
+            self._statistics.skipped += 1
+            return
+        poller.is_urgent, poller.is_trial = False, poller.state is DeviceState.DOWN
+        poller.begin(planned, self.client.statistics.connects)
+        self.ask(poller, self._loop.time())
+
+    def _ready_at(self, each: Poller) -> float:
+        return max(super()._ready_at(each), each.rest_until)
+
+    def _send(self, each: Poller, now: float) -> None:
+        if not each.is_urgent:
+            self._statistics.note_start(max(0.0, now - each.waits_since))
+        super()._send(each, now)
+
+    def conclude(self, each: Poller, outcome: Any, now: float) -> None:
+        """Pass the outcome of a request to its poll, which continues or is over."""
+        # Requests that `may_ask` refused fail with EPERM.
+        if self._is_gated and getattr(outcome, "errno", 0) == errno.EPERM:
+            each.request = None
+            self._statistics.held += 1
+            self._on_polled(each, None)
+            return
+        before = each.state
+        each.take(outcome, now)
+        if each.request is None:
+            self._on_polled(each, before)
+        else:
+            each.is_urgent = True
+            self.ask(each, now)
+
+    def _note_state(self, state: State, error: ModbusError | None) -> None:
+        if state is State.CONNECTED:
+            for each in self.pollers.values():
+                if isinstance(each.error, ModbusConnectionError):
+                    self._on_back(each)

@@ -7,10 +7,10 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from itertools import groupby, islice
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Self
 
 from ...maps.meaning import NoValue
 from ...protocol.checks import integer
@@ -182,10 +182,10 @@ MOST_KEPT = 100_000
 """Readings that wait unless an output is told otherwise: about 15 MB."""
 
 
-class Buffer:
+class Buffer(AsyncIterator[Reading]):
     """
-    A queue of up to `most` readings for one consumer. Adding readings never blocks: the oldest are
-    dropped beyond.
+    A queue of up to `most` readings for one consumer, which may iterate over it. Adding readings
+    never blocks: the oldest are dropped beyond.
 
     A place in a journal (`JournalPlace`) is a buffer that fetches readings from the journal.
 
@@ -202,6 +202,15 @@ class Buffer:
 
     def __len__(self) -> int:
         return len(self._kept)
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> Reading:
+        while not self.is_over:
+            if found := await self.take(1):
+                return found[0]
+        raise StopAsyncIteration
 
     def put(self, readings: Sequence[Reading]) -> None:
         """Add readings; they are ignored after `close`."""

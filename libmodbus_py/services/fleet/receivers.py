@@ -11,43 +11,20 @@ import asyncio
 import contextlib
 import weakref
 from collections import Counter
-from collections.abc import AsyncIterator, Collection, Iterable, Mapping, Sequence
-from typing import Any, Self
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 from ...protocol.logs import HarmlessLogger
 from .commands import Commands
 from .config import DeviceConfig
 from .journal.journal import Journal
-from .journal.place import JournalPlace
 from .outputs.output import Output, check_exclusive
 from .outputs.pump import Pump
 from .readings import Buffer, Reading
 from .statistics import FleetStatistics
 
-__all__ = ["Readings", "Receivers"]
+__all__ = ["Receivers"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
-
-
-class Readings(AsyncIterator[Reading]):
-    """An asynchronous iterator over the readings of a fleet."""
-
-    def __init__(self, buffer: Buffer) -> None:
-        self._buffer = buffer
-
-    @property
-    def dropped(self) -> int:
-        """Number of readings dropped because the buffer was full."""
-        return self._buffer.dropped
-
-    def __aiter__(self) -> Self:
-        return self
-
-    async def __anext__(self) -> Reading:
-        while not self._buffer.is_over:
-            if found := await self._buffer.take(1):
-                return found[0]
-        raise StopAsyncIteration
 
 
 class Receivers:
@@ -79,30 +56,23 @@ class Receivers:
 
     async def start(self, commands: Commands) -> None:
         """Open the journal and start the outputs; raise JournalError if it cannot be used."""
-        places = await self._places()
         names = _unlike(each.name for each in self.outputs)
-        for at, output in enumerate(self.outputs):
+        places: dict[int, Buffer] = {}
+        if self._journal is not None:
+            kept = _unlike(getattr(each, "identity", each.name) for each in self.outputs)
+            at = [i for i, each in enumerate(self.outputs) if not getattr(each, "is_live", False)]
+            opened = await self._journal.open([kept[each] for each in at])
+            places = dict(zip(at, opened, strict=True))
+        for number, output in enumerate(self.outputs):
             attach = getattr(output, "attach", None)
             if attach is not None and getattr(output, "takes_commands", False):
                 attach(commands)
-            pump = Pump(output, waiting=places.get(at))
-            self._statistics.outputs[names[at]] = pump.statistics
+            pump = Pump(output, waiting=places.get(number))
+            self._statistics.outputs[names[number]] = pump.statistics
             self._pumps.append(pump)
-            if at not in places:
+            if number not in places:
                 self._live.append(pump.buffer)
             pump.start()
-
-    async def _places(self) -> Mapping[int, JournalPlace]:
-        """Open the journal; return the places of the outputs that read from it, by their index."""
-        if self._journal is None:
-            return {}
-        names = _unlike(getattr(each, "identity", each.name) for each in self.outputs)
-        kept = {
-            at: names[at]
-            for at, output in enumerate(self.outputs)
-            if not getattr(output, "is_live", False)
-        }
-        return dict(zip(kept, await self._journal.open([*kept.values()]), strict=True))
 
     def put(self, readings: list[Reading]) -> None:
         if not readings:
@@ -113,11 +83,11 @@ class Receivers:
         for buffer in (*self._live, *self._iterated):
             buffer.put(readings)
 
-    def iterate(self, most: int) -> Readings:
+    def iterate(self, most: int) -> Buffer:
         """Return the readings from now on; the oldest of more than so many are dropped."""
         buffer = Buffer(most)
         self._iterated.add(buffer)
-        return Readings(buffer)
+        return buffer
 
     def log_ends(self) -> None:
         """Log an output that fails permanently: the program does not wait for its error."""
@@ -125,21 +95,15 @@ class Receivers:
             pump.task.add_done_callback(_log_end)
 
     async def ended(self, event: asyncio.Event) -> None:
-        """
-        Wait for an event, or for an output that fails permanently, which raises its OutputError.
-        """
-        ends: list[asyncio.Future[Any]] = [
-            *(asyncio.ensure_future(each.ended()) for each in self._pumps),
-            asyncio.ensure_future(event.wait()),
-        ]
+        """Wait for an event, or for an output that fails permanently: raise its OutputError."""
+        waiting = asyncio.create_task(event.wait())
         try:
-            done, _ = await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+            tasks = [waiting, *(pump.task for pump in self._pumps)]
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for each in done:
                 each.result()
         finally:
-            for each in ends:
-                each.cancel()
-            await asyncio.gather(*ends, return_exceptions=True)
+            waiting.cancel()
 
     async def stop(self, closing: Collection[asyncio.Task[None]], *, is_patient: bool) -> None:
         """

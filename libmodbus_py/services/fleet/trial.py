@@ -5,21 +5,17 @@ Checks before a fleet runs: which devices answer, and which serial lines are ove
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections import defaultdict
+from collections.abc import AsyncGenerator, Iterable, Sequence
+from typing import Any, NamedTuple
 
 from ...client.asynchronous import AsyncClient
-from ...ports.endpoint import Endpoint
 from ...protocol.errors import ModbusError
 from ...protocol.framing import Frame, make_framer
 from .config import DeviceConfig, by_connection
-from .poller import OnePoll
+from .poller import Poller, Reads
 
-if TYPE_CHECKING:
-    from ...ports.serial import SerialPort
-
-__all__ = ["Overload", "Tried", "overloads", "trying"]
+__all__ = ["Tried", "overloads", "trying"]
 
 MOST_AT_ONCE = 64
 """Connections that are tried at the same time."""
@@ -28,12 +24,8 @@ SILENCE = 3.5
 """Characters between two frames of RTU (serial line, 2.5.1.1)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Tried:
-    """
-    One poll of a device: its number of requests, its seconds, and the first error, if there was
-    one.
-    """
+class Tried(NamedTuple):
+    """One poll of a device: how many requests and seconds it took, and its first error, if any."""
 
     device: DeviceConfig
     requests: int
@@ -41,66 +33,44 @@ class Tried:
     problem: str
 
 
-@dataclass(frozen=True, slots=True)
-class Overload:
-    """
-    A serial line that cannot carry all polls: so many seconds are `needed` in each `interval`.
-    """
-
-    url: str
-    baudrate: int
-    needed: float
-    interval: float
-
-    def __str__(self) -> str:
-        return (
-            f"line {self.url.partition('?')[0]} at {self.baudrate}:"
-            f" {self.needed:.3g} s of requests each {self.interval:g} s"
-        )
-
-
-def overloads(devices: Iterable[DeviceConfig]) -> list[Overload]:
-    """Return the serial lines that cannot keep the intervals of their devices."""
-    found: list[Overload] = []
+def overloads(devices: Iterable[DeviceConfig]) -> list[str]:
+    """Return a sentence for each serial line that cannot keep the intervals of its devices."""
+    found: list[str] = []
     for group in by_connection(devices).values():
         endpoint = group[0].endpoint
         if not endpoint.is_serial:
             continue
-        shares = [share for device in group for share in _shares(device)]
-        shortest = min(interval for interval, _ in shares)
-        needed = sum(seconds * shortest / interval for interval, seconds in shares)
+        from ...ports.serial import SerialPort  # which not every system has
+
+        port = SerialPort(endpoint.path, **endpoint.serial_settings)
+        loads = [
+            (interval, characters * port.character)
+            for device in group
+            for interval, characters in _characters(device).items()
+        ]
+        shortest = min(interval for interval, _ in loads)
+        needed = sum(seconds * shortest / interval for interval, seconds in loads)
         if needed > shortest:
-            found.append(Overload(endpoint.url, _port(endpoint).baudrate, needed, shortest))
+            line = f"line {endpoint.url.partition('?')[0]} at {port.baudrate}"
+            found.append(f"{line}: {needed:.3g} s of requests each {shortest:g} s")
     return found
 
 
-def _port(endpoint: Endpoint) -> SerialPort:
-    from ...ports.serial import SerialPort  # which not every system has
-
-    return SerialPort(endpoint.path, **endpoint.serial_settings)
-
-
-def _shares(device: DeviceConfig) -> Iterator[tuple[float, float]]:
-    """Yield the intervals of the points of a device, and the seconds of a poll of each."""
-    names: dict[float, list[str]] = {}
+def _characters(device: DeviceConfig) -> dict[float, float]:
+    """Return the characters of a poll, silence included, of the points of each interval."""
+    framing = device.endpoint.framing
+    framer = make_framer(framing, "client")
+    silence = SILENCE if framing == "rtu" else 0.0
+    names: defaultdict[float, list[str]] = defaultdict(list)
     for name in device.names:
-        own = device.map[name].interval
-        names.setdefault(device.interval if own is None else own, []).append(name)
+        names[device.map[name].interval or device.interval].append(name)
+    found = dict.fromkeys(names, 0.0)
     for interval, some in names.items():
-        yield interval, _seconds(device, some)
-
-
-def _seconds(device: DeviceConfig, names: list[str]) -> float:
-    """Return the seconds of a poll on a serial line: characters, and silence between frames."""
-    endpoint = device.endpoint
-    framer = make_framer(endpoint.framing, "client")
-    silence = SILENCE if endpoint.framing == "rtu" else 0.0
-    reads: Any = device.plan(names).requests
-    pdus = [
-        pdu for each in reads for pdu in (each.encode(), each.encode_response([0] * each.count))
-    ]
-    characters = sum(len(framer.encode(Frame(device.unit, pdu))) + silence for pdu in pdus)
-    return characters * _port(endpoint).character
+        requests: Any = device.plan(some).requests
+        for each in requests:
+            for pdu in (each.encode(), each.encode_response([0] * each.count)):
+                found[interval] += len(framer.encode(Frame(device.unit, pdu))) + silence
+    return found
 
 
 async def trying(devices: Sequence[DeviceConfig]) -> AsyncGenerator[Tried, None]:
@@ -124,9 +94,7 @@ async def trying(devices: Sequence[DeviceConfig]) -> AsyncGenerator[Tried, None]
 
 
 async def _try_line(
-    devices: list[DeviceConfig],
-    free: asyncio.Semaphore,
-    found: asyncio.Queue[Tried | Exception],
+    devices: list[DeviceConfig], free: asyncio.Semaphore, found: asyncio.Queue[Tried | Exception]
 ) -> None:
     async with free:
         client = AsyncClient(devices[0].endpoint.url)
@@ -141,14 +109,14 @@ async def _try_line(
 
 async def _try(client: AsyncClient, device: DeviceConfig) -> Tried:
     now = asyncio.get_running_loop().time
-    plan, start = device.plan(), now()
-    poll = OnePoll(plan)
+    start, poller = now(), Poller(device, Reads(device))
     unit = client.for_unit(device.unit, timeout=device.timeout)
-    while poll.request is not None:
+    poller.begin()
+    while poller.request is not None:
         try:
-            poll.take(await unit.execute(poll.request))
+            poller.take(await unit.execute(poller.request), now())
         except ModbusError as error:
-            poll.take(error)
-    errors = [each for each in poll.values().values() if isinstance(each, Exception)]
-    problem = next(map(str, filter(None, [*errors, poll.error])), "")
-    return Tried(device, len(plan.requests), now() - start, problem)
+            poller.take(error, now())
+    errors = [each for each in poller.values().values() if isinstance(each, Exception)]
+    problem = next(map(str, filter(None, [*errors, poller.error])), "")
+    return Tried(device, len(poller.reads.plan.requests), now() - start, problem)

@@ -14,7 +14,7 @@ import pytest
 from libmodbus_py import Fleet, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services import line as shared_line
-from libmodbus_py.services.fleet.line import first_time
+from libmodbus_py.services.fleet.fleet import first_time
 from libmodbus_py.services.fleet.poller import DeviceState
 from tests.services.fleet.fleets import while_polled
 from tests.simulation.network import Network
