@@ -30,11 +30,9 @@ from libmodbus_py.protocol.framing import (
 )
 from libmodbus_py.security.role import RoleError, decode_role, encode_role, role_of
 from libmodbus_py.services.fleet import files as fleet_files
-from libmodbus_py.services.fleet.devices_csv import device_rows, opened
+from libmodbus_py.services.fleet.devices_csv import keys_in, opened
 from libmodbus_py.services.gateway import config as gateway_file
 from libmodbus_py.tools.files import map_file
-from libmodbus_py.tools.files.csv_text import CsvText
-from libmodbus_py.tools.files.schema import Keys
 from libmodbus_py.tools.files.texts import FileError, read_toml
 from libmodbus_py.tools.listener.separator import LineFraming, Separator
 from libmodbus_py.tools.listener.transaction import Heard
@@ -194,15 +192,14 @@ FILES: dict[str, Callable[[str], list[Exception]]] = {
     "map.csv": lambda text: list(map_file.contents_of_text(text, ".csv", 20, {}).mistakes),
     "gateway.toml": lambda text: _mistakes(lambda: gateway_file.parse(text)),
     "fleet.toml": lambda text: _mistakes(lambda: fleet_files.FILE.read((), read_toml(text))),
-    "devices.csv": lambda text: _mistakes(
-        lambda: [row.keys() for row in device_rows(*_table(text))]
-    ),
+    "devices.csv": lambda text: _mistakes(lambda: _devices(text)),
 }
 """Kind of file -> returns what is wrong in a text."""
 
 
-def _table(text: str) -> tuple[CsvText, Keys, type[FileError]]:
-    return opened(text, fleet_files.DEVICE, FileError), fleet_files.DEVICE, FileError
+def _devices(text: str) -> list[dict[str, Any]]:
+    table = opened(text, fleet_files.DEVICE, FileError)
+    return [keys_in(table, row, fleet_files.DEVICE) for row in table.rows()]
 
 
 def _mistakes(read: Callable[[], object]) -> list[Exception]:

@@ -8,9 +8,9 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, Literal, get_args
 
 from ...client.options import CheckedOptions
@@ -22,16 +22,23 @@ from ...ports.endpoint import Endpoint, parse
 from ...ports.port import make_port
 from ...protocol.checks import integer, number, seconds
 from ...protocol.json_text import json_text
-from ...protocol.mistakes import Path, WrongType, WrongValue, inside, named_arguments
+from ...protocol.mistakes import (
+    Mistake,
+    Path,
+    WrongType,
+    WrongValue,
+    inside,
+    item,
+    named_arguments,
+)
 from ...tools.files.schema import Key, Keys, flag, one_of, whole
 
 # fmt: off
 __all__ = [
     "ENGINE", "LONGEST_LEASE", "SHORTEST_LEASE", "DeviceConfig", "OnLoss", "by_connection",
-    "checked", "devices_from_json", "devices_to_json", "label_name",
+    "checked", "devices_from_json", "devices_to_json", "label_name", "misfits",
 ]
 # fmt: on
-
 
 LONGEST_NAME = 100
 
@@ -93,21 +100,26 @@ class DeviceConfig:
     connection_key: str = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        _text("name", self.name, 1)
-        _text("zone", self.zone, 0)
+        change = partial(object.__setattr__, self)
+        _check_text("name", self.name, 1)
+        _check_text("zone", self.zone, 0)
         with inside("url"):
             endpoint, key = _endpoint(self.url)
-        object.__setattr__(self, "endpoint", endpoint)
-        object.__setattr__(self, "connection_key", key)
+        change("endpoint", endpoint)
+        change("connection_key", key)
         integer("unit", self.unit, 0, 255)
-        if self.unit == 0 and not self.endpoint.has_transactions:
+        if self.unit == 0 and not endpoint.has_transactions:
             raise WrongValue(
                 "unit", "must not be 0 on this transport: no device answers a broadcast"
             )
         if not isinstance(self.map, RegisterMap):
             raise WrongType("map", f"must be a RegisterMap, not {type(self.map).__name__}")
-        object.__setattr__(self, "items", _items(self.items, self.map))
-        object.__setattr__(self, "groups", _groups(self.groups, self.map))
+        if next(_readable(self.map), None) is None:
+            raise WrongValue.about("map", "the map has no point that can be read")
+        points = (each.name for each in _readable(self.map))
+        change("items", _names("items", self.items, "point", points))
+        groups = (each.group for each in _readable(self.map) if each.group)
+        change("groups", _names("groups", self.groups, "group", groups))
         integer("gap", self.gap, 0, 2000)
         integer("max_registers", self.max_registers, 1, 125)
         self.plan()
@@ -115,39 +127,25 @@ class DeviceConfig:
         if self.timeout is not None:
             seconds("timeout", self.timeout)
         seconds("spacing", self.spacing, low=0)
-        if not isinstance(self.on_change, bool):
-            raise WrongType("on_change", f"must be true or false, not {self.on_change!r}")
-        self._check_dead_bands()
-        if not isinstance(self.labels, Mapping):
-            raise WrongType("labels", f"must be a table, not {type(self.labels).__name__}")
-        self._check_labels()
-
-    def _check_labels(self) -> None:
-        names: dict[str, str] = dict.fromkeys(OWN_LABELS, "of every metric")
-        for key, value in self.labels.items():
-            _text(("labels", key), value, 0)
-            name = label_name(key)
-            if not name or name.startswith("__"):
-                reason = f"Prometheus does not accept the label {key!r}"
-                raise WrongValue.about(("labels", key), reason)
-            if name in names:
-                reason = f"in Prometheus, {name!r} is the label {names[name]}"
-                raise WrongValue.about(("labels", key), reason)
-            names[name] = f"of {key!r}"
-
-    def _check_dead_bands(self) -> None:
-        if not isinstance(self.dead_bands, Mapping):
-            raise WrongType("dead_bands", f"must be a table, not {type(self.dead_bands).__name__}")
-        for name, band in self.dead_bands.items():
+        flag(("on_change",), self.on_change)
+        for name, band in _table("dead_bands", self.dead_bands).items():
             if name not in self.names:
                 raise WrongValue.about(("dead_bands", name), "no point of this name is read")
             number(("dead_bands", name), band, 0, math.inf)
+        known = {*OWN_LABELS}
+        for label, value in _table("labels", self.labels).items():
+            _check_text(("labels", label), value, 0)
+            name = label_name(label)
+            if not name or name.startswith("__") or name in known:
+                reason = f"{name!r}, its name in Prometheus, is not allowed, or used already"
+                raise WrongValue.about(("labels", label), reason)
+            known.add(name)
 
     @property
     def names(self) -> tuple[str, ...]:
         """The names of the points that are read."""
         if not self.groups:
-            return self.items or readable(self.map)
+            return self.items or tuple(each.name for each in _readable(self.map))
         of_groups = [name for group in self.groups for name in self.map.group(group)]
         return tuple(dict.fromkeys([*self.items, *of_groups]))
 
@@ -173,48 +171,33 @@ def label_name(key: str) -> str:
     return re.sub(r"^(?=\d)|\W", "_", key, flags=re.ASCII)
 
 
-def readable(points: RegisterMap) -> tuple[str, ...]:
-    """Return the names of all points that can be read."""
-    return tuple(name for name, point in points.items() if point.access != "write")
+def _readable(points: RegisterMap) -> Iterator[Point]:
+    return (each for each in points.values() if each.access != "write")
 
 
-def _names(key: str, given: object, check: Callable[[str], str]) -> tuple[str, ...]:
-    """Return names as a tuple; `check` returns what is wrong with one."""
+def _names(key: str, given: object, kind: str, known: Iterable[str]) -> tuple[str, ...]:
+    """Return names of what is known, each once."""
     if isinstance(given, str) or not isinstance(given, Iterable):
         raise WrongType(key, f"must be a list of names, not {type(given).__name__}")
     names = tuple(given)
+    if not names:
+        return names
+    known = [*dict.fromkeys(known)]
     for at, name in enumerate(names):
-        reason = check(name) or (f"{name!r} is given twice" if name in names[:at] else "")
-        if reason:
-            raise WrongValue.about((key, at), reason)
-    return names
+        if name not in known:
+            some = ", ".join(known[:8]) + ", ..." * (len(known) > 8)
+            reason = f"the map has no {kind} {name!r} to read; it has {some}"
+            raise WrongValue.about(item(key, at), reason)
+    return tuple(dict.fromkeys(names))
 
 
-def _items(given: object, points: RegisterMap) -> tuple[str, ...]:
-    def check(name: str) -> str:
-        if name not in points:
-            some = ", ".join([*points][:8]) + ", ..." * (len(points) > 8)
-            return f"the map has no {name!r}; it has {some}"
-        return f"{name!r} can only be written" if points[name].access == "write" else ""
-
-    items = _names("items", given, check)
-    if not (items or readable(points)):
-        raise WrongValue.about("map", "the map has no point that can be read")
-    return items
+def _table(key: str, given: object) -> Mapping[str, Any]:
+    if not isinstance(given, Mapping):
+        raise WrongType(key, f"must be a table, not {type(given).__name__}")
+    return given
 
 
-def _groups(given: object, points: RegisterMap) -> tuple[str, ...]:
-    def check(name: str) -> str:
-        try:
-            points.group(name)
-        except ValueError as error:
-            return str(error)
-        return ""
-
-    return _names("groups", given, check)
-
-
-def _text(name: str | Path, value: object, least: int) -> None:
+def _check_text(name: str | Path, value: object, least: int) -> None:
     if not isinstance(value, str):
         raise WrongType(name, f"must be text, not {type(value).__name__}")
     if not least <= len(value) <= LONGEST_NAME or not value.isprintable():
@@ -224,7 +207,7 @@ def _text(name: str | Path, value: object, least: int) -> None:
 
 @lru_cache(maxsize=4096)
 def _endpoint(url: str) -> tuple[Endpoint, str]:
-    """Return the endpoint of a URL, and its connection key."""
+    """Return the endpoint of a URL, which devices of a connection share, and its connection key."""
     endpoint = parse(url)
     if "unit" in endpoint.client_options:
         raise ValueError(f"{url!r} must not contain unit; write it as a key: unit = ...")
@@ -242,83 +225,77 @@ def by_connection(devices: Iterable[DeviceConfig]) -> dict[str, list[DeviceConfi
     return found
 
 
-def checked(
-    devices: Iterable[DeviceConfig], called: Callable[[int], str] = "devices[{}]".format
-) -> list[DeviceConfig]:
+def misfits(
+    devices: Iterable[DeviceConfig], called: Callable[[int], str]
+) -> Iterator[tuple[int, Mistake]]:
     """
-    Return the devices of one fleet as a list; `called` returns the name, for errors, of a device.
-
-    Raises:
-        TypeError, ValueError: two devices have the same name, or the same host and port or serial
-            port with different options; the path of the error begins with "devices" and the index.
+    Yield the index and the mistake of each device that does not fit to those before it: the same
+    name, or other options for the same host and port or serial port. `called` names a device.
     """
-    found = list(devices)
     names: dict[str, int] = {}
-    places: dict[str, int] = {}
+    lines: dict[str, tuple[int, Endpoint]] = {}
+    for at, device in enumerate(devices):
+        first = names.setdefault(device.name, at)
+        if first != at:
+            reason = f"{device.name!r} is also the name of {called(first)}"
+            yield at, WrongValue.about("name", reason)
+        first, endpoint = lines.setdefault(device.connection_key, (at, device.endpoint))
+        # Equal URLs have mostly the same object, whose text need not be made then.
+        if endpoint is not device.endpoint and endpoint.url != device.endpoint.url:
+            reason = f"{called(first)} has other options for the same connection: {endpoint.url}"
+            yield at, WrongValue.about("url", reason)
+
+
+def checked(devices: Iterable[DeviceConfig]) -> list[DeviceConfig]:
+    """Return the devices of one fleet as a list; raise the first of their `misfits`."""
+    found = list(devices)
     for at, device in enumerate(found):
         if not isinstance(device, DeviceConfig):
             reason = f"must be a DeviceConfig, not {type(device).__name__}"
             raise WrongType(("devices", at), reason)
-        first = names.setdefault(device.name, at)
-        if first != at:
-            reason = f"{device.name!r} is also the name of {called(first)}"
-            raise WrongValue.about(("devices", at, "name"), reason)
-        first = places.setdefault(device.connection_key, at)
-        endpoint = found[first].endpoint
-        # Equal URLs have mostly the same object, whose text need not be made then.
-        if endpoint is not device.endpoint and endpoint.url != device.endpoint.url:
-            url = endpoint.url
-            reason = f"{called(first)} has other options for the same connection: {url}"
-            raise WrongValue.about(("devices", at, "url"), reason)
+    for at, mistake in misfits(found, "devices[{}]".format):
+        raise mistake.under(("devices", at))
     return found
 
 
 # --- as text ----------------------------------------------------------------------------------
 
-DEVICE = tuple(each for each in fields(DeviceConfig) if each.init and each.name != "map")
 
-POINT = tuple(each for each in fields(Point) if each.init)
+def _defaults(kind: Any) -> dict[str, Any]:
+    """Return the defaults of the arguments of a dataclass; MISSING for those that are required."""
+    return {
+        each.name: each.default if each.default_factory is MISSING else each.default_factory()
+        for each in fields(kind)
+        if each.init
+    }
+
+
+DEVICE, POINT = _defaults(DeviceConfig), _defaults(Point)
+del DEVICE["map"]  # most devices share a map: each is written once
 
 
 def devices_to_json(devices: Iterable[DeviceConfig]) -> str:
     """Return devices, with their maps, as JSON; equal devices give equal text."""
     maps: dict[str, int] = {}
-    seen: dict[int, int] = {}  # most devices share a map: each is written once
+    seen: dict[int, int] = {}
     found = []
     for device in devices:
-        if id(device.map) not in seen:
-            seen[id(device.map)] = maps.setdefault(_map_to_json(device.map), len(maps))
-        found.append({**_changed(device, DEVICE), "map": seen[id(device.map)]})
+        key = id(device.map)
+        if key not in seen:
+            text = json_text([_changed(point, POINT) for point in device.map.values()])
+            seen[key] = maps.setdefault(text, len(maps))
+        found.append({**_changed(device, DEVICE), "map": seen[key]})
     return f'{{"maps": [{", ".join(maps)}], "devices": {json_text(found)}}}'
 
 
 def devices_from_json(text: str) -> list[DeviceConfig]:
-    """
-    Read devices from the JSON of `devices_to_json`. Equal maps become one object.
-
-    Raises:
-        ValueError: the text is not valid.
-    """
+    """Read the JSON of `devices_to_json`; equal maps become one object. Raises ValueError."""
     try:
         content = json.loads(text)
         maps = [_map_from_json(json_text(each)) for each in content["maps"]]
-        return [_device(each, maps) for each in content["devices"]]
+        return [DeviceConfig(**{**each, "map": maps[each["map"]]}) for each in content["devices"]]
     except (TypeError, LookupError, AttributeError, ValueError, RecursionError) as error:
         raise ValueError(f"the text does not describe devices: {error}") from None
-
-
-def _device(given: dict[str, Any], maps: list[RegisterMap]) -> DeviceConfig:
-    return DeviceConfig(
-        **{
-            **given,
-            "map": maps[given["map"]],
-            **{key: tuple(given.get(key, ())) for key in ("items", "groups")},
-        }
-    )
-
-
-def _map_to_json(points: RegisterMap) -> str:
-    return json_text([_changed(point, POINT) for point in points.values()])
 
 
 @lru_cache(maxsize=4096)
@@ -326,16 +303,17 @@ def _map_from_json(text: str) -> RegisterMap:
     return RegisterMap([Point(**each) for each in json.loads(text)])
 
 
-def _changed(value: object, of: Iterable[Any]) -> dict[str, Any]:
-    """Return the fields of a value that differ from their defaults."""
-    found: dict[str, Any] = {}
-    for each in of:
-        given = getattr(value, each.name)
-        usual = each.default_factory() if each.default_factory is not MISSING else each.default
-        if given != usual:
-            found[each.name] = dict(given) if isinstance(given, Mapping) else given
-    return found
+def _changed(value: object, defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a value that differ from their defaults."""
+    given = {name: getattr(value, name) for name in defaults}
+    return {
+        name: dict(each) if isinstance(each, Mapping) else each
+        for name, each in given.items()
+        if each != defaults[name]
+    }
 
+
+# --- [engine] ---------------------------------------------------------------------------------
 
 OnLoss = Literal["stop", "continue"]
 
@@ -344,21 +322,14 @@ SHORTEST_LEASE, LONGEST_LEASE = 0.5, 60.0
 # Ten years, in seconds.
 LONGEST_AGE = 3.2e8
 
-
-def _lease(path: Path, value: object) -> float:
-    return seconds(path, value, SHORTEST_LEASE, LONGEST_LEASE)
-
-
-def _age(path: Path, value: object) -> float:
-    return seconds(path, value, high=LONGEST_AGE)
-
-
-ENGINE = Keys(
-    [
-        Key("lease", _lease, "how long a worker may poll without NATS, in seconds, 0.5..60"),
-        Key("on_engine_loss", one_of(*get_args(OnLoss)), "what workers do when NATS is lost"),
-        Key("commands", flag, "whether points may be written through NATS"),
-        Key("max_age", _age, "how long NATS keeps readings, in seconds"),
-        Key("max_bytes", whole(1 << 16, 1 << 50), "how many bytes of readings NATS keeps"),
-    ]
-)
+# fmt: off
+ENGINE = Keys([
+    Key("lease", lambda path, value: seconds(path, value, SHORTEST_LEASE, LONGEST_LEASE),
+        "how long a worker may poll without NATS, in seconds, 0.5..60"),
+    Key("on_engine_loss", one_of(*get_args(OnLoss)), "what workers do when NATS is lost"),
+    Key("commands", flag, "whether points may be written through NATS"),
+    Key("max_age", lambda path, value: seconds(path, value, high=LONGEST_AGE),
+        "how long NATS keeps readings, in seconds"),
+    Key("max_bytes", whole(1 << 16, 1 << 50), "how many bytes of readings NATS keeps"),
+])
+# fmt: on

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from os import PathLike
 from pathlib import Path as FilePath
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from ...maps.point_plan import scale_mistakes
 from ...maps.register_map import RegisterMap
@@ -39,14 +39,25 @@ from ...protocol.mistakes import (
     path_text,
     placed,
 )
+from ...tools.files.csv_text import CsvRow, CsvText
 from ...tools.files.map_contents import POINT
 from ...tools.files.map_file import load_map
-from ...tools.files.schema import REQUIRED, Key, Keys, in_bytes, in_seconds, keys_of, table, tables
+from ...tools.files.schema import (
+    REQUIRED,
+    Check,
+    Key,
+    Keys,
+    in_bytes,
+    in_seconds,
+    keys_of,
+    table,
+    tables,
+)
 from ...tools.files.texts import FileError, FilePlace, line_of, load_file, read_table, read_toml
 from ...tools.simulator.example_files import map_file
 from ..other_servers import SecretFile
-from .config import ENGINE, DeviceConfig, checked
-from .devices_csv import DeviceRow, device_rows, opened
+from .config import ENGINE, DeviceConfig, misfits
+from .devices_csv import keys_in, opened, place_in
 from .journal.journal import KEEP_BOUNDS, SIZE_BOUNDS, Journal
 from .outputs.output import KINDS, Output, file_at, made, output_keys, shared, used
 
@@ -118,13 +129,12 @@ def load(path: str | PathLike[str]) -> FleetFile:
 
 
 class _Origin(NamedTuple):
-    """
-    The place of a device: the path of its table, or of the key that names a CSV file, and its row.
-    """
+    """The place of a device: its table; or the key that names a CSV file, the file, and its row."""
 
     path: Path
     file: str = ""
-    row: DeviceRow | None = None
+    text: CsvText | None = None
+    row: CsvRow | None = None
 
     def __str__(self) -> str:
         line = f": {self.file}, line {self.row.line}" if self.row else ""
@@ -133,9 +143,9 @@ class _Origin(NamedTuple):
     def of(self, error: Exception) -> Mistake:
         """Return an error about the device with its place in the file."""
         mistake = placed(error, ())
-        if self.row is None:
+        if self.text is None or self.row is None:
             return mistake.under(self.path)
-        found = FleetFileError.of(mistake, self.row.place(mistake.path))
+        found = FleetFileError.of(mistake, place_in(self.text, self.row, mistake.path))
         return found.in_file(self.file).under(self.path)
 
 
@@ -159,9 +169,12 @@ class _Reader:
         self._text = text
         given = FILE.read((), read_toml(text))
         self._defaults = given.get("defaults", {})
-        self._add_tables(given.get("device", []))
-        self._add_rows(given.get("devices"))
-        self._check()
+        for at, raw in enumerate(given.get("device", [])):
+            self._add(_Origin(("device", at)), partial(_keys_of_table, raw), self._folder)
+        if "devices" in given:
+            self._add_rows(self._folder / given["devices"])
+        for at, mistake in misfits(self._devices, lambda at: str(self._origins[at])):
+            self._mistakes.append(self._origins[at].of(mistake))
         if self._mistakes:
             raise self._mistakes[0]
         if not self._devices:
@@ -175,31 +188,23 @@ class _Reader:
         """Return the mistakes in devices but for the first one."""
         return tuple(
             FleetFileError.of(each, FilePlace(str(self._path), line_of(self._text, each.path)))
-            for each in self._mistakes[1:]
+            for each in self._mistakes[1:MOST_MISTAKES]
         )
 
     # --- devices ----------------------------------------------------------------------------
 
-    def _add_tables(self, given: list[dict[str, Any]]) -> None:
-        for at, raw in enumerate(given):
-            self._add(_Origin(("device", at)), partial(_keys_of_table, raw), self._folder)
-
-    def _add_rows(self, given: str | None) -> None:
-        if given is None:
-            return
-        path = self._folder / given
+    def _add_rows(self, path: FilePath) -> None:
         self._sources.add(file_at(str(path)))
         with inside("devices"):
-            text, note = read_table(path, FleetFileError)
-        self._notes += [f"{path}: {note}"] * bool(note)
+            content, note = read_table(path, FleetFileError)
         try:
-            rows = opened(text, DEVICE, FleetFileError)
-            if rows.skipped:
-                self._notes.append(
-                    f"{path}: rows above the headings that are skipped: {rows.skipped}"
-                )
-            for row in device_rows(rows, DEVICE, FleetFileError):
-                self._add(_Origin(("devices",), str(path), row), row.keys, path.parent)
+            text = opened(content, DEVICE, FleetFileError)
+            skipped = f"rows above the headings that are skipped: {text.skipped}"
+            notes = [note, skipped if text.skipped else ""]
+            self._notes += [f"{path}: {each}" for each in notes if each]
+            for row in text.rows():
+                origin = _Origin(("devices",), str(path), text, row)
+                self._add(origin, partial(keys_in, text, row, DEVICE), path.parent)
         except FleetFileError as error:
             self._mistakes.append(error.in_file(str(path)).under(("devices",)))
 
@@ -215,32 +220,24 @@ class _Reader:
             self._devices.append(device)
             self._origins.append(origin)
 
-    def _check(self) -> None:
-        """Add the mistakes of devices that do not fit to those before them."""
-        devices, origins = [*self._devices], [*self._origins]
-        while len(self._mistakes) < MOST_MISTAKES:
-            try:
-                checked(devices, lambda at: str(origins[at]))
-            except ValueError as error:
-                mistake = placed(error, ())
-                at = mistake.path[1]
-                assert isinstance(at, int)
-                self._mistakes.append(origins[at].of(mistake.renamed(()).renamed(())))
-                del devices[at], origins[at]
-            else:
-                return
-
     def _device(self, given: dict[str, Any], folder: FilePath) -> DeviceConfig:
-        keys = _with_defaults(self._defaults, given)
+        """Return the device of some keys, with the defaults; labels are merged."""
+        usual = dict(self._defaults)
+        bands = usual.pop("dead_bands", {})
+        keys = {**usual, **given}
+        keys["labels"] = {**usual.get("labels", {}), **given.get("labels", {})}
         columns = keys.pop("columns", {})
         for key in DEVICE.values():
             if key.default is REQUIRED and key.name not in keys:
                 raise WrongValue(key.name, "is missing")
         if not isinstance(keys["map"], RegisterMap):
-            base = self._folder if keys["map"] is self._defaults.get("map") else folder
+            base = folder if "map" in given else self._folder
             with inside("map"):
                 keys["map"] = self._map(base / map_file(keys["map"]), columns)
-        return _with_default_bands(DeviceConfig(**keys), self._defaults.get("dead_bands", {}))
+        device = DeviceConfig(**keys)
+        # The default bands are those of the points that the device reads.
+        bands = {name: band for name, band in bands.items() if name in device.names}
+        return replace(device, dead_bands={**bands, **device.dead_bands}) if bands else device
 
     def _map(self, path: FilePath, columns: Mapping[str, str]) -> RegisterMap:
         key = path, repr(columns)
@@ -253,30 +250,25 @@ class _Reader:
 
     def _journal(self, given: Mapping[str, Any]) -> dict[str, str]:
         keys = {name: given[key] for key, name in JOURNAL.items() if key in given}
-        if not keys:
-            return {}
-        if "path" not in keys:
+        if keys and "path" not in keys:
             raise WrongValue("journal", "is missing: the journal that keep and journal_size limit")
-        return {**keys, "path": str(self._folder / keys["path"])}
+        return {**keys, "path": str(self._folder / keys["path"])} if keys else {}
 
     def _outputs(self, given: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
-        outputs, places, trial = [], [], []
-        for kind, described in given.items():
-            for path, raw in described:
-                keys, output = self._output(path, kind, raw)
-                outputs.append((kind, keys))
-                places.append(path)
-                trial.append(output)
-        found = shared(trial)
-        if found is not None:
-            first, second, what = found
-            raise WrongValue.about(
-                places[second], f"uses {what}, as {path_text(places[first])} does"
-            )
+        found = [
+            (path, kind, *self._output(path, kind, raw))
+            for kind, described in given.items()
+            for path, raw in described
+        ]
+        places, trial = [each[0] for each in found], [each[3] for each in found]
+        if (both := shared(trial)) is not None:
+            first, second, what = both
+            reason = f"uses {what}, as {path_text(places[first])} does"
+            raise WrongValue.about(places[second], reason)
         for place, output in zip(places, trial, strict=True):
             if (source := used(output, self._sources)) is not None:
                 raise WrongValue.about(place, f"uses {source}, which the fleet is read from")
-        return outputs
+        return [(kind, keys) for _, kind, keys, _ in found]
 
     def _output(
         self, path: Path, kind: str, given: Mapping[str, Any]
@@ -292,33 +284,30 @@ class _Reader:
             return keys, output
 
     def _secrets(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the keys of an output with the contents of files; refuse secrets in the text."""
         keys = dict(given)
         for key in SECRET:
-            file = keys.pop(f"{key}_file", None)
-            if file is not None:
-                keys[key] = self._secret_of(f"{key}_file", file)
+            name = f"{key}_file"
+            if name in keys:
+                path = self._folder / _file_name((name,), keys.pop(name))
+                self._sources.add(file_at(str(path)))
+                with inside(name):
+                    keys[key] = SecretFile(path, FleetFileError)
             elif key in keys and not (isinstance(keys[key], str) and _NAME.search(keys[key])):
-                wanted = f"${{NAME}}, a variable of the environment, or {key}_file"
+                wanted = f"${{NAME}}, a variable of the environment, or {name}"
                 raise WrongValue(key, f"must not be written in the file: use {wanted}")
         return keys
-
-    def _secret_of(self, key: str, file: object) -> SecretFile:
-        if not isinstance(file, str):
-            raise WrongType(key, f"must be the name of a file, not {file!r}")
-        with inside(key):
-            self._sources.add(file_at(str(self._folder / file)))
-            return SecretFile(self._folder / file, FleetFileError)
 
 
 def _filled(key: str, value: Any) -> Any:
     """Replace ``${NAME}`` in a text by the variable of the environment; return other values."""
-
-    def variable(found: re.Match[str]) -> str:
-        if found[1] not in os.environ:
-            raise WrongValue.about(key, f"{found[0]}: the environment has no such variable")
-        return os.environ[found[1]]
-
-    return _NAME.sub(variable, value) if isinstance(value, str) else value
+    if not isinstance(value, str):
+        return value
+    for name in _NAME.findall(value):
+        if name not in os.environ:
+            reason = f"${{{name}}}: the environment has no such variable"
+            raise WrongValue.about(key, reason)
+    return _NAME.sub(lambda found: os.environ[found[1]], value)
 
 
 def _keys_of_table(given: dict[str, Any]) -> dict[str, Any]:
@@ -331,24 +320,6 @@ def _keys_of_table(given: dict[str, Any]) -> dict[str, Any]:
     return keys
 
 
-def _with_defaults(defaults: Mapping[str, Any], keys: dict[str, Any]) -> dict[str, Any]:
-    """Return the keys of a device with the defaults, but for dead bands; labels are merged."""
-    usual = {key: value for key, value in defaults.items() if key != "dead_bands"}
-    labels, own = usual.get("labels"), keys.get("labels")
-    if isinstance(labels, dict) and isinstance(own, dict):
-        return {**usual, **keys, "labels": {**labels, **own}}
-    return {**usual, **keys}
-
-
-def _with_default_bands(device: DeviceConfig, bands: Any) -> DeviceConfig:
-    """Return a device with the default dead bands of the points that it reads."""
-    if not isinstance(bands, dict):
-        raise WrongType("dead_bands", f"must be a table, not {type(bands).__name__}")
-    names = device.names
-    read = {name: band for name, band in bands.items() if name in names}
-    return replace(device, dead_bands={**read, **device.dead_bands}) if read else device
-
-
 # --- the keys ----------------------------------------------------------------------------
 
 
@@ -358,14 +329,14 @@ def _file_name(path: Path, given: object) -> str:
     return given
 
 
-def _keep(path: Path, given: object) -> str:
-    in_seconds(path, given, *KEEP_BOUNDS)
-    return str(given)
+def _amount(check: Callable[..., object], bounds: tuple[str, str]) -> Check:
+    """Return a check that leaves an amount such as "90 days" as it is."""
 
+    def checked(path: Path, given: object) -> object:
+        check(path, given, *bounds)
+        return given
 
-def _size(path: Path, given: object) -> str:
-    in_bytes(path, given, *SIZE_BOUNDS)
-    return str(given)
+    return checked
 
 
 def _points(path: Path, given: object) -> RegisterMap:
@@ -380,11 +351,10 @@ def _points(path: Path, given: object) -> RegisterMap:
 
 
 def _columns(path: Path, given: object) -> dict[str, str]:
-    found = table(path, given)
-    for key, heading in found.items():
+    for key, heading in table(path, given).items():
         if not isinstance(heading, str):
             raise WrongType((*path, key), f"must be the heading of a column, not {heading!r}")
-    return {**found}
+    return cast(dict[str, str], given)
 
 
 def _output_tables(path: Path, given: object) -> dict[str, Any]:
@@ -401,7 +371,7 @@ def _one_or_several(path: Path, given: object) -> list[tuple[Path, dict[str, Any
     return [(item(path, at), allowed.read(item(path, at), each)) for at, each in enumerate(given)]
 
 
-DEVICE = keys_of(DeviceConfig, map=_file_name)
+DEVICE = keys_of(DeviceConfig, map=_file_name, dead_bands=table, labels=table)
 
 POINTS = Key("point", _points, "a table for each point, [[device.point]], instead of a map")
 
@@ -414,19 +384,17 @@ DEFAULTS = (DEVICE.but("name") | Keys([COLUMNS])).optional()
 JOURNAL: dict[str, str] = {"journal": "path", "keep": "keep", "journal_size": "size"}
 """Keys of the file -> arguments of `Journal`."""
 
-FILE = Keys(
-    [
-        Key("journal", _file_name, "a file that keeps readings for outputs that are away"),
-        Key("keep", _keep, "how long the journal keeps readings, such as 90 days"),
-        Key("journal_size", _size, "the size of the journal, such as 2 GB"),
-        Key("devices", _file_name, "a file of devices in CSV"),
-        Key("defaults", DEFAULTS.read, "defaults of the keys of devices"),
-        Key("device", tables, "a table for each device: [[device]]"),
-        Key(
-            "output",
-            _output_tables,
-            "a table for each output: [output.KIND], or several: [[output.KIND]]",
-        ),
-        Key("engine", ENGINE.read, "options of several machines that share a fleet"),
-    ]
-)
+# fmt: off
+FILE = Keys([
+    Key("journal", _file_name, "a file that keeps readings for outputs that are away"),
+    Key("keep", _amount(in_seconds, KEEP_BOUNDS),
+        "how long the journal keeps readings, such as 90 days"),
+    Key("journal_size", _amount(in_bytes, SIZE_BOUNDS), "the size of the journal, such as 2 GB"),
+    Key("devices", _file_name, "a file of devices in CSV"),
+    Key("defaults", DEFAULTS.read, "defaults of the keys of devices"),
+    Key("device", tables, "a table for each device: [[device]]"),
+    Key("output", _output_tables,
+        "a table for each output: [output.KIND], or several: [[output.KIND]]"),
+    Key("engine", ENGINE.read, "options of several machines that share a fleet"),
+])
+# fmt: on

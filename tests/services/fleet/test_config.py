@@ -56,18 +56,13 @@ def test_a_buffer_of_another_size_is_refused(most: int) -> None:
         Buffer(most)
 
 
-@pytest.mark.parametrize(
-    ("points", "listed"),
-    [
-        (8, "p0, p1, p2, p3, p4, p5, p6, p7"),
-        (9, "p0, p1, p2, p3, p4, p5, p6, p7, ..."),
-    ],
-)
-def test_an_unknown_item_is_answered_with_eight_names(points: int, listed: str) -> None:
-    many = RegisterMap([Point(f"p{at}", "holding_registers", at) for at in range(points)])
-    with pytest.raises(ValueError, match="items") as refused:
+def test_an_unknown_item_is_answered_with_eight_names() -> None:
+    many = RegisterMap([Point(f"p{at}", "holding_registers", at) for at in range(9)])
+    listed = "it has p0, p1, p2, p3, p4, p5, p6, p7, \\.\\.\\.$"
+    with pytest.raises(ValueError, match=rf"items\[0\]: the map has no point 'level' .*{listed}"):
         DeviceConfig("pump", "tcp://192.0.2.1", many, items=("level",))
-    assert str(refused.value).endswith(f"the map has no 'level'; it has {listed}")
+    given_twice = DeviceConfig("pump", "tcp://192.0.2.1", many, items=("p1", "p0", "p1"))
+    assert given_twice.items == ("p1", "p0")
 
 
 def test_whole_numbers_in_a_table_have_twenty_digits_at_most() -> None:
@@ -112,19 +107,19 @@ def test_the_status_is_not_the_topic_of_a_reading() -> None:
 
 
 @each_case(
-    ("labels", "said"),
+    ("labels", "name"),
     [
-        ({"": "x"}, "does not accept the label ''"),
-        ({"__x": "x"}, "does not accept the label '__x'"),
-        ({"-_x": "x"}, "does not accept the label '-_x'"),
-        ({"device": "x"}, "'device' is the label of every metric"),
-        ({"name": "x"}, "'name' is the label of every metric"),
-        ({"unit": "x"}, "'unit' is the label of every metric"),
-        ({"fire-zone": "x", "fire_zone": "y"}, "'fire_zone' is the label of 'fire-zone'"),
+        ({"": "x"}, ""),
+        ({"__x": "x"}, "__x"),
+        ({"-_x": "x"}, "__x"),
+        ({"device": "x"}, "device"),
+        ({"name": "x"}, "name"),
+        ({"unit": "x"}, "unit"),
+        ({"fire-zone": "x", "fire_zone": "y"}, "fire_zone"),
     ],
 )
-def test_labels_that_prometheus_refuses_or_mixes(labels: dict[str, str], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
+def test_labels_that_prometheus_refuses_or_mixes(labels: dict[str, str], name: str) -> None:
+    with pytest.raises(ValueError, match=f"{name!r}, its name in Prometheus, is not allowed"):
         meter("a", "tcp://127.0.0.1", labels=labels)
 
 
