@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import AsyncIterator, Mapping, Sequence
 from itertools import groupby, islice
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple
 
 from ...maps.meaning import NoValue
 from ...protocol.checks import integer
@@ -85,11 +85,7 @@ def is_down(error: BaseException) -> bool:
 
 
 def reason_of(error: Exception) -> str:
-    """
-    Return the reason of a reading in place of whose value there is an error.
-
-    Consumers of readings know the reasons by these words.
-    """
+    """Return the reason of a reading in place of whose value there is an error; users know it."""
     if isinstance(error, NoValue):
         return error.reason
     return "ValueError" if isinstance(error, ValueError) else type(error).__name__
@@ -142,10 +138,7 @@ class Changes:
         self._has_errors = True
 
     def pick(self, values: Sequence[Any], due: Sequence[int] | None = None) -> Sequence[int]:
-        """
-        Return the indexes of values to report, among those that were read; exceptions are missing
-        ones.
-        """
+        """Return the indexes of values to report, of those that were due; None for all."""
         indexes = range(len(values)) if due is None else due
         has_errors = any(isinstance(value, Exception) for value in values)
         if not (has_errors or self._has_errors or self._is_filtering):
@@ -167,15 +160,18 @@ class Changes:
 
 
 def _differs(last: Any, value: Any, band: float) -> bool:
-    if isinstance(value, list):
+    if isinstance(value, list) and isinstance(last, list):
         pairs = zip(last, value, strict=False)
         return len(last) != len(value) or any(_differs(*pair, band) for pair in pairs)
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        return bool(last != value)
-    if math.isfinite(value) and math.isfinite(last):
+    if _is_finite(last) and _is_finite(value):
         return bool(abs(value - last) > band)
-    is_same: bool = value == last or (math.isnan(value) and math.isnan(last))
-    return not is_same
+    is_nan: bool = value != value and last != last
+    return bool(value != last) and not is_nan
+
+
+def _is_finite(value: Any) -> bool:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and math.isfinite(value)
 
 
 MOST_KEPT = 100_000
@@ -203,13 +199,9 @@ class Buffer(AsyncIterator[Reading]):
     def __len__(self) -> int:
         return len(self._kept)
 
-    def __aiter__(self) -> Self:
-        return self
-
     async def __anext__(self) -> Reading:
-        while not self.is_over:
-            if found := await self.take(1):
-                return found[0]
+        if found := await self.take(1):
+            return found[0]
         raise StopAsyncIteration
 
     def put(self, readings: Sequence[Reading]) -> None:
@@ -277,13 +269,11 @@ class Buffer(AsyncIterator[Reading]):
 
     async def polls(self, most: int) -> list[list[Reading]]:
         """Return the readings of the first polls, which stay in the buffer."""
-        while len(found := self._first_polls(most)) < most and await self._fetch(most):
-            pass
-        return found
-
-    def _first_polls(self, most: int) -> list[list[Reading]]:
-        groups = groupby(self._kept, lambda each: each.poll)
-        return [list(group) for _, group in islice(groups, most)]
+        while True:
+            groups = groupby(self._kept, lambda each: each.poll)
+            found = [list(group) for _, group in islice(groups, most)]
+            if len(found) == most or not await self._fetch(most):
+                return found
 
     async def _fetch(self, most: int) -> bool:
         """Add about so many readings; return False if there are no others now."""

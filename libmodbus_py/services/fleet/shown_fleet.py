@@ -20,7 +20,7 @@ from ...tools.page.table_source import (
     Values,
     problem_text,
 )
-from ...tools.page.text import cell_text
+from ...tools.page.text import cell_text, value_text
 from .config import DeviceConfig
 from .fleet import Fleet
 from .poller import DeviceState, Poller
@@ -93,46 +93,35 @@ class ShownFleet:
         """Return which devices and outputs fail, or that none does."""
         found = self._fleet.statistics
         problems = [f"{found.down} of {found.devices} devices down"] if found.down else []
-        for each in self._outputs():
-            if each.is_problem:
-                problems.append(f"{each.name} fails, {each.amount[0]} readings wait")
-        if found.journal is not None and found.journal.trouble:
-            problems.append("the journal fails")
+        problems += [f"{each.words} fails" for each in self._destinations() if each.is_problem]
         if problems:
             return "; ".join(problems), True
-        if found.up == found.devices:
-            return f"all {found.devices} devices answer", False
-        return f"{found.up} of {found.devices} devices answer", False
+        count = f"all {found.up}" if found.up == found.devices else f"{found.up} of {found.devices}"
+        return f"{count} devices answer", False
 
     def figures(self) -> Mapping[str, float]:
         found = self._fleet.statistics
-        return {
-            "devices": found.devices,
-            "up": found.up,
-            "down": found.down,
-            "polls": found.polls,
-            "readings": found.readings,
-        }
+        names = ("devices", "up", "down", "polls", "readings")
+        return {name: getattr(found, name) for name in names}
 
     def rows(self) -> Sequence[PageRow]:
-        journal = self._fleet.statistics.journal
-        rows: list[PageRow] = [*self._outputs()]
-        if journal is not None:
-            amount = (f"{journal.bytes / 1e6:.1f}", "MB")
-            rows.append(DestinationRow("", "journal", journal.trouble, 0, amount))
-        return [*rows, *self._values.rows]
+        return [*self._destinations(), *self._values.rows]
 
-    def _outputs(self) -> list[DestinationRow]:
-        """Return the outputs except those of this program: the page, and metrics."""
-        own = {PageOutput.name, LastValues.name}
-        return [
+    def _destinations(self) -> list[DestinationRow]:
+        """Return the outputs, but not the page and metrics of this program; and the journal."""
+        found = self._fleet.statistics
+        rows = [
             DestinationRow(
                 *("output", name, each.trouble, each.trouble_since),
                 (f"{each.waiting:,}", "waiting"),
             )
-            for name, each in dict(self._fleet.statistics.outputs).items()
-            if name not in own
+            for name, each in found.outputs.copy().items()
+            if name not in (PageOutput.name, LastValues.name)
         ]
+        if found.journal is not None:
+            amount = (f"{found.journal.bytes / 1e6:.1f}", "MB")
+            rows.append(DestinationRow("", "journal", found.journal.trouble, 0, amount))
+        return rows
 
     def series(self, name: tuple[str, str], column: str) -> Series | None:
         return self._values.series(name, column)
@@ -181,7 +170,7 @@ class PollerRow:
 
     @property
     def is_problem(self) -> bool:
-        return self.is_down or self._poller.error is not None
+        return self._poller.error is not None
 
     def cells(self) -> list[Any]:
         poller, config = self._poller, self._poller.config
@@ -193,10 +182,7 @@ class PollerRow:
             ["", cell_text(poller.name), cell_text(place)],
             [word, reason, round(poller.since, 1)],
             [f"{len(poller.reads.names)} points", f"every {config.interval:g} s"],
-            None,
-            "",
-            "",
-            round(poller.answered_at, 1),
+            *(None, "", "", round(poller.answered_at, 1)),
         ]
 
 
@@ -214,38 +200,22 @@ MAX_TEXT_CHARACTERS = 60
 
 def fleet_lines(fleet: Fleet, kept: KeptReadings, title: str) -> list[tuple[str, bool]]:
     """
-    Return the title, the devices that are down, since when and why, and the values.
-
-    Returns:
-        Each line with True if it is bold.
+    Return the title, the devices that are down, since when and why, and the values; each line with
+    True if it is bold.
     """
-    lines = [(title, True), *((line, False) for line in _down(fleet))]
-    readings = list(kept.by_name.copy().values())
-    shown = [each for each in readings if each.quality != "down"][:MOST_LINES]
+    lines = []
+    for poller in fleet.devices.values():
+        if poller.state is DeviceState.DOWN:
+            since, why = clock_text(poller.since), str(poller.error).rpartition("): ")[2]
+            lines.append(f"{poller.name[:WIDEST]} is down since {since}: {why}")
+    readings = [each for each in kept.by_name.copy().values() if each.quality != "down"]
+    shown = readings[:MOST_LINES]
     device = min(max((len(each.device) for each in shown), default=0), WIDEST)
     name = min(max((len(each.name) for each in shown), default=0), WIDEST)
     for each in shown:
-        text = (
-            _text(each.value)[:MAX_TEXT_CHARACTERS]
-            if each.quality == "good"
-            else f"- ({each.reason})"
-        )
+        text = value_text(each.value) if each.quality == "good" else f"- ({each.reason})"
         where = f"{each.device[:WIDEST]:<{device}}  {each.name[:WIDEST]:<{name}}"
-        lines.append((f"{where}  {text:>14} {each.unit}".rstrip(), False))
-    hidden = len(readings) - len(shown)
-    return [*lines, (f"... {hidden} more", False)] if hidden > MOST_LINES else lines
-
-
-def _down(fleet: Fleet) -> Iterator[str]:
-    for each in fleet.devices.values():
-        if each.state is DeviceState.DOWN:
-            clock = clock_text(each.since)
-            why = str(each.error).rpartition("): ")[2]
-            yield f"{each.name[:WIDEST]} is down since {clock}: {why}"
-
-
-def _text(value: object) -> str:
-    if isinstance(value, bool):
-        return "on" if value else "off"
-    text = str(value)
-    return f"{value:.7g}" if isinstance(value, float) and len(text) > 12 else text
+        lines.append(f"{where}  {text[:MAX_TEXT_CHARACTERS]:>14} {each.unit}".rstrip())
+    if len(readings) > MOST_LINES:
+        lines.append(f"... {len(readings) - MOST_LINES} more")
+    return [(title, True), *((line, False) for line in lines)]

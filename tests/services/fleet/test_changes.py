@@ -42,6 +42,9 @@ def told(values: list[Any], *, on_change: bool = False, band: float | None = Non
         ({"on_change": True}, [[1, 2], [1, 2], [1, 3]], [[1, 2], [1, 3]]),
         ({"on_change": True}, [NAN, NAN, 1.0, NAN], [NAN, 1.0, NAN]),
         ({"on_change": True}, [math.inf, math.inf, -math.inf], [math.inf, -math.inf]),
+        # The states of a point have names, but for a number that the map does not name.
+        ({"on_change": True}, ["on", 7, 7, "on"], ["on", 7, "on"]),
+        ({"band": 5.0}, [[1], 7, [1]], [[1], 7, [1]]),
         # From what was told last, not from the value before: a slow drift is told as well.
         ({"band": 1.0}, [10, 10.6, 11.0, 11.1, 10.5, 10.0], [10, 11.1, 10.0]),
         ({"band": 0.0}, [1, 1, 2], [1, 2]),
