@@ -51,33 +51,13 @@ MOST_DOUBLINGS = 20
 
 
 def rest_after(misses: int, first: float, longest: float) -> float:
-    """
-    Return how many seconds a unit is left alone that gave no answer so many times in a row.
-
-    Args:
-        misses: 1 or more.
-        first: the rest after one; it is doubled for each further one.
-        longest: the longest rest, unless `first` is longer.
-    """
+    """Return the seconds that a unit rests after so many misses in a row, 1 or more."""
     rest: float = first * 2 ** min(misses - 1, MOST_DOUBLINGS)
     return min(rest, max(longest, first))
 
 
 class LineRequest:
-    """
-    A request that a line sends, or several, one after the other.
-
-    Attributes:
-        unit: the unit that is asked.
-        request: the request to send next.
-        host, client: who asks; hosts and their clients take turns.
-        is_urgent: True to be asked before all others.
-        is_trial: True if the unit gave no answer the last time.
-        misses: how many times in a row it gave none.
-        waits_since: when it began to wait.
-        asked_at: when it was sent.
-        submitted: the request in flight; None while none is.
-    """
+    """A request that a line sends, or several, one after the other."""
 
     # fmt: off
     __slots__ = (
@@ -95,24 +75,17 @@ class LineRequest:
         self.client: Hashable = client
         self.is_urgent: bool = False
         self.is_trial: bool = False
-        self.misses: int = 0
+        self.misses: int = 0  # of the unit, in a row
         self.waits_since: float = 0.0
         self.asked_at: float = 0.0
-        self.submitted: Submitted | None = None
+        self.submitted: Submitted | None = None  # while it is in flight
 
 
 Each = TypeVar("Each", bound=LineRequest)
 
 
 class FairQueue(Generic[Each]):
-    """
-    Requests that wait. Hosts take turns, within each host its clients, and the requests of each
-    client keep their order.
-
-    Args:
-        most_of_client: how many requests of one client may wait; infinite for any number.
-        most: how many in all.
-    """
+    """Requests that wait: hosts take turns, within each its clients, which keep their order."""
 
     def __init__(self, most_of_client: float = math.inf, most: float = math.inf) -> None:
         self._most_of_client = most_of_client
@@ -144,11 +117,10 @@ class FairQueue(Generic[Each]):
         each = next(filter(may_ask, self), None)
         if each is not None:
             self.remove(each)
-            clients = self._hosts.pop(each.host, None)
-            if clients is not None:
-                if each.client in clients:
-                    clients[each.client] = clients.pop(each.client)
+            if clients := self._hosts.pop(each.host, None):
                 self._hosts[each.host] = clients
+                if queue := clients.pop(each.client, None):
+                    clients[each.client] = queue
         return each
 
     def remove(self, each: Each) -> bool:
@@ -167,19 +139,7 @@ class FairQueue(Generic[Each]):
 
 
 class SharedLine(ABC, Generic[Each]):
-    """
-    One connection, and the requests that share it.
-
-    Args:
-        client: of the connection.
-        make_queue: makes the queues of urgent requests and of the others.
-        longest_wait: seconds that a request may wait, trials excepted.
-        most_trials: how many trials may be in flight at the same time.
-
-    Attributes:
-        in_flight: how many requests are in flight.
-        is_closed: True if nothing is sent any more.
-    """
+    """One connection, and the requests that share it; trials may wait for any time."""
 
     def __init__(
         self,
@@ -238,9 +198,6 @@ class SharedLine(ABC, Generic[Each]):
 
     def ask(self, each: Each, now: float) -> bool:
         """Send a request now, or when it is its turn; return False if too many wait."""
-        if self._may_begin(each, now):
-            self._send(each, now)
-            return True
         if each.is_trial and not each.is_urgent:
             self._trials.append(each)
         elif not (self._urgent if each.is_urgent else self._usual).put(each):
@@ -287,7 +244,7 @@ class SharedLine(ABC, Generic[Each]):
         """Send nothing any more; remove and return all requests that wait."""
         self.is_closed = True
         self._alarm.cancel()
-        waiting = [*self._urgent, *self._usual, *self._trials]
+        waiting = [*self.others(), *self._trials]
         for each in waiting:
             self.remove(each)
         return waiting
@@ -315,12 +272,6 @@ class SharedLine(ABC, Generic[Each]):
         if self._next_at < self._alarm.at:
             self._alarm.set(self._next_at, self._loop)
 
-    def _may_begin(self, each: Each, now: float) -> bool:
-        """Return True if a new request need not wait."""
-        if each.is_trial or self.is_closed or self._trials or self.waiting or self._is_full():
-            return False
-        return self._ready_at(each) <= now
-
     def _is_full(self) -> bool:
         return self.in_flight > 0 and self.in_flight >= self.client.room
 
@@ -341,25 +292,19 @@ class SharedLine(ABC, Generic[Each]):
                 self._next_at = min(self._next_at, at)
             return at <= now
 
-        each = self._pick_trial(may_ask) if self._is_trial_due(now) else None
-        if each is None:
+        trial = next(filter(may_ask, self._trials), None)
+        if trial is None or not self._is_due(trial, now):
             each = self._urgent.pick(may_ask) or self._usual.pick(may_ask)
-        if each is None and len(self._trying) < self._most_trials:
-            each = self._pick_trial(may_ask)
-        return each
+            if each is not None or len(self._trying) >= self._most_trials:
+                return each
+        if trial is not None:
+            self._trials.remove(trial)
+        return trial
 
-    def _is_trial_due(self, now: float) -> bool:
-        """Return True if a trial is to be sent before others, which wait."""
-        if not self._trials or self._trying or self._was_trial:
-            return False
-        first = self._trials[0]
-        return now - first.waits_since >= self.client_of(first).timeout
-
-    def _pick_trial(self, may_ask: Callable[[Each], bool]) -> Each | None:
-        each = next(filter(may_ask, self._trials), None)
-        if each is not None:
-            self._trials.remove(each)
-        return each
+    def _is_due(self, trial: Each, now: float) -> bool:
+        """Return True if a trial is sent before others, which wait."""
+        waited = now - trial.waits_since
+        return not (self._trying or self._was_trial) and waited >= self.client_of(trial).timeout
 
     def _end_overstayed(self, now: float) -> None:
         """End a trial that others have waited for, for long enough."""

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Hashable
 from typing import NamedTuple
 
+from ...device.access import Who, touched
 from ...device.authorization import Allow, Asked, Authorization, Authorize, UnauthorizedError
 from ...device.caller import Auditor, Caller, Executed, changes_of
 from ...device.device import Device
@@ -24,7 +25,6 @@ from ...protocol.errors import (
 )
 from ...protocol.framing import Frame
 from ...protocol.logs import HarmlessLogger
-from ...security.describing import CertificateHolder
 from ...server.framed import Framed, SessionSettings
 from ...server.limits import ServerStatistics, host_of
 from ...server.service import Channel, Later, MakeSession
@@ -44,9 +44,7 @@ RETURN_S = 1.0
 
 
 class ResolvedRoute(NamedTuple):
-    """
-    The line of one unit, its number there, and the route with its options.
-    """
+    """The line of one unit, its number there, and the route with its options."""
 
     line: GatewayLine
     unit: int
@@ -54,20 +52,7 @@ class ResolvedRoute(NamedTuple):
 
 
 class Dispatcher:
-    """
-    See `Service`.
-
-    Args:
-        own: the gateway itself as a device; `own_units` are its units.
-        most_of_session: the most unanswered requests of one connection.
-        authorize: raises for a request that is not allowed; None to allow all.
-        statistics: counts requests.
-        auditor: records each change, and each request that is not allowed.
-
-    Attributes:
-        routes: by unit; they may be changed while sessions last.
-        lines: all lines, for broadcasts.
-    """
+    """See `Service`; `own` is the gateway itself as a device. Routes may change at any time."""
 
     def __init__(
         self,
@@ -101,10 +86,6 @@ class Dispatcher:
         """Return True if a unit is the gateway itself, or has a route."""
         return unit in self.routes or unit in self._own_units
 
-    def refuses(self, unit: int) -> bool:
-        """Return True: units that have no route are refused, except on a serial line."""
-        return True
-
     def ask(self, session: ForwardingSession, frame: Frame) -> bytes | None:
         """Return the response PDU; None if it comes later, or never."""
         unit, pdu, _ = frame
@@ -137,12 +118,9 @@ class Dispatcher:
     def _forward(
         self, session: ForwardingSession, frame: Frame, request: RequestBytes, way: ResolvedRoute
     ) -> bytes | None:
-        """Return the response PDU; None if it comes later, or never."""
         unit, pdu, number = frame
         line, device_unit, route = way
-        if (self._guard or route.allow) and (
-            code := self._check(session, unit, request, route.allow)
-        ):
+        if code := self._check(session, unit, request, route.allow):
             return _exception(pdu, code)
         now = self.now()
         age = route.cache if request.is_read else 0.0
@@ -162,17 +140,17 @@ class Dispatcher:
     def _refuse_route(self, session: ForwardingSession, pdu: bytes) -> bytes | None:
         """Refuse a unit without a route, except on a serial line, where the unit may be itself."""
         self.statistics.no_route += 1
-        if session.is_line:
-            return None
-        return _exception(pdu, GatewayPathUnavailable.code)
+        return None if session.is_line else _exception(pdu, GatewayPathUnavailable.code)
 
     def _check(
         self, session: ForwardingSession, unit: int, request: RequestBytes, allow: Allow | None
     ) -> int:
         """Return 0, or the code of the exception that refuses a request."""
-        who = unit, session.peer, session.role
-        touched = request.touches(who)
-        asked = Asked(session.role, unit, session.peer, request.function, request.known, *touched)
+        if self._guard is None and allow is None:
+            return 0
+        who: Who = unit, session.peer, session.role
+        known, accesses = request.known, touched(request.known, who)
+        asked = Asked(session.role, unit, session.peer, request.function, known, *accesses)
         try:
             if self._guard is not None:
                 self._guard.check(asked)
@@ -190,12 +168,10 @@ class Dispatcher:
                 logger.exception("authorize failed; answered with exception 4")
             return ServerDeviceFailure.code
         # A request that cannot be decoded may access anything.
-        if allow is not None and (asked.request is None or not allow.allows(asked)):
+        if allow is not None and (known is None or not allow.allows(asked)):
             self.statistics.refused += 1
             return IllegalFunction.code
         return 0
-
-    # --- broadcasts ---------------------------------------------------------------------------
 
     def _broadcast(
         self, session: ForwardingSession, frame: Frame, request: RequestBytes
@@ -215,27 +191,17 @@ class Dispatcher:
         for allow in {id(way.route.allow): way.route.allow for way in ways}.values():
             if code := self._check(session, 0, request, allow):
                 return _exception(frame.pdu, code)
-        now = self.now()
-        if self._may_have_come_back(session, request, now):
+        now, former = self.now(), self._broadcasts
+        while former and next(iter(former.values())).done_at + RETURN_S <= now:
+            del former[next(iter(former))]
+        before = former.get(request.pdu)
+        if before is not None and not before.session.is_same_client(session):
             return _exception(frame.pdu, ServerDeviceBusy.code)
+        former.pop(request.pdu, None)  # so that the latest one is the last one
         self.statistics.broadcasts += 1
-        broadcast = self._broadcasts[request.pdu] = Broadcast(session, frame, request, now)
-        broadcast.ask(lines)
+        former[request.pdu] = Broadcast(session, frame, request, lines, self.now)
+        former[request.pdu].begin()
         return None
-
-    def _may_have_come_back(
-        self, session: ForwardingSession, request: RequestBytes, now: float
-    ) -> bool:
-        while self._broadcasts:
-            pdu, first = next(iter(self._broadcasts.items()))
-            if now < first.done_at + RETURN_S:
-                break
-            del self._broadcasts[pdu]
-        before = self._broadcasts.pop(request.pdu, None)
-        if before is None or before.session.is_same_client(session):
-            return False
-        self._broadcasts[request.pdu] = before
-        return True
 
 
 def _exception(pdu: bytes, code: int) -> bytes:
@@ -243,33 +209,28 @@ def _exception(pdu: bytes, code: int) -> bytes:
 
 
 class Broadcast:
-    """
-    A write to all units of all lines.
-
-    Attributes:
-        session: of the client.
-        done_at: when all lines had sent it; infinite before.
-    """
+    """A write to all units of all lines; `done_at` is infinite until all lines have sent it."""
 
     def __init__(
-        self, session: ForwardingSession, frame: Frame, request: RequestBytes, since: float
+        self,
+        session: ForwardingSession,
+        frame: Frame,
+        request: RequestBytes,
+        lines: list[GatewayLine],
+        now: Callable[[], float],
     ) -> None:
         self.host: Hashable = session.host
         self.session: ForwardingSession = session
         self.done_at: float = math.inf
-        self._request = request
-        self._now = asyncio.get_running_loop().time
-        self._whole = Forwarded(session, frame.transaction, 0, 0, request, since)
-        self._parts: dict[Forwarded, GatewayLine] = {}
-        self._left = 0
+        self._now = now
+        self._whole = Forwarded(session, frame.transaction, 0, 0, request, now())
+        self._parts = {Forwarded(self, 0, 0, 0, request, now()): line for line in lines}
+        self._left = len(lines)
         self._has_failed = False
 
-    def ask(self, lines: list[GatewayLine]) -> None:
-        self._left = len(lines)
+    def begin(self) -> None:
         self.session.asked[self._whole] = self
-        for line in lines:
-            part = Forwarded(self, 0, 0, 0, self._request, self._whole.waits_since)
-            self._parts[part] = line
+        for part, line in self._parts.items():
             if line.put(part):
                 self.answered(part, b"\x80")
 
@@ -287,9 +248,8 @@ class Broadcast:
         if self._left:
             return
         self.done_at = self._now()
-        refusal = bytes([self._request.function | 0x80, GatewayTargetFailedToRespond.code])
-        is_refused = self._has_failed and self.session.has_ids
-        self._whole.answer(refusal if is_refused else None)
+        refusal = _exception(self._whole.request.pdu, GatewayTargetFailedToRespond.code)
+        self._whole.answer(refusal if self._has_failed and self.session.has_ids else None)
 
 
 # --- sessions ---------------------------------------------------------------------------------
@@ -297,25 +257,21 @@ class Broadcast:
 
 class ForwardingSession(Framed):
     """
-    The requests of one client that wait for their responses.
+    The requests of one client that wait for their responses, with what they leave.
 
     Over TCP and UDP a broadcast gets the response to the write once it was sent, because clients
     there do not know broadcasts and would wait.
 
     A client without transaction ids that sends another request has given up the earlier one: the
     earlier response is dropped, because the client would take it for the response to the new one.
-
-    Attributes:
-        asked: the unanswered requests, and what they leave: their lines, or their broadcasts.
     """
 
     def __init__(self, dispatcher: Dispatcher, settings: SessionSettings, channel: Channel) -> None:
         endpoint = settings.endpoint
-        is_ours = dispatcher.has if endpoint.is_serial else dispatcher.refuses
+        is_ours = dispatcher.has if endpoint.is_serial else lambda unit: True
         super().__init__(settings, channel, is_ours)
         self.peer: str = channel.address
         self.role: str | None = channel.role
-        self.holder: CertificateHolder | None = channel.holder
         self.host: Hashable = host_of(channel.address)
         self._peer_host = host_of_peer(channel.address)
         self.has_ids: bool = endpoint.has_transactions
@@ -326,14 +282,12 @@ class ForwardingSession(Framed):
 
     def caller(self, unit: int) -> Caller:
         """Return the origin of a request to a unit."""
-        return Caller(unit, self.peer, role=self.role, holder=self.holder)
+        return Caller(unit, self.peer, role=self.role, holder=self.channel.holder)
 
     def is_at(self, line: GatewayLine) -> bool:
         """
-        Return True if a line leads to the machine of this client, such as another gateway.
-
-        A broadcast that goes back to it would be sent from one to the other for ever. On this
-        machine nothing tells clients from devices.
+        Return True if a line leads to the machine of this client, such as another gateway, which
+        would send a broadcast back for ever. On this machine nothing tells clients from devices.
         """
         return line.endpoint.host == self._peer_host and not is_loopback(self._peer_host)
 
@@ -353,38 +307,36 @@ class ForwardingSession(Framed):
 
     def answered(self, forwarded: Forwarded, response: bytes | None) -> None:
         self.asked.pop(forwarded, None)
-        if forwarded.request.changes:
-            self.record(forwarded.from_unit, forwarded.request, response or b"")
-        if response is None and self.has_ids and forwarded.request.may_be_broadcast:
-            response = forwarded.request.response_to_broadcast()
+        request = forwarded.request
+        if request.changes:
+            self.record(forwarded.from_unit, request, response or b"")
+        if response is None and self.has_ids and request.may_be_broadcast:
+            assert request.known is not None
+            response = request.known.encode_response(None)
         if response is not None:
             answer = Frame(forwarded.from_unit, response, forwarded.number)
             self._send(answer, self.framer.encode(answer))
         if self._settings.endpoint.is_datagram and not self.asked:
             self.channel.follow()
 
-    def end(self) -> None:
-        """Withdraw requests that wait, because the client is gone."""
-        super().end()
-        for forwarded in [each for each in self.asked if not each.is_sent]:
-            self._withdraw(forwarded)
-
-    def close(self) -> None:
-        super().close()
-        self._withdraw_all()
-
     def answer(self, request: Frame) -> Frame | None:
-        if self.asked and not self.has_ids:
-            self._withdraw_all()
+        if not self.has_ids:
+            self._withdraw(list(self.asked))
         response = self._dispatcher.ask(self, request)
         return None if response is None else request._replace(pdu=response)
 
-    def _withdraw_all(self) -> None:
-        for forwarded in list(self.asked):
-            self._withdraw(forwarded)
+    def end(self) -> None:
+        """Withdraw requests that wait, because the client is gone."""
+        super().end()
+        self._withdraw([each for each in self.asked if not each.is_sent])
 
-    def _withdraw(self, forwarded: Forwarded) -> None:
-        place = self.asked.pop(forwarded)
-        if forwarded.request.changes:
-            self.record(forwarded.from_unit, forwarded.request, b"")
-        place.leave(forwarded)
+    def close(self) -> None:
+        super().close()
+        self._withdraw(list(self.asked))
+
+    def _withdraw(self, given_up: list[Forwarded]) -> None:
+        for forwarded in given_up:
+            place = self.asked.pop(forwarded)
+            if forwarded.request.changes:
+                self.record(forwarded.from_unit, forwarded.request, b"")
+            place.leave(forwarded)

@@ -1,20 +1,24 @@
 """
-A line of a gateway: requests as it forwards them, joined reads, cached answers, and units that
+A line of a gateway: requests as it forwards them, joined reads, cached responses, and units that
 rest.
+
+1. A read is answered with a cached response that is not older than its route allows, and was asked
+   after the last write to the unit.
+2. Equal reads that wait are sent once (`merge`). No read joins one that was sent, or one that was
+   given before a write to the unit.
+3. What gave no answer rests (`SilentUnits`); requests that wait for it are refused with it.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections import OrderedDict
 from collections.abc import Hashable
 from functools import lru_cache, partial
 from typing import Any, Protocol
 
 from ...client.asynchronous import AsyncClient
 from ...client.reconnecting import State
-from ...device.access import Touched, Who, touched
 from ...ports.endpoint import Endpoint
 from ...ports.port import Outage
 from ...protocol import pdu
@@ -47,43 +51,94 @@ BUSY = ServerDeviceBusy.code
 MAX_PAUSE_S = 2.0
 """The longest pause between two attempts to open a port, unless its URL sets it."""
 
-FIRST_REST = 2
-"""The first rest of a unit, in timeouts: its late answer may come within that time."""
-
 MOST_WAITING = 4096
 """The most requests that wait, of all clients."""
 
 MOST_CACHED = 4096
 """The most responses that are kept; the oldest one is dropped for one more."""
 
+REMEMBERED = 512
+"""Requests that are decoded once, because pollers send the same ones again and again."""
+
+READS = (
+    pdu.ReadCoils,
+    pdu.ReadDiscreteInputs,
+    pdu.ReadHoldingRegisters,
+    pdu.ReadInputRegisters,
+)
+"""Requests that change nothing, and may be answered from the cache."""
+
+
+# --- requests as a gateway forwards them -------------------------------------------------------
+
+
+class RequestBytes(pdu.Request[bytes]):
+    """
+    Any request PDU, unchanged, and the request that it is, if it can be decoded; its result is the
+    response PDU, which must fit a known function, or else begin with the code of the function.
+    """
+
+    # fmt: off
+    __slots__ = (
+        "changes", "expects_response", "function", "is_read", "known", "may_be_broadcast", "pdu",
+        "repeatable",
+    )
+    # fmt: on
+
+    def __init__(self, data: bytes, known: pdu.Request[Any] | None) -> None:
+        self.pdu: bytes = data
+        self.known: pdu.Request[Any] | None = known
+        self.function: int = data[0]  # type: ignore[misc]  # here it is data, not the class's own
+        self.is_read: bool = isinstance(known, READS)
+        is_write = known is not None and known.may_be_broadcast
+        self.may_be_broadcast: bool = is_write  # type: ignore[misc]
+        self.repeatable: bool = known is not None and known.repeatable  # type: ignore[misc]
+        self.changes: bool = known is None or known.changes
+        self.expects_response: bool = known is None or known.expects_response
+
+    def encode(self) -> bytes:
+        return self.pdu
+
+    def decode_response(self, pdu: bytes) -> bytes:
+        if self.known is not None:
+            self.known.decode_response(pdu)
+        elif not pdu or pdu[0] != self.function:
+            raise self._refusal(pdu)
+        return pdu
+
+    def __str__(self) -> str:
+        if self.known is not None:
+            return str(self.known)
+        return f"a request of {len(self.pdu)} bytes"
+
+
+@lru_cache(REMEMBERED)
+def request_of(data: bytes) -> RequestBytes:
+    """
+    Return a request PDU as a request that can be forwarded, or raise why its end could not be
+    found on a serial line. All else is left to the device, which may know more than we do.
+    """
+    if not 1 <= data[0] <= 0x7F:
+        raise IllegalFunction(f"no function {data[0]}", function=data[0])
+    if pdu.request_length(data) not in (len(data), 0):
+        raise IllegalDataValue(f"a request of {len(data)} bytes", function=data[0])
+    try:
+        return RequestBytes(data, pdu.decode_request(data))
+    except ExceptionResponse:
+        return RequestBytes(data, None)
+
 
 class Requester(Hashable, Protocol):
-    """Waits for a response."""
+    """Waits for a response PDU; a broadcast gets None."""
 
     @property
     def host(self) -> Hashable: ...
 
-    def answered(self, forwarded: Forwarded, response: bytes | None) -> None:
-        """Take the response PDU; None for a broadcast, which gets none."""
-        ...
+    def answered(self, forwarded: Forwarded, response: bytes | None) -> None: ...
 
 
 class Forwarded(LineRequest):
-    """
-    A request that a gateway forwards.
-
-    Args:
-        asker: takes the response; None after the client is gone or was answered.
-        number: the transaction id of its client.
-        from_unit: the unit that the client asked.
-        unit: its number on the line.
-        age: how old a cached response may be, in seconds; 0 for none.
-
-    Attributes:
-        counters: those of its unit, once it was sent.
-        others: equal requests that get the same response.
-        first: the equal request that is sent in place of this one; None for this one itself.
-    """
+    """The request of a client, whose transaction id is `number`, to a unit of a line."""
 
     __slots__ = ("age", "asker", "counters", "first", "from_unit", "number", "others")
 
@@ -101,13 +156,13 @@ class Forwarded(LineRequest):
     ) -> None:
         super().__init__(unit, request, host=asker.host, client=asker)
         self.waits_since = since
-        self.asker: Requester | None = asker
+        self.asker: Requester | None = asker  # None after the client is gone or was answered
         self.number: int = number
-        self.from_unit: int = from_unit
-        self.age: float = age
-        self.others: list[Forwarded] = []
-        self.first: Forwarded | None = None
-        self.counters: UnitStatistics
+        self.from_unit: int = from_unit  # as the client numbers it
+        self.age: float = age  # of a cached response, in seconds; 0 for none
+        self.others: list[Forwarded] = []  # equal requests that get the same response
+        self.first: Forwarded | None = None  # the equal request that is sent in place of this one
+        self.counters: UnitStatistics  # once it was sent
 
     @property
     def is_wanted(self) -> bool:
@@ -123,7 +178,7 @@ class Forwarded(LineRequest):
     def answer(self, response: bytes | None) -> int:
         """Pass the response to all that wait for it; return how many do not wait any more."""
         gone = 0
-        for each in (self, *self.others) if self.others else (self,):
+        for each in (self, *self.others):
             asker, each.asker = each.asker, None
             each.first = None  # breaks a reference cycle
             if asker is None:
@@ -134,15 +189,10 @@ class Forwarded(LineRequest):
 
 
 class Cache:
-    """
-    Responses to reads, by unit and request.
-
-    The response to a request that was sent before a write to the same unit is never kept, because
-    it may contain older values.
-    """
+    """Responses to reads, by unit and request; none that may be older than a write to its unit."""
 
     def __init__(self) -> None:
-        self._answers: OrderedDict[tuple[int, bytes], tuple[float, bytes]] = OrderedDict()
+        self._answers: dict[tuple[int, bytes], tuple[float, bytes]] = {}
         # Unit -> the time of the last write; 0 for a write to all units.
         self._written: dict[int, float] = {}
 
@@ -159,7 +209,7 @@ class Cache:
         self._answers.pop(key, None)
         self._answers[key] = asked, answer
         if len(self._answers) > MOST_CACHED:
-            self._answers.popitem(last=False)
+            del self._answers[next(iter(self._answers))]
 
     def forget(self, unit: int, now: float) -> None:
         """Drop the responses of a unit that may be written to; those of all units for unit 0."""
@@ -169,19 +219,7 @@ class Cache:
 
 
 class GatewayLine(SharedLine[Forwarded]):
-    """
-    Sends the requests of clients over one connection.
-
-    Args:
-        endpoint: of the connection, with the options of its client.
-        options: how requests wait.
-
-    Attributes:
-        endpoint: as given.
-
-    Raises:
-        TypeError, ValueError: an option that such a client cannot have.
-    """
+    """Sends the requests of clients over one connection."""
 
     def __init__(self, endpoint: Endpoint, options: GatewayOptions) -> None:
         pause = endpoint.client_options.get("max_pause", MAX_PAUSE_S)
@@ -192,10 +230,10 @@ class GatewayLine(SharedLine[Forwarded]):
         )
         self.url: str = str(endpoint)
         self.endpoint: Endpoint = endpoint
-        self.has_broadcast: bool = not self.client.has_ids
         self.statistics: LineStatistics = LineStatistics(self.url, self.client.statistics)
+        self._has_broadcast = not self.client.has_ids
         self._writes_first = options.writes_first
-        self._silent = SilentUnits(FIRST_REST * self.client.timeout)
+        self._silent = SilentUnits(self.client.timeout)
         self._cache = Cache()
         # Reads that others may join while they wait.
         self._joinable: dict[tuple[int, bytes], Forwarded] = {}
@@ -227,8 +265,6 @@ class GatewayLine(SharedLine[Forwarded]):
             each.misses = self._silent.start_trial(unit, request.function)
         elif merge and self._join(each):
             return 0
-        elif merge:
-            self._joinable[unit, request.pdu] = each
         each.is_urgent = self._writes_first and not (request.is_read or each.is_trial)
         is_queued = self.ask(each, now)
         if not is_queued:
@@ -261,11 +297,12 @@ class GatewayLine(SharedLine[Forwarded]):
         self.statistics.waiting, self.statistics.in_flight = self.waiting, self.in_flight
 
     def _is_broadcast(self, each: Forwarded) -> bool:
-        return each.unit == 0 and self.has_broadcast
+        return each.unit == 0 and self._has_broadcast
 
     def _join(self, each: Forwarded) -> bool:
-        first = self._joinable.get((each.unit, each.request.pdu))
-        if first is None:
+        """Join an equal read that waits, if there is one; else later ones may join this one."""
+        first = self._joinable.setdefault((each.unit, each.request.pdu), each)
+        if first is each:
             return False
         first.others.append(each)
         each.first = first
@@ -293,11 +330,12 @@ class GatewayLine(SharedLine[Forwarded]):
     # --- responses ----------------------------------------------------------------------------
 
     def conclude(self, each: Forwarded, outcome: Any, now: float) -> None:
+        function = each.request.function
         if not each.request.is_read:
             self._note_write(each.unit, now)
         if outcome is None:  # a broadcast
             if each.is_trial:
-                self._silent.cancel_trial(each.unit, each.request.function, now)
+                self._silent.cancel_trial(each.unit, function, now)
             self._answer(each, None)
         elif isinstance(outcome, bytes):
             self._note_answer(each, now)
@@ -309,7 +347,8 @@ class GatewayLine(SharedLine[Forwarded]):
             each.counters.exceptions += 1
             self._refuse(each, outcome.code)
         else:
-            self._note_failure(each, outcome, now)
+            if self._count_failure(each, outcome, now) or each.is_trial:
+                self._note_silence(each, now)
             is_ours = not isinstance(outcome, ModbusError)
             self._refuse(each, ServerDeviceFailure.code if is_ours else NO_ANSWER)
 
@@ -331,22 +370,19 @@ class GatewayLine(SharedLine[Forwarded]):
             unit.is_silent = False
             logger.info("%s: unit %d answers%s again", self.url, each.unit, what)
 
-    def _note_failure(self, each: Forwarded, error: BaseException, now: float) -> None:
-        unit = each.counters
-        is_silence = each.is_trial
+    def _count_failure(self, each: Forwarded, error: BaseException, now: float) -> bool:
+        """Count a failure; return True if the unit was silent for most of its timeout."""
         if isinstance(error, ModbusTimeoutError):
-            unit.timeouts += 1
-            # Not if it waited for the connection for most of its timeout.
-            asked_at = max(each.asked_at, self._open_since)
-            is_silence = is_silence or now - asked_at >= self.client.timeout / 2
-        elif isinstance(error, FrameError | InvalidResponse):
-            unit.invalid += 1
+            each.counters.timeouts += 1
+            # The connection may have taken the first part of it.
+            return now - max(each.asked_at, self._open_since) >= self.client.timeout / 2
+        if isinstance(error, FrameError | InvalidResponse):
+            each.counters.invalid += 1
         elif isinstance(error, ModbusConnectionError):
-            unit.lost += 1
+            each.counters.lost += 1
         else:
             logger.error("%s: %s failed", self.url, each.request, exc_info=error)
-        if is_silence:
-            self._note_silence(each, now)
+        return False
 
     def _note_silence(self, silent: Forwarded, now: float) -> None:
         """Let what gave no answer rest, and refuse the requests that wait for it."""
@@ -385,99 +421,3 @@ class GatewayLine(SharedLine[Forwarded]):
         if (error is None) is bool(self.statistics.trouble) or not self.statistics.since:
             self.statistics.since = time.time()
         self.statistics.trouble = "" if error is None else str(error)
-
-
-# --- requests as a gateway forwards them -------------------------------------------------------
-
-# Pollers send the same requests again and again.
-REMEMBERED = 512
-
-READS = (
-    pdu.ReadCoils,
-    pdu.ReadDiscreteInputs,
-    pdu.ReadHoldingRegisters,
-    pdu.ReadInputRegisters,
-)
-"""Requests that change nothing, and may be answered from the cache."""
-
-
-class RequestBytes(pdu.Request[bytes]):
-    """
-    Any request PDU, unchanged; its result is the response PDU.
-
-    The response to a known function must be valid, or InvalidResponse is raised. The response to
-    another function must begin with the code of the function.
-
-    Args:
-        data: the PDU, 1..253 bytes.
-        known: the decoded request; None if it cannot be decoded.
-
-    Attributes:
-        is_read: True if it reads a table and does nothing else.
-        changes: True if it may change a device, as one that cannot be decoded may.
-    """
-
-    # fmt: off
-    __slots__ = (
-        "changes", "expects_response", "function", "is_read", "known", "may_be_broadcast", "pdu",
-        "repeatable",
-    )
-    # fmt: on
-
-    def __init__(self, data: bytes, known: pdu.Request[Any] | None) -> None:
-        self.pdu: bytes = data
-        self.known: pdu.Request[Any] | None = known
-        self.function: int = data[0]  # type: ignore[misc]  # here it is data, not the class's own
-        self.is_read: bool = isinstance(known, READS)
-        is_write = known is not None and known.may_be_broadcast
-        self.may_be_broadcast: bool = is_write  # type: ignore[misc]
-        self.repeatable: bool = known is not None and known.repeatable  # type: ignore[misc]
-        self.changes: bool = known is None or known.changes
-        self.expects_response: bool = known is None or known.expects_response
-
-    def touches(self, who: Who) -> Touched:
-        """Return the addresses in tables that the request writes and reads."""
-        return touched(self.known, who)
-
-    def encode(self) -> bytes:
-        return self.pdu
-
-    def decode_response(self, pdu: bytes) -> bytes:
-        if self.known is not None:
-            self.known.decode_response(pdu)
-        elif not pdu or pdu[0] != self.function:
-            raise self._refusal(pdu)
-        return pdu
-
-    def response_to_broadcast(self) -> bytes:
-        """Return the response of a device to this write if it were not a broadcast."""
-        assert self.known is not None
-        return self.known.encode_response(None)
-
-    def __str__(self) -> str:
-        if self.known is not None:
-            return str(self.known)
-        return f"a request of {len(self.pdu)} bytes"
-
-
-@lru_cache(REMEMBERED)
-def request_of(data: bytes) -> RequestBytes:
-    """
-    Return a request PDU as a request that can be forwarded.
-
-    Only its length is checked. All else is left to the device, which may have more functions
-    and ranges than the specification.
-
-    Raises:
-        IllegalFunction: no function can have this code.
-        IllegalDataValue: a known function has no request of this length, so that the end of
-            the request could not be found on a serial line.
-    """
-    if not 1 <= data[0] <= 0x7F:
-        raise IllegalFunction(f"no function {data[0]}", function=data[0])
-    if pdu.request_length(data) not in (len(data), 0):
-        raise IllegalDataValue(f"a request of {len(data)} bytes", function=data[0])
-    try:
-        return RequestBytes(data, pdu.decode_request(data))
-    except ExceptionResponse:
-        return RequestBytes(data, None)

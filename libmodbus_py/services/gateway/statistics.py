@@ -2,34 +2,17 @@
 Counters of a gateway: of all requests, by line, and by unit; and the gateway itself as a device,
 whose input registers contain them.
 
-Every number has two registers, the high word first, and wraps around at 2^32::
-
-    0       version of this layout, 1        2   lines
-    4       seconds since the start          6   connections now
-    8       requests                         10  exception responses
-    12      no route (0A)                    14  not allowed
-    16      malformed                        18  broadcasts
-    20      invalid frames
-
-    100 + 20 * line, lines in the order of the routes, 0..39:
-    +0      waiting now                      +2  in flight now
-    +4      refused with exception 6         +6  late responses dropped
-    +8      responses without a client       +10 timeouts
-    +12     connections established          +14 connections lost or failed
-
-    1000 + 20 * unit, units as clients address them, 0..255:
-    +0      requests sent                    +2  responses
-    +4      exception responses              +6  timeouts
-    +8      invalid responses                +10 no connection
-    +12     exception 11 while silent        +14 cached or merged
-    +16     mean response time, in us        +18 1 if the unit is silent
+Every number has two registers, the high word first, and wraps around at 2^32. The tables here list
+the numbers in the order of their registers: those of the gateway from 0 on, those of each line from
+100 + 20 * line, lines in the order of the routes, and those of each unit from 1000 + 20 * unit.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 
 from ...client.statistics import Statistics
 from ...device.access import Access
@@ -40,8 +23,11 @@ from ...server.limits import ServerStatistics
 
 __all__ = ["GatewayStatistics", "LineStatistics", "UnitStatistics", "own_device"]
 
-LINES, LINE, MOST_LINES = 100, 20, 40
-UNITS, UNIT = 1000, 20
+LINES, MOST_LINES = 100, 40
+UNITS, MOST_UNITS = 1000, 256
+
+EACH = 20
+"""Registers of each line and each unit."""
 
 
 @dataclass(slots=True)
@@ -78,6 +64,16 @@ class UnitStatistics:
     seconds: float = 0.0
     is_silent: bool = False
 
+    @property
+    def saved(self) -> int:
+        """Requests that were not sent, because an equal one was."""
+        return self.cached + self.merged
+
+    @property
+    def mean_us(self) -> int:
+        """The mean response time, in microseconds."""
+        return int(1e6 * self.seconds / self.answers) if self.answers else 0
+
 
 @dataclass(slots=True)
 class LineStatistics:
@@ -105,6 +101,11 @@ class LineStatistics:
     unwanted: int = 0
     trouble: str = ""
     since: float = 0.0
+
+    @property
+    def lost(self) -> int:
+        """Connections lost or failed."""
+        return self.connection.lost + self.connection.failed_connects
 
     def unit(self, number: int) -> UnitStatistics:
         """Return the counters of a unit."""
@@ -138,6 +139,21 @@ class GatewayStatistics:
 
 # --- the gateway as a device ------------------------------------------------------------------
 
+VERSION = 1
+"""Of the tables that follow."""
+
+numbers_of_gateway = attrgetter("requests", "no_route", "refused", "malformed", "broadcasts")
+
+numbers_of_line = attrgetter(
+    *("waiting", "in_flight", "full", "connection.late_answers", "unwanted"),
+    *("connection.timeouts", "connection.connects", "lost"),
+)
+
+numbers_of_unit = attrgetter(
+    *("requests", "answers", "exceptions", "timeouts", "invalid", "lost", "resting"),
+    *("saved", "mean_us", "is_silent"),
+)
+
 
 def own_device(
     statistics: GatewayStatistics,
@@ -145,34 +161,30 @@ def own_device(
     unit_of: Callable[[int], UnitStatistics | None],
     authorize: Authorize | None = None,
 ) -> Device:
-    """
-    Return the device.
-
-    Args:
-        statistics: the statistics of the gateway.
-        clients: the statistics of its endpoints.
-        unit_of: returns the statistics of a unit by the number that clients use.
-        authorize: as for `Device`.
-    """
-    mapping = Mapping(input_registers=UNITS + 256 * UNIT)
+    """Return the device; `unit_of` returns the counters of a unit as clients number it."""
+    mapping = Mapping(input_registers=UNITS + MOST_UNITS * EACH)
     now = asyncio.get_running_loop().time
     made = now()
 
+    def blocks(access: Access) -> Iterator[tuple[int, Sequence[int]]]:
+        """Yield the numbers in a range, and the address at which they begin."""
+        if access.address < LINES:
+            requests, *others = numbers_of_gateway(statistics)
+            head = [VERSION, len(statistics.lines), int(now() - made), clients.connections]
+            yield 0, [*head, requests, clients.refused, *others, clients.bad_frames]
+        if access.address < UNITS:
+            lines = [*map(numbers_of_line, statistics.lines.values())]
+            for at in range(MOST_LINES):
+                yield LINES + at * EACH, lines[at] if at < len(lines) else [0] * (EACH // 2)
+        first, last = access.address - UNITS, access.address + access.count - 1 - UNITS
+        for unit in range(max(0, first) // EACH, max(-1, last) // EACH + 1):
+            yield UNITS + unit * EACH, numbers_of_unit(unit_of(unit) or UnitStatistics())
+
     def refresh(access: Access) -> None:
-        if access.table != "input_registers":
-            return
-        first, last = access.address, access.address + access.count - 1
-        blocks: list[tuple[int, Iterable[int]]] = []
-        if first < LINES:
-            blocks.append((0, _of_gateway(statistics, clients, int(now() - made))))
-        if first < UNITS:
-            lines = [*map(_of_line, statistics.lines.values()), *[[0] * 10] * MOST_LINES]
-            blocks += ((LINES + at * LINE, lines[at]) for at in range(MOST_LINES))
-        for unit in range(max(0, first - UNITS) // UNIT, max(-1, last - UNITS) // UNIT + 1):
-            blocks.append((UNITS + unit * UNIT, _of_unit(unit_of(unit) or UnitStatistics())))
-        for at, numbers in blocks:
-            words = [word for number in numbers for word in divmod(number % 2**32, 0x10000)]
-            mapping.input_registers[at : at + len(words)] = words
+        if access.table == "input_registers":
+            for at, numbers in blocks(access):
+                words = [word for number in numbers for word in divmod(number % 2**32, 0x10000)]
+                mapping.input_registers[at : at + len(words)] = words
 
     return Device(
         mapping,
@@ -180,50 +192,3 @@ def own_device(
         identification={"ProductCode": "Gateway"},
         authorize=authorize,
     )
-
-
-def _of_gateway(statistics: GatewayStatistics, clients: ServerStatistics, age: int) -> list[int]:
-    return [
-        1,
-        len(statistics.lines),
-        age,
-        clients.connections,
-        statistics.requests,
-        clients.refused,
-        statistics.no_route,
-        statistics.refused,
-        statistics.malformed,
-        statistics.broadcasts,
-        clients.bad_frames,
-    ]
-
-
-def _of_line(line: LineStatistics) -> list[int]:
-    connection = line.connection
-    return [
-        line.waiting,
-        line.in_flight,
-        line.full,
-        connection.late_answers,
-        line.unwanted,
-        connection.timeouts,
-        connection.connects,
-        connection.lost + connection.failed_connects,
-        0,
-        0,
-    ]
-
-
-def _of_unit(unit: UnitStatistics) -> list[int]:
-    return [
-        unit.requests,
-        unit.answers,
-        unit.exceptions,
-        unit.timeouts,
-        unit.invalid,
-        unit.lost,
-        unit.resting,
-        unit.cached + unit.merged,
-        int(1e6 * unit.seconds / unit.answers) if unit.answers else 0,
-        int(unit.is_silent),
-    ]

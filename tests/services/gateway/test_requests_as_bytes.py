@@ -90,14 +90,6 @@ def test_a_response_to_a_read_is_passed_on_if_its_length_fits(request: str, resp
         asked.decode_response(bytes([good[0] | 0x80, 2]))
 
 
-def test_a_broadcast_is_answered_as_if_one_unit_had() -> None:
-    written = request_of(bytes.fromhex("10 0001 0002 04 0007 0008"))
-    assert written.response_to_broadcast() == bytes.fromhex("10 0001 0002")
-    assert request_of(bytes.fromhex("06 0001 0007")).response_to_broadcast() == (
-        bytes.fromhex("06 0001 0007")
-    )
-
-
 def test_the_echo_of_a_write_must_be_that_of_this_write() -> None:
     asked = request_of(bytes.fromhex("06 0001 0003"))
     assert asked.decode_response(asked.pdu) == asked.pdu
