@@ -36,14 +36,7 @@ class GatewayFileError(FileError):
 
 @dataclass(frozen=True)
 class GatewayFile:
-    """
-    The contents of a gateway file.
-
-    Attributes:
-        listen: the URLs for `Gateway.serving`.
-        routes: the routes for `Gateway` and `Gateway.change_routes`.
-        options: the other arguments of `Gateway`, by name.
-    """
+    """The contents of a gateway file: URLs to listen on, and the arguments of `Gateway`."""
 
     listen: tuple[str, ...]
     routes: list[Route]
@@ -52,34 +45,14 @@ class GatewayFile:
 
 def load(path: str | PathLike[str], known: Iterable[Route] = ()) -> GatewayFile:
     """
-    Read a gateway file.
-
-    Args:
-        known: earlier routes; their serial ports may be missing now, because they may come back.
-
-    Raises:
-        GatewayFileError: the file cannot be read, is not TOML, or contains a mistake.
+    Read a gateway file, or raise GatewayFileError. Serial ports of `known`, earlier routes, may be
+    missing now, because they may come back.
     """
-    return load_file(path, partial(_parse, known=known), GatewayFileError)
+    return load_file(path, partial(parse, known=known), GatewayFileError)
 
 
 def parse(text: str, known: Iterable[Route] = ()) -> GatewayFile:
-    """
-    Read the text of a gateway file.
-
-    Args:
-        known: as for `load`.
-
-    Raises:
-        GatewayFileError: the text is not TOML, or contains a mistake.
-    """
-    try:
-        return _parse(text, known)
-    except (TypeError, ValueError) as error:
-        raise GatewayFileError.of(error) from None
-
-
-def _parse(text: str, known: Iterable[Route]) -> GatewayFile:
+    """Read the text of a gateway file, or raise TypeError or ValueError."""
     given = FILE.read((), read_toml(text))
     listen, routes = given.pop("listen", ()), given.pop("route", ())
     if not routes:
@@ -99,10 +72,11 @@ def _parse(text: str, known: Iterable[Route]) -> GatewayFile:
 
 
 def _listen(path: Path, given: object) -> tuple[str, ...]:
-    for at, url in enumerate(a_list(path, given)):
+    urls = tuple(a_list(path, given))
+    for at, url in enumerate(urls):
         with inside(*item(path, at)):
             parse_to_listen(url)
-    return tuple(a_list(path, given))
+    return urls
 
 
 def _routes(path: Path, given: object) -> list[Route]:

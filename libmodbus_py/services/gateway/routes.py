@@ -5,7 +5,7 @@ Routes: the line of each unit, and the requests that are allowed; options for al
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence, Sized
+from collections.abc import Iterable, Sized
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -21,17 +21,10 @@ from ...protocol.plain import units_of as units_in
 
 __all__ = ["GatewayOptions", "Route", "check_line", "check_routes", "parse_route"]
 
-# Functions that are forwarded although they access no table: they do not change a device.
-HARMLESS: tuple[int | str, ...] = (
-    7,
-    11,
-    12,
-    17,
-    "43/14",
-    "8/0",
-    "8/2",
-    *(f"8/{number}" for number in range(11, 19)),
-)
+COUNTERS = tuple(f"8/{number}" for number in range(11, 19))
+
+HARMLESS: tuple[int | str, ...] = (7, 11, 12, 17, "43/14", "8/0", "8/2", *COUNTERS)
+"""Functions that are forwarded although they access no table: they do not change a device."""
 
 
 @named_arguments
@@ -72,48 +65,39 @@ class Route:
 
     def __post_init__(self) -> None:
         with inside("to"):
-            endpoint = self._checked_endpoint()
-        for name in ("merge", "read_only"):
-            if not isinstance(getattr(self, name), bool):
-                raise WrongType(name, f"must be True or False, not {getattr(self, name)!r}")
+            endpoint = parse(self.to)
+            if "unit" in endpoint.client_options:
+                raise ValueError(f"{self.to!r} must not contain unit; use device_units")
+            # Invalid options of the client are refused now, not when the client is made.
+            make_port(endpoint, CheckedOptions.of(endpoint, {}))
+        _check_flag("merge", self.merge)
+        _check_flag("read_only", self.read_only)
         if self.read_only and self.writable is not None:
             raise WrongValue.about("writable", "must not be given with read_only")
         seconds("cache", self.cache, low=0)
-        units = self._units(endpoint)
-        for name, value in (
-            ("endpoint", endpoint),
-            ("units", tuple(units)),
-            ("ways", dict(zip(units, self._device_units(units), strict=True))),
-            ("allow", self._allow()),
-        ):
+        units: Iterable[int] = range(255) if endpoint.has_transactions else range(1, 248)
+        if self.units is not None:
+            units = units_of("units", self.units)
+        self._set(endpoint=endpoint, units=tuple(units), allow=self._allow())
+        self._set(ways=self._ways(tuple(units)))
+
+    def _set(self, **values: object) -> None:
+        for name, value in values.items():
             object.__setattr__(self, name, value)
 
-    def _checked_endpoint(self) -> Endpoint:
-        endpoint = parse(self.to)
-        if "unit" in endpoint.client_options:
-            raise ValueError(f"{self.to!r} must not contain unit; use device_units")
-        # Invalid options of the client are refused now, not when the client is made.
-        make_port(endpoint, CheckedOptions.of(endpoint, {}))
-        return endpoint
-
-    def _units(self, endpoint: Endpoint) -> Sequence[int]:
-        if self.units is None:
-            return range(255) if endpoint.has_transactions else range(1, 248)
-        return units_of("units", self.units)
-
-    def _device_units(self, units: Sequence[int]) -> Sequence[int]:
-        if self.device_units is None:
-            return units
-        given: str | Iterable[int] = (
-            [self.device_units] if isinstance(self.device_units, int) else self.device_units
-        )
-        found = units_of("device_units", given, distinct=False)
-        object.__setattr__(self, "device_units", tuple(found))
+    def _ways(self, units: tuple[int, ...]) -> dict[int, int]:
+        given = self.device_units
+        if twice := [unit for unit in units if units.count(unit) > 1]:
+            raise WrongValue.about("units", f"{min(twice)} is given twice")
+        if given is None:
+            return dict(zip(units, units, strict=True))
+        found = units_of("device_units", [given] if isinstance(given, int) else given)
+        self._set(device_units=tuple(found))
         if len(found) not in (1, len(units)):
             raise WrongValue(
                 "device_units", f"must be one, or {len(units)} as units, not {len(found)}"
             )
-        return found if len(found) == len(units) else found * len(units)
+        return dict(zip(units, found if len(found) > 1 else found * len(units), strict=True))
 
     def _allow(self) -> Allow | None:
         if self.read_only:
@@ -124,17 +108,17 @@ class Route:
             made = Allow(read="all", write=self.writable, functions=HARMLESS)
         except (TypeError, ValueError) as error:
             raise placed(error, ()).renamed(("writable",)) from None
-        object.__setattr__(self, "writable", "all" if self.writable == "all" else made.write)
+        self._set(writable="all" if self.writable == "all" else made.write)
         return made
 
 
-def units_of(name: str, given: object, *, distinct: bool = True) -> list[int]:
-    """
-    Read units: numbers, or text such as "1-10,17".
+def _check_flag(name: str, given: object) -> None:
+    if not isinstance(given, bool):
+        raise WrongType(name, f"must be True or False, not {given!r}")
 
-    Raises:
-        TypeError, ValueError: `given` is not valid; the message begins with `name`.
-    """
+
+def units_of(name: str, given: object) -> list[int]:
+    """Read units: numbers, or text such as "1-10,17"; messages of errors begin with `name`."""
     if isinstance(given, str):
         try:
             found = units_in(given)
@@ -146,20 +130,13 @@ def units_of(name: str, given: object, *, distinct: bool = True) -> list[int]:
         raise WrongType(name, f"must be text or a list, not {type(given).__name__}")
     if not found:
         raise WrongValue(name, "must hold at least one")
-    if distinct and (twice := {unit for unit in found if found.count(unit) > 1}):
-        raise WrongValue.about(name, f"{min(twice)} is given twice")
     return found
 
 
 def parse_route(text: str, units: Iterable[int] | None = None) -> Route:
     """
-    Read a route of a command line: a URL, or ``UNITS=URL``, or ``UNITS:DEVICE_UNITS=URL``.
-
-    Args:
-        units: those of a URL alone; None for all.
-
-    Raises:
-        ValueError: the text is not a valid route.
+    Read a route of a command line: a URL, or ``UNITS=URL``, or ``UNITS:DEVICE_UNITS=URL``; `units`
+    are those of a URL alone.
     """
     before, equals, url = text.partition("=")
     if not equals or "://" in before or "?" in before:
@@ -170,14 +147,8 @@ def parse_route(text: str, units: Iterable[int] | None = None) -> Route:
 
 def check_routes(routes: Iterable[Route], name: str = "routes") -> None:
     """
-    Check that routes can be used together.
-
-    Args:
-        name: the name of the list, for errors.
-
-    Raises:
-        TypeError, ValueError: two routes are for the same unit, or lead to the same host and port
-            or serial port with different options.
+    Refuse two routes for one unit, and two to the same host and port or serial port with different
+    options; `name` is that of the list.
     """
     known: set[int] = set()
     places: dict[tuple[str, str], tuple[int, str]] = {}
@@ -197,17 +168,7 @@ def check_routes(routes: Iterable[Route], name: str = "routes") -> None:
 
 
 def check_line(name: Path, line: Endpoint, listening: Iterable[Endpoint]) -> None:
-    """
-    Check that a line does not lead to the gateway itself.
-
-    Args:
-        name: the path of the line, for errors.
-        line: the endpoint of the line.
-        listening: the endpoints that the gateway listens on.
-
-    Raises:
-        ValueError: there is no such serial port, or the gateway itself listens on this endpoint.
-    """
+    """Refuse a serial port that does not exist, and a line that leads to the gateway itself."""
     if line.is_serial and not os.path.exists(line.path):
         raise WrongValue.about(name, f"there is no serial port {line.path}")
     for own in listening:
@@ -230,12 +191,7 @@ def _is_same(line: Endpoint, own: Endpoint) -> bool:
 
 @dataclass(frozen=True)
 class GatewayOptions:
-    """
-    Options of a gateway; the documentation of `Gateway` describes them.
-
-    Raises:
-        TypeError, ValueError: an argument of the wrong type or range.
-    """
+    """Options of a gateway; the documentation of `Gateway` describes them."""
 
     own_units: str | Iterable[int] = (255,)
     queue: int = 16
@@ -249,5 +205,4 @@ class GatewayOptions:
         object.__setattr__(self, "own", frozenset(units))
         integer("queue", self.queue, 1, 1024)
         seconds("longest_wait", self.longest_wait)
-        if not isinstance(self.writes_first, bool):
-            raise WrongType("writes_first", f"must be True or False, not {self.writes_first!r}")
+        _check_flag("writes_first", self.writes_first)

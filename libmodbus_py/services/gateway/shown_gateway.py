@@ -5,6 +5,7 @@ A gateway as a page shows it: its lines, the units behind them, its clients, and
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 from ...ports.hosts import host_of_peer
@@ -20,43 +21,56 @@ from .statistics import LineStatistics, UnitStatistics
 
 __all__ = ["ShownGateway"]
 
-# Clients, units and functions that are counted; the first is dropped for one more.
 MOST_ASKING = 2000
-
-NOTHING = ShownServer({}, {})
+"""Clients, units and functions that are counted; the first is dropped for one more."""
 
 Name = tuple[str, str]
 
+Spark = Callable[[Name, str], list[int]]
+
+COLUMNS = (
+    Column("name", "row"),
+    Column("state", "state"),
+    Column("requests", "number"),
+    Column("answers", "number", is_wide=True),
+    Column("rate", "spark"),
+    Column("time", "spark", is_wide=True),
+    Column("queue", "spark", is_wide=True),
+    Column("details", "note", is_wide=True),
+    Column("last", "age", is_wide=True),
+)
+
+
+class GatewayRow(NamedTuple):
+    """See `PageRow`; `make` makes all cells but the first one, when a page shows the row."""
+
+    name: Name
+    is_problem: bool
+    counts: Counts
+    make: Callable[[], list[Any]]
+    more_words: str = ""
+
+    @property
+    def words(self) -> str:
+        return " ".join([*self.name, self.more_words]).strip().lower()
+
+    def cells(self) -> list[Any]:
+        return [[*self.name], *self.make()]
+
 
 class ShownGateway:
-    """
-    See `Shown` of the page.
-
-    Args:
-        title: the name of the gateway.
-        gateway: its trace must call `note`.
-    """
+    """See `Shown` of the page; the trace of the gateway must call `note`."""
 
     kind = "gateway"
     older: Older | None = None
-    columns: Sequence[Column] = (
-        Column("name", "row"),
-        Column("state", "state"),
-        Column("requests", "number"),
-        Column("answers", "number", is_wide=True),
-        Column("rate", "spark"),
-        Column("time", "spark", is_wide=True),
-        Column("queue", "spark", is_wide=True),
-        Column("details", "note", is_wide=True),
-        Column("last", "age", is_wide=True),
-    )
+    columns: Sequence[Column] = COLUMNS
 
     def __init__(self, title: str, gateway: Gateway) -> None:
         self.title = title
         self._gateway = gateway
-        self._log = Log(lambda: NOTHING)
+        self._log = Log(lambda: ShownServer({}, {}))
         self.log: Log | None = self._log
-        self._history = RowHistory(self._counts)
+        self._history = RowHistory(lambda: ((row.name, row.counts) for row in self._behind()))
         self._clients = Clients()
 
     def note(self, traced: Traced) -> None:
@@ -86,67 +100,42 @@ class ShownGateway:
             "down": sum(bool(each.trouble) for each in lines),
         }
 
-    def _lines(self) -> list[LineStatistics]:
-        return list(self._gateway.traffic.lines.copy().values())
-
-    def _behind(self) -> Iterator[GatewayRow]:
-        """Yield each line, and then its units by their numbers."""
-        for line in self._lines():
-            yield _line_row(line, self._history)
-            for number, unit in sorted(line.units.copy().items()):
-                yield _unit_row(line.url, number, unit, self._history)
-
-    def _counts(self) -> Iterator[tuple[Name, Counts]]:
-        return ((each.name, each.counts) for each in self._behind())
-
     def rows(self) -> Sequence[PageRow]:
         return [*self._behind(), *self._clients.rows()]
 
     def series(self, name: Name, column: str) -> Series | None:
         return self._history.series(name, column)
 
+    def _lines(self) -> list[LineStatistics]:
+        return list(self._gateway.traffic.lines.copy().values())
 
-class GatewayRow(NamedTuple):
-    """See `PageRow`; `make` makes its cells when a page shows the row."""
-
-    name: Name
-    words: str
-    is_problem: bool
-    counts: Counts
-    make: Callable[[], list[Any]]
-
-    def cells(self) -> list[Any]:
-        return self.make()
+    def _behind(self) -> Iterator[GatewayRow]:
+        """Yield each line, and then its units by their numbers."""
+        spark = self._history.spark
+        for line in self._lines():
+            yield _line_row(("", cell_text(line.url)), line, spark)
+            for number, unit in sorted(line.units.copy().items()):
+                yield _unit_row((cell_text(line.url), f"unit {number}"), unit, spark)
 
 
-def _line_row(line: LineStatistics, history: RowHistory) -> GatewayRow:
-    name = "", cell_text(line.url)
-
+def _line_row(name: Name, line: LineStatistics, spark: Spark) -> GatewayRow:
     def cells() -> list[Any]:
         word = "down" if line.trouble else "open" if line.connection.connects else "new"
-        return [
-            [*name],
-            [word, problem_text(line.trouble) if line.trouble else "", round(line.since, 1)],
-            line.connection.requests,
-            line.connection.responses,
-            history.spark(name, "rate"),
-            None,
-            history.spark(name, "queue"),
-            _listed(waiting=line.waiting, in_flight=line.in_flight, refused=line.full),
-            0,
-        ]
+        state = [word, problem_text(line.trouble) if line.trouble else "", round(line.since, 1)]
+        counted = line.connection.requests, line.connection.responses
+        details = _listed(waiting=line.waiting, in_flight=line.in_flight, refused=line.full)
+        return [state, *counted, spark(name, "rate"), None, spark(name, "queue"), details, 0]
 
     counts = Counts(line.connection.requests, waiting=line.waiting)
-    return GatewayRow(name, line.url.lower(), bool(line.trouble), counts, cells)
+    return GatewayRow(name, bool(line.trouble), counts, cells)
 
 
-def _unit_row(url: str, number: int, unit: UnitStatistics, history: RowHistory) -> GatewayRow:
-    name = cell_text(url), f"unit {number}"
-
+def _unit_row(name: Name, unit: UnitStatistics, spark: Spark) -> GatewayRow:
     def cells() -> list[Any]:
         word = "silent" if unit.is_silent else "answers" if unit.answers else "new"
         reason = f"{unit.resting} requests refused meanwhile" if unit.is_silent else ""
-        mean = f"mean {unit.seconds / unit.answers * 1000:.1f} ms" if unit.answers else ""
+        counted = unit.requests, unit.answers
+        mean = f"mean {unit.mean_us / 1000:.1f} ms" if unit.answers else ""
         numbers = _listed(
             exceptions=unit.exceptions,
             timeouts=unit.timeouts,
@@ -154,20 +143,12 @@ def _unit_row(url: str, number: int, unit: UnitStatistics, history: RowHistory) 
             refused=unit.resting,
             cached=unit.cached,
         )
-        return [
-            [*name],
-            [word, reason, 0],
-            unit.requests,
-            unit.answers,
-            history.spark(name, "rate"),
-            history.spark(name, "time"),
-            None,
-            ", ".join(filter(None, [mean, numbers])),
-            0,
-        ]
+        details = ", ".join(filter(None, [mean, numbers]))
+        sparks = spark(name, "rate"), spark(name, "time"), None
+        return [[word, reason, 0], *counted, *sparks, details, 0]
 
     counts = Counts(unit.requests, unit.answers, unit.seconds)
-    return GatewayRow(name, " ".join(name).lower(), unit.is_silent, counts, cells)
+    return GatewayRow(name, unit.is_silent, counts, cells)
 
 
 def _listed(**numbers: int) -> str:
@@ -208,11 +189,8 @@ def _client_row(key: tuple[str, int, int], counted: tuple[int, int, float]) -> G
     requests, exceptions, time = counted
     known = REQUESTS.get(function)
     called = f"{function} {'' if known is None else request_name(known)}".rstrip()
+    state = ["client", _listed(exceptions=exceptions), 0]
+    cells = [state, requests, "", None, None, None, "", round(time, 1)]
     name = cell_text(host), f"unit {unit}, {called}"
-
-    def cells() -> list[Any]:
-        state = ["client", _listed(exceptions=exceptions), 0]
-        return [[*name], state, requests, "", None, None, None, "", round(time, 1)]
-
-    words = f"{host} unit {unit} function {called}".lower()
-    return GatewayRow(name, words, exceptions > 0, Counts(requests), cells)
+    words = f"function {function}"
+    return GatewayRow(name, exceptions > 0, Counts(requests), partial(list, cells), words)

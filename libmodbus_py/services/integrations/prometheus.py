@@ -1,30 +1,11 @@
 """
 The statistics of clients, servers, gateways and fleets as metrics of Prometheus.
 
-::
-
-    from libmodbus_py.services.integrations.prometheus import collect
-
-    collect(server, plc)                  # adds them to the default registry of prometheus_client
-    prometheus_client.start_http_server(9400)
-
-Statistics are read when the metrics are scraped; requests do not become slower.
-
-* ``modbus_client_requests_total{endpoint,function,result}``: the outcomes of requests;
-* ``modbus_client_request_duration_seconds{endpoint}``: response times, a histogram;
-* ``modbus_client_last_success_timestamp_seconds{endpoint}``: the time of the last response;
-* ``modbus_client_..._total{endpoint}`` and ``modbus_server_..._total``: the counters of
-  `Statistics` (`requests` is ``modbus_client_requests_sent_total``) and `ServerStatistics`;
-* ``modbus_server_connections``: the open connections;
-* ``modbus_server_certificate_end_timestamp_seconds{endpoint}``: the time at which the certificate
-  of an endpoint expires;
-* ``modbus_gateway_..._total``: the counters of `GatewayStatistics`, those of its lines with
-  the label ``line``, and those of their units with ``line`` and ``unit``. The connection of a line
-  also has the metrics of a client, whose ``endpoint`` is the URL of the line;
-* ``modbus_fleet_...``: the counters of `FleetStatistics`, those of its outputs with the label
-  ``output``, and how late polls began, a histogram;
-* ``modbus_fleet_value{device,name,unit}``: the last values of the points of a fleet
-  (`LastValues`), as far as they are good and numbers, with the labels of their devices.
+Statistics are read when the metrics are scraped; requests do not become slower. Each attribute of
+a class of statistics is a metric, whose help text is the description in the docstring of the class:
+``modbus_client_...``, ``modbus_server_...``, ``modbus_gateway_...`` (its lines with the label
+``line``, and their units with ``line`` and ``unit``), and ``modbus_fleet_...`` (its outputs with
+the label ``output``). Metrics that are no such attributes are written out below.
 """
 
 from __future__ import annotations
@@ -64,8 +45,8 @@ except ImportError as error:
 
 __all__ = ["Collector", "collect", "exposing"]
 
-# Seconds that an HTTP request for metrics and its response may take.
 LIMIT_S = 3.0
+"""Seconds that an HTTP request for metrics and its response may take."""
 
 Labels = tuple[tuple[str, str], ...]
 
@@ -78,12 +59,11 @@ class Counted(Protocol):
 
 
 class Family(NamedTuple):
-    """A metric: its name, its type ("counter", "gauge" or "histogram") and its help text."""
+    """A metric; `together` combines the values of two objects with the same labels."""
 
     name: str
     type: str
     text: str
-    # Combines the values of two objects with the same labels.
     together: Callable[[float, float], float] = add
 
 
@@ -98,52 +78,46 @@ class Sample(NamedTuple):
 Values = Iterable[tuple[Sample, float]]
 
 
-class MetricKind(NamedTuple):
-    """
-    The metrics of one class of statistics.
-
-    Attributes:
-        families: the metrics.
-        read: returns the values of statistics, with the labels given as its second argument.
-        label: the label with the name that an object was given; empty if there is none.
-    """
-
-    families: list[Family]
-    read: Callable[[Any, Labels], Values]
-    label: str = ""
-
-
 # --- the metrics ---------------------------------------------------------------------------
 
 
 def _texts(kind: type) -> dict[str, str]:
-    """Return the help texts of attributes: their descriptions in the docstring of a class."""
+    """Return the descriptions of attributes in the docstring of a class."""
     section = re.split(r"\nAttributes:\n", inspect.getdoc(kind) or "")[-1]
     found = re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
     return {name: text[0].upper() + re.sub(r"\s+", " ", text[1:]) for name, text in found}
 
 
-def _counters(
-    prefix: str, kind: type, without: Iterable[str] = (), gauges: Iterable[str] = ()
-) -> dict[str, Family]:
-    """Return the metrics of the attributes of a class, by attribute."""
+GAUGES = {
+    *("bytes", "connections", "devices", "down", "in_flight", "is_silent", "up", "waiting"),
+}
+"""Attributes that may decrease; the other ones are counters."""
+
+
+def _counters(prefix: str, kind: type, *more: str) -> dict[str, Family]:
+    """Return the metrics of the whole numbers of a class and of further attributes, by name."""
     texts = _texts(kind)
-    return {
-        each.name: Family(
-            f"{prefix}_{each.name}",
-            "gauge" if each.name in gauges else "counter",
-            texts.get(each.name, each.name),
-        )
-        for each in fields(kind)
-        if each.name not in without
-    }
+    found = {}
+    for name in (*(each.name for each in fields(kind) if each.type in ("int", "bool")), *more):
+        text = texts.get(name) or inspect.getdoc(getattr(kind, name)) or name
+        found[name] = Family(f"{prefix}_{name}", "gauge" if name in GAUGES else "counter", text)
+    return found
 
 
-CLIENT = _counters(
-    "modbus_client", Statistics, ("results", "answer_times", "answer_seconds", "last_success")
-)
+COUNTERS: dict[type, dict[str, Family]] = {
+    Statistics: _counters("modbus_client", Statistics),
+    ServerStatistics: _counters("modbus_server", ServerStatistics),
+    GatewayStatistics: _counters("modbus_gateway", GatewayStatistics),
+    LineStatistics: _counters("modbus_gateway_line", LineStatistics),
+    UnitStatistics: _counters("modbus_gateway_unit", UnitStatistics, "seconds"),
+    FleetStatistics: _counters("modbus_fleet", FleetStatistics),
+    OutputStatistics: _counters("modbus_fleet_output", OutputStatistics, "dropped", "waiting"),
+    JournalStatistics: _counters("modbus_fleet_journal", JournalStatistics),
+}
 # "modbus_client_requests" is the metric of outcomes.
-CLIENT["requests"] = CLIENT["requests"]._replace(name="modbus_client_requests_sent")
+SENT = COUNTERS[Statistics]["requests"]._replace(name="modbus_client_requests_sent")
+COUNTERS[Statistics]["requests"] = SENT
+
 REQUESTS = Family(
     "modbus_client_requests", "counter", "Outcomes of requests; each repetition counts."
 )
@@ -153,65 +127,25 @@ DURATION = Family(
 LAST_SUCCESS = Family(
     "modbus_client_last_success_timestamp_seconds", "gauge", "Time of the last response.", max
 )
-SERVER = _counters("modbus_server", ServerStatistics, ("certificate_ends",), ("connections",))
 CERTIFICATE = Family(
     "modbus_server_certificate_end_timestamp_seconds",
     "gauge",
     "Time at which the certificate of an endpoint expires.",
     min,
 )
-GATEWAY = _counters("modbus_gateway", GatewayStatistics, ("lines",))
-LINE = _counters(
-    "modbus_gateway_line",
-    LineStatistics,
-    ("url", "connection", "units", "trouble", "since"),
-    ("waiting", "in_flight"),
-)
-UNIT = _counters("modbus_gateway_unit", UnitStatistics, gauges=("is_silent",))
-FLEET = _counters(
-    "modbus_fleet",
-    FleetStatistics,
-    ("lateness", "late_seconds", "outputs", "journal", "worst"),
-    ("devices", "up", "down"),
-)
 LATENESS = Family(
     "modbus_fleet_lateness_seconds", "histogram", "Seconds by which polls began late."
 )
-OUTPUT = _counters("modbus_fleet_output", OutputStatistics, ("buffer", "trouble", "trouble_since"))
-OUTPUT["dropped"] = Family(
-    "modbus_fleet_output_dropped",
-    "counter",
-    "Readings dropped because too many waited, or because they could never be written.",
-)
-OUTPUT["waiting"] = Family(
-    "modbus_fleet_output_waiting", "gauge", "Readings that wait for the output."
-)
-JOURNAL = _counters("modbus_fleet_journal", JournalStatistics, ("trouble",), ("bytes",))
 VALUE = Family("modbus_fleet_value", "gauge", "The last value of a point.", max)
 
+FAMILIES: list[Family] = [REQUESTS, DURATION, LAST_SUCCESS, CERTIFICATE, LATENESS, VALUE]
+FAMILIES += [family for found in COUNTERS.values() for family in found.values()]
 
-def _attributes(families: dict[str, Family], statistics: Any, labels: Labels) -> Values:
-    for name, family in families.items():
+
+def _counted(statistics: Any, labels: Labels) -> Values:
+    for name, family in COUNTERS[type(statistics)].items():
         suffix = "" if family.type == "gauge" else "_total"
         yield Sample(family, suffix, labels), getattr(statistics, name)
-
-
-def _of_server(statistics: ServerStatistics, labels: Labels) -> Values:
-    yield from _attributes(SERVER, statistics, labels)
-    for endpoint, end in statistics.certificate_ends.copy().items():
-        yield Sample(CERTIFICATE, "", (*labels, ("endpoint", endpoint))), end
-
-
-def _of_client(statistics: Statistics, labels: Labels) -> Values:
-    yield from _attributes(CLIENT, statistics, labels)
-    # Copies, because another thread may count at the same time.
-    for (function, result), count in statistics.results.copy().items():
-        outcome = (("function", str(function)), ("result", result))
-        yield Sample(REQUESTS, "_total", labels + outcome), count
-    times, seconds = statistics.answer_times, statistics.answer_seconds
-    yield from _histogram(DURATION, TIME_BOUNDS, times, seconds, labels)
-    if (last := statistics.last_success) is not None:
-        yield Sample(LAST_SUCCESS, "", labels), time.time() - (time.monotonic() - last)
 
 
 def _histogram(
@@ -224,14 +158,34 @@ def _histogram(
     yield Sample(family, "_sum", labels), seconds
 
 
+# Dictionaries are copied, because another thread may count at the same time.
+
+
+def _of_server(statistics: ServerStatistics, labels: Labels) -> Values:
+    yield from _counted(statistics, labels)
+    for endpoint, end in statistics.certificate_ends.copy().items():
+        yield Sample(CERTIFICATE, "", (*labels, ("endpoint", endpoint))), end
+
+
+def _of_client(statistics: Statistics, labels: Labels) -> Values:
+    yield from _counted(statistics, labels)
+    for (function, result), count in statistics.results.copy().items():
+        outcome = (("function", str(function)), ("result", result))
+        yield Sample(REQUESTS, "_total", labels + outcome), count
+    times, seconds = statistics.answer_times, statistics.answer_seconds
+    yield from _histogram(DURATION, TIME_BOUNDS, times, seconds, labels)
+    if (last := statistics.last_success) is not None:
+        yield Sample(LAST_SUCCESS, "", labels), time.time() - (time.monotonic() - last)
+
+
 def _of_fleet(statistics: FleetStatistics, labels: Labels) -> Values:
-    yield from _attributes(FLEET, statistics, labels)
+    yield from _counted(statistics, labels)
     lateness, seconds = statistics.lateness, statistics.late_seconds
     yield from _histogram(LATENESS, LATENESS_BOUNDS, lateness, seconds, labels)
     for name, output in statistics.outputs.copy().items():
-        yield from _attributes(OUTPUT, output, (*labels, ("output", name)))
+        yield from _counted(output, (*labels, ("output", name)))
     if statistics.journal is not None:
-        yield from _attributes(JOURNAL, statistics.journal, labels)
+        yield from _counted(statistics.journal, labels)
 
 
 def _of_readings(kept: KeptReadings, labels: Labels) -> Values:
@@ -243,28 +197,24 @@ def _of_readings(kept: KeptReadings, labels: Labels) -> Values:
 
 
 def _of_gateway(statistics: GatewayStatistics, labels: Labels) -> Values:
-    yield from _attributes(GATEWAY, statistics, labels)
+    yield from _counted(statistics, labels)
     for url, line in statistics.lines.copy().items():
         place = url.partition("?")[0]
         of_line = (*labels, ("line", place))
-        yield from _attributes(LINE, line, of_line)
+        yield from _counted(line, of_line)
         yield from _of_client(line.connection, (*labels, ("endpoint", place)))
         for number, unit in line.units.copy().items():
-            yield from _attributes(UNIT, unit, (*of_line, ("unit", str(number))))
+            yield from _counted(unit, (*of_line, ("unit", str(number))))
 
 
-KINDS: dict[type, MetricKind] = {
-    Statistics: MetricKind([REQUESTS, DURATION, LAST_SUCCESS, *CLIENT.values()], _of_client),
-    ServerStatistics: MetricKind([*SERVER.values(), CERTIFICATE], _of_server, "server"),
-    GatewayStatistics: MetricKind(
-        [*GATEWAY.values(), *LINE.values(), *UNIT.values()], _of_gateway, "server"
-    ),
-    FleetStatistics: MetricKind(
-        [*FLEET.values(), *OUTPUT.values(), *JOURNAL.values(), LATENESS], _of_fleet, "fleet"
-    ),
-    KeptReadings: MetricKind([VALUE], _of_readings),
+KINDS: dict[type, tuple[Callable[[Any, Labels], Values], str]] = {
+    Statistics: (_of_client, ""),
+    ServerStatistics: (_of_server, "server"),
+    GatewayStatistics: (_of_gateway, "server"),
+    FleetStatistics: (_of_fleet, "fleet"),
+    KeptReadings: (_of_readings, ""),
 }
-"""The metrics of each class of statistics."""
+"""Class of statistics -> returns their values with given labels; the label of a given name."""
 
 
 # --- the collector --------------------------------------------------------------------------
@@ -277,20 +227,6 @@ class _Watched:
         self.statistics = weakref.ref(statistics)
         self.labels = labels
         self.values: dict[Sample, float] = {}
-
-    def look(self) -> None:
-        """Read the values. Those of statistics that were deleted do not change any more."""
-        statistics = self.statistics()
-        if statistics is not None:
-            self.values = dict(KINDS[type(statistics)].read(statistics, self.labels))
-
-
-def _labels_for(counted: Any, statistics: Any, name: str) -> Labels:
-    """Return the labels of all values of an object."""
-    if isinstance(statistics, Statistics):
-        return (("endpoint", counted.url.partition("?")[0]),)  # without settings of a serial port
-    label = KINDS[type(statistics)].label
-    return ((label, name),) if label and name else ()
 
 
 class Collector(_Collector):
@@ -321,30 +257,24 @@ class Collector(_Collector):
         Raises:
             TypeError: an object has another class.
         """
-        found = [
-            (each, statistics)
-            for each in objects
-            for statistics in (getattr(each, "statistics", None), getattr(each, "traffic", None))
-            if statistics is not None or not hasattr(each, "statistics")
-        ]
-        for each, statistics in found:
-            if type(statistics) not in KINDS:
-                given = type(each).__name__
-                raise TypeError(
-                    f"objects must be clients, servers, gateways, fleets or LastValues, not {given}"
-                )
+        found: list[tuple[Any, Labels]] = []
+        for each in objects:
+            for statistics in filter(None, (_statistics(each), getattr(each, "traffic", None))):
+                _, label = KINDS[type(statistics)]
+                labels: Labels = ((label, name),) if label and name else ()
+                if isinstance(statistics, Statistics):
+                    # Without settings, such as those of a serial port.
+                    labels = (("endpoint", each.url.partition("?")[0]),)  # type: ignore[attr-defined]
+                found.append((statistics, labels))
         with self._lock:
-            for each, statistics in found:
+            for statistics, labels in found:
                 if all(other.statistics() is not statistics for other in self._watched):
-                    labels = _labels_for(each, statistics, name)
                     self._watched.append(_Watched(statistics, labels))
             self._forget_gone()  # here, too, because the metrics may never be scraped
 
     def describe(self) -> Iterator[Metric]:
         """Yield all possible metrics without values, so that a registry knows their names."""
-        for kind in KINDS.values():
-            for family in kind.families:
-                yield Metric(family.name, family.text, family.type)
+        return (Metric(family.name, family.text, family.type) for family in FAMILIES)
 
     def collect(self) -> Iterator[Metric]:
         """Yield the metrics with their current values, for a registry."""
@@ -359,7 +289,9 @@ class Collector(_Collector):
 
     def _values(self) -> dict[Sample, float]:
         for each in self._watched:
-            each.look()
+            if (statistics := each.statistics()) is not None:
+                read, _ = KINDS[type(statistics)]
+                each.values = dict(read(statistics, each.labels))
         self._forget_gone()
         values: dict[Sample, float] = {}
         for some in [*self._past.values(), *(each.values for each in self._watched)]:
@@ -375,6 +307,16 @@ class Collector(_Collector):
             staying = {key: at for key, at in each.values.items() if key.family.type != "gauge"}
             _add(self._past.setdefault(each.labels, {}), staying)
         self._past = {labels: past for labels, past in self._past.items() if labels in present}
+
+
+def _statistics(counted: object) -> Any:
+    found = getattr(counted, "statistics", None)
+    if type(found) not in KINDS:
+        given = type(counted).__name__
+        raise TypeError(
+            f"objects must be clients, servers, gateways, fleets or LastValues, not {given}"
+        )
+    return found
 
 
 def _add(values: dict[Sample, float], more: dict[Sample, float]) -> None:
@@ -415,20 +357,7 @@ def collect(*objects: Counted, name: str = "", registry: CollectorRegistry = REG
 
 @contextlib.contextmanager
 def exposing(host: str, port: int, registry: CollectorRegistry = REGISTRY) -> Iterator[str]:
-    """
-    Serve the metrics of a registry over HTTP while the ``with`` block runs.
-
-    Args:
-        host: the address to listen on.
-        port: the port to listen on; 0 for any free port.
-        registry: the registry whose metrics are served.
-
-    Returns:
-        A context manager, whose value is the URL of the metrics with the port.
-
-    Raises:
-        OSError: the address or the port cannot be used.
-    """
+    """Serve the metrics of a registry over HTTP while the block runs; the value is their URL."""
     server = TimedServer(host, port, MetricsHandler.factory(registry), LIMIT_S)
     with server.serving("metrics"):
         yield f"{server.place}/metrics"

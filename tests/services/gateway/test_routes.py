@@ -117,7 +117,7 @@ def test_each_unit_may_have_a_route_of_its_own() -> None:
 
 @pytest.mark.parametrize("text", ["", "route = []", "route = 1", "route = [1]"])
 def test_a_file_has_routes(text: str) -> None:
-    with pytest.raises(ValueError, match="route"):
+    with pytest.raises((TypeError, ValueError), match="route"):
         parse_file(text)
 
 

@@ -157,7 +157,7 @@ def test_who_asks_what_is_counted() -> None:
     ]
     assert found[0][-1] == 100.0
     assert [row.is_problem for row in clients.rows()] == [False, False, True, False, False]
-    assert clients.rows()[1].words == "192.0.2.7 unit 3 function 3 read holding registers"
+    assert clients.rows()[1].words == "192.0.2.7 unit 3, 3 read holding registers function 3"
 
 
 def test_the_client_that_came_first_is_dropped_for_one_too_many(
