@@ -8,7 +8,7 @@ import reprlib
 from importlib import import_module
 from os import PathLike, fspath
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..tools.files.texts import FileError, FilePlace, read_text, read_toml
 
@@ -19,6 +19,16 @@ if TYPE_CHECKING:
     from .gateway.config import GatewayFile
 
 __all__ = ["load"]
+
+LOADERS: dict[str, tuple[str, str]] = {
+    "point": ("tools.files.map_file", "load_map"),
+    "unit": ("tools.simulator.device_file", "load"),
+    "route": ("services.gateway.config", "load"),
+    "listen": ("services.gateway.config", "load"),
+    "device": ("services.fleet.files", "load"),
+    "devices": ("services.fleet.files", "load"),
+}
+"""Key at the top level of a TOML file -> module and function that load such a file."""
 
 
 def load(path: str | PathLike[str]) -> RegisterMap | Simulation | GatewayFile | FleetFile:
@@ -37,37 +47,19 @@ def load(path: str | PathLike[str]) -> RegisterMap | Simulation | GatewayFile | 
         FileError: a ValueError: the file cannot be read, is not of one of these kinds, or contains
             a mistake. The message names the file and, where it can, the line and the key.
     """
-    name = fspath(path)
-    if PurePath(name).suffix.lower() in (".csv", ".tsv", ".txt"):
-        return _loaded(_LOADERS["point"], path)  # type: ignore[no-any-return]
-    try:
-        content = read_toml(read_text(path, FileError))
-    except FileError:
-        raise
-    except ValueError as error:
-        raise FileError.of(error, FilePlace(name)) from None
-    kinds = {_LOADERS[key] for key in content if key in _LOADERS}
-    if len(kinds) != 1:
-        found = reprlib.repr(list(content))
-        reason = (
-            "must have top-level keys of exactly one kind of file"
-            f" ({', '.join(_LOADERS)}), not {found}"
-        )
-        raise FileError((), reason, place=FilePlace(name))
-    return _loaded(kinds.pop(), path)  # type: ignore[no-any-return]
-
-
-def _loaded(loader: str, path: str | PathLike[str]) -> Any:
-    module, _, function = loader.partition(":")
-    return getattr(import_module(f"...{module}", __name__), function)(path)
-
-
-_LOADERS: dict[str, str] = {
-    "point": "tools.files.map_file:load_map",
-    "unit": "tools.simulator.device_file:load",
-    "route": "services.gateway.config:load",
-    "listen": "services.gateway.config:load",
-    "device": "services.fleet.files:load",
-    "devices": "services.fleet.files:load",
-}
-"""Key at the top level of a TOML file -> module and function that load such a file."""
+    place = FilePlace(fspath(path))
+    kinds = {LOADERS["point"]}
+    if PurePath(path).suffix.lower() not in (".csv", ".tsv", ".txt"):
+        text = read_text(path, FileError)
+        try:
+            content = read_toml(text)
+        except ValueError as error:
+            raise FileError.of(error, place) from None
+        kinds = {LOADERS[key] for key in content if key in LOADERS}
+        if len(kinds) != 1:
+            known, found = ", ".join(LOADERS), reprlib.repr(list(content))
+            reason = f"must have top-level keys of exactly one kind of file ({known}), not {found}"
+            raise FileError((), reason, place=place)
+    module, function = kinds.pop()
+    imported = import_module(f"...{module}", __name__)
+    return getattr(imported, function)(path)  # type: ignore[no-any-return]

@@ -27,14 +27,7 @@ __all__ = ["SecretFile", "ServerUrl", "Trust", "server_url", "text_of"]
 
 
 class ServerUrl(NamedTuple):
-    """
-    The parts of the URL of a server.
-
-    Attributes:
-        scheme: in lower case.
-        host: a name in lower case, or an address; an IPv6 address has no brackets.
-        port: 1..65535; the default of the scheme if the URL has none.
-    """
+    """The parts of the URL of a server, in lower case; an IPv6 address has no brackets."""
 
     scheme: str
     host: str
@@ -56,19 +49,8 @@ def server_url(
     may_have_path: bool = False,
 ) -> ServerUrl:
     """
-    Read the URL of a server.
-
-    Args:
-        key: the name of the setting, for errors.
-        given: the URL.
-        ports: allowed scheme -> its default port.
-        example: a valid URL, for errors.
-        login: the settings for user, password and token, for errors.
-        may_have_path: True if a path may follow the port.
-
-    Raises:
-        TypeError, ValueError: the setting is not such a URL, or contains a login, which the error
-            does not repeat.
+    Read the URL of a server, the setting `key`; `ports` are those of the allowed schemes. Errors
+    name an example and the settings for a login, and repeat no login that the URL contains.
     """
     if not isinstance(given, str):
         raise WrongType(key, f"must be text, not {type(given).__name__}")
@@ -95,12 +77,7 @@ def server_url(
 
 
 class SecretFile:
-    """
-    A password, a token or another secret in a file, without the ends of lines at its end.
-
-    Raises:
-        FileError: of `kind`: the file cannot be read, or all users can read it.
-    """
+    """A secret in a file that only its owner can read, without ends of lines at its end."""
 
     def __init__(self, path: str | PathLike[str], kind: type[FileError] = FileError) -> None:
         self.path: str = os.fspath(path)
@@ -137,9 +114,7 @@ async def text_of(password: str | SecretFile | None) -> str | None:
 
 
 class Trust:
-    """
-    The certificate authorities that an output trusts: those in a file, or those of the system.
-    """
+    """The certificate authorities that an output trusts: those in a file, or of the system."""
 
     def __init__(self, ca: str | None, sockets: type[ssl.SSLSocket] = ssl.SSLSocket) -> None:
         self._ca = ca
@@ -147,9 +122,7 @@ class Trust:
         self._made: Renewed[ssl.SSLContext] | None = None
 
     async def context(self) -> ssl.SSLContext:
-        """
-        Return the context of TLS, or raise OSError; a file is read again each time, in a thread.
-        """
+        """Return the context of TLS, or raise OSError; a file is read again each time."""
         if self._made is None:
             self._made = await asyncio.to_thread(Renewed, self._read)
             return self._made.value

@@ -42,14 +42,11 @@ async def end_tasks(tasks: Collection[asyncio.Task[Any]]) -> None:
 
 async def finish(call: Coroutine[Any, Any, Any], seconds: float | None = None) -> None:
     """
-    Run the last call of an object that is being closed. An exception that it raises is ignored.
-
-    In a task that was cancelled, `asyncio.timeout` of Python 3.11.2 raises CancelledError at its
-    end, so that objects after it would not be closed.
-
-    Args:
-        seconds: for which the call may run; those of `finishing` unless given.
+    Run the last call of an object that is being closed, for some seconds; those of `finishing`
+    unless given. An exception that it raises is ignored.
     """
+    # In a task that was cancelled, `asyncio.timeout` of Python 3.11.2 raises CancelledError at its
+    # end, so that objects after it would not be closed.
     task = asyncio.ensure_future(call)
     try:
         await asyncio.wait([task], timeout=finishing() if seconds is None else seconds)
@@ -64,15 +61,10 @@ def finishing() -> float:
 
 
 class Pauses:
-    """
-    The seconds between tries of what fails: each pause is twice as long as the one before.
+    """The seconds between tries of what fails: each pause is twice as long as the one before."""
 
-    Args:
-        longest: the longest pause, in seconds; 30 unless given.
-    """
-
-    def __init__(self, longest: float | None = None) -> None:
-        self._longest = LONGEST_PAUSE_S if longest is None else longest
+    def __init__(self, longest: float = LONGEST_PAUSE_S) -> None:
+        self._longest = longest
         self._next = FIRST_PAUSE_S
 
     def next(self) -> float:
@@ -127,23 +119,20 @@ class WriterThread:
 def _work(jobs: queue.SimpleQueue[Job | None]) -> None:
     while (job := jobs.get()) is not None:
         function, arguments, done = job
+        settle: Callable[..., None] = _set_result
         try:
-            result = function(*arguments)
+            outcome: Any = function(*arguments)
         except BaseException as error:
-            _settle_later(done, None, error)
-        else:
-            _settle_later(done, result, None)
+            settle, outcome = _set_exception, error
+        with contextlib.suppress(RuntimeError):  # the loop is closed
+            done.get_loop().call_soon_threadsafe(settle, done, outcome)
 
 
-def _settle_later(done: asyncio.Future[Any], result: Any, error: BaseException | None) -> None:
-    with contextlib.suppress(RuntimeError):  # the loop is closed
-        done.get_loop().call_soon_threadsafe(_settle, done, result, error)
-
-
-def _settle(done: asyncio.Future[Any], result: Any, error: BaseException | None) -> None:
-    if done.done():
-        return
-    if error is None:
+def _set_result(done: asyncio.Future[Any], result: Any) -> None:
+    if not done.done():
         done.set_result(result)
-    else:
+
+
+def _set_exception(done: asyncio.Future[Any], error: BaseException) -> None:
+    if not done.done():
         done.set_exception(error)

@@ -10,11 +10,6 @@ A backend of Home Assistant's modbus-connection: connections and units built on 
     await connection.for_unit(1).read_holding_registers(100, 3)
     connection.statistics                # counters, which continue after a reconnection
 
-Files::
-
-    units        ConnectionUnit: the 19 operations of a unit
-    converting   parameters to URLs, errors to those of modbus-connection
-
 It needs Python 3.13 or newer, and modbus-connection, which libmodbus-py[homeassistant] installs.
 """
 
@@ -130,18 +125,7 @@ class ModbusConnection(theirs.ModbusConnection):
     async def carry_out(
         self, unit: int, operation: str, ask: Callable[[], Awaitable[Result]]
     ) -> Result:
-        """
-        Connect, wait until no other request is under way, and send a request.
-
-        Args:
-            unit: the unit that is asked.
-            operation: the name of the request in error messages.
-            ask: sends the request and returns its result.
-
-        Raises:
-            modbus_connection.ModbusError: the request failed.
-            TypeError, ValueError: an argument of the request is invalid.
-        """
+        """Connect, wait until no other request is under way, and send a request."""
         try:
             await self.connect()
             async with self._pacer.paced(unit):
@@ -164,12 +148,7 @@ class ModbusConnection(theirs.ModbusConnection):
             raise
 
     def handle(self, unit: int) -> AsyncClient:
-        """
-        Return a handle of the current client for a unit.
-
-        Raises:
-            modbus_connection.ModbusConnectionError: there is no connection.
-        """
+        """Return a handle of the current client for a unit, or raise ModbusConnectionError."""
         if self._client is None:
             raise theirs.ModbusConnectionError("the connection was lost before the request")
         return self._client.for_unit(unit)

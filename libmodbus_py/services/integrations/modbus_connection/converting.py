@@ -50,13 +50,7 @@ SUPPORTED_FRAMINGS: Mapping[str, tuple[str, ...]] = {
 
 
 def url_of(params: Params) -> str:
-    """
-    Return the URL that parameters of modbus-connection describe.
-
-    Raises:
-        TypeError: `params` has another class.
-        ValueError: a parameter is not supported; the message names it and the allowed values.
-    """
+    """Return the URL that parameters of modbus-connection describe."""
     found = next((SCHEMES[kind] for kind in SCHEMES if isinstance(params, kind)), None)
     if found is None:
         wanted = ", ".join(kind.__name__ for kind in SCHEMES)

@@ -67,15 +67,8 @@ class WholeServerId(ReportServerId):
 
 class ConnectionUnit:
     """
-    A unit, as defined by ``modbus_connection.ModbusUnit``. Any number of tasks may use it, until
-    the connection is closed.
-
-    Every operation raises a subclass of ``modbus_connection.ModbusError`` if it fails. It raises
-    TypeError or ValueError for an invalid argument, before anything is sent.
-
-    Attributes:
-        link: the connection.
-        unit_id: the unit, 0..255.
+    A unit, as defined by ``modbus_connection.ModbusUnit``, for any number of tasks. An operation
+    raises TypeError or ValueError for an invalid argument, before anything is sent.
     """
 
     def __init__(self, link: ModbusConnection, unit_id: int) -> None:
