@@ -72,24 +72,6 @@ def test_tasks_that_lose_cancellations_are_ended() -> None:
     Network().run(go)
 
 
-def test_tasks_that_are_ended_have_time_to_finish() -> None:
-    async def slow(done: list[str]) -> None:
-        try:
-            await asyncio.Event().wait()
-        finally:
-            await asyncio.sleep(2)
-            done.append("done")
-
-    async def go() -> list[str]:
-        done: list[str] = []
-        task = asyncio.create_task(slow(done))
-        await asyncio.sleep(0)
-        await end_tasks([task])
-        return done
-
-    assert Network().run(go) == ["done"]
-
-
 async def cancelled_at_once(waiting: Awaitable[Any], happens: asyncio.Future[None]) -> bool:
     """Let something happen and cancel who waits for it; return True if that was cancelled."""
     task = asyncio.ensure_future(waiting)

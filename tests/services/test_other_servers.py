@@ -77,15 +77,6 @@ def test_a_wrong_url_is_refused(text: str) -> None:
         read(text)
 
 
-def test_a_path_is_taken_where_it_may_be() -> None:
-    assert read("mqtt://h/path", may_have_path=True) == ServerUrl("mqtt", "h", 1883)
-
-
-def test_the_place_of_an_ipv6_address_has_brackets() -> None:
-    assert ServerUrl("mqtt", "::1", 1883).place == "[::1]:1883"
-    assert ServerUrl("mqtt", "h", 1883).place == "h:1883"
-
-
 @each_case(("scheme", "take", "setting"), TAKEN)
 @each_case("rest", ["h:0", "h:99999", "h?x=1", "h#x", "a b", "[::1", "h:x"])
 def test_a_wrong_url_is_refused_before_anything_is_sent(
@@ -132,25 +123,6 @@ def test_a_token_in_a_query_is_refused_and_not_shown(
     with pytest.raises(ValueError, match="must be a URL") as caught:
         take(f"{scheme}://h/?token=secret")
     assert "secret" not in str(caught.value)
-
-
-@each_case(
-    ("output", "setting"),
-    [
-        ('[output.mqtt]\nurl = "mqtt://me:secret@h"', "password_file"),
-        ('[output.influx]\nurl = "http://me:secret@h"\ndatabase = "d"', "token_file"),
-        ('[output.influx]\nurl = "https://secret@h/influx"\nbucket = "b"', "token_file"),
-    ],
-)
-def test_a_login_in_a_fleet_file(tmp_path: Path, output: str, setting: str) -> None:
-    file = tmp_path / "fleet.toml"
-    file.write_text(FLEET.format(output=output))
-    done = run("poll", file, "--once")
-    said = done.out + done.err
-    assert done.code == 2
-    assert "url must not contain a user or password" in said
-    assert setting in said
-    assert "secret" not in said
 
 
 @each_case("command", [("poll", "FILE", "--engine"), ("fleet", "status", "--engine")])
@@ -208,20 +180,6 @@ def test_a_secret_that_only_its_owner_can_read_is_taken(
     path = write_secret(tmp_path / "secret", "sesame")
     path.chmod(mode)
     read_file(path)
-
-
-@each_case("key", ["password_file", "token_file"])
-def test_a_secret_that_others_can_read_is_named_in_the_fleet_file(tmp_path: Path, key: str) -> None:
-    (tmp_path / "secret").write_text("sesame")
-    (tmp_path / "secret").chmod(0o644)
-    keys = {
-        "password_file": '[output.mqtt]\nurl = "mqtt://h"\nuser = "u"\npassword_file = "secret"',
-        "token_file": '[output.influx]\nurl = "http://h"\nbucket = "b"\ntoken_file = "secret"',
-    }
-    file = tmp_path / "fleet.toml"
-    file.write_text(FLEET.format(output=keys[key]))
-    with pytest.raises(ValueError, match=f"{key}: .*secret.*all users of this machine can read"):
-        load(file)
 
 
 def test_a_secret_is_the_former_when_others_can_read_the_new_one(tmp_path: Path) -> None:

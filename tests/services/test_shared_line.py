@@ -60,15 +60,6 @@ def test_hosts_and_their_clients_take_turns(given: str, expected: str) -> None:
     assert (len(queue), list(queue), queue.pick(any_of)) == (0, [], None)
 
 
-def test_who_had_a_turn_comes_last_when_he_asks_again() -> None:
-    queue: FairQueue[LineRequest] = FairQueue()
-    a0, b0, a1, a2 = requests("a0 b0 a1 a2")
-    assert all(map(queue.put, (a0, b0, a1)))
-    assert queue.pick(any_of) is a0
-    assert queue.put(a2)
-    assert order(queue) == "b0 a1 a2"
-
-
 def test_one_client_fills_its_own_queue_only_and_all_have_a_bound() -> None:
     queue: FairQueue[LineRequest] = FairQueue(2, 3)
     a0, a1, a2, b0, x0 = requests("a0 a1 a2 b0 x0")
@@ -77,19 +68,6 @@ def test_one_client_fills_its_own_queue_only_and_all_have_a_bound() -> None:
     assert not queue.remove(a1)
     assert [queue.put(each) for each in (a2, x0)] == [True, False]
     assert order(queue) == "a0 b0 a2"
-
-
-def test_of_a_thousand_clients_none_is_asked_twice_before_each_was_asked_once() -> None:
-    """A host with one client has every second turn, however many clients the other one has."""
-    queue: FairQueue[LineRequest] = FairQueue()
-    many = [LineRequest(1, READ, host="many", client=at % 999) for at in range(2 * 999)]
-    alone = [LineRequest(1, READ, host="alone", client="x") for _ in range(5)]
-    assert all(map(queue.put, [*many, *alone]))
-    picked = [queue.pick(any_of) for _ in range(2003)]
-    hosts = [each.host for each in picked if each is not None]
-    assert hosts == ["many", "alone"] * 5 + ["many"] * 1993
-    assert [each for each in picked if each in alone] == alone
-    assert [each for each in picked if each not in alone] == many
 
 
 def test_what_is_held_waits_and_nobody_behind_it() -> None:
@@ -412,18 +390,6 @@ async def test_a_unit_that_was_slower_has_as_long_as_its_own_answers_took() -> N
     assert line.log == [9]
     await asyncio.sleep(0.02)
     assert line.log == [9, -9, 1]
-
-
-@simulated
-async def test_a_trial_lasts_no_longer_than_its_timeout() -> None:
-    line = Line()
-    await line.answer_after(7, 1)
-    line.put(9, is_trial=True)
-    line.put(1)
-    await asyncio.sleep(TIMEOUT - 0.01)
-    assert line.log == [1, 9]
-    await asyncio.sleep(0.02)
-    assert line.log == [1, 9, -9, 1]
 
 
 @simulated

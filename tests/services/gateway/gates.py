@@ -1,18 +1,25 @@
 """
-Gateways between clients and devices, for the tests that need a whole one.
+Gateways between clients and devices, and lines of a gateway without one.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
+import inspect
 import struct
-from collections.abc import Iterator
+from collections.abc import Awaitable, Callable, Hashable, Iterator
 from typing import Any, NamedTuple
 
 from libmodbus_py import Device, Gateway, Mapping, Route, framing
+from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.services.gateway.line import NO_ANSWER, Forwarded, GatewayLine, request_of
+from libmodbus_py.services.gateway.routes import GatewayOptions
 from libmodbus_py.services.gateway.statistics import LineStatistics
+from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
 from tests.simulation.stage import Stage
+from tests.support.talk import rtu
 
 READ_ONE = bytes.fromhex("03 0000 0001")
 
@@ -88,3 +95,115 @@ def gateway(routes: list[Route], *urls: str, **options: Any) -> Iterator[tuple[G
     made = Gateway(routes, **options)
     with made.background(*(urls or ("tcp://127.0.0.1:0",))) as running:
         yield made, running.urls[0]
+
+
+# --- lines --------------------------------------------------------------------------------------
+
+READ, WRITE, UNKNOWN = "03 0000 0001", "06 0000 0007", "08 0000 0001"
+
+TIMEOUT = 0.5
+
+REFUSED = f"83{NO_ANSWER:02x}"
+
+
+class Asker:
+    """A client of the gateway, and what it was told."""
+
+    def __init__(self, host: Hashable = "192.0.2.1") -> None:
+        self.host = host
+        self.answers: list[str | None] = []
+
+    def answered(self, forwarded: Forwarded, response: bytes | None) -> None:
+        self.answers.append(None if response is None else response.hex())
+
+
+class Plant:
+    """
+    A line, and units on it that answer each request after a while, if at all.
+
+    Attributes:
+        asked: the units that were asked, in their order; or the function, with a minus.
+        silent: units that give no answer; and `unanswered` functions.
+        damaging: units whose answers have wrong check bytes.
+        delay: seconds that an answer takes; or `delays`, by unit.
+    """
+
+    def __init__(self, url: str = f"{LINE}?timeout={TIMEOUT}", **options: Any) -> None:
+        self.network = Network()
+        self.options = options
+        self.asked: list[int] = []
+        self.silent: set[int] = set()
+        self.unanswered: set[int] = set()
+        self.damaging: set[int] = set()
+        self.delay = 0.05
+        self.delays: dict[int, float] = {}
+        self.line: GatewayLine
+        url, _, query = url.partition("?")
+        self.peer = Scripted(self.network, url, self._answer)
+        self.url = f"{self.peer.url}{'&' if '?' in self.peer.url else '?'}{query}"
+        self._has_ids = url.startswith("tcp")
+
+    def _answer(self, request: bytes, write: Write) -> None:
+        head, unit, body = request[:4], request[6 if self._has_ids else 0], request[1:-2]
+        body = request[7:] if self._has_ids else body
+        self.asked.append(-body[0] if body[0] in self.unanswered else unit)
+        if unit in self.silent or not unit or body[0] in self.unanswered:
+            return
+        pdu = body
+        if body[0] in (3, 4):
+            pdu = body[:1] + b"\x02" + bytes([unit, len(self.asked) & 0xFF])
+        answer = rtu(bytes([unit, *pdu]).hex())
+        if unit in self.damaging:
+            answer = answer[:-1] + bytes([answer[-1] ^ 1])
+        if self._has_ids:
+            answer = head + (len(pdu) + 1).to_bytes(2, "big") + bytes([unit]) + pdu
+        write(answer, self.delays.get(unit, self.delay))
+
+    def run(self, main: Callable[[], Awaitable[None]]) -> None:
+        async def whole() -> None:
+            self.line = GatewayLine(parse(self.url), GatewayOptions(**self.options))
+            try:
+                await main()
+            finally:
+                await self.line.close()
+            statistics = self.line.statistics
+            assert (statistics.waiting, statistics.in_flight) == (0, 0)
+
+        self.network.run(whole)
+
+    def ask(
+        self, unit: int, asker: Asker, request: str = READ, *, merge: bool = False, age: float = 0
+    ) -> Forwarded:
+        given = request_of(bytes.fromhex(request))
+        each = Forwarded(asker, 1, unit, unit, given, self.network.events.now, age)
+        if code := self.line.put(each, merge=merge):
+            asker.answers.append(f"code {code}")
+        return each
+
+    def has_cached(self, unit: int) -> bool:
+        read, now = request_of(bytes.fromhex(READ)), self.network.events.now
+        return self.line.cached(unit, read, 60, now) is not None
+
+    @property
+    def unit(self) -> Any:
+        return self.line.statistics.unit
+
+
+def on_line(*given: str, **options: Any) -> Callable[[Any], Any]:
+    """Let a test run on a plant, its first argument, in simulated time."""
+
+    def decorated(test: Any) -> Any:
+        @functools.wraps(test)
+        def run(**others: Any) -> None:
+            plant = Plant(*given, **options)
+            plant.run(lambda: test(plant, **others))
+
+        _, *parameters = inspect.signature(test).parameters.values()
+        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        return run
+
+    return decorated
+
+
+def answer_of(unit: int, number: int) -> str:
+    return bytes([3, 2, unit, number]).hex()

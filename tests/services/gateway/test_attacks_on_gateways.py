@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Callable
 
 import pytest
@@ -31,27 +29,9 @@ from tests.support.attacks import (
     ATTACKS,
     UNIT,
     Attack,
-    AttackerProcess,
-    ServerProcess,
-    descriptor_limit,
 )
-from tests.support.attacks import Innocent as RealInnocent
 from tests.support.gateways import passage
 from tests.support.peers import until
-
-MEMORY = 32 << 20
-
-
-class GatewayProcess(ServerProcess):
-    """``libmodbus-py gateway`` before a server."""
-
-    def __init__(self, server: ServerProcess) -> None:
-        to = f"tcp://127.0.0.1:{server.port}?timeout=5"
-        command = [sys.executable, "-m", "libmodbus_py", "gateway", "tcp://127.0.0.1:0", "--to", to]
-        self._urls = ["tcp://127.0.0.1:0"]
-        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        self.pid = self._process.pid
-
 
 OVER_TCP = [attack for attack in ATTACKS if attack.scheme == "tcp"]
 
@@ -75,28 +55,6 @@ def test_an_innocent_client_waits_for_few_of_the_others(stage: Stage, attack: At
             assert innocent.poll(3).others == [0] * 3
             (line,) = made.traffic.lines.values()
             assert line.waiting == line.in_flight == 0
-
-
-def test_an_innocent_client_of_the_system_loses_nothing() -> None:
-    """The real copy of one attack: attackers, gateway and server are processes."""
-    attack = next(attack for attack in ATTACKS if attack.name == "flood of unknown functions")
-    with (
-        descriptor_limit(),
-        ServerProcess() as server,
-        GatewayProcess(server) as gateway,
-        RealInnocent(gateway.port) as innocent,
-        AttackerProcess(attack, gateway.port) as attackers,
-    ):
-        innocent.poll(0.05)
-        descriptors, resident = gateway.descriptors(), gateway.resident()
-        attackers.begin()
-        attacked = innocent.poll(0.2, until=attackers.all_attack)
-        grown = gateway.resident() - resident
-        attackers.end()
-        assert attacked.requests > 0
-        assert (attacked.lost, attacked.wrong) == (0, 0)
-        assert grown < MEMORY
-        assert gateway.has_descriptors(descriptors)
 
 
 def small() -> Device:

@@ -17,7 +17,6 @@ from libmodbus_py import (
     Route,
     Server,
 )
-from libmodbus_py.serve import Asked
 from tests.services.gateway.gates import LINE, gateway, small
 from tests.simulation.scripted import Scripted
 from tests.simulation.stage import Stage
@@ -113,22 +112,6 @@ def test_the_rules_of_all_routes_of_a_line_hold_for_a_broadcast(stage: Stage) ->
             stage.pass_time(1)
             assert [each.mapping.holding_registers[0] for each in devices] == [0, 0]
             assert made.traffic.broadcasts == 0
-
-
-def test_a_rule_is_asked_about_unit_0_once_for_each_set_of_cells(stage: Stage) -> None:
-    asked: list[tuple[int, str | None]] = []
-
-    def authorize(request: Asked) -> bool:
-        asked.append((request.unit, request.role))
-        return True
-
-    with (
-        Server({1: small(), 2: small(), 3: small()}).background(LINE),
-        gateway([Route(LINE, "1-3")], authorize=authorize) as (_, url),
-        Context.from_url(url, unit=0, timeout=5) as context,
-    ):
-        context.write_register(0, 7)
-    assert asked == [(0, None)]
 
 
 def test_a_broadcast_does_not_go_back_to_the_machine_that_sent_it(stage: Stage) -> None:

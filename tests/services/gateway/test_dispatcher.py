@@ -15,7 +15,6 @@ from libmodbus_py import (
     Route,
     Server,
 )
-from libmodbus_py.ports.trace import Traced
 from libmodbus_py.server import udp
 from tests.services.gateway.gates import LINE, READ_ONE, adu, gated, gateway, numbered, small
 from tests.simulation.stage import Stage
@@ -134,28 +133,6 @@ def test_on_a_line_the_gateway_answers_its_units_and_leaves_others_to_their_devi
             with pytest.raises(IllegalDataAddress):
                 context.for_unit(250).write_register(0, 5)
         assert (made.traffic.requests, made.traffic.no_route) == (6, 2)
-
-
-def test_rtu_over_tcp_to_a_unit_without_a_route_is_refused_each_time(stage: Stage) -> None:
-    with (
-        passage("rtu+tcp", "tcp", {1: small()}, route={"units": "1"}, stage=stage) as through,
-        through.context(7) as context,
-    ):
-        for _ in range(2):
-            with pytest.raises(GatewayPathUnavailable):
-                context.write_register(0, 5)
-
-
-def test_half_a_request_of_a_client_that_leaves_is_traced(stage: Stage) -> None:
-    traced: list[Traced] = []
-    half = adu(READ_ONE)[:9]
-    with gateway([Route(LINE, "1")], "tcp://10.0.0.1:0", trace=traced.append) as (_, url):
-        with stage.talk(url) as client:
-            client.sendall(half)
-            stage.pass_time(1)
-            assert traced == []
-        stage.pass_time(1)
-    assert [(each.direction, each.adu) for each in traced] == [("received", half)]
 
 
 @pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt])

@@ -4,10 +4,9 @@ A gateway over time: connections that come and go, routes that change, and its e
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import socket
-import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,13 +17,12 @@ from libmodbus_py import (
     Gateway,
     GatewayPathUnavailable,
     GatewayTargetFailedToRespond,
-    Limits,
     ModbusTimeoutError,
     Route,
     Server,
     pdu,
 )
-from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.services.gateway.line import GatewayLine
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.services.gateway.gates import LINE, READ_ONE, adu, gated, gateway, numbered, small
 from tests.simulation.network import Network
@@ -33,25 +31,6 @@ from tests.support.gateways import passage
 from tests.support.peers import until
 
 ONE, SEVEN = bytes.fromhex("03 02 0000"), bytes.fromhex("03 02 0007")
-
-
-@contextlib.contextmanager
-def connected(url: str) -> Iterator[socket.socket]:
-    with socket.create_connection(("127.0.0.1", parse(url).port), 10) as connection:
-        yield connection
-
-
-def test_one_connection_to_the_device_is_shared(stage: Stage) -> None:
-    with (
-        Server({1: small()}, limits=Limits(max_connections=1, when_full="refuse")).background(
-            "tcp://10.0.0.9:0"
-        ) as behind,
-        gateway([Route(behind.urls[0])]) as (_, url),
-        contextlib.ExitStack() as stack,
-    ):
-        contexts = [stack.enter_context(Context.from_url(url, unit=1)) for _ in range(8)]
-        for each in contexts * 3:
-            assert each.read_holding_registers(0, 1) == [0]
 
 
 def test_a_device_that_goes_and_comes_back_is_found_again(stage: Stage) -> None:
@@ -215,18 +194,6 @@ def test_closing_it_in_the_middle_leaves_nothing(stage: Stage) -> None:
         assert server.statistics.connections == 0
 
 
-def test_a_gateway_of_the_system_that_is_closed_in_the_middle_leaves_no_thread() -> None:
-    """The real copy."""
-    slow = {1: [Fault("delay", seconds=500)]}
-    with Server({1: small()}, slow).background("tcp://127.0.0.1:0") as behind:
-        threads = threading.active_count()
-        made = Gateway([Route(behind.urls[0])])
-        with made.background("tcp://127.0.0.1:0") as running, connected(running.urls[0]) as client:
-            client.sendall(adu(READ_ONE) * 8)
-            until(lambda: any(line.in_flight for line in made.traffic.lines.values()))
-        assert threading.active_count() == threads
-
-
 def test_routes_that_change_while_it_stops_are_those_of_the_next_run() -> None:
     network = Network()
 
@@ -261,3 +228,36 @@ def test_as_a_slave_on_a_line_it_is_silent_for_units_it_does_not_have(stage: Sta
         with pytest.raises(ModbusTimeoutError):
             context.for_unit(2).read_holding_registers(0, 1)
         assert through.gateway.traffic.no_route == 1
+
+
+def test_lines_that_were_replaced_are_closed(stage: Stage) -> None:
+    route = Route(f"{LINE}?timeout=1", "1")
+    with Server({1: small()}).background(LINE), gateway([route]) as (made, url):
+        with Context.from_url(url, unit=1, timeout=5) as context:
+            assert context.read_holding_registers(0, 1) == [0]
+        for number in (1, 2, 3):
+            made.change_routes([Route(f"tcp://10.0.0.{number}:502", "1")])
+            stage.pass_time(1)
+            assert list(made.traffic.lines) == [f"tcp://10.0.0.{number}:502"]
+            assert not made._closing
+        made.change_routes([route])
+
+
+def test_a_gateway_has_ended_when_all_its_lines_are_closed(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = ["tcp://10.0.0.1:502", "tcp://10.0.0.2:502"]
+    closed: list[str] = []
+    close = GatewayLine.close
+
+    async def slowly(line: GatewayLine) -> None:
+        await asyncio.sleep(50 if line.url == lines[0] else 1)
+        await close(line)
+        closed.append(line.url)
+
+    monkeypatch.setattr(GatewayLine, "close", slowly)
+    with gateway([Route(lines[0], "1")]) as (made, _):
+        made.change_routes([Route(lines[1], "1")])
+        stage.pass_time(1)
+        assert closed == []
+    assert sorted(closed) == lines

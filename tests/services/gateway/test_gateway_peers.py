@@ -5,15 +5,12 @@ Gateways with the programs of others at their ends: pymodbus, libmodbus and mbpo
 from __future__ import annotations
 
 import contextlib
-import shutil
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import pytest
-from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 
 from libmodbus_py import Context, Device, ExceptionResponse, Gateway, Route
 from libmodbus_py.ports.endpoint import parse
@@ -21,14 +18,10 @@ from libmodbus_py.tools.testing.wires import SerialWire
 from tests.interop.test_interop_libmodbus import C_CLIENT_CALLS, C_CLIENT_REFUSALS
 from tests.interop.test_interop_pymodbus import (
     COUNTING,
-    FRAMERS,
-    SERIAL_SETTINGS,
     Asked,
     asked,
     asked_beside_the_tables,
-    in_background,
     pymodbus_client,
-    simulated_device,
 )
 from tests.support.cases import each
 from tests.support.gateways import passage
@@ -37,9 +30,7 @@ from tests.support.interop import (
     UNIT,
     Exchange,
     Place,
-    cells,
     exchanges,
-    holding_register,
     make_device,
     program,
     refusals,
@@ -86,34 +77,6 @@ def agree(case: Asked, front: str, place: Place, device: Device) -> None:
 
 
 @contextlib.contextmanager
-def before_pymodbus(transport: str) -> Iterator[Context]:
-    """A context, a gateway, and a server of pymodbus on the other side."""
-    with contextlib.ExitStack() as stack:
-        framer = FRAMERS[transport]
-        if transport == "tcp":
-            server = stack.enter_context(
-                in_background(
-                    lambda: ModbusTcpServer(
-                        simulated_device(), framer=framer, address=("127.0.0.1", 0)
-                    )
-                )
-            )
-            port = server.transport.sockets[0].getsockname()[1]
-            line = f"tcp://127.0.0.1:{port}?timeout=2"
-        else:
-            wire = stack.enter_context(SerialWire())
-            stack.enter_context(
-                in_background(
-                    lambda: ModbusSerialServer(
-                        simulated_device(), framer=framer, port=wire.server, **SERIAL_SETTINGS
-                    )
-                )
-            )
-            line = f"{transport}://{wire.client}?baudrate={BAUDRATE}&timeout=2"
-        yield stack.enter_context(before(line))
-
-
-@contextlib.contextmanager
 def before(line: str) -> Iterator[Context]:
     """A context, and a gateway to a line."""
     with (
@@ -126,15 +89,6 @@ def before(line: str) -> Iterator[Context]:
 def check(context: Context, exchange: Exchange) -> None:
     assert exchange.ask(context) == exchange.answer
     assert exchange.look(context) == exchange.seen
-
-
-@pytest.mark.parametrize("transport", SIDES)
-def test_context_and_pymodbus_server_agree_through_it(transport: str) -> None:
-    with before_pymodbus(transport) as context:
-        for verdict, exchange in each(exchanges(), lambda case: f"{case.function}-{case.name}"):
-            with verdict:
-                check(context, exchange)
-                restore_through(context, exchange.function)
 
 
 @contextlib.contextmanager
@@ -182,25 +136,3 @@ def test_c_client_is_content_with_a_device_behind_it(
         assert f"FC {function} ok" in said
     for function in C_CLIENT_REFUSALS:
         assert f"FC {function} refused" in said
-
-
-@pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
-@pytest.mark.parametrize("front", SIDES)
-def test_mbpoll_reads_and_writes_through_it(front: str) -> None:
-    device = make_device()
-    with passage(front, SIDES[front], {UNIT: device}) as through:
-        end = parse(through.url)
-        where = ["-m", "tcp", "-p", end.port, end.host]
-        if front == "rtu":
-            where = ["-m", "rtu", "-b", BAUDRATE, "-P", "even", end.path]
-        words: list[Any] = ["mbpoll", "-a", UNIT, "-0", "-1", "-o", 5, "-t", 4]
-        options: dict[str, Any] = {"capture_output": True, "text": True, "timeout": 20}
-        options["stdin"] = subprocess.DEVNULL
-        read = [str(word) for word in (*words, "-r", 100, "-c", 125, *where)]
-        done = subprocess.run(read, **options)
-        assert done.returncode == 0, done.stdout
-        for address, value in zip(range(100, 225), cells(holding_register, 100, 125), strict=True):
-            assert f"[{address}]: \t{value}" in done.stdout
-        write = [str(word) for word in (*words, "-r", 101, *where, 4711)]
-        assert subprocess.run(write, **options).returncode == 0
-        assert device.mapping.holding_registers[101] == 4711

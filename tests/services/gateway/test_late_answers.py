@@ -5,7 +5,6 @@ Units that do not answer, answer late, or answer something else, behind a gatewa
 from __future__ import annotations
 
 import asyncio
-import itertools
 from collections import Counter
 from collections.abc import Collection
 
@@ -23,11 +22,8 @@ from libmodbus_py import (
     pdu,
 )
 from tests.services.gateway.gates import LINE, READ_ONE, adu, gateway, small
-from tests.services.gateway.test_line import READ, Asker, Plant
-from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
 from tests.simulation.stage import Stage
-from tests.support.cases import each_case
 from tests.support.gateways import passage
 
 
@@ -161,28 +157,6 @@ def test_a_unit_that_is_back_is_found_on_a_line_that_never_rests(stage: Stage) -
         poller.on_input = None
 
 
-def test_a_request_that_tries_a_silent_unit_makes_way_for_others(stage: Stage) -> None:
-    bus(stage, {1, 2, 3})
-    with (
-        gateway([Route(f"{LINE}?timeout=100")]) as (made, url),
-        Context.from_url(url, unit=1, timeout=900) as good,
-        stage.talk(url) as other,
-    ):
-        with pytest.raises(GatewayTargetFailedToRespond):
-            good.for_unit(9).read_holding_registers(0, 1)
-        (line,) = made.traffic.lines.values()
-        silent = line.units[9]
-        stage.pass_time(201)
-        other.sendall(adu(READ_ONE, unit=9))
-        stage.pass_time(50)
-        assert (silent.requests, other.has_input()) == (2, False)
-        asked = stage.now
-        assert good.read_holding_registers(3, 1) == [value(1, 3)]
-        assert stage.now - asked < 0.1
-        assert (silent.given_up, silent.timeouts) == (1, 1)
-        assert other.receive(9)[7:] == b"\x83\x0b"
-
-
 def test_late_answers_are_never_anybody_elses(stage: Stage) -> None:
     """A unit whose every third answer comes after its timeout, and good ones beside it."""
     bus(stage, {1, 2, 3}, late={2: 3}, seconds=0.6)
@@ -288,61 +262,3 @@ def test_who_closes_while_its_request_tries_a_silent_unit_lets_others_try(stage:
         stage.pass_time(30)
         assert line.units[9].requests == 2
         assert other.receive(9) == adu(b"\x83\x0b", 2, unit=9)
-
-
-# --- over TCP ----------------------------------------------------------------------------------
-
-
-TIMEOUT = 0.5
-READ_INPUTS = "04 0000 0001"
-
-
-def time_of(network: Network) -> float:
-    return network.events.now
-
-
-class Watched(Plant):
-    """A plant that notes when unit 2 is asked after it became silent, and when its rest began."""
-
-    def __init__(self) -> None:
-        super().__init__(f"tcp://10.0.0.1?timeout={TIMEOUT}")
-        self.times: list[float] = []
-        self.rests_since = 0.0
-
-    async def poll(self, seconds: float, every: int, *requests: str) -> None:
-        """Ask two units that answer 50 times a second, and unit 2 in each so-manieth turn."""
-        until, turn = time_of(self.network) + seconds, 0
-        while (now := time_of(self.network)) < until:
-            before = len(self.asked)
-            self.ask(1, Asker())
-            self.ask(3, Asker())
-            turn += 1
-            for request in requests if turn % every == 0 else ():
-                self.ask(2, Asker(), request)
-            await asyncio.sleep(0.02)
-            if 2 in self.silent:
-                self.times += [now] * self.asked[before:].count(2)
-            if not self.rests_since and self.unit(2).is_silent:
-                self.rests_since = now
-
-
-@each_case("requests", [(READ,), (READ, READ), (READ, READ_INPUTS)])
-@each_case("every", [1, 9])
-def test_a_silent_unit_is_asked_once_at_the_end_of_each_rest(
-    requests: tuple[str, ...], every: int
-) -> None:
-    plant = Watched()
-
-    async def main() -> None:
-        await plant.poll(1.0, every, *requests)  # several are in flight by now
-        plant.silent.add(2)
-        await plant.poll(6.0, every, *requests)
-        assert plant.rests_since
-        rest = TIMEOUT if READ_INPUTS in requests else 2 * TIMEOUT
-        tries = [at - plant.rests_since for at in plant.times if at >= plant.rests_since]
-        for at, later in itertools.pairwise([0.0, *tries]):
-            assert later >= at + rest - 0.02
-            rest *= 2
-        assert len(tries) >= 2
-
-    plant.run(main)

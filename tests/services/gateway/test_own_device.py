@@ -94,18 +94,6 @@ def test_lines_begin_at_100() -> None:
     run(main)
 
 
-def test_a_line_that_is_gone_leaves_nothing() -> None:
-    def main(trial: Trial) -> None:
-        line = LineStatistics("a", Statistics(timeouts=2))
-        line.waiting = 1
-        trial.lines["a"] = line
-        assert trial.read(100, 2) == words(1)
-        trial.lines.clear()
-        assert trial.read(100, 20) == [0] * 20
-
-    run(main)
-
-
 def test_units_begin_at_1000() -> None:
     def main(trial: Trial) -> None:
         unit = UnitStatistics(1, 4, 3, 5, 6, 7, 8, given_up=99, cached=9, merged=10)
@@ -142,14 +130,6 @@ def test_only_what_is_read_is_looked_up(
         trial.read(address, count)
         assert trial.asked == units
         assert trial.lines.looked == looked
-
-    run(main)
-
-
-def test_numbers_go_round() -> None:
-    def main(trial: Trial) -> None:
-        trial.statistics.requests = 2**32 + 5
-        assert trial.read(8, 2) == [0, 5]
 
     run(main)
 

@@ -106,3 +106,22 @@ def test_a_write_whose_client_is_gone_is_recorded_once(stage: Stage, events: Eve
         stage.pass_time(5)
     assert told(events) == [("write", 1, 6, "no answer"), ("write", 1, 6, "ok")]
     assert gate.kinds == ["write"]
+
+
+def test_a_client_that_is_gone_has_its_broadcast_recorded_once(
+    stage: Stage, events: Events
+) -> None:
+    with gated(stage, audit=events.append) as (gate, _, url, _):
+        with stage.talk(url) as other, stage.talk(url) as client:
+            other.sendall(adu(READ_ONE))
+            assert stage.until(lambda: gate.asked)
+            client.sendall(adu(WRITE, unit=0))
+            stage.pass_time(1)
+            assert events == []
+            client.close()
+            stage.pass_time(1)
+            assert [each.unit for each in events] == [0]
+            gate.open()
+            stage.pass_time(5)
+        writes = [each for each in events if each.unit == 0]
+        assert len(writes) == 1

@@ -21,13 +21,6 @@ def test_no_function_has_such_a_code(code: int) -> None:
     assert raised.value.function == code
 
 
-@pytest.mark.parametrize("code", [1, 3, 0x41, 0x7F])
-def test_each_other_code_may_be_a_function(code: int) -> None:
-    body = bytes([code, 0, 0, 0, 1])
-    request = request_of(body)
-    assert (request.function, request.pdu, request.encode()) == (code, body, body)
-
-
 def test_a_known_function_has_requests_of_its_length_only() -> None:
     for size in (1, 4, 6):
         with pytest.raises(IllegalDataValue) as raised:
@@ -88,13 +81,6 @@ def test_a_response_to_a_read_is_passed_on_if_its_length_fits(request: str, resp
             asked.decode_response(response_pdu)
     with pytest.raises(ExceptionResponse):
         asked.decode_response(bytes([good[0] | 0x80, 2]))
-
-
-def test_the_echo_of_a_write_must_be_that_of_this_write() -> None:
-    asked = request_of(bytes.fromhex("06 0001 0003"))
-    assert asked.decode_response(asked.pdu) == asked.pdu
-    with pytest.raises(InvalidResponse):
-        asked.decode_response(bytes.fromhex("06 0001 0004"))
 
 
 @each_case(

@@ -11,9 +11,9 @@ import pytest
 
 from libmodbus_py import Route
 from libmodbus_py.ports import hosts
-from libmodbus_py.ports.endpoint import Endpoint, parse
+from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.services.gateway.config import parse as parse_file
-from libmodbus_py.services.gateway.routes import GatewayOptions, check_line, check_routes
+from libmodbus_py.services.gateway.routes import check_line, check_routes
 
 TCP, LINE = "tcp://192.0.2.1", "rtu:///dev/ttyUSB0"
 
@@ -32,12 +32,6 @@ def test_a_route_has_the_units_that_its_line_can_have(url: str, units: range) ->
     route = Route(url)
     assert route.units == tuple(units)
     assert route.ways == {unit: unit for unit in units}
-
-
-def test_a_route_keeps_joins_and_forbids_nothing_unless_told() -> None:
-    route = Route(LINE)
-    assert (route.cache, route.merge, route.read_only, route.writable) == (0, False, False, None)
-    assert route.allow is None
 
 
 @pytest.mark.parametrize(
@@ -88,11 +82,6 @@ def test_what_cannot_be_is_named(
         Route(TCP, **options)
 
 
-def test_a_url_with_a_unit_means_nothing_here() -> None:
-    with pytest.raises(ValueError, match=r"to: .*use device_units"):
-        Route(f"{TCP}?unit=3")
-
-
 def test_what_only_reads_may_pass_where_nothing_is_written() -> None:
     """By the functions of the specification (6.7 to 6.13 and 6.21)."""
     allow = Route(TCP, read_only=True).allow
@@ -110,28 +99,10 @@ def test_what_may_be_written_is_as_it_was_given() -> None:
     assert "7" not in map(str, some.writable or ())
 
 
-def test_each_unit_may_have_a_route_of_its_own() -> None:
-    routes = [f'[[route]]\nto = "{TCP}"\nunits = [{unit}]\n' for unit in range(256)]
-    assert len(parse_file("".join(routes)).routes) == 256
-
-
 @pytest.mark.parametrize("text", ["", "route = []", "route = 1", "route = [1]"])
 def test_a_file_has_routes(text: str) -> None:
     with pytest.raises((TypeError, ValueError), match="route"):
         parse_file(text)
-
-
-@pytest.mark.parametrize("queue", [1, 1024])
-def test_bounds_of_a_queue_are_allowed(queue: int) -> None:
-    assert GatewayOptions(queue=queue).queue == queue
-
-
-def test_options_of_a_gateway_unless_given() -> None:
-    options = GatewayOptions()
-    assert (options.own, options.queue, options.longest_wait) == (frozenset({255}), 16, 5.0)
-    assert options.writes_first is False
-    assert GatewayOptions(()).own == GatewayOptions("").own == frozenset()
-    assert GatewayOptions([1, 2]).own == frozenset({1, 2})
 
 
 # --- lines that lead back ---------------------------------------------------------------------
@@ -211,12 +182,6 @@ def test_a_serial_port_is_the_same_by_any_of_its_names(tmp_path: Path) -> None:
     assert not leads_back("tcp://127.0.0.1", own)
     with pytest.raises(ValueError, match="to: there is no serial port /dev/nowhere"):
         check_line("to", parse("rtu:///dev/nowhere"), [])
-
-
-def test_an_endpoint_elsewhere_is_fine() -> None:
-    given: list[Endpoint] = []
-    check_line("to", parse(TCP), given)
-    assert given == []
 
 
 def test_two_spellings_of_one_port_are_one_place() -> None:

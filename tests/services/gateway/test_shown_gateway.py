@@ -20,7 +20,6 @@ from libmodbus_py import (
 from libmodbus_py.client.statistics import Statistics
 from libmodbus_py.ports.trace import Traced
 from libmodbus_py.server.limits import ServerStatistics
-from libmodbus_py.services.gateway import shown_gateway
 from libmodbus_py.services.gateway.shown_gateway import Clients, ShownGateway
 from libmodbus_py.services.gateway.statistics import GatewayStatistics, LineStatistics
 from libmodbus_py.tools.page import samples
@@ -158,16 +157,6 @@ def test_who_asks_what_is_counted() -> None:
     assert found[0][-1] == 100.0
     assert [row.is_problem for row in clients.rows()] == [False, False, True, False, False]
     assert clients.rows()[1].words == "192.0.2.7 unit 3, 3 read holding registers function 3"
-
-
-def test_the_client_that_came_first_is_dropped_for_one_too_many(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(shown_gateway, "MOST_ASKING", 2)
-    clients = Clients()
-    for last in (1, 2, 1, 3):
-        clients.note(traced("received", 3, f"192.0.2.{last}:1"))
-    assert [row.name[0] for row in clients.rows()] == ["192.0.2.2", "192.0.2.3"]
 
 
 # --- a gateway that runs --------------------------------------------------------------------------

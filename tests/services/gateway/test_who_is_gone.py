@@ -10,38 +10,46 @@ import pytest
 
 from libmodbus_py import Route
 from libmodbus_py.services.gateway.line import NO_ANSWER, Forwarded
-from tests.services.gateway.gates import adu, gateway
-from tests.services.gateway.test_functions_without_an_answer import UNKNOWN, Choosy
-from tests.services.gateway.test_line import TIMEOUT, WRITE, Asker, Plant, answer_of
+from tests.services.gateway.gates import (
+    LINE,
+    REFUSED,
+    TIMEOUT,
+    UNKNOWN,
+    WRITE,
+    Asker,
+    Plant,
+    adu,
+    answer_of,
+    gateway,
+    on_line,
+)
 from tests.simulation.scripted import Scripted
 from tests.simulation.stage import Stage
 from tests.support.talk import rtu
 
 STREAMS = ["tcp://10.0.0.1", "tls://10.0.0.1", "rtu+tcp://10.0.0.1"]
 
-LINES = ["rtu:///dev/line", "ascii:///dev/line", "udp://10.0.0.1", "rtu+udp://10.0.0.1", *STREAMS]
+LINES = [LINE, "ascii:///dev/line", "udp://10.0.0.1", "rtu+udp://10.0.0.1", *STREAMS]
 
 CONNECT_DELAY = 1.0
 
 
-def plant_of(url: str, options: str) -> Plant:
-    """Return a plant with options of its line; no unit answers."""
-    plant = Plant(url)
+def mute(url: str, options: str) -> Plant:
+    """Return a plant of which no unit answers."""
+    plant = Plant(f"{url}?{options}")
     plant.peer.on_request = lambda request, write: None
-    plant.url = plant.peer.url + ("&" if "?" in plant.peer.url else "?") + options
     return plant
 
 
 @pytest.mark.parametrize("url", LINES)
 def test_a_request_that_waits_for_the_connection_is_not_sent(url: str) -> None:
-    plant = plant_of(url, f"timeout=5&connect_delay={CONNECT_DELAY}")
+    plant = mute(url, f"timeout=5&connect_delay={CONNECT_DELAY}")
 
     async def main() -> None:
-        alone, first, joined = Asker(), Asker(), Asker()
         asked = [
-            plant.ask(1, alone, WRITE),
-            plant.ask(2, first, merge=True),
-            plant.ask(2, joined, merge=True),
+            plant.ask(1, Asker(), WRITE),
+            plant.ask(2, Asker(), merge=True),
+            plant.ask(2, Asker(), merge=True),
         ]
         await asyncio.sleep(CONNECT_DELAY / 2)
         for each in asked:
@@ -58,7 +66,7 @@ def test_a_request_that_waits_for_the_connection_is_not_sent(url: str) -> None:
 
 @pytest.mark.parametrize("url", LINES)
 def test_a_request_without_an_answer_is_not_sent_again(url: str) -> None:
-    plant = plant_of(url, "timeout=0.5&retries=3")
+    plant = mute(url, "timeout=0.5&retries=3")
 
     async def main() -> None:
         gone = plant.ask(1, Asker())
@@ -72,7 +80,7 @@ def test_a_request_without_an_answer_is_not_sent_again(url: str) -> None:
 
 @pytest.mark.parametrize("url", STREAMS)
 def test_a_trial_that_waits_for_the_connection_is_not_sent(url: str) -> None:
-    plant = plant_of(url, f"timeout=0.5&connect_delay={CONNECT_DELAY}")
+    plant = mute(url, f"timeout=0.5&connect_delay={CONNECT_DELAY}")
 
     async def main() -> None:
         plant.ask(9, Asker())
@@ -89,54 +97,41 @@ def test_a_trial_that_waits_for_the_connection_is_not_sent(url: str) -> None:
         plant.ask(9, again)
         await asyncio.sleep(2 * CONNECT_DELAY)
         assert len(plant.peer.requests) == 2
-        assert again.answers == [f"83{NO_ANSWER:02x}"]
+        assert again.answers == [REFUSED]
 
     plant.run(main)
 
 
-def test_requests_behind_a_write_are_not_sent() -> None:
+@on_line("tcp://10.0.0.1?timeout=0.5")
+async def test_requests_behind_a_write_are_not_sent(plant: Plant) -> None:
     """On a connection with transaction ids a write is alone in flight."""
-    plant = Plant("tcp://10.0.0.1")
-    plant.url = plant.peer.url + "?timeout=0.5"
-
-    async def main() -> None:
-        plant.silent.add(9)
-        for _ in range(3):
-            plant.ask(1, Asker())
-            await asyncio.sleep(0.1)
-        plant.ask(9, Asker(), WRITE)
-        gone = [plant.ask(unit, Asker()) for unit in (1, 2, 3)]
-        await asyncio.sleep(0.1)
-        for each in gone:
-            plant.line.leave(each)
-        await asyncio.sleep(2)
-        assert plant.asked == [1, 1, 1, 9]
-
-    plant.run(main)
-
-
-def test_a_read_that_was_lost_beside_others_is_not_sent_again() -> None:
-    plant = Plant("tcp://10.0.0.1")
-    plant.url = plant.peer.url + "?timeout=0.5"
-
-    async def main() -> None:
-        plant.silent.add(9)
+    plant.silent.add(9)
+    for _ in range(3):
         plant.ask(1, Asker())
         await asyncio.sleep(0.1)
-        gone, other, next_one = plant.ask(9, Asker()), Asker(), Asker()
-        plant.ask(1, other)
-        await asyncio.sleep(0.1)
-        assert plant.asked == [1, 9, 1]
-        plant.line.leave(gone)
-        plant.ask(1, next_one)
-        await asyncio.sleep(2)
-        assert plant.asked == [1, 9, 1, 1]
-        assert (other.answers, next_one.answers) == ([answer_of(1, 3)], [answer_of(1, 4)])
-
-    plant.run(main)
+    plant.ask(9, Asker(), WRITE)
+    gone = [plant.ask(unit, Asker()) for unit in (1, 2, 3)]
+    await asyncio.sleep(0.1)
+    for each in gone:
+        plant.line.leave(each)
+    await asyncio.sleep(2)
+    assert plant.asked == [1, 1, 1, 9]
 
 
-BROADCAST = bytes.fromhex("06 0000 0007")
+@on_line("tcp://10.0.0.1?timeout=0.5")
+async def test_a_read_that_was_lost_beside_others_is_not_sent_again(plant: Plant) -> None:
+    plant.silent.add(9)
+    plant.ask(1, Asker())
+    await asyncio.sleep(0.1)
+    gone, other, next_one = plant.ask(9, Asker()), Asker(), Asker()
+    plant.ask(1, other)
+    await asyncio.sleep(0.1)
+    assert plant.asked == [1, 9, 1]
+    plant.line.leave(gone)
+    plant.ask(1, next_one)
+    await asyncio.sleep(2)
+    assert plant.asked == [1, 9, 1, 1]
+    assert (other.answers, next_one.answers) == ([answer_of(1, 3)], [answer_of(1, 4)])
 
 
 @pytest.mark.parametrize(("scheme", "is_sent"), [("tcp", False), ("rtu+tcp", True)])
@@ -144,10 +139,10 @@ def test_a_broadcast_is_not_sent_if_its_client_waited_for_that(
     stage: Stage, scheme: str, is_sent: bool
 ) -> None:
     """On a serial line nobody waits for a broadcast."""
-    line = "rtu:///dev/line"
-    peer = Scripted(stage, line, lambda request, write: None)
-    route = Route(f"{line}?connect_delay={CONNECT_DELAY}")
-    frame = adu(BROADCAST, unit=0) if scheme == "tcp" else rtu((b"\0" + BROADCAST).hex())
+    peer = Scripted(stage, LINE, lambda request, write: None)
+    route = Route(f"{LINE}?connect_delay={CONNECT_DELAY}")
+    write = bytes.fromhex(WRITE)
+    frame = adu(write, unit=0) if scheme == "tcp" else rtu((b"\0" + write).hex())
     with gateway([route], f"{scheme}://10.0.0.1:0") as (_, url):
         client = stage.talk(url, "10.0.0.2").end
         client.send(frame)
@@ -157,10 +152,11 @@ def test_a_broadcast_is_not_sent_if_its_client_waited_for_that(
         assert len(peer.requests) == is_sent
 
 
-@pytest.mark.parametrize("url", ["rtu:///dev/line?timeout=0.5", "tcp://10.0.0.1"])
+@pytest.mark.parametrize("url", [f"{LINE}?timeout=0.5", "tcp://10.0.0.1?timeout=0.5"])
 def test_a_silent_function_costs_the_reads_of_others_one_timeout_at_most(url: str) -> None:
     """Four clients read in a row; a fifth asks what the unit does not know, again and again."""
-    plant = Choosy(url, {8})
+    plant = Plant(url)
+    plant.unanswered = {8}
     took: list[float] = []
 
     class Reader(Asker):
@@ -187,32 +183,26 @@ def test_a_silent_function_costs_the_reads_of_others_one_timeout_at_most(url: st
         answers = [answer for each in readers for answer in each.answers]
         assert {str(answer)[:4] for answer in answers} == {"0302"}
         assert plant.asked.count(-8) > 1
-        longest = max(took)
-        assert longest < TIMEOUT + 6 * plant.delay
+        assert max(took) < TIMEOUT + 6 * plant.delay
         # The first one costs a timeout; each trial after it no more than an answer of the others.
-        slow = [each for each in took if each > TIMEOUT]
-        assert len(slow) <= len(readers)
+        assert len([each for each in took if each > TIMEOUT]) <= len(readers)
 
     plant.run(main)
 
 
-def test_a_write_that_tries_a_unit_makes_way_for_others() -> None:
+@on_line("tcp://10.0.0.1?timeout=0.5")
+async def test_a_write_that_tries_a_unit_makes_way_for_others(plant: Plant) -> None:
     """Nothing is sent beside it, but others wait no longer than for one of their own answers."""
-    plant = Plant("tcp://10.0.0.1")
-    plant.url = plant.peer.url + "?timeout=0.5"
-
-    async def main() -> None:
-        plant.silent.add(9)
-        plant.ask(9, Asker(), WRITE)
-        await asyncio.sleep(2)
-        for _ in range(3):
-            plant.ask(1, Asker())
-            await asyncio.sleep(0.1)
-        tried, other = Asker(), Asker()
-        plant.ask(9, tried, WRITE)
-        plant.ask(1, other)
-        await asyncio.sleep(3 * plant.delay)
-        assert tried.answers == [f"86{NO_ANSWER:02x}"]
-        assert other.answers == [answer_of(1, 6)]
-
-    plant.run(main)
+    plant.silent.add(9)
+    plant.ask(9, Asker(), WRITE)
+    await asyncio.sleep(2)
+    for _ in range(3):
+        plant.ask(1, Asker())
+        await asyncio.sleep(0.1)
+    tried, other = Asker(), Asker()
+    plant.ask(9, tried, WRITE)
+    plant.ask(1, other)
+    await asyncio.sleep(3 * plant.delay)
+    assert tried.answers == [f"86{NO_ANSWER:02x}"]
+    assert other.answers == [answer_of(1, 6)]
+    assert plant.unit(9).given_up == 1

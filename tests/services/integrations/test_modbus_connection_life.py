@@ -6,15 +6,11 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import logging
-import os
-import threading
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from libmodbus_py import pdu
 from libmodbus_py.protocol.framing import Frame, make_framer
 from tests.support import peers as fake
 from tests.support.peers import FakeServer, FakeUnit, dead
@@ -165,20 +161,6 @@ def test_a_late_answer_on_a_line_is_not_the_next_ones() -> None:
         run(go())
 
 
-def test_a_silent_device_keeps_the_link_whatever_often() -> None:
-    async def go() -> None:
-        async with Scripted(ignore).serving() as server:
-            connection = tcp(server, 0.02)
-            for _ in range(5):
-                with pytest.raises(theirs.ModbusTimeoutError):
-                    await read(connection)
-            assert connection.connected
-            assert server.connections == 1
-            await connection.close()
-
-    run(go())
-
-
 def test_one_request_at_a_time_whoever_asks() -> None:
     async def go() -> None:
         open_now: list[bytes] = []
@@ -242,34 +224,6 @@ def test_connecting_that_nobody_waits_for_leaves_nothing(turns: int) -> None:
     run(go())
 
 
-def test_who_waits_for_a_quiet_line_when_it_is_lost_makes_no_link_of_his_own() -> None:
-    async def go() -> None:
-        writers: list[asyncio.StreamWriter] = []
-
-        async def silent(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            writers.append(writer)
-            await reader.read()
-            writer.close()
-
-        server = await asyncio.start_server(silent, "127.0.0.1", 0)
-        port = server.sockets[0].getsockname()[1]
-        params = theirs.ModbusSerialParams(device=f"socket://127.0.0.1:{port}")
-        connection = backend.ModbusConnection(params, timeout=SHORT)
-        with pytest.raises(theirs.ModbusTimeoutError):
-            await read(connection)
-        asking = asyncio.create_task(read(connection))  # once the line was quiet for as long
-        await asyncio.sleep(SHORT / 4)
-        writers[0].close()
-        with pytest.raises(theirs.ModbusConnectionError):
-            await asking
-        assert not connection.connected
-        assert len(writers) == 1
-        await connection.close()
-        server.close()
-
-    run(go())
-
-
 def test_closing_while_it_connects() -> None:
     async def go() -> None:
         params = theirs.ModbusTcpParams(host="127.0.0.1", port=port)
@@ -297,28 +251,6 @@ def test_closing_cuts_a_request_that_hangs() -> None:
                 await asking
 
     run(go())
-
-
-def test_many_reconnections_leave_nothing() -> None:
-    async def go() -> None:
-        async with Scripted(echo).serving() as server:
-            connection = tcp(server)
-            for number in range(300):
-                await read(connection)
-                if number % 3:
-                    await connection.disconnect()
-                else:
-                    server.drop_all()
-                    await until(lambda: not connection.connected)
-            assert connection.statistics.connects == 300
-            assert not connection._later
-            await connection.close()
-
-    gc.collect()
-    before = len(os.listdir("/proc/self/fd")), threading.active_count()
-    run(go())
-    gc.collect()
-    assert (len(os.listdir("/proc/self/fd")), threading.active_count()) <= before
 
 
 def test_another_event_loop_is_refused_in_their_words() -> None:
@@ -396,29 +328,5 @@ def test_a_unit_that_needs_longer_gets_a_new_link() -> None:
             await unit.disconnect()
             assert not unit.connected
             await connection.close()
-
-    run(go())
-
-
-def test_no_time_at_all_is_the_shortest(caplog: pytest.LogCaptureFixture) -> None:
-    async def go() -> None:
-        async with Scripted(ignore).serving() as server:
-            connection = tcp(server, 0)
-            with pytest.raises(theirs.ModbusError):
-                await read(connection)
-            await connection.close()
-
-    with caplog.at_level(logging.WARNING):
-        run(go())
-    assert not caplog.records
-
-
-def test_the_wire_carries_what_was_asked() -> None:
-    async def go() -> None:
-        async with Scripted(echo).serving() as server:
-            connection = tcp(server)
-            await read(connection, 0x6B)
-            await connection.close()
-            assert server.requests[0][7:] == pdu.ReadHoldingRegisters(0x6B, 1).encode()
 
     run(go())

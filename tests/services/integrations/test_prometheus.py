@@ -316,17 +316,6 @@ def test_clients_that_come_and_go_leave_nothing_though_nobody_scrapes(
     stays.close()
 
 
-def test_a_closed_server_stays_as_long_as_somebody_has_it(registry: CollectorRegistry) -> None:
-    with served() as (server, url), Context.from_url(url) as plc:
-        collect(server, registry=registry)
-        plc.read_coils(0, 1)
-    assert of(values(registry), "modbus_server_requests_total") == 1
-    assert of(values(registry), "modbus_server_connections") == 0
-    del server
-    gc.collect()
-    assert not values(registry)
-
-
 def test_what_is_neither_client_nor_server_is_refused(registry: CollectorRegistry) -> None:
     server = Server(DEVICE)
     for wrong in (DEVICE, None, "tcp://127.0.0.1"):
@@ -346,56 +335,6 @@ def test_a_registry_has_one_collector_and_knows_its_names(registry: CollectorReg
 
 
 # --- while others work -----------------------------------------------------------------------
-
-
-def test_scrapes_during_load_are_right_and_never_go_back(registry: CollectorRegistry) -> None:
-    """Two threads ask for changing functions, two scrape."""
-    found: list[list[float]] = []
-    errors: list[BaseException] = []
-    done = threading.Event()
-
-    def scrape() -> None:
-        seen = []
-        try:
-            while not done.is_set():
-                now = values(registry)
-                seen.append(of(now, "modbus_client_requests_sent_total", endpoint=url))
-                counts = histogram(now, url)
-                assert counts == sorted(counts)
-        except BaseException as error:
-            errors.append(error)
-        found.append(seen)
-
-    def ask() -> None:
-        with Context.from_url(url) as client:
-            collect(client, registry=registry)
-            clients.append(client)
-            for turn in range(200):
-                client.read_coils(0, 1)
-                client.write_register(turn % 100, turn)
-                if turn % 100 == 0:
-                    with contextlib.suppress(IllegalDataAddress):
-                        client.read_input_registers(0, 1)
-
-    clients: list[Context] = []
-    with served() as (server, url), Context.from_url(url) as plc:
-        collect(server, plc, registry=registry)
-        threads = [threading.Thread(target=each) for each in (scrape, scrape, ask, ask)]
-        for thread in threads:
-            thread.start()
-        for thread in threads[2:]:
-            thread.join()
-        done.set()
-        for thread in threads[:2]:
-            thread.join()
-        now = values(registry)
-    assert not errors
-    assert all(seen == sorted(seen) and seen for seen in found)
-    name = "modbus_client_requests_total"
-    assert of(now, name, endpoint=url, function="1", result="ok") == 400
-    assert of(now, name, endpoint=url, function="6", result="ok") == 400
-    assert of(now, name, endpoint=url, function="4", result="exception") == 4
-    assert of(now, "modbus_server_requests_total") == 804
 
 
 def test_a_scrape_may_meet_results_that_are_new(registry: CollectorRegistry) -> None:
@@ -424,28 +363,6 @@ def test_a_scrape_may_meet_results_that_are_new(registry: CollectorRegistry) -> 
     plc.close()
 
 
-def test_requests_know_nothing_of_collectors(registry: CollectorRegistry) -> None:
-    """All that a client has is as it was before; and no file below imports this one."""
-    with served() as (server, url), Context.from_url(url) as plc:
-        seen = [list(map(id, gc.get_referents(each))) for each in (plc, server, plc.statistics)]
-        collect(server, plc, registry=registry)
-        again = [list(map(id, gc.get_referents(each))) for each in (plc, server, plc.statistics)]
-        assert again == seen
-    program = "import sys, libmodbus_py; print([n for n in sys.modules if 'prometheus' in n])"
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert run.stdout == "[]\n"
-
-
-def test_without_prometheus_client_the_extra_is_named() -> None:
-    program = (
-        "import sys; sys.modules['prometheus_client'] = None\n"
-        "import libmodbus_py.services.integrations.prometheus"
-    )
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    last = run.stderr.splitlines()[-1]
-    assert last == (f"ImportError: the exporter needs prometheus_client: {how_to_add('metrics')}")
-
-
 # --- over HTTP ------------------------------------------------------------------------------
 
 
@@ -466,38 +383,6 @@ def test_metrics_are_exposed_while_the_block_runs(registry: CollectorRegistry, h
     until(lambda: threading.active_count() <= threads)  # a timer that was cancelled ends soon
     with pytest.raises(OSError, match="refused"):
         urllib.request.urlopen(url, timeout=5)
-
-
-@pytest.fixture
-def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Who asks for metrics has less time for it."""
-    monkeypatch.setattr(prometheus, "LIMIT_S", 0.5)
-
-
-@pytest.mark.usefixtures("impatient")
-def test_whoever_asks_slowly_does_not_keep_others_for_long(registry: CollectorRegistry) -> None:
-    """A byte now and then is not a reason to wait for the next one; nor is it when all ends."""
-    server = Server(DEVICE)
-    collect(server, registry=registry)
-    done = threading.Event()
-
-    def trickle(peer: socket.socket) -> None:
-        with contextlib.suppress(OSError):
-            while not done.wait(0.05):
-                peer.sendall(b"x")
-
-    with contextlib.ExitStack() as stack:
-        with exposing("127.0.0.1", 0, registry) as url:
-            port = int(url.split(":")[2].partition("/")[0])
-            for _ in range(2):
-                peer = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
-                thread = threading.Thread(target=trickle, args=(peer,))
-                thread.start()
-                stack.callback(thread.join)
-                stack.callback(done.set)
-            assert of(fetched(url), "modbus_server_connections") == 0
-            stack.enter_context(socket.create_connection(("127.0.0.1", port))).sendall(b"GET")
-        assert not done.is_set()
 
 
 def test_those_who_stall_keep_nobody_waiting(
@@ -559,16 +444,6 @@ def test_serve_says_when_the_port_of_metrics_is_taken(capsys: pytest.CaptureFixt
     assert told.err == wanted
 
 
-def test_serve_says_what_an_address_of_metrics_is(capsys: pytest.CaptureFixture[str]) -> None:
-    for wrong in ("9400", "127.0.0.1", ":9400", "127.0.0.1:x", "::1:9400", "a/b:1"):
-        with pytest.raises(SystemExit) as ended:
-            main([*ARGUMENTS, "--metrics", wrong])
-        told = capsys.readouterr().err
-        assert ended.value.code == 2, wrong
-        assert f"must be HOST:PORT, such as 127.0.0.1:9400, not {wrong!r}" in told
-        assert told.count("\n") == 1, wrong
-
-
 def test_serve_says_which_extra_is_missing() -> None:
     program = (
         "import sys; sys.modules['prometheus_client'] = None\n"
@@ -613,18 +488,3 @@ def test_a_gateway_tells_of_its_lines_and_units() -> None:
     client = (("endpoint", line), ("server", "hall"))
     assert found["modbus_client_connects_total", client] == 1
     assert found["modbus_server_accepted_total", (("server", "hall"),)] == 1
-
-
-def test_a_gateway_tells_a_browser() -> None:
-    command = [sys.executable, "-m", "libmodbus_py", "gateway", "tcp://127.0.0.1:0"]
-    command += ["--to", "tcp://127.0.0.1:9", "--metrics", "127.0.0.1:0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        address = process.stdout.readline().removeprefix("metrics on ").strip()
-        process.stdout.readline()
-        try:
-            with urllib.request.urlopen(address, timeout=20) as answer:
-                assert "modbus_gateway_requests_total 0.0" in answer.read().decode()
-        finally:
-            process.send_signal(signal.SIGTERM)
-            assert process.wait(20) == 0
