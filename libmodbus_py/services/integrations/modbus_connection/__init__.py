@@ -17,9 +17,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import ssl
-from collections.abc import Awaitable, Callable, Coroutine
-from typing import Literal, TypedDict, TypeVar, Unpack
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from dataclasses import replace
+from typing import Literal, TypeAlias, TypedDict, TypeVar, Unpack
+from urllib.parse import urlsplit
 
 from ....protocol.extras import how_to_add
 
@@ -34,10 +37,17 @@ except ImportError as error:
 from ....client.asynchronous import AsyncClient
 from ....client.reconnecting import State
 from ....client.statistics import Statistics
+from ....ports.endpoint import Endpoint, parse
+from ....ports.hosts import split_host_and_port
+from ....ports.schemes import Scheme
 from ....protocol.checks import integer, seconds
-from ....protocol.errors import ModbusConnectionError, ModbusError
+from ....protocol.errors import (
+    ExceptionResponse,
+    ModbusConnectionError,
+    ModbusError,
+    ModbusTimeoutError,
+)
 from ....security.security import GivenContext
-from .converting import SUPPORTED_FRAMINGS, Params, converted, not_connected, url_of
 from .units import ConnectionUnit
 
 # fmt: off
@@ -48,6 +58,29 @@ __all__ = [
 # fmt: on
 
 Result = TypeVar("Result")
+
+Params: TypeAlias = (
+    theirs.ModbusTcpParams
+    | theirs.ModbusUdpParams
+    | theirs.ModbusTlsParams
+    | theirs.ModbusSerialParams
+)
+
+# asyncio and clients raise RuntimeError if another event loop uses them.
+Cause: TypeAlias = ModbusError | theirs.ModbusError | RuntimeError
+
+SCHEMES: dict[type, tuple[str, dict[str, Scheme]]] = {
+    theirs.ModbusTcpParams: ("tcp", {"socket": "tcp", "rtu": "rtu+tcp", "ascii": "ascii+tcp"}),
+    theirs.ModbusUdpParams: ("udp", {"socket": "udp", "rtu": "rtu+udp"}),
+    theirs.ModbusTlsParams: ("tls", {"socket": "tls"}),
+    theirs.ModbusSerialParams: ("serial", {"rtu": "rtu", "ascii": "ascii"}),
+}
+"""Class of parameters -> the transport, and framing -> scheme."""
+
+SUPPORTED_FRAMINGS: Mapping[str, tuple[str, ...]] = {
+    transport: tuple(schemes) for transport, schemes in SCHEMES.values()
+}
+"""Transport ("tcp", "udp", "tls", "serial") -> the framings that this backend supports on it."""
 
 # The times of `AsyncClient`; units may require any, even 0.
 SHORTEST_S, LONGEST_S = 0.001, 86_400.0
@@ -130,22 +163,19 @@ class ModbusConnection(theirs.ModbusConnection):
             await self.connect()
             async with self._pacer.paced(unit):
                 await self.connect()  # again, if the connection was lost meanwhile
-                return await self._ask(ask)
+                try:
+                    return await ask()
+                except ModbusError as error:
+                    if error.answers_another and self._client is not None:
+                        # Before another request is sent over this connection.
+                        client, self._client = self._client, None
+                        with contextlib.suppress(theirs.ModbusConnectionError):
+                            await self._close_client(client)
+                    raise
         except (ModbusError, theirs.ModbusError, RuntimeError) as error:
             made = converted(error, operation)
             self.last_error = str(made)
             raise made from error
-
-    async def _ask(self, ask: Callable[[], Awaitable[Result]]) -> Result:
-        try:
-            return await ask()
-        except ModbusError as error:
-            if error.answers_another and self._client is not None:
-                # Before another request is sent over this connection.
-                client, self._client = self._client, None
-                with contextlib.suppress(theirs.ModbusConnectionError):
-                    await self._close_client(client)
-            raise
 
     def handle(self, unit: int) -> AsyncClient:
         """Return a handle of the current client for a unit, or raise ModbusConnectionError."""
@@ -208,6 +238,94 @@ class ModbusConnection(theirs.ModbusConnection):
         task = asyncio.get_running_loop().create_task(closing)
         self._later.add(task)
         task.add_done_callback(self._later.discard)
+
+
+# --- parameters to URLs, errors to those of modbus-connection -------------------------------------
+
+
+def url_of(params: Params) -> str:
+    """Return the URL that parameters describe; refuse a host or device that it would not name."""
+    found = next((SCHEMES[kind] for kind in SCHEMES if isinstance(params, kind)), None)
+    if found is None:
+        wanted = ", ".join(kind.__name__ for kind in SCHEMES)
+        raise TypeError(f"params must be one of {wanted}, not {type(params).__name__}")
+    transport, schemes = found
+    framer = getattr(params, "framer", "socket")
+    if framer not in schemes:
+        raise ValueError(
+            f"framer must be one of {', '.join(schemes)} over {transport.upper()}, not {framer!r}; "
+            "modbus_connection.pymodbus.ModbusConnection may support it"
+        )
+    if isinstance(params, theirs.ModbusSerialParams):
+        name, given, endpoint = "device", params.device, _of_serial(params)
+    else:
+        endpoint = Endpoint(schemes[framer], host=params.host, port=params.port)
+        name, given = "host", params.host
+    with contextlib.suppress(ValueError):
+        parsed = parse(endpoint.url)
+        # URLs contain hosts in lower case.
+        if parsed == replace(endpoint, host=endpoint.host.lower()):
+            return parsed.url
+    raise ValueError(
+        f"{name} {given!r} is invalid: in a URL, {endpoint.url!r}, it would name another endpoint"
+    )
+
+
+def _of_serial(params: theirs.ModbusSerialParams) -> Endpoint:
+    device, framer = params.device, params.framer
+    if device.startswith("/"):
+        options = {
+            "baudrate": params.baudrate,
+            "data_bits": params.bytesize,
+            "parity": params.parity,
+            "stop_bits": params.stopbits,
+        }
+        return Endpoint(framer, path=device, options=options)
+    host, port = "", None
+    if device.startswith("socket://"):
+        with contextlib.suppress(ValueError):
+            host, port = split_host_and_port(urlsplit(device).netloc)
+    if not port:
+        raise ValueError(f"device must be a path or socket://HOST:PORT, not {device!r}")
+    return Endpoint("rtu+tcp" if framer == "rtu" else "ascii+tcp", host=host, port=port)
+
+
+KINDS: tuple[tuple[type[BaseException], type[theirs.ModbusError]], ...] = (
+    (ModbusTimeoutError, theirs.ModbusTimeoutError),
+    (ModbusConnectionError, theirs.ModbusConnectionError),
+    (ModbusError, theirs.ModbusProtocolError),
+    (RuntimeError, theirs.ModbusConnectionError),
+)
+
+
+def converted(error: Cause, operation: str) -> theirs.ModbusError:
+    """Return the error of modbus-connection for an operation; the message names the operation."""
+    text = f"{operation}: {_reason(error)}"
+    if isinstance(error, theirs.ModbusError):  # perhaps one that several operations waited for
+        return type(error)(text)
+    if isinstance(error, ExceptionResponse):
+        return theirs.ModbusExceptionError.from_code(error.code, text)
+    if getattr(error, "answers_another", False):
+        return theirs.ModbusDesyncError(text)
+    return next(kind for ours, kind in KINDS if isinstance(error, ours))(text)
+
+
+def not_connected(error: ModbusConnectionError | RuntimeError) -> theirs.ModbusError:
+    """Return the error of modbus-connection for a connection that could not be established."""
+    is_late = getattr(error, "errno", None) == errno.ETIMEDOUT
+    kind = theirs.ModbusTimeoutError if is_late else theirs.ModbusConnectionError
+    return kind(_reason(error))
+
+
+def _reason(error: Cause) -> str:
+    """Return the message of an error without its request, because the operation names that."""
+    if isinstance(error, ModbusError):
+        place = "" if error.unit is None or not error.asked else f"unit {error.unit}: "
+        return f"{place}{error.args[0]}"
+    return str(error)
+
+
+# --- functions that connect -----------------------------------------------------------------------
 
 
 class Timings(TypedDict, total=False):

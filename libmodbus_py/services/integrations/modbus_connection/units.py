@@ -50,10 +50,7 @@ def same_as(method: Callable[..., Coroutine[Any, Any, Any]]) -> Operation[..., A
 
 
 class WholeServerId(ReportServerId):
-    """
-    A request for the server id. The identifier in its response ends before the first byte that can
-    be a run indicator; without one, it is the whole response.
-    """
+    """A request for the server id, whose identifier ends before the first possible indicator."""
 
     __slots__ = ()
 
