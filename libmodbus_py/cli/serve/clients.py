@@ -16,7 +16,7 @@ from ...server.limits import FULL_POLICIES, Limits
 from ..arguments import add_defaults, flag, given
 from ..help import make_rare
 
-__all__ = ["add_audit", "add_limits", "audited", "limits_of", "recording"]
+__all__ = ["add_audit", "add_limits", "audited", "limits_of"]
 
 # fmt: off
 NUMBERS: dict[str, tuple[Callable[[str], Any], str, str]] = {
@@ -43,8 +43,6 @@ NUMBERS: dict[str, tuple[Callable[[str], Any], str, str]] = {
 }
 """Field of `Limits` -> type, placeholder and text of the option."""
 # fmt: on
-
-NAMES = [*NUMBERS, "when_full", "allow"]
 
 
 def add_limits(command: argparse.ArgumentParser) -> Any:
@@ -75,13 +73,8 @@ def add_limits(command: argparse.ArgumentParser) -> Any:
 
 
 def limits_of(options: argparse.Namespace) -> Limits | None:
-    """
-    Return the limits that the options set, or None without any.
-
-    Raises:
-        ValueError: an option is wrong; as of `Limits`.
-    """
-    typed = given(options, NAMES)
+    """Return the limits that the options set, or None without any."""
+    typed = given(options, [*NUMBERS, "when_full", "allow"])
     if typed.get("idle_timeout") == math.inf:
         typed["idle_timeout"] = None
     return Limits(**typed) if typed else None
@@ -110,45 +103,27 @@ def audited(
     """
     Open the file of the audit trail while the block runs, if there is one.
 
-    Yields:
-        The audit trail, and functions to call on SIGHUP, which return what happened.
-
-    Raises:
-        ValueError: the file cannot be opened, or none is given and one is required.
+    Yields the audit trail, and what opens the file again on SIGHUP.
     """
-    if options.audit is None:
+    path = options.audit
+    if path is None:
         if options.audit_required:
             raise ValueError("--audit-required needs --audit")
         yield None, []
         return
     try:
-        file = AuditFile(options.audit)
+        file = AuditFile(path)
     except OSError as error:
-        raise ValueError(f"--audit: {options.audit}: {error.strerror}") from None
-    except ValueError as error:
-        raise ValueError(f"--audit: {error}") from None
-
+        raise ValueError(f"--audit: {path}: {error.strerror}") from None
     trail = Audit(file, required=options.audit_required)
 
     def reopen() -> str:
         try:
             file.reopen()
         except OSError as error:
-            return f"{options.audit}: {error.strerror}; the former file is still used"
+            return f"{path}: {error.strerror}; the former file is still used"
         trail.note_own("audit", "opened again")
-        return f"{options.audit}: opened again"
+        return f"{path}: opened again"
 
     with contextlib.closing(file):
         yield trail, [reopen]
-
-
-def recording(trail: Audit | None, tell: Callable[[str], object]) -> Callable[[str], object]:
-    """Return a function that passes on a line about files that were read again, and records it."""
-    if trail is None:
-        return tell
-
-    def tell_and_record(line: str) -> None:
-        tell(line)
-        trail.note_own("reload", line)
-
-    return tell_and_record

@@ -11,11 +11,10 @@ import math
 import signal
 import time
 from collections.abc import Callable, Coroutine, Sequence
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from ...protocol.logs import HarmlessLogger
-from ...server.running import Handler, signal_handlers
+from ...server.running import signal_handlers
 from ...services.engine.buckets import Bucket, open_bucket
 from ...services.engine.connection import (
     EngineError,
@@ -27,7 +26,6 @@ from ...services.engine.connection import (
 )
 from ...services.fleet.files import FleetFile
 from ...services.fleet.fleet import Fleet
-from ...services.fleet.journal.journal import Journal
 from ...services.fleet.journal.schema import JournalError
 from ...services.fleet.outputs.output import Output, OutputError
 from ...services.workers.polling import Polling
@@ -43,8 +41,6 @@ from .running import Hangup, notify_ready
 __all__ = ["add_arguments", "add_command", "poll"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
-
-ENGINE = "nats://HOST[,nats://HOST...]"
 
 EXAMPLES = """\
 examples:
@@ -105,7 +101,8 @@ def _add_engine(command: Any, *, required: bool) -> None:
         "--engine",
         metavar="URLS",
         required=required,
-        help=f"the NATS servers (with JetStream) through which workers share devices: {ENGINE}",
+        help="the NATS servers (with JetStream) through which workers share devices:"
+        " nats://HOST[,nats://HOST...]",
     )
 
 
@@ -117,14 +114,7 @@ def poll(
     show: Show | None,
     hangup: Hangup,
 ) -> int:
-    """
-    Poll as one worker of a fleet until a signal, or only write the file to the engine.
-
-    Args:
-        exposed: returns a context manager that serves the metrics of the fleet.
-        show: draws the status line until cancelled; None for no status line.
-        hangup: noted since the command started.
-    """
+    """Poll as one worker of a fleet until a signal, or only write the file to the engine."""
     servers = parse_servers(options.engine)
     settings = FleetSettings(**file.engine)
     connections = connections_of(file.devices, settings.lease)
@@ -132,10 +122,49 @@ def poll(
         in_key(zone)
     if options.push:
         return _waited_for(_push(servers, settings, connections))
-    worker = _Worker(
-        servers, settings, connections, options, outputs, file.made_journal(), exposed, show
-    )
-    return _waited_for(worker.run(hangup))
+
+    async def work() -> int:
+        hung_up = hangup.answered(lambda lines: logger.warning("%s", "; ".join(lines)), _of_push)
+        # From now on, though NATS may elect a leader for a while.
+        with signal_handlers({signal.SIGHUP: hung_up}):
+            hangup.release()
+            changed: list[Callable[[], None]] = []
+            client = await connected(
+                servers,
+                name=f"libmodbus-py {options.worker}".strip(),
+                on_change=lambda: changed[0]() if changed else None,
+            )
+            try:
+                bucket, current = await _opened(client, settings, connections)
+                polling = Polling(
+                    client,
+                    bucket,
+                    current,
+                    name=options.worker,
+                    zones=options.zone,
+                    outputs=outputs,
+                    journal=journal,
+                )
+                changed.append(polling.engine_changed)
+                await _run(polling, exposed, show)
+            finally:
+                await disconnect(client)
+        return 0
+
+    journal = file.made_journal()
+    return _waited_for(work())
+
+
+async def _run(polling: Polling, exposed: Exposed, show: Show | None) -> None:
+    screen = asyncio.create_task(show(polling.fleet)) if show else None
+    leaving = {signal.SIGINT: polling.leave, signal.SIGTERM: polling.leave}
+    try:
+        with signal_handlers(leaving), exposed(polling.fleet):
+            notify_ready()
+            await polling.run()
+    finally:
+        if screen is not None:
+            screen.cancel()
 
 
 def _waited_for(running: Coroutine[Any, Any, int]) -> int:
@@ -145,13 +174,17 @@ def _waited_for(running: Coroutine[Any, Any, int]) -> int:
         raise CommandError(str(error)) from None
 
 
+def _of_push() -> str:
+    return "the devices of the engine are polled, not those of the file; --push replaces them"
+
+
 # --- the bucket ----------------------------------------------------------------------------------
 
 
 async def _push(servers: list[str], settings: FleetSettings, connections: list[Connection]) -> int:
     client = await connected(servers, name="libmodbus-py push")
     try:
-        pushed = await _answered(lambda: _pushed(client, settings, connections), set(), ELECTION)
+        pushed = await _answered(lambda: _pushed(client, settings, connections), ELECTION)
     finally:
         await disconnect(client)
     print(
@@ -161,25 +194,22 @@ async def _push(servers: list[str], settings: FleetSettings, connections: list[C
     return 0
 
 
-async def _answered(
-    ask: Callable[[], Coroutine[Any, Any, T]], told: set[str], limit: float = math.inf
-) -> T:
+async def _answered(ask: Callable[[], Coroutine[Any, Any, T]], limit: float = math.inf) -> T:
     """
     Ask until the engine answers: while it elects a leader it does not.
 
-    Args:
-        told: the reasons that were logged. Reasons alternate; each is logged once.
-        limit: seconds after which the last reason is raised.
+    After `limit` seconds the last reason is raised.
     """
     give_up = time.monotonic() + limit
+    is_waiting = False
     while True:
         try:
             return await ask()
         except EngineGone as error:
             if time.monotonic() > give_up:
                 raise
-            if str(error) not in told:
-                told.add(str(error))
+            if not is_waiting:
+                is_waiting = True
                 logger.warning("waiting for the engine: %s", error)
         await asyncio.sleep(PAUSE)
 
@@ -188,24 +218,17 @@ async def _pushed(client: Any, settings: FleetSettings, connections: list[Connec
     return await push(await open_bucket(client, BUCKET, create=True), settings, connections)
 
 
-async def _is_there(client: Any) -> bool:
-    try:
-        await open_bucket(client, BUCKET)
-    except NothingThere:
-        return False
-    return True
-
-
 async def _opened(
     client: Any, settings: FleetSettings, connections: list[Connection]
 ) -> tuple[Bucket, FleetSettings]:
     """Return the bucket; if it does not exist, make it with the devices of the file."""
-    told: set[str] = set()
-    if not await _answered(lambda: _is_there(client), told):
-        await _answered(lambda: _pushed(client, settings, connections), told)
+    try:
+        bucket = await _answered(lambda: open_bucket(client, BUCKET))
+    except NothingThere:
+        await _answered(lambda: _pushed(client, settings, connections))
         logger.warning("the engine had no fleet; the devices of the file were written to it")
-    bucket = await _answered(lambda: open_bucket(client, BUCKET), told)
-    view = await _answered(lambda: seen_now(bucket), told)
+        bucket = await _answered(lambda: open_bucket(client, BUCKET))
+    view = await _answered(lambda: seen_now(bucket))
     if view.settings is None:
         why = view.unreadable.get("settings", "contains no fleet; write one with --push")
         raise EngineError(f"{bucket.name}: {why}")
@@ -214,81 +237,6 @@ async def _opened(
             "the fleet in the engine differs from the file and is polled; --push replaces it"
         )
     return bucket, view.settings
-
-
-# --- polling -------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Worker:
-    """One worker of a fleet; `exposed` and `show` as for `poll`."""
-
-    servers: list[str]
-    settings: FleetSettings
-    connections: list[Connection]
-    options: argparse.Namespace
-    outputs: Sequence[Output]
-    journal: Journal | None
-    exposed: Exposed
-    show: Show | None
-
-    async def run(self, hangup: Hangup) -> int:
-        hung_up = hangup.unless_closed(_log, _of_push)
-        # From now on, though NATS may elect a leader for a while.
-        with signal_handlers({signal.SIGHUP: hung_up}):
-            if hangup.came:
-                hung_up()
-            changed: list[Callable[[], None]] = []
-            client = await connected(
-                self.servers,
-                name=f"libmodbus-py {self.options.worker}".strip(),
-                on_change=lambda: changed[0]() if changed else None,
-            )
-            try:
-                bucket, current = await _opened(client, self.settings, self.connections)
-                polling = self._polling(client, bucket, current)
-                changed.append(polling.engine_changed)
-                await self._poll(polling, hung_up)
-            finally:
-                await disconnect(client)
-        return 0
-
-    def _polling(self, client: Any, bucket: Bucket, settings: FleetSettings) -> Polling:
-        return Polling(
-            client,
-            bucket,
-            settings,
-            name=self.options.worker,
-            zones=self.options.zone,
-            outputs=self.outputs,
-            journal=self.journal,
-        )
-
-    async def _poll(self, polling: Polling, hung_up: Handler) -> None:
-        screen = asyncio.create_task(self.show(polling.fleet)) if self.show else None
-        try:
-            with signal_handlers(_handlers(polling, hung_up)), self.exposed(polling.fleet):
-                notify_ready()
-                await polling.run()
-        finally:
-            if screen is not None:
-                screen.cancel()
-
-
-def _handlers(polling: Polling, hung_up: Handler) -> dict[signal.Signals, Handler]:
-    return {
-        signal.SIGINT: polling.leave,
-        signal.SIGTERM: polling.leave,
-        signal.SIGHUP: hung_up,
-    }
-
-
-def _of_push() -> str:
-    return "the devices of the engine are polled, not those of the file; --push replaces them"
-
-
-def _log(line: str) -> None:
-    logger.warning("%s", line)
 
 
 # --- status --------------------------------------------------------------------------------------

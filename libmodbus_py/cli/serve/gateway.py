@@ -7,15 +7,12 @@ from __future__ import annotations
 import argparse
 import contextlib
 import inspect
-import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ...client.asynchronous import IN_FLIGHT, MAX_PAUSE
 from ...ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
-from ...protocol.logs import HarmlessLogger
 from ...services.gateway import config
 from ...services.gateway.gateway import Gateway
 from ...services.gateway.routes import Route, parse_route
@@ -26,14 +23,12 @@ from ..foreign import place
 from ..help import VerbatimHelp
 from ..tracing import print_frame
 from . import clients, over_http
-from .running import Hangup, announcing, is_secure, noted
+from .running import starting
 
 if TYPE_CHECKING:
     from ...tools.page.table_source import Shown
 
 __all__ = ["add_command"]
-
-logger: HarmlessLogger = HarmlessLogger(__name__)
 
 OPTIONS = ("own_units", "queue", "longest_wait", "writes_first")
 """Arguments of `Gateway` that a gateway file contains too."""
@@ -82,8 +77,11 @@ def add_command(commands: Any) -> None:
     arguments.add_verbose(command)
     logs.add_arguments(command)
     _add_options(command)
-    group = command.add_argument_group("requests to the devices")
-    arguments.add_client_options(group, without=("unit", "native"), defaults=_of_clients)
+    arguments.add_client_options(
+        command.add_argument_group("requests to the devices"),
+        without=("unit", "native"),
+        defaults=lambda: {"max_in_flight": str(IN_FLIGHT), "max_pause": f"{MAX_PAUSE:g}"},
+    )
     clients.add_limits(command)
     clients.add_audit(command)
     arguments.add_serial_options(command)
@@ -117,65 +115,45 @@ def _defaults() -> dict[str, Any]:
     return {name: each.default for name, each in found.items()} | {"own_units": own_units}
 
 
-def _of_clients() -> dict[str, str]:
-    return {"max_in_flight": str(IN_FLIGHT), "max_pause": f"{MAX_PAUSE:g}"}
-
-
 def _gateway(options: argparse.Namespace) -> int:
-    with logs.logged(options), noted() as hangup:
-        return _gateway_logged(options, hangup)
-
-
-def _gateway_logged(options: argparse.Namespace, hangup: Hangup) -> int:
     if (options.config is None) == (options.to is None):
         raise ValueError("either --to or --config must say where the devices are")
-    file = None if options.config is None else config.load(options.config)
-    urls = options.urls or list(file.listen if file else ())
-    if file is not None and not urls:
-        raise ValueError(f"{options.config}: listen is missing, and no URL is given")
-    if file is not None and (typed := arguments.given(options, OF_DEVICES)):
-        name = arguments.flag(next(iter(typed)))
-        raise ValueError(f"{name} needs --to: {options.config} has its own options of requests")
-    if file is not None and options.units:
-        raise ValueError(f"--units needs --to: {options.config} has its own units")
-    routes = [parse_route(text, options.units) for text in options.to or ()]
-    urls, routes = _overridden(urls, routes, options)
-    hooks: dict[str, Any] = {"trace": print_frame if options.verbose else None}
-    if bounds := clients.limits_of(options):
-        hooks["limits"] = bounds
-
-    with clients.audited(options) as (trail, on_hangup):
-        hooks["audit"] = trail
-        typed = arguments.given(options, OPTIONS)
-        usual = file.options if file else {}
-        gateway = Gateway(file.routes if file else routes, **{**usual, **hooks, **typed})
+    if options.config is not None:
+        typed = [*arguments.given(options, OF_DEVICES), *["units"] * bool(options.units)]
+        if typed:
+            name = arguments.flag(typed[0])
+            raise ValueError(f"{name} needs --to: {options.config} has its own routes")
+    with starting(options) as command:
+        file = None if options.config is None else config.load(options.config)
+        urls = options.urls or list(file.listen if file else ())
+        if file is not None and not urls:
+            raise ValueError(f"{options.config}: listen is missing, and no URL is given")
+        routes = [parse_route(text, options.units) for text in options.to or ()]
+        urls, routes = _overridden(urls, routes, options)
+        limits = clients.limits_of(options)
+        gateway = Gateway(
+            file.routes if file else routes,
+            **{
+                **(file.options if file else {}),
+                **({"limits": limits} if limits else {}),
+                **arguments.given(options, OPTIONS),
+                "trace": print_frame if options.verbose else None,
+                "audit": command.trail,
+            },
+        )
         if file is not None:
-            on_hangup.insert(0, partial(_read_again, gateway, str(options.config), file))
-        has_files = on_hangup or is_secure([*urls, *(route.to for route in routes)])
-        tell = clients.recording(trail, logger.warning)
-        read_again = hangup.unless_closed(tell, *on_hangup) if has_files else None
-        announce = announcing(options.allow)
-        with over_http.exposed(gateway, options.metrics), _shown(gateway, options):
-            hangup.serve_forever(gateway, urls, announce, read_again)
-    return 0
+            command.files.insert(0, partial(_read_again, gateway, str(options.config), file))
 
-
-@contextlib.contextmanager
-def _shown(gateway: Gateway, options: argparse.Namespace) -> Iterator[None]:
-    """Show a gateway on a page while the block runs, if there is an address."""
-    with contextlib.ExitStack() as stack:
-
-        def make() -> Shown:
+        def make_shown() -> Shown:
             from ...services.gateway.shown_gateway import ShownGateway
 
-            shown = ShownGateway(options.config or ", ".join(options.urls), gateway)
-            stack.enter_context(gateway.tracing(shown.note))
-            return shown
+            made = ShownGateway(options.config or ", ".join(options.urls), gateway)
+            tracing.enter_context(gateway.tracing(made.note))
+            return made
 
-        stack.enter_context(
-            over_http.tables_shown(make, options.page, options.page_token, sys.stdout)
-        )
-        yield
+        with contextlib.ExitStack() as tracing:
+            command.serve(gateway, urls, make_shown)
+    return 0
 
 
 def _overridden(

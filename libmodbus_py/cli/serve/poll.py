@@ -11,7 +11,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -26,15 +26,15 @@ from ...services.fleet.statistics import LastValues
 from ...services.fleet.trial import Tried, overloads, trying
 from ...services.tasks import WriterThread
 from ...system import allow_all_descriptors
-from ...tools.files.texts import compared, reread
+from ...tools.files.texts import compared
 from .. import arguments, logs, tracing
 from ..failing import CommandError
 from ..help import VerbatimHelp
 from ..output import complain, counted, inform
-from ..screen import Redrawn, Status
+from ..screen import Redrawn
 from . import fleet as workers
 from . import over_http
-from .running import Hangup, noted, notify_ready
+from .running import Hangup, notify_ready
 
 if TYPE_CHECKING:
     from ...services.fleet.shown_fleet import PageOutput
@@ -101,14 +101,11 @@ def add_command(commands: Any) -> None:
 
 
 def _poll(options: argparse.Namespace) -> int:
-    with logs.logged(options), tracing.wire_printed(is_on=options.verbose):
-        return _poll_logged(options)
-
-
-def _poll_logged(options: argparse.Namespace) -> int:
     if options.push and options.engine is None:
         raise ValueError("--push needs --engine")
-    with noted() as hangup:
+    if options.once and options.engine is not None:
+        raise ValueError("--once cannot be used with --engine")
+    with logs.logged(options), tracing.wire_printed(is_on=options.verbose), Hangup() as hangup:
         try:
             file = load(options.file)
         except FleetFileError as error:
@@ -120,21 +117,29 @@ def _poll_logged(options: argparse.Namespace) -> int:
         allow_all_descriptors()
         if not options.check:
             return _start(options, file, hangup)
-        hangup.give_back()
+        hangup.release()
         return asyncio.run(_check(file.devices))
 
 
 def _start(options: argparse.Namespace, file: FleetFile, hangup: Hangup) -> int:
     for each in overloads(file.devices):
         logger.warning("%s", each)
-    values, shown, outputs = LastValues(), _page_output(options), _outputs(file, options)
-    is_printed = any(map(_prints, outputs))
-    has_screen = sys.stderr.isatty() and not (is_printed and sys.stdout.isatty())
-    outputs += _looks(options, values, shown)
-    seen, show = _seen(options, file, values, shown), _screen(options, values, has_screen)
+    outputs = _outputs(file, options)
+    is_printed = any(getattr(each, "path", None) == STANDARD_OUTPUT for each in outputs)
+    # Frames of --verbose would be printed into the table.
+    has_cursor = os.environ.get("TERM", "dumb") != "dumb" and not options.verbose
+    has_screen = has_cursor and sys.stderr.isatty() and not (is_printed and sys.stdout.isatty())
+    values = LastValues() if options.metrics or (has_screen and sys.stdout.isatty()) else None
+    outputs += [values] if values else []
+    page = None
+    if options.page:
+        from ...services.fleet.shown_fleet import PageOutput
+
+        page = PageOutput()
+        outputs.append(page)
+    seen = partial(_seen, options, file, values, page)
+    show = partial(_show, values if sys.stdout.isatty() else None) if has_screen else None
     if options.engine is not None:
-        if options.once:
-            raise ValueError("--once cannot be used with --engine")
         return workers.poll(options, file, outputs, seen, show, hangup)
     fleet = Fleet(file.devices, outputs=outputs, journal=file.made_journal())
     with seen(fleet):
@@ -151,77 +156,6 @@ def _start(options: argparse.Namespace, file: FleetFile, hangup: Hangup) -> int:
     return 1 if _is_anything_left(fleet) or fleet.statistics.failures else 0
 
 
-def _is_anything_left(fleet: Fleet) -> bool:
-    """Print which readings outputs did not take, and return True if there are any."""
-    statistics = fleet.statistics
-    lines = [
-        f"{name}: {counted(count, 'reading')} {fate}{_behind(each.trouble)}"
-        for name, each in statistics.outputs.items()
-        for count, fate in ((each.dropped, "lost"), (each.waiting, "wait in the journal"))
-        if count
-    ]
-    if statistics.journal is not None and statistics.journal.dropped:
-        lost = counted(statistics.journal.dropped, "reading")
-        lines.append(f"journal: {lost} lost{_behind(statistics.journal.trouble)}")
-    for line in lines:
-        complain(line)
-    return bool(lines)
-
-
-def _behind(trouble: str) -> str:
-    return f": {trouble}" if trouble else ""
-
-
-def _page_output(options: argparse.Namespace) -> PageOutput | None:
-    if options.page is None:
-        return None
-    from ...services.fleet.shown_fleet import PageOutput
-
-    return PageOutput()
-
-
-def _looks(
-    options: argparse.Namespace, values: LastValues, shown: PageOutput | None
-) -> list[Output]:
-    """Return the outputs of what looks at the fleet."""
-    is_kept = options.metrics or _has_table(options)
-    return [*([values] if is_kept else []), *([shown] if shown else [])]
-
-
-def _has_table(options: argparse.Namespace) -> bool:
-    """Return True if both streams are a terminal that can be drawn on again."""
-    is_dumb = os.environ.get("TERM", "dumb") == "dumb"
-    # Frames of --verbose would be printed into the table.
-    return sys.stdout.isatty() and sys.stderr.isatty() and not (is_dumb or options.verbose)
-
-
-def _seen(
-    options: argparse.Namespace, file: FleetFile, values: LastValues, shown: PageOutput | None
-) -> workers.Exposed:
-    """Return a function from a fleet to a context manager with its metrics and its page."""
-
-    @contextlib.contextmanager
-    def seen(fleet: Fleet) -> Iterator[None]:
-        def make() -> Shown:
-            from ...services.fleet.shown_fleet import ShownFleet
-
-            assert shown is not None
-            older = None
-            if "path" in file.journal:
-                from ...services.fleet.journal.journal_reader import past_in
-
-                older = past_in(file.journal["path"])
-            return ShownFleet(os.path.basename(options.file), fleet, shown, older)
-
-        with (
-            over_http.exposed(fleet, options.metrics, values, to=sys.stderr),
-            over_http.tables_shown(make, options.page, options.page_token, sys.stderr),
-        ):
-            yield
-
-    return seen
-
-
 def _outputs(file: FleetFile, options: argparse.Namespace) -> list[Output]:
     outputs = file.made_outputs()
     for kind in FILES:
@@ -232,8 +166,29 @@ def _outputs(file: FleetFile, options: argparse.Namespace) -> list[Output]:
     return outputs
 
 
-def _prints(output: Output) -> bool:
-    return getattr(output, "path", None) == STANDARD_OUTPUT
+@contextlib.contextmanager
+def _seen(
+    options: argparse.Namespace,
+    file: FleetFile,
+    values: LastValues | None,
+    page: PageOutput | None,
+    fleet: Fleet,
+) -> Iterator[None]:
+    """Serve the metrics and the page of a fleet while the block runs."""
+
+    def make() -> Shown:
+        from ...services.fleet.journal.journal_reader import past_in
+        from ...services.fleet.shown_fleet import ShownFleet
+
+        assert page is not None
+        older = past_in(file.journal["path"]) if "path" in file.journal else None
+        return ShownFleet(os.path.basename(options.file), fleet, page, older)
+
+    with (
+        over_http.exposed(fleet, options.metrics, values, to=sys.stderr),
+        over_http.tables_shown(make, options.page, options.page_token, sys.stderr),
+    ):
+        yield
 
 
 # --- polling ------------------------------------------------------------------------------------
@@ -246,27 +201,28 @@ async def _run(
     hangup: Hangup,
     show: workers.Show | None,
 ) -> None:
-    started = time.monotonic()
-    stopped = asyncio.Event()
+    started, stopped = time.monotonic(), asyncio.Event()
+    asked: asyncio.Queue[list[str]] = asyncio.Queue()
     polling = asyncio.create_task(fleet.run(once=options.once))
-    screen = asyncio.create_task(show(fleet)) if show else None
-    reloading = Reloading(fleet, options.file, file)
-    handlers = _handlers(stopped, hangup.unless_closed(reloading.tell, read_later=reloading.begin))
+    tasks = [polling, asyncio.create_task(_reload(fleet, options.file, file, asked))]
+    tasks += [asyncio.create_task(show(fleet))] if show else []
+    waiting = asyncio.create_task(stopped.wait())
+    handlers: dict[signal.Signals, Handler] = {
+        signal.SIGINT: stopped.set,
+        signal.SIGTERM: stopped.set,
+        signal.SIGHUP: hangup.answered(asked.put_nowait),
+    }
     with signal_handlers(handlers):
-        if hangup.came:
-            handlers[signal.SIGHUP]()
+        hangup.release()
         await asyncio.sleep(0)
         with frozen_garbage():
             notify_ready()
-            waiting = asyncio.create_task(stopped.wait())
             try:
                 await asyncio.wait([polling, waiting], return_when=asyncio.FIRST_COMPLETED)
             finally:
-                for task in (waiting, screen, polling):
-                    if task is not None:
-                        task.cancel()
-                await asyncio.wait([polling, *([screen] if screen else [])])
-                await reloading.end()
+                for task in (waiting, *tasks):
+                    task.cancel()
+                await asyncio.wait(tasks)
                 if stopped.is_set() or show:
                     for line in _summary(fleet, time.monotonic() - started):
                         inform(line, sys.stderr)
@@ -274,130 +230,57 @@ async def _run(
         polling.result()
 
 
-def _handlers(stopped: asyncio.Event, hung_up: Handler) -> dict[signal.Signals, Handler]:
-    return {
-        signal.SIGINT: stopped.set,
-        signal.SIGTERM: stopped.set,
-        signal.SIGHUP: hung_up,
-    }
-
-
-class Reloading:
+async def _reload(
+    fleet: Fleet, path: str, kept: FleetFile, asked: asyncio.Queue[list[str]]
+) -> None:
     """
-    Reads the fleet file again, in a thread, while the fleet polls.
+    Read the fleet file again, in a thread, each time it is asked for, and log what changed.
 
-    Args:
-        fleet: its devices are replaced.
-        path: of the file.
-        file: its contents when the fleet was made.
+    What is put in the queue is what the line says of other files.
     """
-
-    def __init__(self, fleet: Fleet, path: str, file: FleetFile) -> None:
-        self._fleet = fleet
-        self._path = path
-        self._kept = file.outputs, file.journal
-        self._thread = WriterThread(path)
-        self._is_wanted = False
-        self._of_others: Sequence[str] = ()
-        self._task: asyncio.Task[None] | None = None
-
-    def begin(self, of_others: Sequence[str]) -> None:
-        """
-        Read the file; once more afterwards, if it is being read now.
-
-        Args:
-            of_others: what the line about this reading says of other files.
-        """
-        try:
-            if not self._thread.is_running:
-                self._thread.start()
-        except OSError as error:
-            self.tell("; ".join([f"the former content is used: {error}", *of_others]))
-            return
-        self._is_wanted, self._of_others = True, of_others
-        if self._task is None or self._task.done():
-            self._task = asyncio.create_task(self._read())
-
-    def tell(self, line: str) -> None:
-        """Log a line about files that were read again."""
-        logger.warning("%s", line)
-
-    async def end(self) -> None:
-        """Change nothing any more; the thread ends with the program."""
-        if self._task is not None:
-            self._task.cancel()
-            await asyncio.wait([self._task])
-        if self._thread.is_running:
-            self._thread.stop()
-
-    async def _read(self) -> None:
-        while self._is_wanted:
-            self._is_wanted, of_others = False, self._of_others
-            loading = asyncio.create_task(self._thread.call(load, self._path))
-            try:
-                await asyncio.wait([loading])
-            finally:
-                loading.cancel()
-            self.tell("; ".join([reread(loading.result, self._use), *of_others]))
-
-    def _use(self, file: FleetFile) -> str:
-        before = {name: each.config for name, each in self._fleet.devices.items()}
-        self._fleet.replace(file.devices)
-        after = {each.name: each for each in file.devices}
-        line = compared(self._path, "device", before, after)
-        if (file.outputs, file.journal) != self._kept:
-            line += "; its outputs have changed, and are used after a restart"
-        return line
-
-
-def _screen(
-    options: argparse.Namespace, values: LastValues, has_screen: bool
-) -> workers.Show | None:
-    """Return what draws the state of a fleet again and again; None without a terminal."""
-    if not has_screen:
-        return None
-    return partial(_show_table, values) if _has_table(options) else _show_line
-
-
-async def _show_line(fleet: Fleet) -> None:
-    """Draw the status line again and again, until cancelled."""
-    status = Status()
+    thread = WriterThread(path)
+    thread.start()
     try:
-        async for text in _status_texts(fleet):
-            status.show(text)
+        while True:
+            of_others = await asked.get()
+            try:
+                file = await thread.call(load, path)
+                before = {name: each.config for name, each in fleet.devices.items()}
+                fleet.replace(file.devices)
+                line = compared(path, "device", before, {each.name: each for each in file.devices})
+                if (file.outputs, file.journal) != (kept.outputs, kept.journal):
+                    line += "; its outputs have changed, and are used after a restart"
+            except (TypeError, ValueError) as error:
+                line = f"the former content is used: {error}"
+            logger.warning("%s", "; ".join([line, *of_others]))
     finally:
-        status.clear()
+        thread.stop()
 
 
-async def _show_table(values: LastValues, fleet: Fleet) -> None:
-    """Draw the devices that are down and the values again and again, until cancelled."""
+# --- on a terminal ------------------------------------------------------------------------------
+
+
+async def _show(values: LastValues | None, fleet: Fleet) -> None:
+    """Draw the status, and a table of the values, again and again until cancelled."""
     from ...services.fleet.shown_fleet import fleet_lines
 
-    table = Redrawn(sys.stderr)
-    try:
-        with logs.called_before_lines(table.clear):
-            async for text in _status_texts(fleet):
-                table.draw(fleet_lines(fleet, values.statistics, text))
-    finally:
-        table.clear()
-
-
-async def _status_texts(fleet: Fleet) -> AsyncIterator[str]:
+    screen = Redrawn(sys.stderr)
     polls, at = 0, time.monotonic()
-    while True:
-        await asyncio.sleep(REDRAWN)
-        now, statistics = time.monotonic(), fleet.statistics
-        rate = (statistics.polls - polls) / (now - at)
-        polls, at = statistics.polls, now
-        yield (
-            f"{_state(fleet)}; {rate:.0f} polls a second,"
-            f" at most {statistics.take_worst() * 1000:.0f} ms late{_errors(fleet)}"
-        )
-
-
-def _state(fleet: Fleet) -> str:
-    statistics = fleet.statistics
-    return f"{statistics.devices} devices: {statistics.up} up, {statistics.down} down"
+    try:
+        with logs.called_before_lines(screen.clear):
+            while True:
+                await asyncio.sleep(REDRAWN)
+                now, statistics = time.monotonic(), fleet.statistics
+                text = (
+                    f"{statistics.devices} devices: {statistics.up} up, {statistics.down} down;"
+                    f" {(statistics.polls - polls) / (now - at):.0f} polls a second,"
+                    f" at most {statistics.take_worst() * 1000:.0f} ms late{_errors(fleet)}"
+                )
+                polls, at = statistics.polls, now
+                title = [(text, False)]
+                screen.draw(fleet_lines(fleet, values.statistics, text) if values else title)
+    finally:
+        screen.clear()
 
 
 def _errors(fleet: Fleet) -> str:
@@ -432,6 +315,27 @@ def _summary(fleet: Fleet, seconds: float) -> list[str]:
             f" {journal.bytes / 1e6:.1f} MB; {waiting} wait for an output{trouble}"
         )
     return lines
+
+
+def _is_anything_left(fleet: Fleet) -> bool:
+    """Print which readings outputs did not take, and return True if there are any."""
+    statistics = fleet.statistics
+    lines = [
+        f"{name}: {counted(count, 'reading')} {fate}{_behind(each.trouble)}"
+        for name, each in statistics.outputs.items()
+        for count, fate in ((each.dropped, "lost"), (each.waiting, "wait in the journal"))
+        if count
+    ]
+    if statistics.journal is not None and statistics.journal.dropped:
+        lost = counted(statistics.journal.dropped, "reading")
+        lines.append(f"journal: {lost} lost{_behind(statistics.journal.trouble)}")
+    for line in lines:
+        complain(line)
+    return bool(lines)
+
+
+def _behind(trouble: str) -> str:
+    return f": {trouble}" if trouble else ""
 
 
 # --- trying -------------------------------------------------------------------------------------

@@ -1,60 +1,121 @@
 """
-A command that serves, while it runs: where it listens and who can reach it, the message to systemd
-that it serves, and SIGHUP, which reads files and certificates again, or ends it when its terminal
-was closed.
+What surrounds a command that serves, from its start to the signal that ends it: the log, the audit
+trail, metrics, a page, the message to systemd that it serves, and SIGHUP.
+
+SIGHUP waits while a command starts. Then it is answered by one line, which says what became of
+files, certificates and passwords that were read again. When its terminal was closed, the command
+ends as on SIGTERM.
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import os
 import signal
 import socket
-import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Self
 
-from ...ports.endpoint import Endpoint, parse
+from ...ports.endpoint import parse
 from ...ports.hosts import is_loopback
+from ...protocol.logs import HarmlessLogger
 from ...security.renewed import reload_all
+from ...server.audit import Audit
 from ...server.serving import Running, Serving
+from .. import logs
 from ..output import complain, inform
+from .clients import audited
+from .over_http import exposed, shown
 
-__all__ = ["Hangup", "announcing", "is_secure", "noted", "notify_ready"]
+if TYPE_CHECKING:
+    from ...tools.faults.server import Server
+    from ...tools.page.table_source import Shown
 
+__all__ = ["Hangup", "ServingCommand", "announce", "notify_ready", "starting"]
 
-def announcing(allowed: list[str] | None) -> Callable[[Running], None]:
-    """
-    Return a function that prints where a server listens, and notifies systemd.
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
-    Args:
-        allowed: the networks that the server serves; None for all.
-    """
-
-    def announce(running: Running) -> None:
-        for url in running.urls:
-            inform(f"listening on {url}")
-        unguarded = [] if allowed else [url for url in running.urls if _is_open(parse(url))]
-        if unguarded:
-            complain(
-                f"anyone who can reach {', '.join(unguarded)} can read and write; --allow NETWORK,"
-                " or tls:// with certificates, restricts access",
-                "warning",
-            )
-        notify_ready()
-
-    return announce
+NOTHING = "there are no files, certificates or passwords to read again"
 
 
-def _is_open(endpoint: Endpoint) -> bool:
-    """Return True if other machines can reach an endpoint that asks for no certificate."""
-    return not (endpoint.has_path or endpoint.is_secure or is_loopback(endpoint.host))
+class ServingCommand:
+    """A command that serves at URLs; `files` are functions that read a file again on SIGHUP."""
+
+    def __init__(
+        self,
+        options: argparse.Namespace,
+        hangup: Hangup,
+        trail: Audit | None,
+        files: list[Callable[[], str]],
+    ) -> None:
+        self.trail = trail
+        self.files = files
+        self._options = options
+        self._hangup = hangup
+
+    def tell(self, line: str) -> None:
+        """Log a line about files that were read again, and record it in the audit trail."""
+        logger.warning("%s", line)
+        if self.trail is not None:
+            self.trail.note_own("reload", line)
+
+    def serve(
+        self,
+        server: Serving,
+        urls: Sequence[str],
+        make_shown: Callable[[], Server | Shown],
+        *,
+        begin: Callable[[], object] = lambda: None,
+        answer: Callable[[list[str]], object] | None = None,
+    ) -> None:
+        """
+        Serve until a signal; `begin` is called first, and `answer` on SIGHUP with what else was
+        read again.
+        """
+        options = self._options
+        answer = answer or (lambda lines: self.tell("; ".join(lines) or NOTHING))
+        page = shown(make_shown, options.page, options.page_token)
+        with exposed(server, options.metrics), page as print_page:
+
+            def listening(running: Running) -> None:
+                begin()
+                announce(running.urls, is_guarded=bool(options.allow))
+                print_page()
+                notify_ready()
+                self._hangup.release()
+
+            hung_up = self._hangup.answered(answer, *self.files)
+            server.serve_forever(*urls, on_listening=listening, on_hangup=hung_up)
+
+
+@contextlib.contextmanager
+def starting(options: argparse.Namespace) -> Iterator[ServingCommand]:
+    """Open the log and the audit trail of a command while the block runs."""
+    with logs.logged(options), Hangup() as hangup, audited(options) as (trail, files):
+        yield ServingCommand(options, hangup, trail, files)
+
+
+def announce(urls: Sequence[str], *, is_guarded: bool) -> None:
+    """Print where a server listens, and which endpoints are open to other machines."""
+    for url in urls:
+        inform(f"listening on {url}")
+    ends = {} if is_guarded else {url: parse(url) for url in urls}
+    unguarded = [
+        url
+        for url, end in ends.items()
+        if not (end.has_path or end.is_secure or is_loopback(end.host))
+    ]
+    if unguarded:
+        complain(
+            f"anyone who can reach {', '.join(unguarded)} can read and write; --allow NETWORK,"
+            " or tls:// with certificates, restricts access",
+            "warning",
+        )
 
 
 def notify_ready() -> None:
-    """
-    Notify the service manager that the command serves, with one datagram as sd_notify(3) describes;
-    do nothing without one.
-    """
+    """Notify the service manager, if there is one, that the command serves: sd_notify(3)."""
     place = os.environ.get("NOTIFY_SOCKET", "")
     if not place.startswith(("/", "@")):
         return
@@ -67,104 +128,34 @@ def notify_ready() -> None:
         sender.sendto(b"READY=1", address)
 
 
-def is_secure(urls: Iterable[str]) -> bool:
-    """Return True if one of these endpoints has certificates."""
-    return any(parse(url).is_secure for url in urls)
-
-
 class Hangup:
-    """
-    SIGHUP, from the start of a command on.
+    """SIGHUP, which waits while the ``with`` block starts a command, until `release`."""
 
-    An administrator sends it after a change of a file, and the system when a terminal is closed. In
-    the second case the program ends as on SIGTERM; not under nohup, or without a terminal.
+    def __enter__(self) -> Self:
+        is_ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN  # as under nohup
+        self._can_close = _has_terminal() and not is_ignored
+        self._before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
+        return self
 
-    Attributes:
-        came: True if the signal came while the command started.
-    """
+    def __exit__(self, *_: Any) -> None:
+        self.release()
 
-    def __init__(self) -> None:
-        self.came: bool = False
-        self._before = signal.getsignal(signal.SIGHUP)
-        self._can_close = _has_terminal() and self._before is not signal.SIG_IGN
-        is_main = threading.current_thread() is threading.main_thread()
-        self._is_noted = is_main and self._before not in (signal.SIG_IGN, None)
-        if self._is_noted:
-            signal.signal(signal.SIGHUP, self._note)
+    def release(self) -> None:
+        """Let the signal come; what waited comes now."""
+        signal.pthread_sigmask(signal.SIG_SETMASK, self._before)
 
-    def _note(self, number: int, frame: object) -> None:
-        self.came = True
-
-    def give_back(self) -> None:
-        """Let the signal have its earlier effect again."""
-        if self._is_noted:
-            self._is_noted = False
-            signal.signal(signal.SIGHUP, self._before)
-
-    def unless_closed(
-        self,
-        tell: Callable[[str], object],
-        *read_again: Callable[[], str],
-        read_later: Callable[[Sequence[str]], object] | None = None,
+    def answered(
+        self, answer: Callable[[list[str]], object], *files: Callable[[], str]
     ) -> Callable[[], None]:
-        """
-        Return a function for the signal, each of which is answered by one line.
-
-        Args:
-            tell: called with the line.
-            read_again: each reads a file again, before the certificates and passwords are read
-                again, and returns what the line says of it.
-            read_later: reads a file again without blocking, and is called with what the line says
-                of the others, in place of `tell`.
-        """
+        """Return a function for the signal, which reads files again and passes on the lines."""
 
         def hung_up() -> None:
             if self._can_close and not _has_terminal():
                 signal.raise_signal(signal.SIGTERM)
             else:
-                said = [*(each() for each in read_again), *reload_all()]
-                if read_later is not None:
-                    read_later(said)
-                elif said:
-                    tell("; ".join(said))
+                answer([*(each() for each in files), *reload_all()])
 
         return hung_up
-
-    def serve_forever(
-        self,
-        server: Serving,
-        urls: Sequence[str],
-        begin: Callable[[Running], object],
-        read_again: Callable[[], object] | None,
-    ) -> None:
-        """
-        Serve until a signal; one that came while the command started counts from then on.
-
-        Args:
-            begin: called once, when all endpoints are open.
-            read_again: for SIGHUP; None if it ends the program.
-        """
-        if read_again is None:
-            self.give_back()
-            if self.came:
-                signal.raise_signal(signal.SIGHUP)
-
-        def begun(running: Running) -> None:
-            begin(running)
-            if self.came and read_again is not None:
-                read_again()
-
-        server.serve_forever(*urls, on_listening=begun, on_hangup=read_again)
-
-
-@contextlib.contextmanager
-def noted() -> Iterator[Hangup]:
-    """Note SIGHUP while a command starts, instead of ending the program."""
-    hangup = Hangup()
-    try:
-        yield hangup
-    finally:
-        hangup.give_back()
 
 
 def _has_terminal() -> bool:

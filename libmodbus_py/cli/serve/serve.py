@@ -16,7 +16,6 @@ from ...device.device import Device
 from ...device.mapping import Mapping
 from ...protocol.logs import HarmlessLogger
 from ...protocol.pdu import RECORDS_PER_FILE
-from ...server.serving import Running
 from ...server.units import UNKNOWN_UNIT_POLICIES
 from ...tools.faults.server import Server
 from ...tools.simulator import device_file, example_files
@@ -27,7 +26,7 @@ from ..foreign import place
 from ..help import VerbatimHelp, make_rare
 from ..tracing import print_frame
 from . import clients, over_http
-from .running import Hangup, announcing, is_secure, noted
+from .running import starting
 
 __all__ = ["add_command"]
 
@@ -59,42 +58,6 @@ def add_command(commands: Any) -> None:
         nargs="*",
         help=f"where to listen, such as {EXAMPLE_URL}, the default for examples",
     )
-    _add_sources(command)
-    arguments.add_units(
-        command, "without --device and --example: units that exist, such as 1-10,17 (all)"
-    )
-    command.add_argument(
-        "--reload",
-        action="store_true",
-        help="read the device file again when the file, or a register map that it uses, changes;"
-        " connections stay open, and a mistake in the file changes nothing",
-    )
-    command.add_argument(
-        "--own-unit",
-        type=int,
-        metavar="N",
-        help="device that answers units 0 and 255 too, on TCP and UDP",
-    )
-    _add_state(command)
-    over_http.add_metrics(command)
-    over_http.add_page(command)
-    clients.add_limits(command).add_argument(
-        "--unknown-unit",
-        choices=UNKNOWN_UNIT_POLICIES,
-        default="refuse",
-        metavar="POLICY",
-        help="requests to units without a device, on TCP and UDP: refuse answers with an"
-        " exception, silent does not answer (refuse)",
-    )
-    clients.add_audit(command)
-    arguments.add_verbose(command)
-    logs.add_arguments(command)
-    arguments.add_serial_options(command)
-    arguments.add_security_options(command)
-    command.set_defaults(run=_serve)
-
-
-def _add_sources(command: argparse.ArgumentParser) -> None:
     source = command.add_mutually_exclusive_group()
     source.add_argument("--device", metavar="FILE", help="serve the devices of a device file")
     example = source.add_argument(
@@ -113,16 +76,48 @@ def _add_sources(command: argparse.ArgumentParser) -> None:
     make_rare(arguments.add_columns(command))
     arguments.completing(of_map, arguments.maps)
     arguments.completing(example, arguments.examples)
+    arguments.add_units(
+        command, "without --device and --example: units that exist, such as 1-10,17 (all)"
+    )
+    command.add_argument(
+        "--reload",
+        action="store_true",
+        help="read the device file again when the file, or a register map that it uses, changes;"
+        " connections stay open, and a mistake in the file changes nothing",
+    )
+    command.add_argument(
+        "--own-unit",
+        type=int,
+        metavar="N",
+        help="device that answers units 0 and 255 too, on TCP and UDP",
+    )
+    command.add_argument(
+        "--state",
+        metavar="FILE",
+        help="keep the values that clients write in this file, so that they survive a restart;"
+        " it is written at most once a second, and at the end",
+    )
+    over_http.add_metrics(command)
+    over_http.add_page(command)
+    clients.add_limits(command).add_argument(
+        "--unknown-unit",
+        choices=UNKNOWN_UNIT_POLICIES,
+        default="refuse",
+        metavar="POLICY",
+        help="requests to units without a device, on TCP and UDP: refuse answers with an"
+        " exception, silent does not answer (refuse)",
+    )
+    clients.add_audit(command)
+    arguments.add_verbose(command)
+    logs.add_arguments(command)
+    arguments.add_serial_options(command)
+    arguments.add_security_options(command)
+    command.set_defaults(run=_serve)
 
 
 def _serve(options: argparse.Namespace) -> int:
     if options.example == "":
         return _list_examples()
-    with logs.logged(options), noted() as hangup:
-        return _serve_logged(options, hangup)
-
-
-def _serve_logged(options: argparse.Namespace, hangup: Hangup) -> int:
     path = options.device if options.example is None else example_files.path_of(options.example)
     urls = options.urls or ([EXAMPLE_URL] if options.example is not None else [])
     if not urls:
@@ -132,10 +127,10 @@ def _serve_logged(options: argparse.Namespace, hangup: Hangup) -> int:
         raise ValueError("--reload needs --device or --example")
     if options.units and path is not None:
         raise ValueError(f"--units cannot be given with {path}, which has its own units")
-    simulation = _simulation(options, path)
-    units = {} if simulation else {unit: _everything() for unit in options.units or ()}
-    devices, faults = simulation or (units or _everything(), None)
-    with clients.audited(options) as (trail, on_hangup):
+    with starting(options) as command:
+        simulation = _simulation(options, path)
+        units = {unit: _everything() for unit in options.units or ()}
+        devices, faults = simulation or (units or _everything(), None)
         server = Server(
             devices,
             faults,
@@ -143,27 +138,17 @@ def _serve_logged(options: argparse.Namespace, hangup: Hangup) -> int:
             options.unknown_unit,
             options.own_unit,
             trace=print_frame if options.verbose else None,
-            audit=trail,
+            audit=command.trail,
         )
-        announce = announcing(options.allow)
-        tell = clients.recording(trail, _tell)
-        reloader = None
-        if simulation is not None and path is not None:
-            is_watching = options.reload
-            reloader = Reloader(server, path, simulation, is_watching=is_watching, tell=tell)
-        with (
-            _kept(options.state, lambda: (reloader or server).devices),
-            over_http.exposed(server, options.metrics),
-            over_http.shown(server, options.page, announce, options.page_token) as announce_all,
-        ):
-            if reloader is None:
-                has_files = on_hangup or is_secure(urls)
-                read_again = hangup.unless_closed(tell, *on_hangup) if has_files else None
-                hangup.serve_forever(server, urls, announce_all, read_again)
-            else:
-                read_again = hangup.unless_closed(tell, *on_hangup, read_later=reloader.ask)
-                begin = partial(_begin, reloader, announce_all)
-                hangup.serve_forever(server, urls, begin, read_again)
+        serve = partial(command.serve, server, urls, lambda: server)
+        if simulation is None or path is None:
+            with _kept(options.state, lambda: server.devices):
+                serve()
+            return 0
+        is_watching = options.reload
+        reloader = Reloader(server, path, simulation, is_watching=is_watching, tell=command.tell)
+        with _kept(options.state, lambda: reloader.devices):
+            serve(begin=reloader.start, answer=reloader.ask)
     return 0
 
 
@@ -174,11 +159,6 @@ def _simulation(options: argparse.Namespace, path: str | None) -> device_file.Si
     if options.columns:
         raise ValueError("--column needs --map")
     return None if path is None else device_file.load(path)
-
-
-def _begin(reloader: Reloader, announce: Callable[[Running], object], running: Running) -> None:
-    reloader.start()
-    announce(running)
 
 
 def _list_examples() -> int:
@@ -195,42 +175,18 @@ def _everything() -> Device:
     return Device(everything, files=files)
 
 
-# --- the option --state --------------------------------------------------------------
-
-
-def _add_state(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--state",
-        metavar="FILE",
-        help="keep the values that clients write in this file, so that they survive a restart;"
-        " it is written at most once a second, and at the end",
-    )
-
-
 @contextlib.contextmanager
 def _kept(path: str | None, devices: Callable[[], Any]) -> Iterator[None]:
-    """
-    Load the values of devices from a file, and save them to it while the block runs.
-
-    Args:
-        devices: returns the devices that are served now.
-
-    Raises:
-        ValueError: the file is used by another program, or is not a file of these devices.
-    """
+    """Load the values of devices from the file of --state, and save them while the block runs."""
     if path is None:
         yield
         return
     from ...tools.simulator.values_file import ValuesFile
 
     try:
-        file = ValuesFile(path, devices, tell=_tell)
+        file = ValuesFile(path, devices, tell=lambda line: logger.warning("%s", line))
     except ValueError as error:
         raise ValueError(f"--state: {error}") from None
     with contextlib.closing(file):
         file.start()
         yield
-
-
-def _tell(line: str) -> None:
-    logger.warning("%s", line)

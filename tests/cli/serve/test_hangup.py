@@ -17,9 +17,8 @@ from pathlib import Path
 
 import pytest
 
-from fuzz.asked_devices import until
-
-__all__ = []
+from tests.support.commands import Started as Forked
+from tests.support.peers import until
 
 FILES = {
     "serve.toml": "[[unit]]\nid = 1\n[[unit.holding_registers]]\naddress = 0\nvalue = 1\n",
@@ -197,11 +196,10 @@ def test_a_terminal_that_closes_while_a_command_starts_ends_it(tmp_path: Path, n
 @pytest.mark.parametrize(
     "arguments", [["serve"], ["gateway", "--to", "tcp://127.0.0.1:1"]], ids=lambda each: each[0]
 )
-def test_without_a_file_it_ends_as_ever(arguments: list[str]) -> None:
-    """Where there is nothing to read again, the signal has the effect that the system gives it."""
-    command = [sys.executable, "-m", "libmodbus_py", *arguments, "tcp://127.0.0.1:0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
+def test_without_a_file_it_says_so_and_goes_on(arguments: list[str]) -> None:
+    with Forked(*arguments, "tcp://127.0.0.1:0") as process:
         assert "listening on" in process.stdout.readline()
         process.send_signal(signal.SIGHUP)
-        assert process.wait(20) == -signal.SIGHUP
+        assert process.stderr.readline().startswith("there are no files")
+        process.terminate()
+        assert process.wait() == 0

@@ -6,12 +6,10 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
 
 import pytest
 
-from libmodbus_py.cli.serve.running import announcing
+from libmodbus_py.cli.serve.running import announce
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.cli.serving import serving
 from tests.support.cases import each_case
@@ -73,36 +71,11 @@ def test_serve_says_in_one_line_that_anybody_may_write(arguments: list[str], nam
     assert ("anyone" in said) == ("--allow" in said) == (named > 0)
 
 
-# --- one address to listen on -----------------------------------------------------
-
-
-COMMANDS = [
-    ("serve", "tcp://127.0.0.1:0"),
-    ("gateway", "tcp://127.0.0.1:0", "--route", "1=tcp://127.0.0.1:1"),
-    ("poll", "fleet.toml"),
-]
-
-
-@each_case(
-    ("option", "command"),
-    [(option, command) for option in ("--metrics", "--page") for command in COMMANDS],
-)
-def test_a_second_address_is_refused(option: str, command: tuple[str, ...]) -> None:
-    given = [option, "127.0.0.1:9400", option, "127.0.0.1:9401"]
-    found = run(*command, *given)
-    assert found.code == 2
-    last = found.err.splitlines()[-1]
-    assert option in last
-    assert "may be given once" in last
-    assert "Traceback" not in found.err
-
-
 # --- what it says when it listens -------------------------------------------------
 
 
 def test_localhost_is_open_to_nobody_else(capsys: pytest.CaptureFixture[str]) -> None:
-    running = SimpleNamespace(urls=["udp://localhost:502", "tcp://plc.example:502"])
-    announcing(None)(cast(Any, running))
+    announce(["udp://localhost:502", "tcp://plc.example:502"], is_guarded=False)
     warning = capsys.readouterr().err
     assert "tcp://plc.example:502 can read and write" in warning
     assert "localhost" not in warning
