@@ -9,12 +9,13 @@ import logging
 import reprlib
 import signal
 import sys
+from collections.abc import Iterable
 from typing import Any
 
 from ...ports.schemes import SERIAL_OPTIONS
 from ...protocol.errors import ExceptionResponse, in_hex
 from ...protocol.plain import clock_text, plain, time_text
-from ...tools.listener.listener import Listener, listen
+from ...tools.listener.listener import listen
 from ...tools.listener.transaction import Transaction
 from .. import arguments
 from ..connecting import with_options
@@ -24,10 +25,10 @@ from ..output import print_json, styled
 
 __all__ = ["add_command"]
 
-STYLES = {"answered": "", "broadcast": "", "late": "33", "exception": "33"}
-"""Kind of a transaction -> style of the answer: none or yellow; other kinds are red."""
+RED, YELLOW = "31", "33"
 
-REPEATED = "33"
+STYLES = {"answered": "", "broadcast": "", "late": YELLOW, "exception": YELLOW}
+"""Kind of a transaction -> style of the answer; that of other kinds is red."""
 
 _shown = reprlib.Repr()
 _shown.maxlist = _shown.maxtuple = _shown.maxdict = 16
@@ -81,12 +82,18 @@ def add_command(commands: Any) -> None:
 
 def _listen(options: argparse.Namespace) -> int:
     logging.basicConfig(format="%(message)s", level=logging.WARNING)  # to stderr
-    write = _print_json if options.json else _print_line
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with listen(_place(options), between=options.between, capture=options.capture) as line:
-            write = _of_units(options.units, write)
-            _write_all(line, write, is_live=not options.url.endswith(".pcapng"))
+            try:
+                if not options.url.endswith(".pcapng"):
+                    # Within the try: the reader of this line may interrupt at once.
+                    print(f"listening on {line.url}", file=sys.stderr, flush=True)
+                _print_all(line, options)
+            except KeyboardInterrupt:
+                if sys.stdout.isatty():
+                    print()  # after the ^C
+                _print_all(line.rest(), options)
             if options.json:
                 print_json({"summary": line.summary.as_dict()})
             else:
@@ -96,43 +103,25 @@ def _listen(options: argparse.Namespace) -> int:
         signal.signal(signal.SIGTERM, before)
 
 
-def _of_units(units: list[int] | None, write: Any) -> Any:
-    """Return a function that prints a transaction of these units; of none, all."""
-    if units is None:
-        return write
-    return lambda transaction: write(transaction) if transaction.unit in units else None
-
-
 def _place(options: argparse.Namespace) -> str:
     """Return the URL or the path of a capture; the path of a device is a URL without a scheme."""
     typed: str = options.url
-    if "://" not in typed and typed.endswith(".pcapng"):
-        if settings := arguments.given(options, SERIAL_OPTIONS):
-            name = arguments.flag(next(iter(settings)))
-            raise ValueError(f"{name} applies to serial ports only, not to {typed}")
-        return typed
-    return with_options([typed], options, SERIAL_OPTIONS)[0].url
+    if "://" in typed or not typed.endswith(".pcapng"):
+        return with_options([typed], options, SERIAL_OPTIONS)[0].url
+    if settings := arguments.given(options, SERIAL_OPTIONS):
+        name = arguments.flag(next(iter(settings)))
+        raise ValueError(f"{name} applies to serial ports only, not to {typed}")
+    return typed
 
 
-def _write_all(line: Listener, write: Any, *, is_live: bool) -> None:
-    """Print all transactions, until the end of a capture or Ctrl-C."""
-    try:
-        if is_live:  # within the try: the reader of this line may interrupt at once
-            print(f"listening on {line.url}", file=sys.stderr, flush=True)
-        for transaction in line:
-            write(transaction)
-    except KeyboardInterrupt:
-        if sys.stdout.isatty():
-            print()  # after the ^C
-        for transaction in line.rest():
-            write(transaction)
-
-
-# --- a line for each -----------------------------------------------------------------------
-
-
-def _print_line(transaction: Transaction) -> None:
-    print(line_of(transaction), flush=True)
+def _print_all(transactions: Iterable[Transaction], options: argparse.Namespace) -> None:
+    for transaction in transactions:
+        if options.units is not None and transaction.unit not in options.units:
+            continue
+        if options.json:
+            print_json(_plain(transaction))
+        else:
+            print(line_of(transaction), flush=True)
 
 
 def line_of(transaction: Transaction) -> str:
@@ -140,31 +129,22 @@ def line_of(transaction: Transaction) -> str:
     clock = clock_text(transaction.time, with_milliseconds=True)
     where = "-" if transaction.unit is None else f"{transaction.unit}"
     took = "" if transaction.duration is None else f"{transaction.duration * 1000:.1f} ms"
-    again = f", repeat {transaction.repeats}" if transaction.repeats else ""
-    answer = f"{_answer(transaction)}{again}"
-    coloured = styled(answer, STYLES.get(transaction.kind, "31") or (again and REPEATED))
-    return f"{clock} {where:>3} {took:>9}  {_question(transaction)} -> {coloured}"
-
-
-def _question(transaction: Transaction) -> str:
+    question = "?" if transaction.function is None else f"function {transaction.function}?"
     if transaction.request is not None:
-        return str(transaction.request)
-    return "?" if transaction.function is None else f"function {transaction.function}?"
+        question = str(transaction.request)
+    answer, error = transaction.outcome(_shown.repr), transaction.error
+    if error is not None and not isinstance(error, ExceptionResponse):
+        answer = f"{answer}: {in_hex(error.received)}"
+    if transaction.repeats:
+        answer = f"{answer}, repeat {transaction.repeats}"
+    style = STYLES.get(transaction.kind, RED) or YELLOW * bool(transaction.repeats)
+    return f"{clock} {where:>3} {took:>9}  {question} -> {styled(answer, style)}"
 
 
-def _answer(transaction: Transaction) -> str:
-    text, error = transaction.outcome(_shown.repr), transaction.error
-    if error is None or isinstance(error, ExceptionResponse):
-        return text
-    return f"{text}: {in_hex(error.received)}"
-
-
-# --- JSON ----------------------------------------------------------------------------------
-
-
-def _print_json(transaction: Transaction) -> None:
+def _plain(transaction: Transaction) -> dict[str, Any]:
+    """Return a transaction as an object of JSON."""
     error = transaction.error
-    fields = {
+    return {
         "time": time_text(transaction.time),
         "kind": transaction.kind,
         "unit": transaction.unit,
@@ -177,4 +157,3 @@ def _print_json(transaction: Transaction) -> None:
         "duration": transaction.duration,
         "repeats": transaction.repeats,
     }
-    print_json(fields)

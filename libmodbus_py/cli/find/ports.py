@@ -46,23 +46,18 @@ def add_command(commands: Any) -> None:
 
 def _ports(options: argparse.Namespace) -> int:
     every = serial_devices()
-    found = [each for each in every if each.vendor] or every
-    shown = every if options.all else found
+    found = every if options.all else [each for each in every if each.vendor] or every
     if options.json:
-        for each in shown:
+        for each in found:
             print_json(asdict(each))
     elif options.csv:
-        _print_csv(shown)
+        from ...tools.files.csv_text import csv_rows
+
+        rows = [[getattr(each, name) for name in COLUMNS] for each in found]
+        print(csv_rows([[*COLUMNS], *rows]), end="")
     else:
-        _print_table(shown)
+        _print_table(found)
     return 0 if every else 1
-
-
-def _print_csv(found: list[SerialDevice]) -> None:
-    from ...tools.files.csv_text import csv_rows
-
-    rows = [[getattr(each, name) for name in COLUMNS] for each in found]
-    print(csv_rows([[*COLUMNS], *rows]), end="")
 
 
 def _print_table(found: list[SerialDevice]) -> None:

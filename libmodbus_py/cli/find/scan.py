@@ -9,17 +9,14 @@ import argparse
 import re
 import socket
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from ipaddress import ip_network
 from typing import Any
 
 from ...ports.hosts import host_and_port
-from ...ports.schemes import DEFAULT_PORT
-from ...ports.schemes import PARITIES as WORDS_OF_PARITY
+from ...ports.schemes import DEFAULT_PORT, SERIAL_OPTIONS
 from ...protocol.errors import ModbusConnectionError
-from ...protocol.pdu import DeviceIdentification
 from ...protocol.pdu.interface import OBJECT_NAMES
 from ...protocol.tables import joined
 from ...tools.scan.places import (
@@ -32,7 +29,7 @@ from ...tools.scan.places import (
     USUAL_UNITS,
 )
 from ...tools.scan.scan import Found, Progress, Scan, scan
-from ...tools.scan.search import MOST_REQUESTS, Extent, Search, Searching, search
+from ...tools.scan.search import MOST_REQUESTS, Extent, Searching, search
 from .. import arguments
 from ..connecting import endpoint_of
 from ..main import INTERRUPTED
@@ -47,6 +44,13 @@ MOST_IN_ALL = 10 * MOST_REQUESTS
 MOST_SHOWN = 60
 """Characters of an identification that are printed, at most."""
 
+MOST_HOSTS, MANY_HOSTS = 65_536, 1024
+"""Hosts of a range, at most; and those that are tried without a question."""
+
+AT_ONCE = 64
+"""Hosts that are tried at the same time."""
+
+RANGE = re.compile(r"(?:tcp://)?\[?([0-9A-Fa-f.:]+/[0-9]{1,3})\]?(?::([0-9]{1,5}))?")
 
 QUICK_BAUDRATES = tuple(dict.fromkeys(baudrate for baudrate, _ in USUAL))
 
@@ -99,14 +103,14 @@ def add_command(commands: Any) -> None:
     group.add_argument(
         *("-b", "--baudrate", "--baudrates"),
         dest="baudrates",
-        type=_baudrates,
+        type=_list_of("baudrate"),
         metavar="LIST",
         help=f"baud rates to try ({','.join(map(str, BAUDRATES))})",
     )
     parities = group.add_argument(
         *("-p", "--parity", "--parities"),
         dest="parities",
-        type=_parities,
+        type=_list_of("parity"),
         metavar="LIST",
         help=f"parities to try, such as none,even ({','.join(PARITIES)}); none is tried with 2"
         " stop bits, which finds devices with 1 stop bit too",
@@ -116,26 +120,112 @@ def add_command(commands: Any) -> None:
     command.set_defaults(run=_scan)
 
 
-# --- what is typed ---------------------------------------------------------------------
+def _list_of(name: str) -> Callable[[str], list[Any]]:
+    """Return a function that reads values of an option of serial ports, with commas between."""
+    option = SERIAL_OPTIONS[name]
+
+    def read(text: str) -> list[Any]:
+        try:
+            return [option.convert(part.strip()) for part in text.split(",")]
+        except ValueError:
+            wanted = f"must be {option.wanted}, or several with commas between"
+            raise argparse.ArgumentTypeError(f"{text!r} {wanted}") from None
+
+    return read
 
 
-def _baudrates(text: str) -> list[int]:
-    parts = text.split(",")
-    for part in parts:
-        if not re.fullmatch(r"\s*[0-9]{1,7}\s*", part, re.ASCII):
-            raise argparse.ArgumentTypeError(f"{part!r} must be bits per second, such as 9600")
-    return [int(part) for part in parts]
+def _scan(options: argparse.Namespace) -> int:
+    report = _Report(options.json)
+    hosts = host_range(options.url)
+    urls: Iterable[str] = [options.url]
+    if hosts is not None:
+        if not _may_go_on(len(hosts), is_confirmed=options.yes):
+            return 1
+        timeout = options.timeout or ON_NETWORKS
+        rounds = -(-len(hosts) // AT_ONCE)
+        report.hosts = len(hosts)
+        report.say(
+            f"{counted(report.hosts, 'host')}, {duration(rounds * timeout)} at most, and more for"
+            " each host that accepts a connection; Ctrl-C stops the scan"
+        )
+        options.quick = options.quick or options.units is None
+        urls = _listening(hosts, timeout)
+    stopped = True
+    try:
+        for url in urls:
+            _scan_place(options, report, url)
+        if options.deep:
+            _search(report)
+        stopped = False
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    finally:
+        report.end(stopped=stopped)
+    return 0 if report.found else 1
 
 
-def _parities(text: str) -> list[str]:
-    parts = [part.strip() for part in text.split(",")]
-    for part in parts:
-        if part.lower() not in WORDS_OF_PARITY:
-            raise argparse.ArgumentTypeError(f"{part!r} must be none, even or odd")
-    return [WORDS_OF_PARITY[part.lower()] for part in parts]
+def _scan_place(options: argparse.Namespace, report: _Report, url: str) -> None:
+    is_one = url == options.url
+    endpoint = endpoint_of(argparse.Namespace(**{**vars(options), "url": url}))
+    chosen = {name: getattr(options, name) for name in ("baudrates", "parities", "units")}
+    if options.quick:
+        usual: dict[str, Any] = {"units": [*USUAL_UNITS, *[255] * (not endpoint.is_serial)]}
+        if endpoint.is_serial:
+            usual |= {"baudrates": QUICK_BAUDRATES, "parities": QUICK_PARITIES}
+        chosen = {name: value or usual.get(name) for name, value in chosen.items()}
+    scanned = scan(endpoint.url, on_progress=report.progress, **chosen)
+    report.say(
+        _estimate(scanned, options.deep)
+        if is_one
+        else f"{url}: {counted(scanned.total, 'probe')}, {duration(scanned.longest)} at most"
+    )
+    try:
+        with scanned:
+            for found in scanned:
+                report.add(found, "" if is_one else f"{url}: ")
+    except ModbusConnectionError:
+        if is_one:
+            raise
+        report.notes.append(f"{url}: the connection was lost")
+    finally:
+        report.notes += scanned.notes
+        report.tried |= scanned.tried
 
 
-# --- the scan --------------------------------------------------------------------------
+def _estimate(scan: Scan, deep: bool) -> str:
+    more = f"; then up to {MOST_REQUESTS} requests to each unit found" if deep else ""
+    first = at = ""
+    if scan.longest_first < scan.longest:
+        first = f"; units {_units(FIRST_UNITS)} come first, and take {duration(scan.longest_first)}"
+    if scan.settings > 1:
+        at = f" at {scan.settings} settings"
+    return (
+        f"{counted(len(scan.units), 'unit')}{at}, {duration(scan.longest)} at most, and "
+        f"{duration(scan.longest_found)} more for each unit found{first}{more}; Ctrl-C stops the"
+        " scan"
+    )
+
+
+def _search(report: _Report) -> None:
+    left = MOST_IN_ALL
+    for found in report.found:
+        if left < MOST_REQUESTS:
+            report.notes.append(
+                f"unit {found.unit} and those after it were not searched, because {MOST_IN_ALL}"
+                " requests in all are the limit"
+            )
+            return
+        searched = search(found.url, on_progress=report.progress)
+        try:
+            with searched:
+                for _ in searched:
+                    pass
+        finally:
+            left -= searched.requests
+            report.deepen(found, searched.extents, searched.requests)
+
+
+# --- what was found --------------------------------------------------------------------
 
 
 class _Report:
@@ -143,11 +233,10 @@ class _Report:
 
     def __init__(self, as_json: bool) -> None:
         self.found: list[Found] = []
-        self.extents: dict[str, list[Extent]] = {}
         self.notes: list[str] = []
         self.tried: dict[str, list[int]] = {}
-        self.place: str = ""
         self.hosts: int = 0
+        self._extents: dict[str, list[Extent]] = {}
         self._as_json = as_json
         self._status = Status()
 
@@ -159,12 +248,12 @@ class _Report:
         self._status.clear()
         print(text, file=sys.stderr, flush=True)
 
-    def add(self, found: Found) -> None:
+    def add(self, found: Found, place: str) -> None:
         self.found.append(found)
-        self._print(f"{self.place}{_line(found)}")
+        self._print(f"{place}{_line(found)}")
 
     def deepen(self, found: Found, extents: list[Extent], requests: int) -> None:
-        self.extents[found.url] = extents
+        self._extents[found.url] = extents
         self._print(_toml(found, extents, requests))
 
     def end(self, *, stopped: bool) -> None:
@@ -172,7 +261,7 @@ class _Report:
         for note in self.notes:
             self.say(note)
         if self._as_json:
-            told = [_told(each, self.extents.get(each.url)) for each in self.found]
+            told = [_plain(each, self._extents.get(each.url)) for each in self.found]
             tried = {setting: _units(units) for setting, units in self.tried.items()}
             print_json({"found": told, "tried": tried, "notes": self.notes, "stopped": stopped})
         elif self.tried or self.hosts:
@@ -197,124 +286,11 @@ class _Report:
             print(text, flush=True)
 
 
-def _scan(options: argparse.Namespace) -> int:
-    report = _Report(options.json)
-    hosts = host_range(options.url)
-    if hosts is None:
-        return _ended(options, report, [options.url])
-    if not may_go_on(hosts, is_confirmed=options.yes):
-        return 1
-    timeout = options.timeout or ON_NETWORKS
-    rounds = -(-len(hosts.hosts) // AT_ONCE)
-    report.hosts = len(hosts.hosts)
-    report.say(
-        f"{counted(report.hosts, 'host')}, {duration(rounds * timeout)} at most, and more for"
-        " each host that accepts a connection; Ctrl-C stops the scan"
-    )
-    options.quick = options.quick or options.units is None
-    return _ended(options, report, hosts.listening(timeout))
-
-
-def _ended(options: argparse.Namespace, report: _Report, urls: Iterable[str]) -> int:
-    """Scan each place, and report; return the exit code."""
-    stopped, is_wrong = True, False
-    try:
-        for url in urls:
-            _scan_place(options, report, url)
-        if options.deep:
-            _search(report)
-        stopped = False
-    except KeyboardInterrupt:
-        return INTERRUPTED
-    except (TypeError, ValueError):  # wrong usage: nothing was tried
-        is_wrong = True
-        raise
-    finally:
-        if not is_wrong:
-            report.end(stopped=stopped)
-    return 0 if report.found else 1
-
-
-def _scan_place(options: argparse.Namespace, report: _Report, url: str) -> None:
-    is_one = url == options.url
-    options_of_place = argparse.Namespace(**{**vars(options), "url": url})
-    endpoint = endpoint_of(options_of_place)
-    scanned = scan(
-        endpoint.url, on_progress=report.progress, **_chosen(options, is_serial=endpoint.is_serial)
-    )
-    report.say(
-        _estimate(scanned, options.deep)
-        if is_one
-        else f"{url}: {counted(scanned.total, 'probe')}, {duration(scanned.longest)} at most"
-    )
-    report.place = "" if is_one else f"{url}: "
-    try:
-        with scanned:
-            for found in scanned:
-                report.add(found)
-    except ModbusConnectionError:
-        if is_one:
-            raise
-        report.notes.append(f"{url}: the connection was lost")
-    finally:
-        report.notes += scanned.notes
-        report.tried |= scanned.tried
-
-
-def _chosen(options: argparse.Namespace, *, is_serial: bool) -> dict[str, Any]:
-    """Return the arguments of the scan: as typed, usual ones if it is quick, or the defaults."""
-    chosen = {name: getattr(options, name) for name in ("baudrates", "parities", "units")}
-    if not options.quick:
-        return chosen
-    units = [*USUAL_UNITS, *[255] * (not is_serial)]
-    usual: dict[str, Any] = {"units": units}
-    if is_serial:
-        usual |= {"baudrates": QUICK_BAUDRATES, "parities": QUICK_PARITIES}
-    return {name: usual.get(name) if value is None else value for name, value in chosen.items()}
-
-
-def _search(report: _Report) -> None:
-    left = MOST_IN_ALL
-    for found in report.found:
-        if left < MOST_REQUESTS:
-            report.notes.append(
-                f"unit {found.unit} and those after it were not searched, because {MOST_IN_ALL}"
-                " requests in all are the limit"
-            )
-            return
-        searched: Search = search(found.url, on_progress=report.progress)
-        try:
-            with searched:
-                for _ in searched:
-                    pass
-        finally:
-            left -= searched.requests
-            report.deepen(found, searched.extents, searched.requests)
-
-
-def _estimate(scan: Scan, deep: bool) -> str:
-    more = f"; then up to {MOST_REQUESTS} requests to each unit found" if deep else ""
-    first = at = ""
-    if scan.longest_first < scan.longest:
-        first = f"; units {_units(FIRST_UNITS)} come first, and take {duration(scan.longest_first)}"
-    if scan.settings > 1:
-        at = f" at {scan.settings} settings"
-    return (
-        f"{counted(len(scan.units), 'unit')}{at}, {duration(scan.longest)} at most, and "
-        f"{duration(scan.longest_found)} more for each unit found{first}{more}; Ctrl-C stops the"
-        " scan"
-    )
-
-
-# --- what was found --------------------------------------------------------------------
-
-
 def _line(found: Found) -> str:
-    where = "" if found.baudrate is None else f" at {_setting(found)}"
     what = "" if found.exception is None else f", exception {found.exception}"
     late = ", late" * found.is_late
     who = "any unit" if found.is_any else f"unit {found.unit}"
-    parts = [f"{who}{where}: {found.took * 1000:.0f} ms{what}{late}"]
+    parts = [f"{who}{_at(found)}: {found.took * 1000:.0f} ms{what}{late}"]
     if found.identification is not None:
         objects = sorted(found.identification.objects.items())
         parts.append(", ".join(_safe(value) for _, value in objects if value))
@@ -323,8 +299,11 @@ def _line(found: Found) -> str:
     return "; ".join(part for part in parts if part)
 
 
-def _setting(found: Found) -> str:
-    return f"{found.baudrate} {_form(f'{found.data_bits}{found.parity}{found.stop_bits}')}"
+def _at(found: Found) -> str:
+    """Return the setting at which a unit was found, such as " at 9600 8E1"; "" on networks."""
+    if found.baudrate is None:
+        return ""
+    return f" at {found.baudrate} {_form(f'{found.data_bits}{found.parity}{found.stop_bits}')}"
 
 
 def _form(form: str) -> str:
@@ -358,8 +337,7 @@ def _safe(data: bytes) -> str:
 
 def _toml(found: Found, extents: list[Extent], requests: int) -> str:
     """Return the tables of a unit, as a device file describes them."""
-    where = "" if found.baudrate is None else f" at {_setting(found)}"
-    lines = [f"\n# unit {found.unit}{where}: {requests} requests"]
+    lines = [f"\n# unit {found.unit}{_at(found)}: {requests} requests"]
     lines += [f"# {extent.table}: {text}" for extent in extents if (text := missing(extent))]
     lines += ["[[unit]]"] + [f"id = {found.unit}"] * (not found.is_any)
     for extent in extents:
@@ -369,117 +347,84 @@ def _toml(found: Found, extents: list[Extent], requests: int) -> str:
     return "\n".join(lines)
 
 
-def _told(found: Found, extents: list[Extent] | None) -> dict[str, Any]:
-    settings = {name: getattr(found, name) for name in ("baudrate", "parity", "data_bits")}
-    told: dict[str, Any] = {"unit": found.unit, "url": found.url, **settings}
-    told |= {"stop_bits": found.stop_bits, "took": round(found.took, 4)}
-    told |= {"exception": found.exception, "is_late": found.is_late, "is_any": found.is_any}
+def _plain(found: Found, extents: list[Extent] | None) -> dict[str, Any]:
+    """Return a unit as an object of JSON."""
+    # fmt: off
+    names = (
+        "unit", "url", "baudrate", "parity", "data_bits", "stop_bits", "took", "exception",
+        "is_late", "is_any",
+    )
+    # fmt: on
+    told = {name: getattr(found, name) for name in names} | {"took": round(found.took, 4)}
     told["server_id"] = None if found.server_id is None else found.server_id.data.hex()
-    told["identification"] = _objects(found.identification)
+    told["identification"] = None
+    if found.identification is not None:
+        told["identification"] = {
+            OBJECT_NAMES.get(number, str(number)): value.decode("ascii", "backslashreplace")
+            for number, value in found.identification.objects.items()
+        }
     if extents is not None:
-        told["tables"] = {each.table: _extent(each) for each in extents}
+        told["tables"] = {
+            each.table: {
+                "ranges": [{"address": part.start, "count": len(part)} for part in each.ranges],
+                "unseen": each.unseen,
+                "ended": each.ended,
+                "most": each.most,
+                "requests": each.requests,
+            }
+            for each in extents
+        }
     return told
-
-
-def _objects(told: DeviceIdentification | None) -> dict[str, str] | None:
-    """Return the objects of an identification: name or number -> text."""
-    if told is None:
-        return None
-    return {
-        OBJECT_NAMES.get(number, str(number)): value.decode("ascii", "backslashreplace")
-        for number, value in told.objects.items()
-    }
-
-
-def _extent(extent: Extent) -> dict[str, Any]:
-    ranges = [{"address": each.start, "count": len(each)} for each in extent.ranges]
-    return {
-        "ranges": ranges,
-        "unseen": extent.unseen,
-        "ended": extent.ended,
-        "most": extent.most,
-        "requests": extent.requests,
-    }
 
 
 # --- ranges of hosts ---------------------------------------------------------------------------
 
-_MAX_HOSTS = 65_536
-"""Hosts of a range, at most."""
 
-_MANY_HOSTS = 1024
-"""Hosts that are tried without a question, at most."""
-
-AT_ONCE = 64
-"""Hosts that are tried at the same time."""
-
-_RANGE = re.compile(r"(?:tcp://)?\[?([0-9A-Fa-f.:]+/[0-9]{1,3})\]?(?::([0-9]{1,5}))?")
-
-
-@dataclass(frozen=True)
-class _HostRange:
-    """The hosts of a network, and the port that is tried on each."""
-
-    hosts: tuple[str, ...]
-    port: int
-
-    def listening(self, timeout: float) -> Iterator[str]:
-        """Yield the URL of each host that accepts a connection within a time, in their order."""
-        with ThreadPoolExecutor(AT_ONCE, "scan-host") as pool:
-            try:
-                tried = pool.map(lambda host: _accepts(host, self.port, timeout), self.hosts)
-                for host, is_there in zip(self.hosts, tried, strict=True):
-                    if is_there:
-                        yield f"tcp://{host_and_port(host, self.port)}"
-            finally:
-                pool.shutdown(wait=True, cancel_futures=True)
-
-
-def host_range(text: str) -> _HostRange | None:
-    """
-    Return the hosts of a range such as 192.0.2.0/24 or 192.0.2.0/24:1502; None for other text.
-
-    Raises:
-        ValueError: the range is wrong, or has too many hosts.
-    """
-    found = _RANGE.fullmatch(text)
-    if found is None or "/" not in found[1]:
+def host_range(text: str) -> list[tuple[str, int]] | None:
+    """Return host and port of each host of a range such as 192.0.2.0/24:1502; None for others."""
+    found = RANGE.fullmatch(text)
+    if found is None:
         return None
     try:
         network = ip_network(found[1], strict=False)
     except ValueError as error:
         raise ValueError(f"{text!r}: {error}") from None
-    if network.num_addresses > _MAX_HOSTS:
+    if network.num_addresses > MOST_HOSTS:
         raise ValueError(
-            f"{text!r} has {network.num_addresses} hosts, and a scan tries {_MAX_HOSTS} at most"
+            f"{text!r} has {network.num_addresses} hosts, and a scan tries {MOST_HOSTS} at most"
         )
     port = int(found[2] or DEFAULT_PORT)
     if not 1 <= port <= 65535:
         raise ValueError(f"{text!r}: the port must be in 1..65535")
-    return _HostRange(tuple(map(str, network.hosts())), port)
+    return [(str(host), port) for host in network.hosts()]
 
 
-def may_go_on(hosts: _HostRange, *, is_confirmed: bool) -> bool:
-    """
-    Return True if all these hosts may be tried; on a terminal, ask the user if there are many.
-
-    Raises:
-        ValueError: there are many hosts, and no terminal to ask at.
-    """
-    count = len(hosts.hosts)
-    if count <= _MANY_HOSTS or is_confirmed:
+def _may_go_on(count: int, *, is_confirmed: bool) -> bool:
+    """Return True if so many hosts may be tried; on a terminal, ask the user if there are many."""
+    if count <= MANY_HOSTS or is_confirmed:
         return True
     if not sys.stdin.isatty():
         raise ValueError(
-            f"{count} hosts are more than {_MANY_HOSTS}: --yes tries them without a question"
+            f"{count} hosts are more than {MANY_HOSTS}: --yes tries them without a question"
         )
     print(f"try {count} hosts? [y/N] ", end="", file=sys.stderr, flush=True)
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
-def _accepts(host: str, port: int, timeout: float) -> bool:
-    try:
-        socket.create_connection((host, port), timeout).close()
-    except OSError:
-        return False
-    return True
+def _listening(hosts: list[tuple[str, int]], timeout: float) -> Iterator[str]:
+    """Yield the URL of each host that accepts a connection within a time, in their order."""
+
+    def accepts(host: tuple[str, int]) -> bool:
+        try:
+            socket.create_connection(host, timeout).close()
+        except OSError:
+            return False
+        return True
+
+    with ThreadPoolExecutor(AT_ONCE, "scan-host") as pool:
+        try:
+            for host, is_there in zip(hosts, pool.map(accepts, hosts), strict=True):
+                if is_there:
+                    yield f"tcp://{host_and_port(*host)}"
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)

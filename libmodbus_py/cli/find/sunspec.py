@@ -6,12 +6,14 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
 from contextlib import closing
 from functools import partial
 from typing import Any
 
 from .. import arguments
+from ..ask.units import ask_units, client_of, fail, units_of
+from ..connecting import connected
+from ..output import complain, harmless, print_json
 
 __all__ = ["add_command"]
 
@@ -45,11 +47,10 @@ def add_command(commands: Any) -> None:
 
 
 def _sunspec(options: argparse.Namespace) -> int:
-    from ..ask.units import ask_units, client_of, fail, units_of
-    from ..connecting import connected
-
-    form = "json" if options.json else "csv" if options.csv else ""
-    print_rows, units = _FORMS[form], units_of(options)
+    units = units_of(options)
+    print_rows = _print_csv if options.csv else _print_table
+    if options.json:
+        print_rows = _print_json
     rows: list[dict[str, Any]] = []
     with closing(connected(options)) as context:
 
@@ -57,7 +58,7 @@ def _sunspec(options: argparse.Namespace) -> int:
             found = _asked(client_of(context, unit), options.base)
             if len(units) > 1:
                 found = [{"unit": unit, **row} for row in found]
-            if form == "csv":  # one table of all units
+            if options.csv:  # one table of all units
                 rows.extend(found)
             else:
                 print_rows(found)
@@ -70,39 +71,32 @@ def _sunspec(options: argparse.Namespace) -> int:
 
 
 def _asked(context: Any, base: int | None) -> list[dict[str, Any]]:
-    """Return a row for each point of a unit."""
+    """Return a row for each point of each model of a unit."""
     from ...tools.sunspec.discovery import BASES, discover
-    from ..failing import CommandError
-    from ..output import complain
 
-    try:
-        device = discover(context, bases=BASES if base is None else (base,))
-    except ImportError as error:
-        raise CommandError(str(error)) from None
+    device = discover(context, bases=BASES if base is None else (base,))
     for note in device.notes:
         complain(note)
-    return list(_rows(device, context.read_map(device.map, return_exceptions=True)))
-
-
-def _rows(device: Any, values: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield a row for each point of each model."""
+    values = context.read_map(device.map, return_exceptions=True)
+    rows = []
     for model in device:
         for name, point in model.map.items():
             value = values[f"{model.name}.{name}"]
-            reason = str(value) if isinstance(value, Exception) else ""
-            yield {
-                "model": model.id,
-                "address": point.address,
-                "name": f"{model.name}.{name}",
-                "value": None if reason else value,
-                "units": point.units,
-                "reason": reason,
-            }
+            is_missing = isinstance(value, Exception)
+            rows.append(
+                {
+                    "model": model.id,
+                    "address": point.address,
+                    "name": f"{model.name}.{name}",
+                    "value": None if is_missing else value,
+                    "units": point.units,
+                    "reason": str(value) if is_missing else "",
+                }
+            )
+    return rows
 
 
 def _print_json(rows: list[dict[str, Any]]) -> None:
-    from ..output import print_json
-
     for row in rows:
         print_json(row)
 
@@ -110,14 +104,11 @@ def _print_json(rows: list[dict[str, Any]]) -> None:
 def _print_csv(rows: list[dict[str, Any]]) -> None:
     from ...tools.files.csv_text import csv_rows
 
-    if rows:
-        cells = [[_text(each) for each in row.values()] for row in rows]
-        sys.stdout.write(csv_rows([list(rows[0]), *cells]))
+    cells = [[_text(each) for each in row.values()] for row in rows]
+    sys.stdout.write(csv_rows([list(rows[0]), *cells]))
 
 
 def _print_table(rows: list[dict[str, Any]]) -> None:
-    from ..output import harmless
-
     if rows and "unit" in rows[0]:
         print(f"unit {rows[0]['unit']}:")
     shown = [row for row in rows if row["value"] is not None]
@@ -134,7 +125,3 @@ def _text(value: Any) -> str:
     if isinstance(value, list):
         return " ".join(str(int(each)) for each in value)
     return "" if value is None else str(value)
-
-
-_FORMS = {"json": _print_json, "csv": _print_csv, "": _print_table}
-"""Option -> the function that prints rows."""

@@ -39,7 +39,7 @@ def port() -> Iterator[str]:
 def test_ranges(text: str, count: int, first: str, port: int) -> None:
     found = host_range(text)
     assert found is not None
-    assert (len(found.hosts), found.hosts[0], found.port) == (count, first, port)
+    assert (len(found), found[0]) == (count, (first, port))
 
 
 @each_case("text", ["192.0.2.1", "/dev/ttyUSB0", "tcp://192.0.2.1", "plc/24", "rtu:///dev/x", ""])
