@@ -11,7 +11,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from ..tools.certificates import Identity, load, make, write
 from .help import VerbatimHelp
 
 __all__ = ["add_command"]
@@ -88,6 +87,8 @@ def _make(options: argparse.Namespace) -> int:
 
 
 def _make_for_machines(directory: Path, machines: Iterable[str], days: int) -> int:
+    from ..tools.certificates import load, make, write
+
     for machine in machines:
         if "/" in machine or machine in (".", ".."):
             raise ValueError(f"MACHINE {machine!r} is neither an address nor a name")
@@ -106,41 +107,38 @@ def _make_for_machines(directory: Path, machines: Iterable[str], days: int) -> i
 
 
 def _make_for_trials(options: argparse.Namespace) -> int:
-    roles = _file_names(options.roles or ROLES)
+    from ..tools.certificates import make, write
+
     hosts = tuple(dict.fromkeys([*HOSTS, *options.hosts]))
     days = options.days
     authority = make("Modbus trial authority", is_authority=True, days=days)
-    made: dict[str, Identity] = {
-        "ca": authority,
-        "server": make("Modbus trial server", authority, hosts=hosts, days=days),
-        "no-role": make("Modbus trial client without a role", authority, days=days),
+    made = {
+        "ca": (authority, "the authority"),
+        "server": (
+            make("Modbus trial server", authority, hosts=hosts, days=days),
+            f"the server {', '.join(hosts)}",
+        ),
+        "no-role": (
+            make("Modbus trial client without a role", authority, days=days),
+            "a client without a role",
+        ),
     }
-    for file, role in roles.items():
-        made[file] = make(f"Modbus trial {role}", authority, role=role, days=days)
-    paths = write(options.directory, made)
-    says = {"ca": "the authority", "server": f"the server {', '.join(hosts)}"}
-    says |= {"no-role": "a client without a role"}
-    says |= {file: f"a client with the role {role}" for file, role in roles.items()}
-    for file, (certificate, key) in paths.items():
-        print(f"{certificate}, {key.name}: {says[file]}")
-    print("\nTo try them:")
-    print(f"  libmodbus-py serve {ENDPOINT} {_options(paths, 'server')}")
-    client = next(iter(roles))
-    print(f"  libmodbus-py read {ENDPOINT} holding 0 {_options(paths, client)}")
-    return 0
-
-
-def _file_names(roles: tuple[str, ...] | list[str]) -> dict[str, str]:
-    """File name -> role."""
-    named: dict[str, str] = {}
-    for role in roles:
+    for role in options.roles or ROLES:
         file = re.sub(r"\W+", "-", role.lower()).strip("-")
-        if not file or file in named or file in ("ca", "server", "no-role"):
+        if not file or file in made:
             raise ValueError(f"--role {role!r} gives no file name of its own, but {file!r}")
-        named[file] = role
-    return named
+        identity = make(f"Modbus trial {role}", authority, role=role, days=days)
+        made[file] = identity, f"a client with the role {role}"
+    paths = write(options.directory, {file: identity for file, (identity, _) in made.items()})
+    for file, (certificate, key) in paths.items():
+        print(f"{certificate}, {key.name}: {made[file][1]}")
 
+    def options_of(file: str) -> str:
+        files = zip(("cert", "key", "ca"), (*paths[file], paths["ca"][0]), strict=True)
+        return " ".join(f"--{option} {shlex.quote(str(path))}" for option, path in files)
 
-def _options(paths: dict[str, tuple[Path, Path]], name: str) -> str:
-    files = {"cert": paths[name][0], "key": paths[name][1], "ca": paths["ca"][0]}
-    return " ".join(f"--{option} {shlex.quote(str(file))}" for option, file in files.items())
+    client = [*made][3]  # the first role
+    print("\nTo try them:")
+    print(f"  libmodbus-py serve {ENDPOINT} {options_of('server')}")
+    print(f"  libmodbus-py read {ENDPOINT} holding 0 {options_of(client)}")
+    return 0

@@ -26,22 +26,10 @@ MOST_CONNECTIONS = 64
 
 class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
     """
-    A TCP server that closes each connection after a time, however slowly its client sends.
+    A TCP server that closes each connection after `limit` seconds, however slowly its client sends.
 
-    When there are `MOST_CONNECTIONS`, the oldest makes room for a new one.
-
-    Args:
-        host: a name or an address to listen on; of a name, all its addresses.
-        port: 0 for a free one.
-        handler: answers one connection, as in `socketserver`.
-        limit: seconds that a connection may take.
-
-    Attributes:
-        addresses, port: where it listens.
-        place: "http://HOST:PORT", with the port it got.
-
-    Raises:
-        OSError: the address cannot be used.
+    When there are `MOST_CONNECTIONS`, the oldest makes room for a new one. It listens on all
+    `addresses` of the host, at one `port`; `place` is "http://HOST:PORT".
     """
 
     def __init__(self, host: str, port: int, handler: Any, limit: float) -> None:
@@ -64,12 +52,7 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
 
     @contextlib.contextmanager
     def serving(self, name: str) -> Iterator[Self]:
-        """
-        Serve in a thread of this name while the ``with`` block runs, and close everything.
-
-        Raises:
-            OSError: there are too many threads.
-        """
+        """Serve in a thread of this name while the block runs, and close everything."""
         thread = threading.Thread(target=self.serve_forever, args=(SWEEP,), name=name, daemon=True)
         try:
             start_thread(thread)
@@ -79,7 +62,10 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
                 self.shutdown()
                 thread.join()
         finally:
-            self._cut_all()
+            with self._lock:
+                left = list(self._open)
+            for each in left:
+                _cut(each)
             self.server_close()
 
     def fileno(self) -> int:
@@ -112,8 +98,10 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
 
     def process_request(self, request: Any, client_address: Any) -> None:
         with self._lock:
-            if len(self._open) >= MOST_CONNECTIONS:
-                self._make_room()
+            limited = [each for each, until in self._open.items() if until]
+            if limited and len(self._open) >= MOST_CONNECTIONS:
+                self._open.pop(limited[0])
+                _cut(limited[0])  # its thread ends, and closes it
             self._open[request] = time.monotonic() + self._limit
         super().process_request(request, client_address)
 
@@ -131,19 +119,6 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
 
     def handle_error(self, request: object, client_address: object) -> None:
         """Ignore it: the client has gone, or has sent no request."""
-
-    def _make_room(self) -> None:
-        """Close the oldest connection that has a limit; its thread ends, and removes it."""
-        oldest = next((each for each, until in self._open.items() if until), None)
-        if oldest is not None:
-            self._open.pop(oldest)
-            _cut(oldest)
-
-    def _cut_all(self) -> None:
-        with self._lock:
-            left = list(self._open)
-        for each in left:
-            _cut(each)
 
 
 def _cut(request: socket.socket) -> None:

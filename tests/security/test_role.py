@@ -181,6 +181,6 @@ def test_without_cryptography_it_says_what_to_install(call: str) -> None:
 
 def test_cryptography_is_imported_late() -> None:
     program = "import libmodbus_py.cli.main, libmodbus_py.security.role, sys\n"
-    program += "import libmodbus_py.tools.certificates; print('cryptography' in sys.modules)"
+    program += "import libmodbus_py.cli.certificates; print('cryptography' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.stdout == "False\n"

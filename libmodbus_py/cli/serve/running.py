@@ -1,5 +1,5 @@
 """
-What surrounds a command that serves, from its start to the signal that ends it: the log, the audit
+The surroundings of a command that serves, until the signal that ends it: the log, the audit
 trail, metrics, a page, the message to systemd that it serves, and SIGHUP.
 
 SIGHUP waits while a command starts. Then it is answered by one line, which says what became of
@@ -32,14 +32,14 @@ if TYPE_CHECKING:
     from ...tools.faults.server import Server
     from ...tools.page.table_source import Shown
 
-__all__ = ["Hangup", "ServingCommand", "announce", "notify_ready", "starting"]
+__all__ = ["Hangup", "announce", "notify_ready", "starting"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 NOTHING = "there are no files, certificates or passwords to read again"
 
 
-class ServingCommand:
+class _ServingCommand:
     """A command that serves at URLs; `files` are functions that read a file again on SIGHUP."""
 
     def __init__(
@@ -90,10 +90,10 @@ class ServingCommand:
 
 
 @contextlib.contextmanager
-def starting(options: argparse.Namespace) -> Iterator[ServingCommand]:
+def starting(options: argparse.Namespace) -> Iterator[_ServingCommand]:
     """Open the log and the audit trail of a command while the block runs."""
     with logs.logged(options), Hangup() as hangup, audited(options) as (trail, files):
-        yield ServingCommand(options, hangup, trail, files)
+        yield _ServingCommand(options, hangup, trail, files)
 
 
 def announce(urls: Sequence[str], *, is_guarded: bool) -> None:

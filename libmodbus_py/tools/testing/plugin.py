@@ -84,13 +84,13 @@ def _told(server: RecordingServer) -> str:
         lines = [_line(each) for each in server.transactions]
     except Exception as error:
         lines = [f"cannot be shown: {error!r}"]
-    left_out = [f"... {len(lines) - SHOWN} earlier ones"] if len(lines) > SHOWN else []
-    return "\n".join([server.url, *left_out, *lines[-SHOWN:]] if lines else [f"{server.url} none"])
+    if not lines:
+        return f"{server.url} none"
+    left_out = [f"... {len(lines) - SHOWN} earlier ones"] * (len(lines) > SHOWN)
+    return "\n".join([server.url, *left_out, *lines[-SHOWN:]])
 
 
 def _line(transaction: Transaction) -> str:
-    text = str(transaction)
-    if len(text) > WIDTH:
-        text = f"{text[:WIDTH]}..."
-    duration = transaction.duration or 0.0
+    text, duration = str(transaction), transaction.duration or 0.0
+    text = f"{text[:WIDTH]}..." if len(text) > WIDTH else text
     return f"{text} after {duration:.3f} s" if duration >= LATE else text

@@ -12,7 +12,7 @@ from typing import Self, TypedDict, Unpack
 
 from ...device.device import Device
 from ...device.mapping import Mapping as Tables
-from ...ports.endpoint import Endpoint, parse
+from ...ports.endpoint import parse
 from ...ports.trace import Traced
 from ...protocol.tables import TABLE_SIZE
 from ...security.security import Security
@@ -23,33 +23,19 @@ from ..faults.server import Server
 from ..listener.pairing import TracePairing
 from ..listener.transaction import Transaction
 
-__all__ = ["MOST", "Exchanges", "RecordingServer", "ServerMaker"]
+__all__ = ["RecordingServer", "ServerMaker", "transactions_of"]
 
-# The most ADUs of one server that are kept: more than a test needs, and a limit for long runs.
 MOST = 20_000
+"""ADUs of one server that are kept: more than a test needs, and a limit for long runs."""
 
 
-class Exchanges:
-    """
-    The last `MOST` ADUs of one server. Safe from any thread.
-
-    They are paired only when `transactions` is called, so that this does not slow down the server.
-    """
-
-    def __init__(self) -> None:
-        self._traced: deque[Traced] = deque(maxlen=MOST)
-
-    def note(self, traced: Traced) -> None:
-        """Take an ADU of the trace of the server."""
-        self._traced.append(traced)
-
-    def transactions(self) -> list[Transaction]:
-        """Return all transactions, in the order in which they began."""
-        pairing = TracePairing(timeout=math.inf)
-        for traced in self._traced.copy():
-            pairing.take(traced)
-        pairing.end()
-        return sorted((each.transaction for each in pairing.done), key=lambda each: each.time)
+def transactions_of(passed: Iterable[Traced]) -> list[Transaction]:
+    """Return the transactions of ADUs of one server, in the order in which they began."""
+    pairing = TracePairing(timeout=math.inf)
+    for traced in passed:
+        pairing.take(traced)
+    pairing.end()
+    return sorted((each.transaction for each in pairing.done), key=lambda each: each.time)
 
 
 USUAL_URL = "tcp://127.0.0.1:0"
@@ -87,9 +73,12 @@ class RecordingServer:
         faults: Mapping[int | None, Iterable[Fault]] | None,
         **options: Unpack[ServerOptions],
     ) -> None:
-        self._exchanges = Exchanges()
-        server = Server(devices, faults, trace=self._exchanges.note, **options)
-        self.device: Device | None = _only(devices)
+        # Paired only when `transactions` is called, so that this does not slow down the server.
+        self._passed: deque[Traced] = deque(maxlen=MOST)
+        server = Server(devices, faults, trace=self._passed.append, **options)
+        self.device: Device | None = devices if isinstance(devices, Device) else None
+        if isinstance(devices, Mapping) and len(devices) == 1:
+            (self.device,) = devices.values()
         self.faults: FaultSwitch = server.fault_switch
         self.statistics: ServerStatistics = server.statistics
         self._stack = contextlib.ExitStack()
@@ -98,11 +87,11 @@ class RecordingServer:
 
     @property
     def host(self) -> str:
-        return self._endpoint.host
+        return parse(self.url).host
 
     @property
     def port(self) -> int:
-        return self._endpoint.port
+        return parse(self.url).port
 
     @property
     def mapping(self) -> Tables:
@@ -119,21 +108,11 @@ class RecordingServer:
     @property
     def transactions(self) -> list[Transaction]:
         """The last 10 000 or so transactions, in the order in which they began."""
-        return self._exchanges.transactions()
+        return transactions_of(self._passed.copy())
 
     def close(self) -> None:
         """Stop, and close all connections. May be called repeatedly. The transactions are kept."""
         self._stack.close()
-
-    @property
-    def _endpoint(self) -> Endpoint:
-        return parse(self.url)
-
-
-def _only(devices: Device | Mapping[int, Device]) -> Device | None:
-    if isinstance(devices, Device):
-        return devices
-    return next(iter(devices.values())) if len(devices) == 1 else None
 
 
 class ServerMaker:

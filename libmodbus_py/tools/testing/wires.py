@@ -13,7 +13,6 @@ import select
 import selectors
 import socket
 import threading
-from collections.abc import Callable
 from typing import Literal, NamedTuple, Self
 
 __all__ = ["SerialWire", "TcpWire", "open_line", "read_what_is_there", "write_all"]
@@ -78,7 +77,7 @@ class _Wire:
         self._thread.join()
         self._sleep.close()
         self._selector.close()
-        self._close()
+        self._close_ends()
 
     def clear(self) -> None:
         """Forget the recorded bytes."""
@@ -93,10 +92,7 @@ class _Wire:
         self._wake.send(b"u")
         self._unplugged.wait()
 
-    def _unplug(self) -> None:
-        raise NotImplementedError
-
-    def _close(self) -> None:
+    def _close_ends(self) -> None:
         raise NotImplementedError
 
     def _carry(self) -> None:
@@ -105,9 +101,12 @@ class _Wire:
                 if key.data is not None:
                     key.data()
                 elif self._sleep.recv(1):
-                    self._unplug()
+                    for each in [*self._selector.get_map().values()]:
+                        if each.data is not None:
+                            self._selector.unregister(each.fileobj)
+                    self._close_ends()
                     self._unplugged.set()
-                    break  # the other descriptors may be closed now
+                    break  # the other descriptors are closed now
                 else:
                     return
 
@@ -126,43 +125,24 @@ class SerialWire(_Wire):
 
     def __init__(self) -> None:
         super().__init__()
-        self._client = _RawPort()
-        self._server = _RawPort()
-        self.client: str = self._client.path
-        self.server: str = self._server.path
-        self._join(self._client, self._server, "client")
-        self._join(self._server, self._client, "server")
+        far_of_client, near_of_client, self.client = open_line()
+        far_of_server, near_of_server, self.server = open_line()
+        # The near ends stay open, so that users can reopen them.
+        self._open = [far_of_client, near_of_client, far_of_server, near_of_server]
+        self._join(far_of_client, far_of_server, "client")
+        self._join(far_of_server, far_of_client, "server")
 
-    def _unplug(self) -> None:
-        for port in (self._client, self._server):
-            with contextlib.suppress(KeyError):
-                self._selector.unregister(port.master)
-            port.close()
-
-    def _join(self, source: _RawPort, sink: _RawPort, sender: Literal["client", "server"]) -> None:
+    def _join(self, source: int, sink: int, sender: Literal["client", "server"]) -> None:
         def carry() -> None:
-            if data := read_what_is_there(source.master):
+            if data := read_what_is_there(source):
                 self.passed.append(WireBytes(sender, data))
-                write_all(sink.master, data)
+                write_all(sink, data)
 
-        self._selector.register(source.master, selectors.EVENT_READ, carry)
+        self._selector.register(source, selectors.EVENT_READ, carry)
 
-    def _close(self) -> None:
-        self._client.close()
-        self._server.close()
-
-
-class _RawPort:
-    """A raw pseudo-terminal, whose both ends are kept open, so that users can reopen it."""
-
-    def __init__(self) -> None:
-        self.master, self.slave, self.path = open_line()
-
-    def close(self) -> None:
-        for descriptor in (self.master, self.slave):
-            if descriptor >= 0:
-                os.close(descriptor)
-        self.master = self.slave = -1
+    def _close_ends(self) -> None:
+        while self._open:
+            os.close(self._open.pop())
 
 
 class TcpWire(_Wire):
@@ -183,28 +163,23 @@ class TcpWire(_Wire):
     def __init__(self, port: int) -> None:
         super().__init__()
         self._target = port
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.port: int = self._listener.getsockname()[1]
-        self._sockets: list[socket.socket] = [self._listener]
-        self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
+        listener = socket.create_server(("127.0.0.1", 0))
+        self.port: int = listener.getsockname()[1]
+        self._open = [listener]
+        self._selector.register(listener, selectors.EVENT_READ, self._accept)
 
     def _accept(self) -> None:
-        client, _ = self._listener.accept()
+        client, _ = self._open[0].accept()
         server = socket.create_connection(("127.0.0.1", self._target))
         for end in (client, server):
             end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._sockets += (client, server)
-        self._selector.register(client, selectors.EVENT_READ, self._carrier(client, server))
-        self._selector.register(
-            server, selectors.EVENT_READ, self._carrier(server, client, "server")
-        )
+        self._open += (client, server)
+        self._join(client, server, "client")
+        self._join(server, client, "server")
 
-    def _carrier(
-        self,
-        source: socket.socket,
-        sink: socket.socket,
-        sender: Literal["client", "server"] = "client",
-    ) -> Callable[[], None]:
+    def _join(
+        self, source: socket.socket, sink: socket.socket, sender: Literal["client", "server"]
+    ) -> None:
         def carry() -> None:
             try:
                 data = source.recv(4096)
@@ -218,14 +193,8 @@ class TcpWire(_Wire):
             with contextlib.suppress(OSError):
                 sink.shutdown(socket.SHUT_WR)
 
-        return carry
+        self._selector.register(source, selectors.EVENT_READ, carry)
 
-    def _unplug(self) -> None:
-        for each in self._sockets:
-            with contextlib.suppress(KeyError, ValueError):
-                self._selector.unregister(each)
-            each.close()
-
-    def _close(self) -> None:
-        for each in self._sockets:
+    def _close_ends(self) -> None:
+        for each in self._open:
             each.close()

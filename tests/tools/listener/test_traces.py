@@ -16,7 +16,7 @@ from libmodbus_py.ports.trace import Traced
 from libmodbus_py.tools.listener.pairing import MOST, MOST_CONNECTIONS, TIMEOUT, TracePairing
 from libmodbus_py.tools.page.log import Log
 from libmodbus_py.tools.page.units import ShownServer
-from libmodbus_py.tools.testing.recording import Exchanges
+from libmodbus_py.tools.testing.recording import transactions_of
 from tests.support.cases import each_case
 from tests.support.talk import rtu
 
@@ -194,10 +194,7 @@ def on_page(passed: list[Traced]) -> list[str]:
 
 
 def in_plugin(passed: list[Traced]) -> list[str]:
-    exchanges = Exchanges()
-    for each in passed:
-        exchanges.note(each)
-    return [told(each.unit, each.function, each.kind) for each in exchanges.transactions()]
+    return [told(each.unit, each.function, each.kind) for each in transactions_of(passed)]
 
 
 def by_listener(events: list[Event]) -> list[str]:

@@ -8,7 +8,8 @@ import pytest
 
 from libmodbus_py import FrameError, IllegalDataAddress, InvalidResponse
 from libmodbus_py.ports.trace import Traced
-from libmodbus_py.tools.testing.recording import MOST, Exchanges
+from libmodbus_py.tools.listener.transaction import Transaction
+from libmodbus_py.tools.testing.recording import transactions_of
 from tests.support.cases import each_case
 
 TCP = "tcp://127.0.0.1:502"
@@ -33,11 +34,12 @@ READ_TEXT = "ReadHoldingRegisters(address=107, count=3)"
 COIL_TEXT = "WriteCoil(address=172, value=True)"
 
 
-def noted(*passed: tuple[str, str], endpoint: str = TCP, peer: str = "127.0.0.1:5") -> Exchanges:
-    made = Exchanges()
-    for at, (direction, adu) in enumerate(passed):
-        made.note(traced(direction, adu, endpoint, peer, at))
-    return made
+def paired(
+    *passed: tuple[str, str], endpoint: str = TCP, peer: str = "127.0.0.1:5"
+) -> list[Transaction]:
+    return transactions_of(
+        traced(direction, adu, endpoint, peer, at) for at, (direction, adu) in enumerate(passed)
+    )
 
 
 def traced(direction: str, adu: str, endpoint: str, peer: str, at: int = 0) -> Traced:
@@ -106,46 +108,39 @@ LINES: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
 
 @each_case(("passed", "told"), CASES.values(), ids=CASES)
 def test_on_tcp(passed: list[tuple[str, str]], told: list[str]) -> None:
-    assert [str(each) for each in noted(*passed).transactions()] == told
+    assert [str(each) for each in paired(*passed)] == told
 
 
 @pytest.mark.parametrize(("passed", "told"), LINES.values(), ids=LINES)
 def test_on_serial_lines(passed: list[tuple[str, str]], told: list[str]) -> None:
-    made = noted(*passed, endpoint=LINE, peer="/dev/ttyUSB0")
-    assert [str(each) for each in made.transactions()] == told
+    made = paired(*passed, endpoint=LINE, peer="/dev/ttyUSB0")
+    assert [str(each) for each in made] == told
 
 
 def test_each_client_has_its_own_answers() -> None:
-    made = Exchanges()
     passed = [
         (ASKED, READ, "one"),
         (ASKED, READ, "other"),
         (ANSWERED, REFUSED, "other"),
         (ANSWERED, VALUES, "one"),
     ]
-    for at, (direction, adu, peer) in enumerate(passed):
-        made.note(traced(direction, adu, TCP, peer, at))
-    assert [each.kind for each in made.transactions()] == ["answered", "exception"]
+    made = transactions_of(
+        traced(direction, adu, TCP, peer, at) for at, (direction, adu, peer) in enumerate(passed)
+    )
+    assert [each.kind for each in made] == ["answered", "exception"]
 
 
 def test_a_transaction_says_when_and_what() -> None:
-    (made,) = noted((ASKED, READ), (ANSWERED, VALUES)).transactions()
+    (made,) = paired((ASKED, READ), (ANSWERED, VALUES))
     assert (made.time, made.duration, made.unit, made.function) == (0, 1.0, 17, 3)
     assert made.response == [555, 0, 100]
     errors = [
-        noted((ASKED, READ), (ANSWERED, adu)).transactions()[0].error
+        paired((ASKED, READ), (ANSWERED, adu))[0].error
         for adu in (REFUSED, OF_UNIT_18, VALUES[:14])
     ]
     assert list(map(type, errors)) == [IllegalDataAddress, InvalidResponse, FrameError]
 
 
 def test_an_answer_may_take_as_long_as_it_likes() -> None:
-    made = Exchanges()
-    made.note(traced(ASKED, READ, TCP, "one"))
-    made.note(traced(ANSWERED, VALUES, TCP, "one", 60))
-    assert [(each.kind, each.duration) for each in made.transactions()] == [("answered", 60.0)]
-
-
-def test_the_oldest_are_forgotten() -> None:
-    made = noted(*[(ASKED, READ), (ANSWERED, VALUES)] * (MOST // 2 + 10))
-    assert len(made.transactions()) == MOST // 2
+    late = [traced(ASKED, READ, TCP, "one"), traced(ANSWERED, VALUES, TCP, "one", 60)]
+    assert [(each.kind, each.duration) for each in transactions_of(late)] == [("answered", 60.0)]

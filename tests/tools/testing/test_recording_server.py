@@ -82,6 +82,16 @@ class TestServer:
             assert str(found[-1]) == f"unit 1: {READ_TEXT} -> [False]"
         assert modbus_server.statistics.accepted == 1
 
+    def test_the_oldest_are_forgotten(
+        self, make_modbus_server: ServerMaker, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("libmodbus_py.tools.testing.recording.MOST", 4)
+        server = make_modbus_server()
+        with TcpContext.from_url(server.url) as client:
+            for count in range(1, 6):
+                client.read_coils(0, count)
+        assert [each.response for each in server.transactions] == [[False] * 4, [False] * 5]
+
     def test_a_running_event_loop_does_not_mind(self, modbus_server: RecordingServer) -> None:
         async def ask() -> list[int]:
             async with AsyncClient(modbus_server.url) as client:
