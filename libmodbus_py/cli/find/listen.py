@@ -83,8 +83,11 @@ def add_command(commands: Any) -> None:
 def _listen(options: argparse.Namespace) -> int:
     logging.basicConfig(format="%(message)s", level=logging.WARNING)  # to stderr
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    place = options.url
+    if "://" in place or not place.endswith(".pcapng"):  # the path of a device is a URL, too
+        place = with_options([place], options, SERIAL_OPTIONS)[0].url
     try:
-        with listen(_place(options), between=options.between, capture=options.capture) as line:
+        with listen(place, between=options.between, capture=options.capture) as line:
             try:
                 if not options.url.endswith(".pcapng"):
                     # Within the try: the reader of this line may interrupt at once.
@@ -101,17 +104,6 @@ def _listen(options: argparse.Namespace) -> int:
             return 0 if line.capture_error is None else 1
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-def _place(options: argparse.Namespace) -> str:
-    """Return the URL or the path of a capture; the path of a device is a URL without a scheme."""
-    typed: str = options.url
-    if "://" in typed or not typed.endswith(".pcapng"):
-        return with_options([typed], options, SERIAL_OPTIONS)[0].url
-    if settings := arguments.given(options, SERIAL_OPTIONS):
-        name = arguments.flag(next(iter(settings)))
-        raise ValueError(f"{name} applies to serial ports only, not to {typed}")
-    return typed
 
 
 def _print_all(transactions: Iterable[Transaction], options: argparse.Namespace) -> None:

@@ -5,18 +5,16 @@ Options for what clients of a server may do, and for a record of it: limits and 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import fields
 from typing import Any
 
-from ...server.audit import Audit, AuditFile
 from ...server.limits import FULL_POLICIES, Limits
 from ..arguments import add_defaults, flag, given
 from ..help import make_rare
 
-__all__ = ["add_audit", "add_limits", "audited", "limits_of"]
+__all__ = ["add_audit", "add_limits", "limits_of"]
 
 # fmt: off
 NUMBERS: dict[str, tuple[Callable[[str], Any], str, str]] = {
@@ -94,36 +92,3 @@ def add_audit(command: argparse.ArgumentParser) -> None:
         action="store_true",
         help="refuse writes with exception 4 while the file cannot be written",
     )
-
-
-@contextlib.contextmanager
-def audited(
-    options: argparse.Namespace,
-) -> Iterator[tuple[Audit | None, list[Callable[[], str]]]]:
-    """
-    Open the file of the audit trail while the block runs, if there is one.
-
-    Yields the audit trail, and what opens the file again on SIGHUP.
-    """
-    path = options.audit
-    if path is None:
-        if options.audit_required:
-            raise ValueError("--audit-required needs --audit")
-        yield None, []
-        return
-    try:
-        file = AuditFile(path)
-    except OSError as error:
-        raise ValueError(f"--audit: {path}: {error.strerror}") from None
-    trail = Audit(file, required=options.audit_required)
-
-    def reopen() -> str:
-        try:
-            file.reopen()
-        except OSError as error:
-            return f"{path}: {error.strerror}; the former file is still used"
-        trail.note_own("audit", "opened again")
-        return f"{path}: opened again"
-
-    with contextlib.closing(file):
-        yield trail, [reopen]

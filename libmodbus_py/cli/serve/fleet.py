@@ -55,6 +55,9 @@ Show = Callable[[Fleet], Coroutine[Any, Any, None]]
 
 T = TypeVar("T")
 
+OF_PUSH = "the devices of the engine are polled, not those of the file; --push replaces them"
+"""A line that answers SIGHUP."""
+
 # Seconds between two attempts while the engine does not answer, and for all attempts of --push:
 # servers that have just started take up to 10 seconds to elect a leader.
 PAUSE = 0.5
@@ -124,7 +127,9 @@ def poll(
         return _waited_for(_push(servers, settings, connections))
 
     async def work() -> int:
-        hung_up = hangup.answered(lambda lines: logger.warning("%s", "; ".join(lines)), _of_push)
+        hung_up = hangup.answered(
+            lambda lines: logger.warning("%s", "; ".join([OF_PUSH, *lines])),
+        )
         # From now on, though NATS may elect a leader for a while.
         with signal_handlers({signal.SIGHUP: hung_up}):
             hangup.release()
@@ -146,7 +151,15 @@ def poll(
                     journal=journal,
                 )
                 changed.append(polling.engine_changed)
-                await _run(polling, exposed, show)
+                leaving = {signal.SIGINT: polling.leave, signal.SIGTERM: polling.leave}
+                screen = asyncio.create_task(show(polling.fleet)) if show else None
+                try:
+                    with signal_handlers(leaving), exposed(polling.fleet):
+                        notify_ready()
+                        await polling.run()
+                finally:
+                    if screen is not None:
+                        screen.cancel()
             finally:
                 await disconnect(client)
         return 0
@@ -155,27 +168,11 @@ def poll(
     return _waited_for(work())
 
 
-async def _run(polling: Polling, exposed: Exposed, show: Show | None) -> None:
-    screen = asyncio.create_task(show(polling.fleet)) if show else None
-    leaving = {signal.SIGINT: polling.leave, signal.SIGTERM: polling.leave}
-    try:
-        with signal_handlers(leaving), exposed(polling.fleet):
-            notify_ready()
-            await polling.run()
-    finally:
-        if screen is not None:
-            screen.cancel()
-
-
 def _waited_for(running: Coroutine[Any, Any, int]) -> int:
     try:
         return asyncio.run(running)
     except (EngineError, JournalError, OutputError) as error:
         raise CommandError(str(error)) from None
-
-
-def _of_push() -> str:
-    return "the devices of the engine are polled, not those of the file; --push replaces them"
 
 
 # --- the bucket ----------------------------------------------------------------------------------

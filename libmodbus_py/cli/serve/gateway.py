@@ -76,7 +76,26 @@ def add_command(commands: Any) -> None:
     over_http.add_page(command, "lines, units and clients")
     arguments.add_verbose(command)
     logs.add_arguments(command)
-    _add_options(command)
+    waiting = command.add_argument_group("waiting requests")
+    added = [
+        waiting.add_argument(
+            "--own-units", metavar="UNITS", help="units with the statistics of the gateway itself"
+        ),
+        waiting.add_argument("--queue", type=int, metavar="N", help="waiting requests per client"),
+        waiting.add_argument(
+            "--longest-wait", type=float, metavar="S", help="seconds that a request may wait"
+        ),
+    ]
+    waiting.add_argument(
+        "--writes-first",
+        action="store_true",
+        default=None,
+        help="let writes overtake waiting reads",
+    )
+    usual = inspect.signature(Gateway).parameters
+    own_units = ",".join(map(str, usual["own_units"].default))
+    defaults = {name: usual[name].default for name in OPTIONS} | {"own_units": own_units}
+    arguments.add_defaults(added, lambda: defaults)
     arguments.add_client_options(
         command.add_argument_group("requests to the devices"),
         without=("unit", "native"),
@@ -87,32 +106,6 @@ def add_command(commands: Any) -> None:
     arguments.add_serial_options(command)
     arguments.add_security_options(command)
     command.set_defaults(run=_gateway)
-
-
-def _add_options(command: argparse.ArgumentParser) -> None:
-    group = command.add_argument_group("waiting requests")
-    added = [
-        group.add_argument(
-            "--own-units", metavar="UNITS", help="units with the statistics of the gateway itself"
-        ),
-        group.add_argument("--queue", type=int, metavar="N", help="waiting requests per client"),
-        group.add_argument(
-            "--longest-wait", type=float, metavar="S", help="seconds that a request may wait"
-        ),
-    ]
-    group.add_argument(
-        "--writes-first",
-        action="store_true",
-        default=None,
-        help="let writes overtake waiting reads",
-    )
-    arguments.add_defaults(added, _defaults)
-
-
-def _defaults() -> dict[str, Any]:
-    found = inspect.signature(Gateway).parameters
-    own_units = ",".join(map(str, found["own_units"].default))
-    return {name: each.default for name, each in found.items()} | {"own_units": own_units}
 
 
 def _gateway(options: argparse.Namespace) -> int:

@@ -23,14 +23,14 @@ from ...services.fleet.fleet import Fleet
 from ...services.fleet.journal.schema import JournalError
 from ...services.fleet.outputs.output import KINDS, Output, OutputError, check_exclusive, made
 from ...services.fleet.statistics import LastValues
-from ...services.fleet.trial import Tried, overloads, trying
+from ...services.fleet.trial import overloads, trying
 from ...services.tasks import WriterThread
 from ...system import allow_all_descriptors
 from ...tools.files.texts import compared
 from .. import arguments, logs, tracing
 from ..failing import CommandError
 from ..help import VerbatimHelp
-from ..output import complain, counted, inform
+from ..output import complain, inform
 from ..screen import Redrawn
 from . import fleet as workers
 from . import over_http
@@ -45,7 +45,7 @@ __all__ = ["add_command"]
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 REDRAWN = 1.0
-"""Seconds between two states of the status line."""
+"""Seconds between two states of the screen."""
 
 ON_TIME = 0.1
 """Seconds that a poll may begin late and still count as on time."""
@@ -153,7 +153,10 @@ def _start(options: argparse.Namespace, file: FleetFile, hangup: Hangup) -> int:
             raise CommandError(str(error)) from None
     if not options.once:
         return 0
-    return 1 if _is_anything_left(fleet) or fleet.statistics.failures else 0
+    left = [line for line, is_left in _counts(fleet) if is_left]
+    for line in left:
+        complain(line)
+    return 1 if left or fleet.statistics.failures else 0
 
 
 def _outputs(file: FleetFile, options: argparse.Namespace) -> list[Output]:
@@ -224,7 +227,8 @@ async def _run(
                     task.cancel()
                 await asyncio.wait(tasks)
                 if stopped.is_set() or show:
-                    for line in _summary(fleet, time.monotonic() - started):
+                    inform(_summary(fleet, time.monotonic() - started), sys.stderr)
+                    for line, _ in _counts(fleet):
                         inform(line, sys.stderr)
     if not polling.cancelled():
         polling.result()
@@ -271,10 +275,12 @@ async def _show(values: LastValues | None, fleet: Fleet) -> None:
             while True:
                 await asyncio.sleep(REDRAWN)
                 now, statistics = time.monotonic(), fleet.statistics
+                dropped = sum(each.dropped for each in statistics.outputs.values())
                 text = (
                     f"{statistics.devices} devices: {statistics.up} up, {statistics.down} down;"
                     f" {(statistics.polls - polls) / (now - at):.0f} polls a second,"
-                    f" at most {statistics.take_worst() * 1000:.0f} ms late{_errors(fleet)}"
+                    f" at most {statistics.take_worst() * 1000:.0f} ms late;"
+                    f" {statistics.skipped} skipped, {dropped} readings dropped"
                 )
                 polls, at = statistics.polls, now
                 title = [(text, False)]
@@ -283,72 +289,44 @@ async def _show(values: LastValues | None, fleet: Fleet) -> None:
         screen.clear()
 
 
-def _errors(fleet: Fleet) -> str:
+def _summary(fleet: Fleet, seconds: float) -> str:
     statistics = fleet.statistics
-    told = f"; {statistics.skipped} skipped" if statistics.skipped else ""
-    for name, output in statistics.outputs.items():
-        if output.trouble or output.dropped:
-            told += f"; {name}: {output.dropped} dropped"
-    journal = statistics.journal
-    if journal is not None and (journal.trouble or journal.dropped):
-        told += f"; journal: {journal.dropped} dropped"
-    return told
-
-
-def _summary(fleet: Fleet, seconds: float) -> list[str]:
-    statistics = fleet.statistics
-    lines = [
+    return (
         f"{statistics.polls} polls in {seconds:.1f} s,"
         f" {statistics.within(ON_TIME):.1%} within {ON_TIME * 1000:.0f} ms of their time;"
         f" {statistics.failures} without an answer, {statistics.skipped} skipped;"
         f" {statistics.readings} readings"
-    ]
-    for name, output in statistics.outputs.items():
-        trouble = _behind(output.trouble)
-        lines.append(f"{name}: {output.written} written, {output.dropped} dropped{trouble}")
-    if statistics.journal is not None:
-        journal = statistics.journal
-        trouble = _behind(journal.trouble)
-        waiting = max((each.waiting for each in statistics.outputs.values()), default=0)
-        lines.append(
-            f"journal: {journal.written} written, {journal.dropped} dropped,"
-            f" {journal.bytes / 1e6:.1f} MB; {waiting} wait for an output{trouble}"
-        )
-    return lines
+    )
 
 
-def _is_anything_left(fleet: Fleet) -> bool:
-    """Print which readings outputs did not take, and return True if there are any."""
+def _counts(fleet: Fleet) -> Iterator[tuple[str, bool]]:
+    """Yield a line about each output and the journal, and True if it did not take all readings."""
     statistics = fleet.statistics
-    lines = [
-        f"{name}: {counted(count, 'reading')} {fate}{_behind(each.trouble)}"
-        for name, each in statistics.outputs.items()
-        for count, fate in ((each.dropped, "lost"), (each.waiting, "wait in the journal"))
-        if count
-    ]
-    if statistics.journal is not None and statistics.journal.dropped:
-        lost = counted(statistics.journal.dropped, "reading")
-        lines.append(f"journal: {lost} lost{_behind(statistics.journal.trouble)}")
-    for line in lines:
-        complain(line)
-    return bool(lines)
-
-
-def _behind(trouble: str) -> str:
-    return f": {trouble}" if trouble else ""
+    for name, each in statistics.outputs.items():
+        waiting = f", {each.waiting} wait in the journal" if each.waiting else ""
+        text = f"{name}: {each.written} written, {each.dropped} dropped{waiting}: {each.trouble}"
+        yield text.removesuffix(": "), bool(each.dropped or each.waiting)
+    if (journal := statistics.journal) is not None:
+        size = f"{journal.bytes / 1e6:.1f} MB"
+        text = f"journal: {journal.written} written, {journal.dropped} dropped, {size}"
+        yield f"{text}: {journal.trouble}".removesuffix(": "), bool(journal.dropped)
 
 
 # --- trying -------------------------------------------------------------------------------------
 
-TABLE = "{:<24} {:<36} {:>4} {:>8} {:>9} {:>9}  {}"
+ROW = "{:<24} {:<36} {:>4} {:>8} {:>9} {:>9}  {}"
 
 
 async def _check(devices: list[DeviceConfig]) -> int:
-    print(TABLE.format("device", "url", "unit", "requests", "took", "interval", "result"))
+    print(ROW.format("device", "url", "unit", "requests", "took", "interval", "result"))
     failed = 0
     async with contextlib.aclosing(trying(devices)) as results:
         async for each in results:
-            print(_row(each), flush=True)
+            device, took = each.device, f"{each.seconds * 1000:.0f} ms"
+            place = device.name, str(device.endpoint), device.unit
+            interval = f"{device.interval:g} s"
+            row = ROW.format(*place, each.requests, took, interval, each.problem or "ok")
+            print(row, flush=True)
             failed += bool(each.problem)
     too_much = overloads(devices)
     for line in too_much:
@@ -356,16 +334,3 @@ async def _check(devices: list[DeviceConfig]) -> int:
     if failed:
         complain(f"{failed} of {len(devices)} devices failed")
     return 1 if failed or too_much else 0
-
-
-def _row(each: Tried) -> str:
-    device = each.device
-    return TABLE.format(
-        device.name,
-        str(device.endpoint),
-        device.unit,
-        each.requests,
-        f"{each.seconds * 1000:.0f} ms",
-        f"{device.interval:g} s",
-        each.problem or "ok",
-    )

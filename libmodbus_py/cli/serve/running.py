@@ -21,11 +21,10 @@ from ...ports.endpoint import parse
 from ...ports.hosts import is_loopback
 from ...protocol.logs import HarmlessLogger
 from ...security.renewed import reload_all
-from ...server.audit import Audit
+from ...server.audit import Audit, AuditFile
 from ...server.serving import Running, Serving
 from .. import logs
 from ..output import complain, inform
-from .clients import audited
 from .over_http import exposed, shown
 
 if TYPE_CHECKING:
@@ -46,11 +45,11 @@ class _ServingCommand:
         self,
         options: argparse.Namespace,
         hangup: Hangup,
-        trail: Audit | None,
-        files: list[Callable[[], str]],
+        trail: Audit | None = None,
+        *files: Callable[[], str],
     ) -> None:
         self.trail = trail
-        self.files = files
+        self.files = [*files]
         self._options = options
         self._hangup = hangup
 
@@ -92,8 +91,29 @@ class _ServingCommand:
 @contextlib.contextmanager
 def starting(options: argparse.Namespace) -> Iterator[_ServingCommand]:
     """Open the log and the audit trail of a command while the block runs."""
-    with logs.logged(options), Hangup() as hangup, audited(options) as (trail, files):
-        yield _ServingCommand(options, hangup, trail, files)
+    path = options.audit
+    if path is None and options.audit_required:
+        raise ValueError("--audit-required needs --audit")
+    with logs.logged(options), Hangup() as hangup:
+        if path is None:
+            yield _ServingCommand(options, hangup)
+            return
+        try:
+            file = AuditFile(path)
+        except OSError as error:
+            raise ValueError(f"--audit: {path}: {error.strerror}") from None
+        trail = Audit(file, required=options.audit_required)
+
+        def reopen() -> str:
+            try:
+                file.reopen()
+            except OSError as error:
+                return f"{path}: {error.strerror}; the former file is still used"
+            trail.note_own("audit", "opened again")
+            return f"{path}: opened again"
+
+        with contextlib.closing(file):
+            yield _ServingCommand(options, hangup, trail, reopen)
 
 
 def announce(urls: Sequence[str], *, is_guarded: bool) -> None:
