@@ -15,8 +15,6 @@ TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ..protocol.errors import ModbusError
-
 __all__ = ["CommandError", "advice", "ended_by_sigterm", "failed"]
 
 
@@ -28,41 +26,34 @@ def failed(error: Exception) -> int:
     """Print an error, and return the exit code."""
     from ..protocol.errors import ModbusError
 
-    if isinstance(error, OSError) and not isinstance(error, ModbusError):
-        output.abandon()
-    if not isinstance(error, BrokenPipeError):
-        # After a broken pipe nothing reads the output any more, as with `head`.
-        with contextlib.suppress(OSError):
-            output.complain(_line(error))
-    return 1
-
-
-def advice(error: ModbusError) -> str:
-    """Return what to try after a failure; empty if nothing is known that would help."""
-    from ..protocol.errors import NO_UNIT, ModbusTimeoutError
-
-    is_silent = isinstance(error, ModbusTimeoutError) and not error.received
-    if not error.endpoint or not (is_silent or isinstance(error, NO_UNIT)):
-        return ""
-    place = error.endpoint.removeprefix("tcp://").removesuffix(":502").removeprefix("rtu://")
-    return f"; {output.PROGRAM} scan {place.partition('?')[0]} finds the units that answer"
-
-
-def _line(error: Exception) -> str:
-    from ..protocol.errors import ModbusError
-
-    if isinstance(error, ModbusError):
+    if isinstance(error, ModbusError | CommandError | ImportError):
         text = f"{error}{advice(error)}"
-    elif isinstance(error, CommandError | ImportError):
-        text = str(error)
     elif isinstance(error, OSError):
+        output.abandon()
         text = f"{error.filename or 'standard output'}: {error.strerror or error}"
     else:
         from traceback import extract_tb
 
         place = extract_tb(error.__traceback__)[-1]
         text = f"unexpected {error!r} ({os.path.basename(place.filename)}, line {place.lineno})"
-    return text.replace("\n", " ")
+    if not isinstance(error, BrokenPipeError):
+        # After a broken pipe nothing reads the output any more, as with `head`.
+        with contextlib.suppress(OSError):
+            output.complain(text.replace("\n", " "))
+    return 1
+
+
+def advice(error: Exception) -> str:
+    """Return what to try after a failure; empty if nothing is known that would help."""
+    from ..protocol.errors import NO_UNIT, ModbusError, ModbusTimeoutError
+
+    is_silent = isinstance(error, ModbusTimeoutError) and not error.received
+    if not (is_silent or isinstance(error, NO_UNIT)) or not isinstance(error, ModbusError):
+        return ""
+    if not error.endpoint:
+        return ""
+    place = error.endpoint.removeprefix("tcp://").removesuffix(":502").removeprefix("rtu://")
+    return f"; {output.PROGRAM} scan {place.partition('?')[0]} finds the units that answer"
 
 
 @contextlib.contextmanager

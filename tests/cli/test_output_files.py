@@ -85,7 +85,7 @@ def test_errors_of_such_a_watch_are_seen(tmp_path: Path) -> None:
     assert "Connection refused" in shown
     done = run(*words[:-1], tmp_path / "again.json")
     assert (done.code, done.out) == (1, "")
-    assert done.err.count("Connection refused") == 1  # said once, not at each poll
+    assert done.err.count("Connection refused") == 1
 
 
 PRINTING = [

@@ -8,17 +8,15 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from ...protocol.errors import ModbusError
 from ...protocol.plain import plain, text_of
 from ...protocol.values import Interpretation, ValueType, readings, value_type
-from ..failing import CommandError
-from .items import REGISTERS, Item
+from .items import ALL, HEX, REGISTERS, Item, reason_of
 
 if TYPE_CHECKING:
-    from ...maps.meaning import Judged
     from ...maps.point import Point
 
-__all__ = ["FormattedValue", "Formatter", "ReadResult", "aligned", "formatter_of", "in_line"]
-
+__all__ = ["FormattedValue", "ReadResult", "aligned", "in_line", "result_of", "titles"]
 
 NUMBER_CHARACTERS = 5
 """The width of an address, so that the addresses of several commands are below each other."""
@@ -30,8 +28,7 @@ class FormattedValue(NamedTuple):
 
     Attributes:
         where: the address or the name of the value.
-        text: the value for people.
-        plain: the value for CSV.
+        text, plain: the value for people, and for CSV.
         unit: the physical unit, such as "V"; the reason in brackets if there is no value.
     """
 
@@ -41,223 +38,11 @@ class FormattedValue(NamedTuple):
     unit: str = ""
 
 
-class Formatter:
-    """
-    Formats the cells of an item as they are: registers as numbers, bits as 0 and 1.
-
-    Args:
-        item: the item that is read.
-        in_hex: format registers in hexadecimal.
-
-    Attributes:
-        item: as given.
-        source: the value of the point that scales the item's point.
-        shows_all: True if the rows are interpretations of one value.
-    """
-
-    shows_all: bool = False
-
-    def __init__(self, item: Item, *, in_hex: bool = False) -> None:
-        self.item = item
-        self.source: Any = None
-        self._in_hex = in_hex and item.table in (*REGISTERS, "fifo_queue")
-
-    @property
-    def is_text(self) -> bool:
-        """True if values are text, which is aligned at the left."""
-        return False
-
-    def titles(self) -> list[str]:
-        """Return the titles of the columns of CSV, one for each value."""
-        if self.item.table == "fifo_queue":
-            raise ValueError("fifo cannot be used with --csv: its number of columns is unknown")
-        return [self.item.label(at) for at in self._cells(self.item.count)]
-
-    def rows(self, cells: list[int]) -> list[FormattedValue]:
-        """Return each value as text."""
-        form = "0x{:04X}" if self._in_hex else "{}"
-        texts = [form.format(cell) for cell in cells]
-        pairs = zip(self._cells(len(texts)), texts, strict=True)
-        return [FormattedValue(self.item.number(at), text, text) for at, text in pairs]
-
-    def fields(self, cells: list[int]) -> dict[str, Any]:
-        """Return the fields of JSON."""
-        return {**self.whence, "values": cells}
-
-    def remark(self, cells: list[int]) -> str:
-        """Return why there is no value, for CSV; empty if there is one."""
-        return ""
-
-    @property
-    def whence(self) -> dict[str, Any]:
-        """The fields of JSON that name the item."""
-        item = self.item
-        found: dict[str, Any] = {"table": item.table, "address": item.address + item.base}
-        return {**found, "file": item.file} if item.table == "file" else found
-
-    def _cells(self, count: int) -> range:
-        """Return the first cell of each value."""
-        return range(0, count * self.item.size, self.item.size)
-
-
-class _TypedFormatter(Formatter):
-    """Formats values of a type; each has the address of its first register."""
-
-    def __init__(self, item: Item, kind: ValueType) -> None:
-        super().__init__(item)
-        self._kind = kind
-
-    @property
-    def is_text(self) -> bool:
-        return self._kind.is_text
-
-    def rows(self, cells: list[int]) -> list[FormattedValue]:
-        values = self._values(cells)
-        pairs = zip(self._cells(len(values)), values, strict=True)
-        return [
-            FormattedValue(self.item.number(at), *_texts(each, self._kind)) for at, each in pairs
-        ]
-
-    def fields(self, cells: list[int]) -> dict[str, Any]:
-        values = self._values(cells)
-        kind = {"type": self._kind.name, "order": self._kind.order}
-        told = {"values": [_as_json(value) for value in values]}
-        # Which JSON has no numbers for: the values are null, and their texts stand here.
-        first = self.item.address + self.item.base
-        texts = {
-            str(first + at): str(value)
-            for at, value in zip(self._cells(len(values)), values, strict=True)
-            if isinstance(value, float) and not math.isfinite(value)
-        }
-        return {**self.whence, **kind, **told, **({"no_value": texts} if texts else {})}
-
-    def _values(self, cells: list[int]) -> list[Any]:
-        try:
-            return self._kind.decode_many(cells)
-        except ValueError as error:
-            place = f"{self.item.table.replace('_', ' ')} from {self.item.number()}"
-            raise CommandError(f"{place}: {error}") from None
-
-
-class _AllFormatter(Formatter):
-    """Formats registers as one value, in every way that makes sense."""
-
-    shows_all = True
-
-    def __init__(self, item: Item) -> None:
-        super().__init__(item)
-        if item.table not in REGISTERS:
-            raise ValueError(f"{item.label()} takes no --type")
-        limit = REGISTERS[item.table][0]
-        if not 1 <= item.count <= limit:
-            raise ValueError(f"count must be in 1..{limit}, not {item.count}")
-
-    @property
-    def is_text(self) -> bool:
-        return True
-
-    def titles(self) -> list[str]:
-        raise ValueError("--type all cannot be used with --csv")
-
-    def rows(self, cells: list[int]) -> list[FormattedValue]:
-        found = self._readings(cells)
-        width = max(len(reading.type) for reading in found)
-        return [
-            FormattedValue(f"{name:<{width}}  {order}", *_texts(value, value_type(name)))
-            for name, order, value in found
-        ]
-
-    def fields(self, cells: list[int]) -> dict[str, Any]:
-        found = self._readings(cells)
-        rows = [{**reading._asdict(), "value": _as_json(reading.value)} for reading in found]
-        return {**self.whence, "registers": cells, "readings": rows}
-
-    def _readings(self, cells: list[int]) -> list[Interpretation]:
-        found = readings(cells)
-        if not found:
-            raise CommandError(f"{len(cells)} registers can only be text, and these are not")
-        return found
-
-
-class _PointFormatter(Formatter):
-    """Formats a point of a register map."""
-
-    def __init__(self, item: Item, point: Point) -> None:
-        super().__init__(item)
-        self._point = point
-
-    @property
-    def is_text(self) -> bool:
-        is_named = self._point.states is not None or self._point.bits is not None
-        kind = self.item.kind
-        return is_named or (kind is not None and (kind.is_text or kind.is_time))
-
-    def titles(self) -> list[str]:
-        """Return the names, with the units of measurement."""
-        units = f" ({self._point.units})" if self._point.units else ""
-        return [f"{name}{units}" for name in self._names()]
-
-    def _names(self) -> list[str]:
-        point = self._point
-        return [point.name] if point.count == 1 else [f"{point.name}[{at}]" for at in self._range]
-
-    def rows(self, cells: list[int]) -> list[FormattedValue]:
-        found, point = self.judged(cells), self._point
-        values = [found.value] if point.count == 1 else found.value
-        return [
-            FormattedValue(title, "-", "", f"({found.reason})")
-            if each is None
-            else FormattedValue(title, *self._texts(each), point.units)
-            for title, each in zip(self._names(), values, strict=True)
-        ]
-
-    def fields(self, cells: list[int]) -> dict[str, Any]:
-        found = self.judged(cells)
-        value = found.value
-        shown_value = [_as_json(each) for each in value] if self._point.count > 1 else value
-        fields = {**self.whence, "value": _as_json(shown_value)}
-        if not found.reason:
-            return fields
-        return {**fields, "no_value": {"quality": found.quality, "reason": found.reason}}
-
-    def remark(self, cells: list[int]) -> str:
-        reason = self.judged(cells).reason
-        return f"{self._point.name}: {reason}" if reason else ""
-
-    @property
-    def whence(self) -> dict[str, Any]:
-        return {"name": self._point.name}
-
-    @property
-    def _range(self) -> range:
-        return range(self._point.count)
-
-    def judged(self, cells: list[int]) -> Judged:
-        bits = [bool(cell) for cell in cells] if self.item.kind is None else cells
-        try:
-            return self._point.judge(bits, source=self.source)
-        except ValueError as error:
-            raise CommandError(str(error)) from None
-
-    def _texts(self, value: Any) -> tuple[str, str]:
-        kind, point = self.item.kind, self._point
-        is_as_read = (point.scale, point.offset, point.scale_from) == (1, 0, None)
-        is_named = isinstance(value, str) and point.states is not None
-        if isinstance(value, dict):
-            text = " ".join(f"{name}={int(each)}" for name, each in value.items())
-        elif kind is not None and is_as_read and not is_named and not point.is_part:
-            return _texts(value, kind)
-        else:
-            text = str(int(value) if isinstance(value, bool) else value)
-        return text, text
-
-
 class ReadResult(NamedTuple):
     """
     The result of one item.
 
     Attributes:
-        formatter: formats the values of the item.
         rows: the values; empty after a failure.
         fields: the fields of JSON.
         failure: the reason of a failure; empty without one.
@@ -265,7 +50,7 @@ class ReadResult(NamedTuple):
         has_fallen: True for a total that is smaller than before.
     """
 
-    formatter: Formatter
+    item: Item
     rows: list[FormattedValue]
     fields: dict[str, Any]
     failure: str = ""
@@ -273,68 +58,167 @@ class ReadResult(NamedTuple):
     has_fallen: bool = False
 
 
-def formatter_of(item: Item, *, as_all: bool, in_hex: bool) -> Formatter:
-    """
-    Return the formatter of an item.
+def result_of(item: Item, cells: list[int] | ModbusError, source: Any = None) -> ReadResult:
+    """Return the result of the cells of an item; `source` is the value that scales its point."""
+    whence = _whence(item)
+    if isinstance(cells, ModbusError):
+        return ReadResult(item, [], {**whence, "error": str(cells)}, reason_of(cells, item))
+    try:
+        if item.point is not None:
+            return _of_point(item, item.point, cells, source)
+        if item.form == ALL:
+            rows, fields = _in_all_ways(cells)
+        elif item.kind is not None:
+            rows, fields = _of_type(item, item.kind, cells)
+        else:
+            form = "0x{:04X}" if item.form == HEX and _is_registers(item) else "{}"
+            texts = [form.format(cell) for cell in cells]
+            rows = [FormattedValue(item.number(at), text, text) for at, text in enumerate(texts)]
+            fields = {"values": cells}
+    except ValueError as error:
+        return ReadResult(item, [], {**whence, "error": str(error)}, str(error))
+    return ReadResult(item, rows, {**whence, **fields})
 
-    Args:
-        as_all: format every interpretation of the registers.
-        in_hex: format registers without a type in hexadecimal.
 
-    Raises:
-        ValueError: the item cannot be formatted so.
-    """
+def titles(item: Item) -> list[str]:
+    """Return the titles of the columns of CSV, one for each value, with units of measurement."""
+    if item.table == "fifo_queue":
+        raise ValueError("fifo cannot be used with --csv: its number of columns is unknown")
+    if item.form == ALL:
+        raise ValueError("--type all cannot be used with --csv")
+    if item.point is None:
+        return [item.label(at * item.size) for at in range(item.count)]
+    units = f" ({item.point.units})" if item.point.units else ""
+    return [f"{name}{units}" for name in _names(item.point)]
+
+
+def _whence(item: Item) -> dict[str, Any]:
+    """Return the fields of JSON that name an item."""
     if item.point is not None:
-        return _PointFormatter(item, item.point)
-    if as_all:
-        return _AllFormatter(item)
-    return Formatter(item, in_hex=in_hex) if item.kind is None else _TypedFormatter(item, item.kind)
+        return {"name": item.point.name}
+    found: dict[str, Any] = {"table": item.table, "address": item.address + item.base}
+    return {**found, "file": item.file} if item.table == "file" else found
 
 
-def aligned(groups: Sequence[tuple[Formatter, list[FormattedValue]]]) -> list[str]:
+def _is_registers(item: Item) -> bool:
+    return item.table in (*REGISTERS, "fifo_queue")
+
+
+def _of_type(
+    item: Item, kind: ValueType, cells: list[int]
+) -> tuple[list[FormattedValue], dict[str, Any]]:
+    try:
+        values = kind.decode_many(cells)
+    except ValueError as error:
+        place = f"{item.table.replace('_', ' ')} from {item.number()}"
+        raise ValueError(f"{place}: {error}") from None
+    rows = [
+        FormattedValue(item.number(at * item.size), *_texts(each, kind))
+        for at, each in enumerate(values)
+    ]
+    fields = {"type": kind.name, "order": kind.order, "values": plain(values)}
+    # Which JSON has no numbers for: the values are null, and their texts stand here.
+    texts = {
+        str(item.address + item.base + at * item.size): str(value)
+        for at, value in enumerate(values)
+        if isinstance(value, float) and not math.isfinite(value)
+    }
+    return rows, {**fields, "no_value": texts} if texts else fields
+
+
+def _in_all_ways(cells: list[int]) -> tuple[list[FormattedValue], dict[str, Any]]:
+    """Return every interpretation of registers as one value."""
+    found: list[Interpretation] = readings(cells)
+    if not found:
+        raise ValueError(f"{len(cells)} registers can only be text, and these are not")
+    width = max(len(reading.type) for reading in found)
+    rows = [
+        FormattedValue(f"{name:<{width}}  {order}", *_texts(value, value_type(name)))
+        for name, order, value in found
+    ]
+    return rows, {"registers": cells, "readings": plain(found)}
+
+
+def _of_point(item: Item, point: Point, cells: list[int], source: Any) -> ReadResult:
+    found = point.judge(cells if item.kind else [bool(cell) for cell in cells], source=source)
+    values = found.value if point.count > 1 else [found.value]
+    rows = [
+        FormattedValue(name, "-", "", f"({found.reason})")
+        if value is None
+        else FormattedValue(name, *_texts_of_point(point, value), point.units)
+        for name, value in zip(_names(point), values, strict=True)
+    ]
+    fields = {"name": point.name, "value": plain(found.value)}
+    if not found.reason:
+        return ReadResult(item, rows, fields)
+    fields["no_value"] = {"quality": found.quality, "reason": found.reason}
+    return ReadResult(item, rows, fields, remark=f"{point.name}: {found.reason}")
+
+
+def _names(point: Point) -> list[str]:
+    if point.count == 1:
+        return [point.name]
+    return [f"{point.name}[{at}]" for at in range(point.count)]
+
+
+def _texts_of_point(point: Point, value: Any) -> tuple[str, str]:
+    kind = point.read.kind
+    is_as_read = (point.scale, point.offset, point.scale_from) == (1, 0, None)
+    is_named = isinstance(value, str) and point.states is not None
+    if isinstance(value, dict):
+        text = " ".join(f"{name}={int(each)}" for name, each in value.items())
+    elif kind is not None and is_as_read and not is_named and not point.is_part:
+        return _texts(value, kind)
+    else:
+        text = str(int(value) if isinstance(value, bool) else value)
+    return text, text
+
+
+def _texts(value: Any, kind: ValueType) -> tuple[str, str]:
+    """Return a value for people, and for CSV."""
+    text = text_of(value, kind)
+    return text, value if isinstance(value, str) else text
+
+
+# --- lines ---------------------------------------------------------------------------
+
+
+def aligned(results: Sequence[ReadResult]) -> list[str]:
     """Return a line for each value, which begins with the table if there are several items."""
-    several = len(groups) > 1
-    placed = [each for each in groups if each[0].item.word]  # neither references nor names
-    word = max((len(each.item.word) for each, _ in placed), default=0) if several else 0
-    width = max((len(row.where) for _, rows in placed for row in rows), default=0)
-    width = width if several else NUMBER_CHARACTERS
-    wheres = [[_where(each, row, word, width) for row in rows] for each, rows in groups]
-    label = max((len(where) for group in wheres for where in group), default=0)
-    numbers = max(
-        (len(row.text) for formatter, rows in groups if not formatter.is_text for row in rows),
-        default=0,
-    )
+    several = len(results) > 1
+    word = max((len(each.item.word) for each in results), default=0) if several else 0
+    pairs = [(each.item, row) for each in results for row in each.rows]
+    placed = [row.where for item, row in pairs if item.word]  # neither references nor names
+    width = max(map(len, placed), default=0) if several else NUMBER_CHARACTERS
+    wheres = [_where(item, row, word, width) for item, row in pairs]
+    label = max(map(len, wheres), default=0)
+    numbers = max((len(row.text) for item, row in pairs if not _is_text(item)), default=0)
     return [
-        f"{where:<{label}}  {row.text:>{0 if formatter.is_text else numbers}} {row.unit}".rstrip()
-        for (formatter, rows), group in zip(groups, wheres, strict=True)
-        for where, row in zip(group, rows, strict=True)
+        f"{where:<{label}}  {row.text:>{0 if _is_text(item) else numbers}} {row.unit}".rstrip()
+        for where, (item, row) in zip(wheres, pairs, strict=True)
     ]
 
 
-def _where(formatter: Formatter, row: FormattedValue, word: int, width: int) -> str:
+def _where(item: Item, row: FormattedValue, word: int, width: int) -> str:
     """Return what a line begins with: a name, or a table and a number below those of others."""
-    item = formatter.item
-    if item.point is not None or formatter.shows_all or (word and not item.word):
+    if item.point is not None or item.form == ALL or (word and not item.word):
         return row.where
     return f"{item.word:<{word}} {row.where:>{width}}" if word else f"{row.where:>{width}}"
 
 
+def _is_text(item: Item) -> bool:
+    """Return True if values are text, which is aligned at the left."""
+    kind, point = item.kind, item.point
+    is_named = point is not None and (point.states or point.bits) is not None
+    return is_named or item.form == ALL or (kind is not None and (kind.is_text or kind.is_time))
+
+
 def in_line(result: ReadResult, *, several: bool) -> str:
     """Return the values of an item in one line; several items are named."""
-    item = result.formatter.item
+    item = result.item
     values = " ".join(f"{row.text} {row.unit}".rstrip() for row in result.rows)
     values = values or f"({result.failure})"
     values += " (fell)" * result.has_fallen
     if item.point is not None:
         return f"{item.point.name}={values}"
     return f"{item.label()}: {values}" if several else values
-
-
-def _texts(value: Any, kind: ValueType) -> tuple[str, str]:
-    text = text_of(value, kind)
-    return text, value if isinstance(value, str) else text
-
-
-def _as_json(value: Any) -> Any:
-    """Return a value for JSON, as outputs of fleets have it: bits are true and false."""
-    return plain(value)

@@ -1,5 +1,5 @@
 """
-Items that are read or written: tables and addresses, references, names; as words and requests.
+Items that are read or written: tables and addresses, references, names; taken from words.
 
 ::
 
@@ -18,25 +18,20 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from ...maps.plan import Plan, Read
-from ...protocol import pdu
+from ...maps.plan import Read
 from ...protocol.errors import IllegalDataAddress, ModbusError
 from ...protocol.plain import number_of
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...protocol.values import ValueType, parse_reference, value_type
+from ...protocol.words import REFERENCE_TABLES, close_word, plain, table_named
 from ...protocol.words import TABLE_WORDS as VENDORS
-from ...protocol.words import close_word, plain, table_named
 from ..failing import advice
 
 if TYPE_CHECKING:
     from ...maps.point import Point
     from ...maps.register_map import RegisterMap
 
-# fmt: off
-__all__ = [
-    "ALL", "REGISTERS", "TABLE_WORDS", "Cells", "Item", "ItemPlan", "Words", "map_of", "reason_of",
-]
-# fmt: on
+__all__ = ["ALL", "HEX", "REGISTERS", "TABLE_WORDS", "Item", "Words", "map_of", "reason_of"]
 
 TABLE_WORDS = {
     "coils": "coils",
@@ -48,8 +43,6 @@ TABLE_WORDS = {
 }
 """Word on the command line -> name of the table; `protocol.words` has more for the first four."""
 
-WORD_OF = {table: word for word, table in TABLE_WORDS.items()}
-
 # Sections 6.14 and 6.15; the answer to 6.18 has as many as there are.
 REGISTERS = {
     name: (rules.most_read, rules.most_written)
@@ -58,17 +51,11 @@ REGISTERS = {
 } | {"file": (124, 122)}
 """Table of registers -> the most that one request reads, and writes."""
 
-USUAL_RECORDS = 121
-"""Records of a request; the byte count of an answer goes to 245 (section 6.14), although 251 would
-fit, so that longer requests are sent only for a count that asks for them."""
-
 USUAL = {"order": "ABCD", "encoding": "ascii", "padding": "\0"}
 """Options of a type -> their defaults."""
 
-ALL = "all"
-"""Argument of --type that shows every interpretation."""
-
-Cells = list[int] | ModbusError
+ALL, HEX = "all", "hex"
+"""Forms of registers without a type: every interpretation (--type all), and hexadecimal."""
 
 _PLACE = re.compile(r"(?P<first>-?[^-:]*)(?:-(?P<last>[0-9]+))?(?P<type>:.+)?", re.DOTALL)
 
@@ -79,17 +66,12 @@ class Item:
     Values of one table, or a point of a register map.
 
     Attributes:
-        table: a name in `TABLE_WORDS`.
-        address: the address of the first cell, from 0.
-        count: the number of values.
-        kind: the type of the values; None for cells without a type.
-        layout: name, order, encoding and padding of the type, as `Read` takes them.
+        layout: name, order, encoding and padding of `kind`, as `Read` takes them.
         file: the number of the file, for the table "file".
-        point: the point of a map, which determines the other attributes; or None.
-        word: the table as it was typed; empty for references and points.
-        typed: the address or the reference as it was typed, without range and type.
+        word, typed: the table and the first address, as typed; a reference has no word.
         base: the number of the first cell of a table, 0 or 1.
         is_range: True if the words say how many cells there are.
+        form: `ALL`, `HEX`, or empty.
     """
 
     table: str
@@ -103,16 +85,12 @@ class Item:
     typed: str = ""
     base: int = 0
     is_range: bool = False
+    form: str = ""
 
     @property
     def size(self) -> int:
         """The number of cells of one value."""
         return 1 if self.kind is None else self.kind.registers
-
-    @property
-    def cells(self) -> int:
-        """The number of cells of all values."""
-        return self.count * self.size
 
     def number(self, cell: int = 0) -> str:
         """Return the number of a cell of this item, counted as the first one was typed."""
@@ -131,25 +109,13 @@ class Item:
             return self.point.read
         return Read(self.table, self.address, self.count, *self.layout)  # type: ignore[arg-type]
 
-    @property
-    def hint(self) -> str:
-        """A remark for errors if the address looks like a reference; or empty."""
-        return _hint(self.word, self.table, self.typed) if self.word else ""
-
 
 class Words:
     """
     The words on the command line, taken one after the other.
 
     Args:
-        options: those of the command: `type`, `order`, `encoding`, `padding`, `map`, `columns`,
-            `count_from_1`.
-        words: the words that say what is read or written.
         have_values: True if values follow the items, to write.
-
-    Attributes:
-        map: the register map, or None.
-        is_all: True if every interpretation is shown.
 
     Raises:
         ValueError: options that do not fit together, or a mistake in the map.
@@ -159,38 +125,40 @@ class Words:
         self, options: argparse.Namespace, words: Sequence[str], *, have_values: bool = False
     ) -> None:
         self.map: RegisterMap | None = map_of(options)
-        self.is_all: bool = options.type == ALL and not have_values
+        is_all = options.type == ALL and not have_values
+        self._form = ALL if is_all else HEX if getattr(options, "hex", False) else ""
         self._words = deque(words)
         self._have_values = have_values
-        self._base = 1 if options.count_from_1 else 0
-        self._type: str | None = None if self.is_all else options.type
-        self._given = {
-            name: value for name in USUAL if (value := getattr(options, name)) is not None
-        }
-        for name in self._given:
-            if self.is_all:
+        self._base = int(options.count_from_1)
+        self._type: str | None = None if is_all else options.type
+        given = {name: value for name in USUAL if (value := getattr(options, name)) is not None}
+        for name in given:
+            if is_all:
                 raise ValueError(f"--type all shows every interpretation, and has no --{name}")
             if self._type is None and not any(re.match(r"[0-9][0-9-]*:", each) for each in words):
                 raise ValueError(f"--{name} needs --type, or a type as in hr 100:float32")
-        self._typed(self._type)  # refuses what is wrong without any item, too
+        self._options_of_types = {**USUAL, **given}
+        self._kind(self._type)  # refuses what is wrong without any item, too
 
     def __bool__(self) -> bool:
         return bool(self._words)
 
-    def whole_map(self) -> list[Item]:
-        """Return all points of the map that can be read."""
-        points = self.map.values() if self.map is not None else ()
-        return [_of_point(point) for point in points if point.is_readable]
-
-    def group(self, name: str) -> list[Item]:
-        """
-        Return the points of a group of the map that can be read.
-
-        Raises:
-            ValueError: the map has no such group.
-        """
-        assert self.map is not None
-        return [_of_point(self.map[each]) for each in self.map.group(name)]
+    def all_items(self, groups: Iterable[str]) -> list[Item]:
+        """Take all items of a read: groups of the map, and what was typed; else the whole map."""
+        names: list[str] = []
+        for group in groups:
+            if self.map is None:
+                raise ValueError("--group needs --map FILE, which has the groups")
+            names += self.map.group(group)
+        if not names and not self._words:
+            if self.map is None:
+                raise ValueError("WHAT is missing: name a table and an address, or --map FILE")
+            names = [point.name for point in self.map.values() if point.is_readable]
+        items = [_of_point(self.map[name]) for name in names] if self.map is not None else []
+        while self._words:
+            item = self.take_item()
+            items.append(item if item.point else replace(item, count=self._take_count(item)))
+        return items
 
     def sources_of(self, items: Iterable[Item]) -> list[Item]:
         """Return the points that scale the items, each before the points that it scales."""
@@ -201,25 +169,17 @@ class Words:
         points = [item.point for item in items if item.point is not None]
         return [_of_point(point) for point in sources_of(points, self.map).values()]
 
-    # --- places --------------------------------------------------------------------------
-
     def take_item(self) -> Item:
-        """
-        Take ``TABLE ADDRESS``, a reference, or a name.
-
-        Raises:
-            ValueError: the word is none of these.
-        """
+        """Take ``TABLE ADDRESS``, a reference, or a name; raise ValueError if it is none."""
         first = self._pop()
         name = first.partition(":")[0]
-        if name in TABLE_WORDS:
-            return self._in_table(first, name)
-        if self.map is not None and first in self.map:
-            if self._type is not None or self.is_all:
+        is_named = self.map is not None and first in self.map
+        if name in TABLE_WORDS or (not is_named and _table_word(name)):
+            return self._in_table(first, _table_word(name))
+        if self.map is not None and is_named:
+            if self._type is not None or self._form == ALL:
                 raise ValueError(f"{first} has the type that the map gives, and takes no --type")
             return _of_point(self.map[first])
-        if word := _table_word(name):
-            return self._in_table(first, word)
         if name.partition("-")[0].isdecimal():
             return self._referred(first)
         if self.map is not None:
@@ -229,20 +189,20 @@ class Words:
             f" or with --map FILE a name{close_word(first.lower(), TABLE_WORDS, VENDORS)}"
         )
 
-    def take_count(self, item: Item) -> int:
-        """Take the count of an item; 1 if the next word is not a count."""
-        if item.is_range or not self._words or not re.match("[+-]?[0-9]", self._words[0]):
-            return item.count
-        if not item.word and re.match("[0-9]{5,6}(?![0-9])", self._words[0]):  # a reference
-            return item.count
-        return number_of("count", self._words.popleft())
-
     def take_values(self) -> list[str]:
         """Take all words up to the next item."""
         values = []
         while self._words and not self._begins_item(self._words[0]):
             values.append(self._words.popleft())
         return values
+
+    def _take_count(self, item: Item) -> int:
+        """Take the count of an item; 1 if the next word is not a count."""
+        if item.is_range or not self._words or not re.match("[+-]?[0-9]", self._words[0]):
+            return item.count
+        if not item.word and re.match("[0-9]{5,6}(?![0-9])", self._words[0]):  # a reference
+            return item.count
+        return number_of("count", self._words.popleft())
 
     def _pop(self) -> str:
         """Take a word; of a word such as 40101=5 only what stands before the value."""
@@ -277,14 +237,11 @@ class Words:
         if not self._words:
             raise ValueError(f"{first} lacks an address")
         typed, last, kind = _split(self._pop())
-        table, number = TABLE_WORDS[name], number_of("file", file) if file else 0
-        base = 0 if table == "file" else self._base
-        try:
-            address = _address(typed, base)
-            end = address if last is None else _address(last, base)
-        except ValueError as error:
-            raise ValueError(f"{error}{_hint(name, table, typed)}") from None
-        item = Item(table, address, file=number, word=first, typed=typed, base=base)
+        number = number_of("file", file) if file else 0
+        base = 0 if name == "file" else self._base
+        address = _address(typed, base)
+        end = address if last is None else _address(last, base)
+        item = Item(TABLE_WORDS[name], address, file=number, word=first, typed=typed, base=base)
         return self._with_type(item, kind, end)
 
     def _referred(self, first: str) -> Item:
@@ -300,15 +257,15 @@ class Words:
     def _with_type(self, item: Item, name: str | None, last: int) -> Item:
         """Return an item with its type, or that of --type, up to the cell at an address."""
         wanted = name or self._type
-        if (wanted is not None or self.is_all) and item.table not in REGISTERS:
+        form = "" if name else self._form
+        if (wanted is not None or form == ALL) and item.table not in REGISTERS:
             allowed = ", ".join(word for word, table in TABLE_WORDS.items() if table in REGISTERS)
             raise ValueError(f"{item.table.replace('_', ' ')} have no type, only {allowed} have")
-        layout = self._typed(wanted)
-        kind = (
-            value_type(layout[0], **dict(zip(USUAL, layout[1:], strict=True))) if layout else None
-        )
-        item = replace(item, kind=kind, layout=layout, is_range=last != item.address)
-        if not item.is_range:
+        kind = self._kind(wanted)
+        layout = () if kind is None else (wanted, *self._options_of_types.values())
+        is_range = last != item.address
+        item = replace(item, kind=kind, layout=layout, form=form, is_range=is_range)
+        if not is_range:
             return item
         cells = last - item.address + 1
         if cells < 1 or cells % item.size:
@@ -316,13 +273,8 @@ class Words:
             raise ValueError(f"{item.label()} to {item.number(cells - 1)} is no range of {what}")
         return replace(item, count=cells // item.size)
 
-    def _typed(self, name: str | None) -> tuple[Any, ...]:
-        """Return name, order, encoding and padding of a type; empty without a type."""
-        if name is None:
-            return ()
-        layout = {**USUAL, **self._given}
-        value_type(name, **layout)
-        return (name, *layout.values())
+    def _kind(self, name: str | None) -> ValueType | None:
+        return None if name is None else value_type(name, **self._options_of_types)
 
 
 def _split(text: str) -> tuple[str, str | None, str | None]:
@@ -347,17 +299,14 @@ def _of_point(point: Point) -> Item:
 
 def _table_word(text: str) -> str:
     """Return the word of `TABLE_WORDS` for a table as vendors write it; empty for none."""
-    name = "fifo_queue" if plain(text) == "fifo queue" else table_named(text)
-    return WORD_OF.get(name or "", text.lower() if text.lower() in TABLE_WORDS else "")
+    if text.lower() in TABLE_WORDS:
+        return text.lower()
+    table = "fifo_queue" if plain(text) == "fifo queue" else table_named(text)
+    return next((word for word, name in TABLE_WORDS.items() if name == table), "")
 
 
 def map_of(options: argparse.Namespace) -> RegisterMap | None:
-    """
-    Load the register map of --map: a file, or an example by its name; None without the option.
-
-    Raises:
-        ValueError: the file cannot be read or contains a mistake, or the example does not exist.
-    """
+    """Load the register map of --map: a file, or an example by its name; None without it."""
     if options.map is None:
         if options.columns:
             raise ValueError("--column needs --map")
@@ -370,97 +319,10 @@ def map_of(options: argparse.Namespace) -> RegisterMap | None:
 
 def reason_of(error: ModbusError, item: Item) -> str:
     """Return why a request for an item failed, and what to try."""
-    return f"{error}{item.hint if isinstance(error, IllegalDataAddress) else advice(error)}"
-
-
-def _hint(word: str, table: str, typed: str) -> str:
-    try:
-        reference = parse_reference(typed)
-    except ValueError:
-        return ""
-    if reference.table != table:
-        return ""
-    return (
-        f" ({word} {typed} counts from 0; the reference {typed}, which is address"
-        f" {reference.address}, is typed without {word})"
-    )
-
-
-# --- requests ------------------------------------------------------------------------
-
-
-class ItemPlan:
-    """
-    The requests that read items, as `Plan` has them, and those of files and queues.
-
-    Args:
-        items: what is read.
-
-    Attributes:
-        plan: reads the items of the four tables.
-        requests: those of the other items.
-
-    Raises:
-        ValueError: a count or address out of range.
-    """
-
-    def __init__(self, items: Sequence[Item]) -> None:
-        self._count = len(items)
-        self.plan: Plan = _CellPlan(
-            {at: item.read for at, item in enumerate(items) if item.table not in OTHERS}
-        )
-        self._others = {
-            at: OTHERS[item.table](item) for at, item in enumerate(items) if item.table in OTHERS
-        }
-        self.requests: list[pdu.Request[Any]] = [
-            each for requests in self._others.values() for each in requests
-        ]
-
-    def cells(self, answers: Sequence[Any], others: Sequence[Any]) -> list[Cells]:
-        """Return the cells of each item, or the error in place of them."""
-        found: dict[int, Cells] = self.plan.results(answers)
-        given = iter(others)
-        for at, requests in self._others.items():
-            found[at] = _joined([next(given) for _ in requests])
-        return [found[at] for at in range(self._count)]
-
-
-class _CellPlan(Plan):
-    """A plan whose results are cells; a formatter decodes them."""
-
-    def _decoded(self, name: Any, cells: list[Any]) -> Any:
-        return [int(cell) for cell in cells]
-
-
-def _joined(answers: list[Any]) -> Cells:
-    cells: list[int] = []
-    for answer in answers:
-        if isinstance(answer, ModbusError):
-            return answer
-        cells += answer[0] if answer and isinstance(answer[0], list) else answer
-    return cells
-
-
-def _of_file(item: Item) -> list[pdu.Request[Any]]:
-    """Return requests that divide no value, because its halves could be of different age."""
-    most = REGISTERS["file"][0]
-    if item.kind is not None and item.size > most:
-        raise ValueError(f"{item.kind.name} takes {item.size} registers, and a request {most}")
-    if item.count < 1:
-        raise ValueError(f"count must be 1 or more, not {item.count}")
-    step = max(USUAL_RECORDS // item.size, 1) * item.size if item.cells > most else item.cells
-    stop = item.address + item.cells
-    return [
-        pdu.ReadFileRecords(((item.file, at, min(step, stop - at)),))
-        for at in range(item.address, stop, step)
-    ]
-
-
-def _of_queue(item: Item) -> list[pdu.Request[Any]]:
-    if item.count != 1:
-        raise ValueError("fifo takes no count: a queue is always read as a whole")
-    return [pdu.ReadFifoQueue(item.address)]
-
-
-OTHERS = {"file": _of_file, "fifo_queue": _of_queue}
-"""Item outside the four tables -> function that returns its requests."""
+    word, typed = item.word, item.typed
+    is_reference = typed[1:].isdecimal() and len(typed) > 4
+    if not isinstance(error, IllegalDataAddress) or not (word and is_reference):
+        return f"{error}{advice(error)}"
+    if REFERENCE_TABLES.get(typed[0]) != item.table:
+        return str(error)
+    return f"{error} ({word} {typed} counts from 0; the reference {typed} is typed without {word})"

@@ -12,30 +12,22 @@ from ...tools.page.log import Log
 from ...tools.page.samples import Series
 from ...tools.page.table_source import COLUMNS, Column, Older, PageRow, ShownPoint, Values
 from ...tools.page.text import cell_text
-from .formatters import ReadResult
-from .reading import Printer
+from .formatters import FormattedValue, ReadResult
+from .items import Item
 
 __all__ = ["ShownWatch"]
 
 
 class ShownWatch:
-    """
-    See `Shown` of the page; as a printer, it passes everything on to another one.
-
-    Args:
-        title: the device, its units and the interval.
-        printer: prints the values.
-        every: seconds between two polls of a unit.
-    """
+    """See `Shown` of the page; polls of a unit are `every` seconds apart."""
 
     kind = "watch"
     log: Log | None = None
     older: Older | None = None
     columns: Sequence[Column] = COLUMNS
 
-    def __init__(self, title: str, printer: Printer, every: float) -> None:
+    def __init__(self, title: str, every: float) -> None:
         self.title = title
-        self._printer = printer
         self._every = every
         self._units: dict[str, WatchedUnit] = {}
         self._values = Values(self._unit)
@@ -59,50 +51,47 @@ class ShownWatch:
     def series(self, name: tuple[str, str], column: str) -> Series | None:
         return self._values.series(name, column)
 
-    def print(self, unit: int, results: Sequence[ReadResult]) -> None:
-        self._printer.print(unit, results)
+    def print(self, unit: int, results: Sequence[ReadResult], reason: str) -> None:
+        """Take the results of a unit, or why there are none."""
+        now, device = time.time(), _device(unit)
         self._polls += 1
-        self._failed += any(each.failure for each in results)
-        now, known = time.time(), dict(self._names)
-        self._unit(_device(unit)).take(now, "")
-        for at, each in enumerate(results):
-            if each.rows:
-                self._names[unit, at] = [_name(each, row) for row in each.rows]
-        if self._names != known:
-            self._values.describe(
-                ShownPoint(_device(number), *name, self._every)
-                for (number, _), names in sorted(self._names.items())
-                for name in names
-            )
-        for at, each in enumerate(results):
-            if each.failure:
-                self._put_failure(now, unit, at, "bad", each.failure)
-            reason = "Fell" if each.has_fallen else ""
-            for row in each.rows:
-                self._put(now, unit, _name(each, row), row, reason)
+        self._failed += bool(reason) or any(each.failure for each in results)
+        self._unit(device).take(now, reason)
+        self._describe(unit, results)
+        readings: list[tuple[Any, ...]] = []
+        own = {at: names for (number, at), names in self._names.items() if number == unit}
+        for at, names in own.items():
+            if failure := reason or results[at].failure:
+                quality = "down" if reason else "bad"
+                readings += [(now, device, name, None, of, quality, failure) for name, of in names]
+                continue
+            mark = "Fell" if results[at].has_fallen else ""
+            readings += [
+                (now, device, name, _value(row.plain), of, "good", mark)
+                if row.plain or not row.unit
+                else (now, device, name, None, of, "bad", row.unit[1:-1])
+                for (name, of), row in zip(names, results[at].rows, strict=True)
+            ]
+        self._values.put(readings)
 
-    def fail(self, unit: int, reason: str) -> None:
-        self._printer.fail(unit, reason)
-        self._polls += 1
-        self._failed += 1
-        now = time.time()
-        self._unit(_device(unit)).take(now, reason)
-        for number, at in self._names:
-            if number == unit:
-                self._put_failure(now, unit, at, "down", reason)
+    def _describe(self, unit: int, results: Sequence[ReadResult]) -> None:
+        """Set the rows of the table again if the values of a unit have other names now."""
+        names = {
+            (unit, at): [_name(each.item, row) for row in each.rows]
+            for at, each in enumerate(results)
+            if each.rows
+        }
+        if names.items() <= self._names.items():
+            return
+        self._names |= names
+        self._values.describe(
+            ShownPoint(_device(number), *name, self._every)
+            for (number, _), names in sorted(self._names.items())
+            for name in names
+        )
 
     def _unit(self, name: str) -> WatchedUnit:
         return self._units.setdefault(name, WatchedUnit(name))
-
-    def _put(self, now: float, unit: int, name: tuple[str, str], row: Any, reason: str) -> None:
-        value, quality = _value(row.plain), "good"
-        if row.plain == "" and row.unit.startswith("("):  # the reason why there is no value
-            value, quality, reason = None, "bad", row.unit[1:-1]
-        self._values.put([(now, _device(unit), name[0], value, name[1], quality, reason)])
-
-    def _put_failure(self, now: float, unit: int, at: int, quality: str, reason: str) -> None:
-        for name, units in self._names.get((unit, at), []):
-            self._values.put([(now, _device(unit), name, None, units, quality, reason)])
 
 
 class WatchedUnit:
@@ -140,9 +129,8 @@ def _device(unit: int) -> str:
     return f"unit {unit}"
 
 
-def _name(result: ReadResult, row: Any) -> tuple[str, str]:
+def _name(item: Item, row: FormattedValue) -> tuple[str, str]:
     """Return the name of a value, and its unit of measurement."""
-    item = result.formatter.item
     where = row.where.strip()
     if item.point is not None:
         return where, item.point.units

@@ -24,8 +24,7 @@ from ..output import complain, print_json
 
 # fmt: off
 __all__ = [
-    "Named", "ask_units", "client_of", "fail", "print_report", "reason_of", "report_units",
-    "units_of",
+    "Named", "ask_units", "client_of", "fail", "print_report", "report_units", "units_of",
 ]
 # fmt: on
 
@@ -36,12 +35,7 @@ MAX_SILENT = 4
 
 
 def units_of(options: argparse.Namespace) -> list[int]:
-    """
-    Return the units that were typed, otherwise the unit of the URL, which is 1 by default.
-
-    Raises:
-        ValueError: the URL or an option is wrong.
-    """
+    """Return the units that were typed, otherwise the unit of the URL, which is 1 by default."""
     if options.units:
         options.unit = options.units[0]
     return options.units or [endpoint_of(options).client_options.get("unit", 1)]
@@ -56,15 +50,8 @@ def ask_units(
     units: Sequence[int], ask: Callable[[int], int], fail: Callable[[int, str], None]
 ) -> int:
     """
-    Ask each unit, and return the highest exit code. Of several units one may fail.
-
-    Args:
-        ask: asks a unit, prints the answers, and returns the exit code.
-        fail: prints that a unit failed, and why.
-
-    Raises:
-        ModbusError, CommandError: as of `ask`, if there is one unit.
-        ModbusConnectionError: there is no connection.
+    Ask each unit, and return the highest exit code. Of several units one may fail: `fail` prints
+    it, and why. What a single unit raises is raised, and so is that there is no connection.
     """
     codes = [0]
     for unit in units:
@@ -73,23 +60,13 @@ def ask_units(
         except (ModbusError, CommandError) as error:
             if len(units) == 1 or isinstance(error, ModbusConnectionError):
                 raise
-            fail(unit, reason_of(error))
+            fail(unit, f"{error}{advice(error)}")
             codes.append(1)
     return max(codes)
 
 
-def reason_of(error: ModbusError | CommandError) -> str:
-    """Return why a unit failed, and what to try."""
-    return f"{error}{advice(error)}" if isinstance(error, ModbusError) else str(error)
-
-
 def fail(unit: int, reason: str, *, as_json: bool, lacks: str) -> None:
-    """
-    Print that one of several units failed.
-
-    Args:
-        lacks: what there is none of, such as "values".
-    """
+    """Print that one of several units failed; `lacks` is what it has none of, such as "values"."""
     if as_json:
         print_json({"unit": unit, "error": reason})
         return
@@ -104,8 +81,7 @@ def report_units(options: argparse.Namespace, report: Callable[[Context, bool], 
     """
     Report about each unit that was typed, and return the highest exit code.
 
-    Args:
-        report: asks a client and prints; its second argument is True if there are several units.
+    The second argument of `report`, which asks and prints, is True if there are several units.
     """
     units = units_of(options)
     with closing(connected(options)) as context:
@@ -127,13 +103,8 @@ def print_report(
     Ask all questions, and print the answers and which of them the device lacks, or why there is
     no answer: it may keep silent, or close the connection, for what it does not know.
 
-    Args:
-        questions: name -> function that asks, and returns names and values.
-        several: True if other units are asked too, so that the unit is named.
-
-    Raises:
-        CommandError: the device has no answer to any of the questions.
-        ModbusError: there is no connection, or the device says nothing at all.
+    Raises CommandError if there is no answer to any of the questions, ModbusError if there is no
+    connection, or the device says nothing at all.
     """
     context.connect()
     answers: dict[str, Any] = {}
@@ -149,32 +120,24 @@ def print_report(
         has_spoken = answers or len(lacking) > len(silent)
         if not has_spoken and len(silent) == min(MAX_SILENT, len(questions)):
             raise silent[0]
-    if as_json and (answers or not several):
-        plain = {
-            name: _shown(value) if isinstance(value, bytes) else value
-            for name, value in answers.items()
-        }
-        print_json({"unit": context.unit, **plain, "lacking": lacking})
     if not answers:
         raise CommandError(f"unit {context.unit} has none of these: {'; '.join(lacking.values())}")
-    if not as_json:
-        _print_lines(answers, lacking, f"unit {context.unit}:" * several)
+    shown = {name: _shown(value) for name, value in answers.items()}
+    if as_json:
+        print_json({"unit": context.unit, **shown, "lacking": lacking})
+        return 0
+    if several:
+        print(f"unit {context.unit}:")
+    lines = {**shown, **{name: f"({reason})" for name, reason in lacking.items()}}
+    width = max(map(len, lines))
+    for name, text in lines.items():
+        print(f"{'  ' * several}{name.replace('_', ' '):<{width}}  {text}")
     return 0
 
 
-def _print_lines(answers: dict[str, Any], lacking: dict[str, str], heading: str) -> None:
-    if heading:
-        print(heading)
-    lines = {name: _shown(value) for name, value in answers.items()}
-    lines |= {name: f"({reason})" for name, reason in lacking.items()}
-    width = max(map(len, lines))
-    for name, text in lines.items():
-        print(f"{'  ' * bool(heading)}{name.replace('_', ' '):<{width}}  {text}")
-
-
-def _shown(value: Any) -> str:
-    """Return a value as text without control characters; other bytes are hexadecimal."""
-    if isinstance(value, bytes):
-        is_text = value and all(0x20 <= byte < 0x7F for byte in value)
-        return value.decode() if is_text else value.hex(" ")
-    return str(value)
+def _shown(value: Any) -> Any:
+    """Return bytes as text if it has no control characters, otherwise in hexadecimal."""
+    if not isinstance(value, bytes):
+        return value
+    is_text = value and all(0x20 <= byte < 0x7F for byte in value)
+    return value.decode() if is_text else value.hex(" ")

@@ -12,19 +12,19 @@ import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
-from typing import Any, TextIO
+from contextlib import ExitStack, closing
+from typing import TextIO
 
+from ...client.blocking import Context
 from ...protocol.errors import ModbusError
 from ...protocol.plain import clock_text
 from ..connecting import connected
-from ..failing import CommandError
-from ..output import complain, counted
+from ..failing import CommandError, advice
+from ..output import counted
 from ..screen import Redrawn
 from ..serve import over_http
 from .formatters import ReadResult, aligned
 from .reading import Printer, Reader, printer_of, readers_of
-from .units import reason_of
 
 __all__ = ["watch"]
 
@@ -32,188 +32,114 @@ CHANGED = "*"
 
 
 def watch(options: argparse.Namespace) -> int:
-    """Poll each unit; a lost connection is established again. Return 1 if no poll succeeded."""
+    """Poll each unit; a lost connection is established again."""
     readers = readers_of(options)
     interval = min(reader.interval for reader in readers)
-    with closing(connected(options)) as context:
+    polls = answered = 0
+    reason = ""
+    with closing(connected(options)) as context, ExitStack() as stack:
         units = ",".join(str(reader.unit) for reader in readers)
         title = f"{context.url}, unit {units}, every {interval:g} s"
-        with _on_page(options, title, _printer(options, readers, title), interval) as printer:
-            polls = _Polls(readers, context, printer)
-            try:
-                polls.run(interval, options.count, options.lasts or float("inf"))
-            finally:
-                if options.written_to and sys.stderr.isatty():
-                    print(f"{counted(polls.done, 'poll')} in {options.written_to}", file=sys.stderr)
-    return 0 if polls.answered else 1
+        printers = _printers(options, readers, title)
+        if options.page is not None or options.page_token is not None:
+            from .shown_watch import ShownWatch
 
-
-class _Polls:
-    """Polls units, one after the other, and counts the polls and those that were answered."""
-
-    def __init__(self, readers: Sequence[Reader], context: Any, printer: Printer) -> None:
-        self.done = self.answered = 0
-        self._readers = readers
-        self._context = context
-        self._printer = printer
-
-    def run(self, interval: float, count: int | None, lasts: float) -> None:
-        """Poll from start to start at an interval; polls that are late are left out."""
-        due = begun = time.monotonic()
-        rounds = 0
-        while True:
-            for reader in self._readers:
-                self._poll(reader, due)
-            rounds += 1
-            now = time.monotonic()
-            due = begun + ((now - begun) // interval + 1) * interval
-            if rounds == count or due >= begun + lasts:
-                return
-            time.sleep(max(0.0, due - time.monotonic()))
-
-    def _poll(self, reader: Reader, due: float) -> None:
+            shown = ShownWatch(title, interval)
+            printers.append(shown.print)
+            page = over_http.tables_shown(
+                lambda: shown, options.page, options.page_token, sys.stderr
+            )
+            stack.enter_context(page)
         try:
-            results = reader.ask(self._context, due)
-        except (ModbusError, CommandError) as error:
-            self._printer.fail(reader.unit, reason_of(error))
-        else:
-            self._printer.print(reader.unit, results)
-            self.answered += 1
-        self.done += 1
+            for due in _times(interval, options.count, options.lasts or float("inf")):
+                for reader in readers:
+                    reason = _poll(reader, context, due, printers)
+                    polls += 1
+                    answered += not reason
+        finally:
+            if options.written_to and sys.stderr.isatty():
+                print(f"{counted(polls, 'poll')} in {options.written_to}", file=sys.stderr)
+    if not answered:
+        raise CommandError(f"no poll was answered; the last one: {reason}")
+    return 0
 
 
-def _printer(options: argparse.Namespace, readers: Sequence[Reader], title: str) -> Printer:
-    """Return what prints the values to the outputs that were typed, and to a terminal."""
+def _times(interval: float, count: int | None, lasts: float) -> Iterator[float]:
+    """Yield when each poll is due, and wait in between; polls that would be late are left out."""
+    due = begun = time.monotonic()
+    polls = 0
+    while polls != count and due < begun + lasts:
+        time.sleep(max(0.0, due - time.monotonic()))
+        yield due
+        polls += 1
+        due = begun + ((time.monotonic() - begun) // interval + 1) * interval
+
+
+def _poll(reader: Reader, context: Context, due: float, printers: Sequence[Printer]) -> str:
+    """Print the results of a unit, or why there are none, which is returned."""
+    results, reason = list[ReadResult](), ""
+    try:
+        results = reader.ask(context, due)
+    except (ModbusError, CommandError) as error:
+        reason = f"{error}{advice(error)}"
+    for each in printers:
+        each(reader.unit, results, reason)
+    return reason
+
+
+def _printers(options: argparse.Namespace, readers: Sequence[Reader], title: str) -> list[Printer]:
+    """Return what prints the values to the output that was typed, and to a terminal."""
     is_file = options.written_to is not None
     screen: TextIO = options.screen
     has_cursor = screen.isatty() and os.environ.get("TERM", "dumb") != "dumb"
     # Frames of --verbose would be printed into the table.
     is_table = has_cursor and not options.verbose and (is_file or not (options.csv or options.json))
-    table = TerminalTable(title, [reader.unit for reader in readers], screen) if is_table else None
-    if table is not None and not is_file:
-        return table
-    printer = printer_of(options, readers, are_polls=True)
-    return _Both(printer, table or _Failures()) if is_file else printer
+    printers: list[Printer] = []
+    if is_file or not is_table:
+        printers.append(printer_of(options, readers, are_polls=True))
+    if is_table:
+        printers.append(_TerminalTable(title, readers, screen).print)
+    return printers
 
 
-class _Both:
-    """Passes everything on to two printers."""
+class _TerminalTable:
+    """Draws a title, a line for each value with a mark after a change, and failures."""
 
-    def __init__(self, first: Printer, second: Printer) -> None:
-        self._printers = first, second
-
-    def print(self, unit: int, results: Sequence[ReadResult]) -> None:
-        for each in self._printers:
-            each.print(unit, results)
-
-    def fail(self, unit: int, reason: str) -> None:
-        for each in self._printers:
-            each.fail(unit, reason)
-
-
-class _Failures:
-    """Prints why a unit has no values, when the reason changes."""
-
-    def __init__(self) -> None:
-        self._reasons: dict[int, str] = {}
-
-    def print(self, unit: int, results: Sequence[ReadResult]) -> None:
-        self._say(unit, "; ".join(each.failure for each in results if each.failure))
-
-    def fail(self, unit: int, reason: str) -> None:
-        self._say(unit, reason)
-
-    def _say(self, unit: int, reason: str) -> None:
-        if reason and self._reasons.get(unit) != reason:
-            complain(reason)
-        self._reasons[unit] = reason
-
-
-@contextmanager
-def _on_page(
-    options: argparse.Namespace, title: str, printer: Printer, interval: float
-) -> Iterator[Printer]:
-    """Show the values on a page too while the block runs, if there is an address."""
-    if options.page is None and options.page_token is None:
-        yield printer
-        return
-    from .shown_watch import ShownWatch
-
-    shown = ShownWatch(title, printer, interval)
-    with over_http.tables_shown(lambda: shown, options.page, options.page_token, sys.stderr):
-        yield shown
-
-
-# --- on a terminal -------------------------------------------------------------------
-
-
-class TerminalTable:
-    """
-    Draws a title, a line for each value with a mark after a change, and failures, within the
-    current size of the terminal.
-    """
-
-    def __init__(self, title: str, units: Sequence[int], screen: TextIO) -> None:
+    def __init__(self, title: str, readers: Sequence[Reader], screen: TextIO) -> None:
         self._title = title
-        self._groups = {unit: _Group() for unit in units}
-        self._polls = self._failed = 0
+        # Unit -> its lines, each with True if its value has just changed.
+        self._lines: dict[int, list[tuple[str, bool]]] = {each.unit: [] for each in readers}
+        self._texts: dict[int, list[str]] = {}
+        self._rounds = self._failed = 0
         self._last_failure = ""
         self._redrawn = Redrawn(screen)
 
-    def print(self, unit: int, results: Sequence[ReadResult]) -> None:
-        self._count(unit, any(each.failure for each in results))
-        self._groups[unit].take(results)
-        self._draw()
-
-    def fail(self, unit: int, reason: str) -> None:
-        self._count(unit, True)
-        self._groups[unit].lines = [(reason, False)]
-        self._draw()
-
-    def _count(self, unit: int, has_failed: bool) -> None:
-        self._polls += unit == next(iter(self._groups))
-        if has_failed:
+    def print(self, unit: int, results: Sequence[ReadResult], reason: str) -> None:
+        failures = [reason] if reason else [each.failure for each in results if each.failure]
+        self._rounds += unit == next(iter(self._lines))
+        if failures:
             self._failed += 1
-            self._last_failure = _clock()
+            self._last_failure = f", {self._failed} failed, last at {_clock()}"
+        lines = [] if reason else self._marked(unit, results)
+        self._lines[unit] = [*lines, *((each, False) for each in failures)]
+        title = f"{_clock()}  {self._title}, {self._rounds} polls{self._last_failure}"
+        shown = [(title, False)]
+        for each, its_lines in self._lines.items():
+            shown += [(f"unit {each}", False)] if len(self._lines) > 1 else []
+            shown += its_lines
+        self._redrawn.draw(shown)
 
-    def _draw(self) -> None:
-        failed = f", {self._failed} failed, last at {self._last_failure}" if self._failed else ""
-        title = f"{_clock()}  {self._title}, {self._polls} polls{failed}"
-        self._redrawn.draw([(title, False), *self._lines()])
-
-    def _lines(self) -> Sequence[tuple[str, bool]]:
-        if len(self._groups) == 1:
-            (group,) = self._groups.values()
-            return group.lines
-        found: list[tuple[str, bool]] = []
-        for unit, group in self._groups.items():
-            found += [(f"unit {unit}", False), *group.lines]
-        return found
-
-
-class _Group:
-    """The lines of one unit, each with True if its value has just changed."""
-
-    def __init__(self) -> None:
-        self.lines: list[tuple[str, bool]] = []
-        self._before: list[str] = []
-
-    def take(self, results: Sequence[ReadResult]) -> None:
-        rows = [row for each in results for row in each.rows]
-        lines = aligned([(each.formatter, each.rows) for each in results])
-        changed = self._changed([row.text for row in rows])
-        self.lines = [
-            (f"{CHANGED if at in changed else ' '} {line}", at in changed)
-            for at, line in enumerate(lines)
-        ]
-        self.lines += [(each.failure, False) for each in results if each.failure]
-
-    def _changed(self, texts: list[str]) -> set[int]:
-        """Return the lines with a new value; none if the number of lines changed."""
-        before, self._before = self._before, texts
+    def _marked(self, unit: int, results: Sequence[ReadResult]) -> list[tuple[str, bool]]:
+        """Return the lines of a unit; none is marked if the number of lines has changed."""
+        texts = [row.text for each in results for row in each.rows]
+        before = self._texts.get(unit, [])
         if len(before) != len(texts):
-            return set()
-        return {at for at, (text, old) in enumerate(zip(texts, before, strict=True)) if text != old}
+            before = texts
+        self._texts[unit] = texts
+        return [
+            (f"{' ' if text == old else CHANGED} {line}", text != old)
+            for line, text, old in zip(aligned(results), texts, before, strict=True)
+        ]
 
 
 def _clock() -> str:

@@ -18,7 +18,7 @@ from ...protocol.plain import bit_of, number_of, value_of
 from ..connecting import connected, endpoint_of
 from ..failing import CommandError
 from ..output import complain, counted
-from .formatters import Formatter, aligned, formatter_of
+from .formatters import aligned, result_of
 from .items import REGISTERS, Item, Words, reason_of
 
 if TYPE_CHECKING:
@@ -41,38 +41,33 @@ def write(options: argparse.Namespace) -> int:
     """Send the requests, or print them for --dry-run; return 1 if --verify finds a difference."""
     words = Words(options, options.what, have_values=True)
     writes = _writes(options, words)
+    requests = [(each.item, request) for each in writes for request in each.requests]
     if options.dry_run:
-        _show(options, [request for each in writes for request in each.requests])
+        _show(options, [request for _, request in requests])
         return 0
-    if options.verify:
-        _check_unit(options)
+    endpoint = endpoint_of(options)
+    is_broadcast = not endpoint.has_transactions and endpoint.client_options.get("unit") == 0
+    if options.verify and is_broadcast:
+        raise ValueError("--verify cannot be used with unit 0: nothing answers a broadcast")
     with closing(connected(options)) as context:
-        requests = [(each.item, request) for each in writes for request in each.requests]
         for done, (item, request) in enumerate(requests):
             try:
                 result = context.execute(request)
             except ModbusError as error:
                 earlier = f"; carried out before: {counted(done, 'request')}" * bool(done)
                 raise CommandError(f"{reason_of(error, item)}{earlier}") from None
-            if options.and_read:
-                _print_registers(options, request, result)
+            if isinstance(request, pdu.ReadWriteRegisters):
+                first = Item("holding_registers", request.read_address, base=item.base)
+                print("\n".join(aligned([result_of(first, result)])))
         # After the last write, because one may change what another wrote.
         differing: list[str] = []
         for each in writes:
-            found, lines = _verified(context, each) if options.verify else ([], [])
-            differing += lines
+            found = _verified(context, each, differing) if options.verify else None
             if options.screen.isatty():
-                _say(context, words.map, each, found if options.verify else None)
+                _say(context, words.map, each, found)
     for line in differing:
         complain(line)
     return 1 if differing else 0
-
-
-def _check_unit(options: argparse.Namespace) -> None:
-    """Refuse to verify what nothing answers."""
-    endpoint = endpoint_of(options)
-    if not endpoint.has_transactions and endpoint.client_options.get("unit") == 0:
-        raise ValueError("--verify cannot be used with unit 0: nothing answers a broadcast")
 
 
 def _show(options: argparse.Namespace, requests: list[Request]) -> None:
@@ -87,13 +82,6 @@ def _show(options: argparse.Namespace, requests: list[Request]) -> None:
         print(f"> {text}  unit {unit}, {request}")
 
 
-def _print_registers(options: argparse.Namespace, request: Request, values: list[int]) -> None:
-    address: int = request.read_address  # type: ignore[attr-defined]
-    base = 1 if options.count_from_1 else 0
-    formatter = Formatter(Item("holding_registers", address, len(values), base=base))
-    print("\n".join(aligned([(formatter, formatter.rows(values))])))
-
-
 def _say(context: Context, map: RegisterMap | None, write: Write, cells: list[int] | None) -> None:
     """Print what was written, and the cells that --verify read; None without it."""
     item = write.item
@@ -103,10 +91,8 @@ def _say(context: Context, map: RegisterMap | None, write: Write, cells: list[in
         value = context.read_map(map, [name])[name]
         line += f", read back {value} {item.point.units}".rstrip()
     elif cells is not None:
-        shown = formatter_of(
-            replace(item, count=len(cells) // item.size), as_all=False, in_hex=False
-        )
-        line += f", read back {' '.join(row.text for row in shown.rows(cells))}"
+        rows = result_of(replace(item, count=len(cells) // item.size), cells).rows
+        line += f", read back {' '.join(row.text for row in rows)}"
     print(line)
 
 
@@ -132,28 +118,11 @@ def _writes(options: argparse.Namespace, words: Words) -> list[Write]:
 def _point_requests(
     options: argparse.Namespace, points: RegisterMap, item: Item, texts: list[str]
 ) -> list[Request]:
-    assert item.point is not None
-    if options.mask or options.and_read:
-        raise ValueError("--mask and --and-read need a register, not a name")
-    values = {item.point.name: _point_value(item, texts)}
-    scales = _scales(options, points, points.scale_sources(values))
-    return [*points.writes(values, multiple=options.multiple, sources=scales)]
-
-
-def _scales(options: argparse.Namespace, points: RegisterMap, names: list[str]) -> dict[str, Any]:
-    """Read the points that scale a value, without which its registers are not known."""
-    if not names:
-        return {}
-    if options.dry_run:
-        raise ValueError(f"--dry-run asks no device, and {names[0]} of the device is the scale")
-    with closing(connected(options)) as context:
-        return context.read_map(points, names)
-
-
-def _point_value(item: Item, texts: list[str]) -> Any:
-    """Return the value of the item's point, as the point takes it."""
+    """Return the requests for a point; what scales it is read, because registers depend on it."""
     point = item.point
     assert point is not None
+    if options.mask or options.and_read:
+        raise ValueError("--mask and --and-read need a register, not a name")
     if len(texts) != item.count:
         many = counted(item.count, "value")
         raise ValueError(f"{point.name} needs {many} after its name, not {len(texts)}")
@@ -161,26 +130,40 @@ def _point_value(item: Item, texts: list[str]) -> Any:
         values = [typed_value(point, text) for text in texts]
     except ValueError as error:
         raise ValueError(f"{point.name}: {error}") from None
-    return values[0] if item.count == 1 else values
+    wanted = {point.name: values[0] if item.count == 1 else values}
+    names = points.scale_sources(wanted)
+    if names and options.dry_run:
+        raise ValueError(f"--dry-run asks no device, and {names[0]} of the device is the scale")
+    scales: dict[str, Any] = {}
+    if names:
+        with closing(connected(options)) as context:
+            scales = context.read_map(points, names)
+    return [*points.writes(wanted, multiple=options.multiple, sources=scales)]
 
 
 def _request(options: argparse.Namespace, item: Item, texts: list[str]) -> Request:
     if item.table in ("discrete_inputs", "input_registers", "fifo_queue"):
         raise ValueError(f"{item.table.replace('_', ' ')} can only be read")
+    for flag, is_set in (("--mask", options.mask), ("--and-read", options.and_read)):
+        if is_set and item.table != "holding_registers":
+            raise ValueError(f"{flag} is for holding registers, not {item.label()}")
+    if options.mask and texts:
+        raise ValueError("--mask and values exclude each other")
     if options.mask:
-        return _mask(options, item, texts)
+        masks = [number_of("mask", text) for text in options.mask]
+        return pdu.MaskWriteRegister(item.address, *masks)
     if not texts:
         raise ValueError(f"there is no value to write to {item.label()}")
     if item.is_range and len(texts) != item.count:
         raise ValueError(f"the range from {item.label()} on needs {item.count} values")
     if item.table == "coils":
         bits = tuple(bit_of(text) for text in texts)
-        if len(bits) == 1 and not options.multiple:
-            return pdu.WriteCoil(item.address, bits[0])
-        return pdu.WriteCoils(item.address, bits)
+        is_one = len(bits) == 1 and not options.multiple
+        return pdu.WriteCoil(item.address, *bits) if is_one else pdu.WriteCoils(item.address, bits)
     values = _registers(item, texts)
     if options.and_read:
-        return _and_read(options, item, values)
+        first, count = map(number_of, ("address", "count"), options.and_read)
+        return pdu.ReadWriteRegisters(first - item.base, count, item.address, values)
     if item.table == "file":
         return pdu.WriteFileRecords(((item.file, item.address, values),))
     if len(values) == 1 and not options.multiple:
@@ -188,26 +171,9 @@ def _request(options: argparse.Namespace, item: Item, texts: list[str]) -> Reque
     return pdu.WriteRegisters(item.address, values)
 
 
-def _mask(options: argparse.Namespace, item: Item, texts: list[str]) -> Request:
-    if item.table != "holding_registers":
-        raise ValueError(f"--mask is for holding registers, not {item.label()}")
-    if texts:
-        raise ValueError("--mask and values exclude each other")
-    return pdu.MaskWriteRegister(item.address, *(number_of("mask", text) for text in options.mask))
-
-
-def _and_read(options: argparse.Namespace, item: Item, values: tuple[int, ...]) -> Request:
-    if item.table != "holding_registers":
-        raise ValueError(f"--and-read is for holding registers, not {item.label()}")
-    names = ("address", "count")
-    address, count = (number_of(*pair) for pair in zip(names, options.and_read, strict=True))
-    base = 1 if options.count_from_1 else 0
-    return pdu.ReadWriteRegisters(address - base, count, item.address, values)
-
-
 def _registers(item: Item, texts: list[str]) -> tuple[int, ...]:
     if item.kind is None:
-        return tuple(map(_register, texts))
+        return tuple(map(typed_register, texts))
     kind, limit = item.kind, REGISTERS[item.table][1]
     most = limit // kind.registers
     if not most:
@@ -220,35 +186,15 @@ def _registers(item: Item, texts: list[str]) -> tuple[int, ...]:
     return tuple(kind.encode_many([value_of(text, kind) for text in texts]))
 
 
-def _register(text: str) -> int:
-    try:
-        return typed_register(text)
-    except ValueError as error:
-        raise ValueError(f"{error}{_advice(text)}") from None
-
-
-def _advice(text: str) -> str:
-    """Return what is typed in place of a number such as 1e3 or 1.5; empty for other text."""
-    try:
-        number = float(text)
-    except ValueError:
-        return ""
-    if "." in text or "e" in text.lower():
-        is_whole = number.is_integer()
-        return f"; type {number:.0f}" if is_whole else "; give it a type, as in hr 0:float32"
-    return ""
-
-
 # --- verifying -----------------------------------------------------------------------
 
 
-def _verified(context: Context, write: Write) -> tuple[list[int], list[str]]:
-    """Read what was written; return the cells, and a line for each cell that differs."""
+def _verified(context: Context, write: Write, differing: list[str]) -> list[int]:
+    """Read what was written; return the cells, and add a line for each cell that differs."""
     item = write.item
     found: list[int] = []
-    differing: list[str] = []
     for request in write.requests:
-        read, written, masks = _expected(request)
+        read, written, bits = _expected(request)
         cells = context.execute(read)
         if isinstance(read, pdu.ReadFileRecords):
             cells = cells[0]
@@ -256,30 +202,26 @@ def _verified(context: Context, write: Write) -> tuple[list[int], list[str]]:
         name = item.label if item.point is None else f"{item.point.name}, register {{}}".format
         differing += [
             f"{name(first + at)}: wrote {int(wanted)}, reads {int(cell)}"
-            for at, (wanted, cell, mask) in enumerate(zip(written, cells, masks, strict=False))
-            if (int(wanted) ^ int(cell)) & mask
+            for at, (wanted, cell) in enumerate(zip(written, cells, strict=False))
+            if (int(wanted) ^ int(cell)) & bits
         ]
         found += [int(cell) for cell in cells[: len(written)]]
-    return found, differing
+    return found
 
 
-def _expected(request: Any) -> tuple[pdu.Request[Any], list[int], list[int]]:
-    """Return the request that reads back, the cells that it should read, and their bits."""
-    if isinstance(request, pdu.WriteCoil | pdu.WriteCoils):
-        values = [request.value] if isinstance(request, pdu.WriteCoil) else [*request.values]
-        read: pdu.Request[Any] = pdu.ReadCoils(request.address, len(values))
-        return read, [int(each) for each in values], [1] * len(values)
-    if isinstance(request, pdu.WriteFileRecords):
-        ((file, address, records),) = request.records
-        read = pdu.ReadFileRecords(((file, address, len(records)),))
-        return read, [*records], [0xFFFF] * len(records)
+def _expected(request: Any) -> tuple[pdu.Request[Any], list[int], int]:
+    """Return the request that reads back, the cells that it should read, and the bits of them."""
     if isinstance(request, pdu.MaskWriteRegister):
         # A bit of the AND mask keeps what was there, which is not known.
-        read = pdu.ReadHoldingRegisters(request.address, 1)
-        return read, [request.or_mask], [~request.and_mask & 0xFFFF]
+        read: pdu.Request[Any] = pdu.ReadHoldingRegisters(request.address, 1)
+        return read, [request.or_mask], ~request.and_mask & 0xFFFF
+    if isinstance(request, pdu.WriteFileRecords):
+        ((file, address, records),) = request.records
+        return pdu.ReadFileRecords(((file, address, len(records)),)), [*records], 0xFFFF
+    is_one = isinstance(request, pdu.WriteCoil | pdu.WriteRegister)
+    values = [request.value] if is_one else [*request.values]
+    is_coils = isinstance(request, pdu.WriteCoil | pdu.WriteCoils)
     is_both = isinstance(request, pdu.ReadWriteRegisters)
-    first: int = request.write_address if is_both else request.address
-    is_one = isinstance(request, pdu.WriteRegister)
-    registers: list[int] = [request.value] if is_one else [*request.values]
-    read = pdu.ReadHoldingRegisters(first, len(registers))
-    return read, registers, [0xFFFF] * len(registers)
+    first = request.write_address if is_both else request.address
+    read = (pdu.ReadCoils if is_coils else pdu.ReadHoldingRegisters)(first, len(values))
+    return read, values, 0xFFFF

@@ -8,7 +8,7 @@ import signal
 from typing import Any
 
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.cli.ask.formatters import FormattedValue, ReadResult, formatter_of
+from libmodbus_py.cli.ask.formatters import FormattedValue, ReadResult
 from libmodbus_py.cli.ask.items import Item
 from libmodbus_py.cli.ask.shown_watch import ShownWatch
 from tests.support.commands import PAGE_TOKEN, Started, page_url
@@ -36,30 +36,20 @@ def test_values_are_shown_and_printed() -> None:
             process.wait()
 
 
-class Silent:
-    """Prints nothing."""
-
-    def print(self, unit: int, results: object) -> None:
-        """Take it."""
-
-    def fail(self, unit: int, reason: str) -> None:
-        """Take it."""
+ITEM = Item("holding_registers", 7, 1, word="holding")
+GOOD = ReadResult(ITEM, [FormattedValue("    7", "5", "5")], {})
 
 
 def test_what_fails_is_a_gap_with_its_reason() -> None:
-    shown = ShownWatch("meter", Silent(), 1.0)
-    formatter = formatter_of(
-        Item("holding_registers", 7, 1, word="holding"), as_all=False, in_hex=False
-    )
-    good = ReadResult(formatter, [FormattedValue("    7", "5", "5")], {})
+    shown = ShownWatch("meter", 1.0)
     assert shown.status() == ("no answer yet", False)
-    shown.fail(3, "no answer")
+    shown.print(3, [], "no answer")
     assert cells(shown) == [[["", "unit 3"], "down", "no answer"]]
     for unit in (1, 2):
-        shown.print(unit, [good])
+        shown.print(unit, [GOOD], "")
     assert shown.status() == ("no answer from unit 3", True)
-    shown.fail(2, "no answer")
-    shown.print(1, [good._replace(rows=[], failure="illegal data address")])
+    shown.print(2, [], "no answer")
+    shown.print(1, [GOOD._replace(rows=[], failure="illegal data address")], "")
     assert cells(shown) == [
         [["", "unit 1"], "up", ""],
         [["unit 1", "holding 7"], "bad", "illegal data address"],
@@ -68,7 +58,7 @@ def test_what_fails_is_a_gap_with_its_reason() -> None:
     ]
     assert [row.is_problem for row in shown.rows()] == [False, True, True, False]
     assert shown.figures() == {"polls": 5, "failed": 3}
-    shown.print(1, [good])
+    shown.print(1, [GOOD], "")
     assert [row.cells()[2][0] for row in shown.rows()] == ["", "5", "", "-"]
 
 
@@ -78,13 +68,9 @@ def cells(shown: ShownWatch) -> list[list[Any]]:
 
 
 def test_a_total_that_fell_has_a_mark_for_one_poll() -> None:
-    shown = ShownWatch("meter", Silent(), 1.0)
-    formatter = formatter_of(
-        Item("holding_registers", 7, 1, word="holding"), as_all=False, in_hex=False
-    )
-    good = ReadResult(formatter, [FormattedValue("    7", "5", "5")], {})
+    shown = ShownWatch("meter", 1.0)
     found = []
-    for result in (good, good._replace(has_fallen=True), good):
-        shown.print(1, [result])
+    for result in (GOOD, GOOD._replace(has_fallen=True), GOOD):
+        shown.print(1, [result], "")
         found.append(shown.rows()[1].cells()[1])
     assert found == [["good", "", 0], ["good", "fell", 0], ["good", "", 0]]
