@@ -5,7 +5,7 @@ The command map: the arguments of its actions, and the action list.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from functools import partial
 from textwrap import fill
 from typing import Any
 
@@ -16,8 +16,6 @@ from ..help import VerbatimHelp
 from ..output import complain
 
 __all__ = ["add_command"]
-
-Run = Callable[[argparse.Namespace], int]
 
 CHECK = "check register maps, and print their points and requests"
 LIST = "list the register maps that come with the package"
@@ -88,7 +86,7 @@ def add_command(commands: Any) -> None:
     command = commands.add_parser("map", epilog=EXAMPLES, formatter_class=VerbatimHelp)
     actions = command.add_subparsers(metavar="ACTION", required=True)
 
-    def add(name: str, run: Run, about: str, epilog: str, more: str = "") -> Any:
+    def add(name: str, about: str, epilog: str, more: str = "") -> Any:
         action = actions.add_parser(
             name,
             help=about,
@@ -96,26 +94,35 @@ def add_command(commands: Any) -> None:
             epilog=epilog,
             formatter_class=VerbatimHelp,
         )
-        action.set_defaults(run=run, parser=action)
+        action.set_defaults(run=partial(_run, name), parser=action)
         return action
 
-    _add_check(add("check", lambda options: _actions().check(options), CHECK, OF_CHECK))
-    _add_list(add("list", _list, LIST, OF_LIST, "; --map takes their names"))
-    _add_class(add("class", lambda options: _actions().class_of(options), CLASS, OF_CLASS))
-    _add_from_device(
-        add(
-            "from-device",
-            lambda options: _actions().from_device(options),
-            FROM_DEVICE,
-            OF_DEVICE,
-            TO_FILL_IN,
-        )
-    )
-    from_sunspec = add(
-        "from-sunspec", lambda options: _actions().from_sunspec(options), FROM_SUNSPEC, OF_SUNSPEC
-    )
+    _add_check(add("check", CHECK, OF_CHECK))
+    _add_list(add("list", LIST, OF_LIST, "; --map takes their names"))
+    _add_class(add("class", CLASS, OF_CLASS))
+    device = add("from-device", FROM_DEVICE, OF_DEVICE, TO_FILL_IN)
+    arguments.add_url(device)
+    _add_output(device)
+    arguments.add_client_options(device.add_argument_group("requests"), defaults=_timeouts)
+    arguments.add_serial_options(device)
+    arguments.add_security_options(device)
+    from_sunspec = add("from-sunspec", FROM_SUNSPEC, OF_SUNSPEC)
     arguments.add_client(from_sunspec)
     _add_output(from_sunspec)
+
+
+def _run(name: str, options: argparse.Namespace) -> int:
+    if name == "list":
+        return _list(options)
+    from . import map_actions
+
+    run = {
+        "check": map_actions.check,
+        "class": map_actions.class_of,
+        "from-device": map_actions.from_device,
+        "from-sunspec": map_actions.from_sunspec,
+    }
+    return run[name](options)
 
 
 def _add_check(check: argparse.ArgumentParser) -> None:
@@ -151,20 +158,8 @@ def _add_class(typed: argparse.ArgumentParser) -> None:
     )
     completing(file, maps)
     arguments.add_columns(typed)
-    typed.add_argument(
-        "-o",
-        "--output",
-        metavar="FILE",
-        help="a .py file, new or written by this command before (printed)",
-    )
-
-
-def _add_from_device(skeleton: argparse.ArgumentParser) -> None:
-    arguments.add_url(skeleton)
-    _add_output(skeleton)
-    arguments.add_client_options(skeleton.add_argument_group("requests"), defaults=_timeouts)
-    arguments.add_serial_options(skeleton)
-    arguments.add_security_options(skeleton)
+    help = "a .py file, new or written by this command before (printed)"
+    typed.add_argument("-o", "--output", metavar="FILE", help=help)
 
 
 def _add_output(command: argparse.ArgumentParser) -> None:
@@ -177,12 +172,6 @@ def _timeouts() -> dict[str, str]:
     from ...tools.scan.places import ON_LINES, ON_NETWORKS
 
     return {"timeout": f"{ON_LINES:g}; on networks {ON_NETWORKS:g}"}
-
-
-def _actions() -> Any:
-    from . import map_actions
-
-    return map_actions
 
 
 def _list(options: argparse.Namespace) -> int:

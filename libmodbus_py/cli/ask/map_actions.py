@@ -7,21 +7,19 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import closing
 from pathlib import Path, PurePath
 from typing import Any
 
 from ...client.blocking import Context
-from ...maps.holes import Holes, carried_out, reading
 from ...maps.point import Point
-from ...maps.point_plan import PointPlan
 from ...maps.register_map import RegisterMap
 from ...ports.endpoint import parse
 from ...ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
 from ...protocol.errors import ExceptionResponse, ModbusError
 from ...protocol.tables import TABLES
-from ...tools.files.map_contents import Contents, remarks
+from ...tools.files.map_contents import remarks
 from ...tools.files.map_file import contents_of, load_map
 from ...tools.files.map_texts import MARK, class_text, csv_text, toml_text
 from ...tools.scan.search import Extent, search
@@ -30,7 +28,7 @@ from .. import arguments
 from ..connecting import connected, endpoint_of
 from ..failing import CommandError
 from ..main import INTERRUPTED
-from ..output import PROGRAM, complain, counted
+from ..output import PROGRAM, complain, counted, written_to
 from ..screen import Status, missing, progress
 
 __all__ = ["check", "class_of", "from_device", "from_sunspec"]
@@ -59,9 +57,6 @@ def check(options: argparse.Namespace) -> int:
     """
     Print what each file contains, or its mistakes on stderr, and what a device lacks of it; return
     2 after a mistake, 1 if the device lacks something.
-
-    Raises:
-        ValueError: an option of requests without a device.
     """
     columns = dict(options.columns)
     if options.device is None:
@@ -77,71 +72,54 @@ def _check_file(file: str, columns: dict[str, str], context: Context | None = No
     try:
         contents = contents_of(map_file(file), MOST_MISTAKES, columns)
     except ValueError as error:
-        return _wrong([str(error)])
+        complain(str(error))
+        return 2
+    for mistake in contents.mistakes:
+        complain(str(mistake))
+    if len(contents.mistakes) == MOST_MISTAKES:
+        complain("and possibly more")
     if contents.mistakes:
-        more = ["and possibly more"] * (len(contents.mistakes) == MOST_MISTAKES)
-        return _wrong([*(str(each) for each in contents.mistakes), *more])
-    print(f"{file}: {counted(len(contents.points), 'point')}")
-    for line in [*_tables(contents), *remarks(contents)]:
+        return 2
+    points = RegisterMap(contents.points.values())
+    print(f"{file}: {counted(len(points), 'point')}")
+    for line in [*_tables(points), *remarks(contents)]:
         print(f"  {line}")
-    return 0 if context is None else _check_device(RegisterMap(contents.points.values()), context)
+    return 0 if context is None else _check_device(points, context)
+
+
+def _tables(points: RegisterMap) -> Iterator[str]:
+    """Yield a line for each table that has points, followed by its requests."""
+    requests: list[Any] = [*points.plan().requests]
+    for table, rules in TABLES.items():
+        found = [point for point in points.values() if point.table == table]
+        if found:
+            written = sum(point.is_writable for point in found)
+            what = f", {written} of them can be written" if written else ""
+            yield f"{table}: {counted(len(found), 'point')}{what}"
+        function = rules.read(0, 1).function
+        for each in requests:
+            if each.function == function:
+                yield f"  read {each.address} {each.count}"
 
 
 def _check_device(points: RegisterMap, context: Context) -> int:
     """Print the points that a device refuses; return 1 if there are any."""
-    plan = points.plan()
-    values, requests = _read(plan, context)
+    context.connect()
+    values = context.read_map(points, return_exceptions=True, max_in_flight=1)
     failed = {name: value for name, value in values.items() if isinstance(value, ModbusError)}
     device = f"{context.url}, unit {context.unit}"
+    for error in failed.values():
+        if not isinstance(error, ExceptionResponse):
+            raise error
     if failed and len(failed) == len(values):
         error = next(iter(failed.values()))
         complain(f"{device}: all {counted(len(values), 'point')} refused: {error}")
         return 1
-    read = f"{len(values) - len(failed)} of {counted(len(values), 'point')} can be read"
-    print(f"  {device}: {read}, in {counted(requests, 'request')}")
+    print(f"  {device}: {len(values) - len(failed)} of {counted(len(values), 'point')} can be read")
     sys.stdout.flush()
     for name, error in failed.items():
         complain(f"{name} cannot be read: {error}")
     return 1 if failed else 0
-
-
-def _read(plan: PointPlan, context: Context) -> tuple[dict[str, Any], int]:
-    """Return all values, or their errors, and how many requests read those without an error."""
-
-    def ask(requests: list[Any]) -> list[Any]:
-        outcomes = context.execute_many(requests, max_in_flight=1, return_exceptions=True)
-        for each in outcomes:
-            if isinstance(each, ModbusError) and not isinstance(each, ExceptionResponse):
-                raise each
-        return outcomes
-
-    context.connect()
-    holes = Holes()
-    facts = plan.blocks, holes, context.now(), context.statistics.connects
-    answers = carried_out(reading(*facts), ask)
-    return plan.results(answers, return_exceptions=True), len(next(reading(*facts), []))
-
-
-def _wrong(lines: list[str]) -> int:
-    for line in lines:
-        complain(line)
-    return 2
-
-
-def _tables(contents: Contents) -> list[str]:
-    """Return a line for each table that has points, followed by its requests."""
-    plan = RegisterMap(contents.points.values()).plan()
-    lines = []
-    for table, rules in TABLES.items():
-        points = [point for point in contents.points.values() if point.table == table]
-        if points:
-            written = sum(point.is_writable for point in points)
-            what = f", {written} of them can be written" if written else ""
-            lines.append(f"{table}: {counted(len(points), 'point')}{what}")
-        function = rules.read(0, 1).function
-        asked: list[Any] = [each for each in plan.requests if each.function == function]
-        lines += [f"  read {each.address} {each.count}" for each in asked]
-    return lines
 
 
 def class_of(options: argparse.Namespace) -> int:
@@ -151,25 +129,22 @@ def class_of(options: argparse.Namespace) -> int:
     if options.output is None:
         print(text, end="", flush=True)
         return 0
-    _check_output(options.output)
+    _check_output(options.output, [".py"], MARK)
     Path(options.output).write_text(text, encoding="utf-8")
     print(f"{options.output}: {counted(len(map), 'point')}", file=sys.stderr)
     return 0
 
 
-def _check_output(output: str) -> None:
-    """Refuse to overwrite a file that this command has not written."""
+def _check_output(output: str, suffixes: Collection[str], mark: str | None = None) -> None:
+    """Refuse a file that cannot be written, or that exists without the mark of its writer."""
     path = Path(output)
-    if path.suffix != ".py":
-        raise ValueError(f"{output}: it must end with .py")
+    if path.suffix.lower() not in suffixes:
+        raise ValueError(f"{output}: it must end with {' or '.join(suffixes)}")
     if not path.absolute().parent.is_dir():
         raise ValueError(f"{output}: the folder does not exist")
-    try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            start = file.read(2000)
-    except FileNotFoundError:
+    if not os.path.lexists(path):
         return
-    if MARK not in start:
+    if mark is None or mark not in path.read_text(encoding="utf-8", errors="replace"):
         raise ValueError(f"{output} exists, and would be overwritten")
 
 
@@ -178,7 +153,8 @@ def _check_output(output: str) -> None:
 
 def from_device(options: argparse.Namespace) -> int:
     """Find what a device has, and write a map of it."""
-    text_of = _form_of(options.output)
+    if options.output is not None:
+        _check_output(options.output, TEXTS)
     url = endpoint_of(options).url
     status = Status()
     searched = search(url, on_progress=lambda state: status.show(progress(state)))
@@ -191,13 +167,16 @@ def from_device(options: argparse.Namespace) -> int:
         code = INTERRUPTED
     finally:
         status.clear()
-    points = _points(searched.extents)
+    extents = searched.extents
+    points = _points(extents)
     if not points:
-        raise CommandError(f"no table can be read: {_ended(searched.extents)}")
-    _write(options.output, "\n".join([*_heading(url, searched.extents), text_of(points)]))
-    if options.output is not None:
-        what = counted(len(points), "point")
-        print(f"{options.output}: {what}; fill in names, types and units", file=sys.stderr)
+        reasons = dict.fromkeys(extent.ended or "no address can be read" for extent in extents)
+        raise CommandError(f"no table can be read: {', '.join(reasons) or 'nothing was asked'}")
+    heading = [
+        f"# Addresses of {parse(url)} that can be read, found by {PROGRAM} map from-device",
+        *(f"# {each.table}: {missing(each)}" for each in extents if missing(each)),
+    ]
+    _write(options.output, heading, points, "; fill in names, types and units")
     return code
 
 
@@ -205,34 +184,22 @@ def from_sunspec(options: argparse.Namespace) -> int:
     """Find the SunSpec models of a device, and write a map of their points."""
     from ...tools.sunspec.discovery import discover
 
-    text_of = _form_of(options.output)
+    if options.output is not None:
+        _check_output(options.output, TEXTS)
     with closing(connected(options)) as context:
         try:
             device = discover(context)
         except ImportError as error:
             raise CommandError(str(error)) from None
-    for note in device.notes:
-        complain(note)
-    heading = f"# SunSpec models of {endpoint_of(options)}, found by {PROGRAM} map from-sunspec"
-    models = f"# {', '.join(f'{model.id} {model.name}' for model in device)}"
-    _write(options.output, "\n".join([heading, models, "", text_of(device.map.values())]))
-    if options.output is not None:
-        print(f"{options.output}: {counted(len(device.map), 'point')}", file=sys.stderr)
+    for remark in device.notes:
+        complain(remark)
+    heading = [
+        f"# SunSpec models of {endpoint_of(options)}, found by {PROGRAM} map from-sunspec",
+        f"# {', '.join(f'{model.id} {model.name}' for model in device)}",
+        "",
+    ]
+    _write(options.output, heading, [*device.map.values()])
     return 0
-
-
-def _form_of(output: str | None) -> Callable[[Iterable[Point]], str]:
-    """Return the writer of the file; a file that cannot be written is refused before the search."""
-    if output is None:
-        return toml_text
-    text_of = TEXTS.get(PurePath(output).suffix.lower())
-    if text_of is None:
-        raise ValueError(f"{output}: it must end with one of {', '.join(TEXTS)}")
-    if os.path.lexists(output):
-        raise ValueError(f"{output} exists, and would be overwritten")
-    if not Path(output).absolute().parent.is_dir():
-        raise ValueError(f"{output}: the folder does not exist")
-    return text_of
 
 
 def _points(extents: list[Extent]) -> list[Point]:
@@ -248,28 +215,10 @@ def _points(extents: list[Extent]) -> list[Point]:
     ]
 
 
-def _heading(url: str, extents: list[Extent]) -> list[str]:
-    told = [(extent.table, missing(extent)) for extent in extents]
-    return [
-        f"# Addresses of {parse(url)} that can be read, found by {PROGRAM} map from-device",
-        *(f"# {table}: {text}" for table, text in told if text),
-    ]
-
-
-def _ended(extents: list[Extent]) -> str:
-    reasons = dict.fromkeys(extent.ended or "no address can be read" for extent in extents)
-    return ", ".join(reasons) or "nothing was asked"
-
-
-def _write(output: str | None, text: str) -> None:
-    """Write a text to a new file, or print it if there is no name."""
-    if output is None:
-        print(text, end="", flush=True)
-        return
-    with open(output, "x", encoding="utf-8") as file:
-        try:
-            file.write(text)
-            file.flush()
-        except OSError as error:
-            os.unlink(output)
-            raise OSError(error.errno, error.strerror, output) from None
+def _write(output: str | None, heading: list[str], points: list[Point], more: str = "") -> None:
+    """Write a map to a new file, or print it if there is no name."""
+    text_of = toml_text if output is None else TEXTS[PurePath(output).suffix.lower()]
+    with written_to(output):
+        print("\n".join([*heading, text_of(points)]), end="", flush=True)
+    if output is not None:
+        print(f"{output}: {counted(len(points), 'point')}{more}", file=sys.stderr)

@@ -15,12 +15,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from .. import arguments
-from ..arguments import completing, sub_functions
+from ..arguments import completing
 from ..output import print_json
 
 if TYPE_CHECKING:
     from ...client.blocking import Context
-    from ...protocol.pdu import ServerId
     from .units import Named
 
 __all__ = ["add_command"]
@@ -74,48 +73,27 @@ def _add_identify(commands: Any) -> None:
 
 
 def _identify(options: argparse.Namespace) -> int:
+    from ...protocol.pdu.interface import OBJECT_NAMES
     from ...protocol.plain import number_of
     from .units import print_report, report_units
 
     level = options.level
-    wanted: str | int = number_of("level", level) if level[:1].isdigit() else level
+    wanted: Any = number_of("level", level) if level[:1].isdigit() else level
 
     def report(context: Context, several: bool) -> int:
-        questions = {
-            "identification": lambda: _objects(_identification(context, wanted)),
-            "server id": lambda: _server_id(context.report_server_id()),
-        }
+        def identification() -> Named:
+            found = context.read_device_identification(wanted).objects
+            return [(OBJECT_NAMES.get(at, f"object {at}"), found[at]) for at in sorted(found)]
+
+        def server_id() -> Named:
+            found = context.report_server_id()
+            is_told = found.running is not None
+            return [("server id", found.data), *[("running", found.running)] * is_told]
+
+        questions = {"identification": identification, "server id": server_id}
         return print_report(context, questions, as_json=options.json, several=several)
 
     return report_units(options, report)
-
-
-def _identification(context: Context, wanted: str | int) -> dict[int, bytes]:
-    """Return the objects of a level; some devices leave out those of the basic level in others."""
-    from ...protocol.errors import ModbusError
-    from ...protocol.pdu.interface import MANDATORY
-
-    found = context.read_device_identification(wanted).objects
-    if wanted in ("regular", "extended") and MANDATORY - found.keys():
-        with suppress(ModbusError):
-            found = {**context.read_device_identification("basic").objects, **found}
-    return found
-
-
-def _objects(objects: dict[int, bytes]) -> list[tuple[str, bytes]]:
-    from ...protocol.pdu.interface import OBJECT_NAMES
-
-    return [
-        (OBJECT_NAMES.get(number, f"object {number}"), value)
-        for number, value in sorted(objects.items())
-    ]
-
-
-def _server_id(server_id: ServerId) -> list[tuple[str, Any]]:
-    told: list[tuple[str, Any]] = [("server id", server_id.data)]
-    if server_id.running is not None:
-        told.append(("running", server_id.running))
-    return told
 
 
 # --- diagnose ------------------------------------------------------------------------
@@ -130,7 +108,7 @@ def _add_diagnose(commands: Any) -> None:
         epilog=f"{OF_DIAGNOSE}\n\n{arguments.URLS}",
     )
     arguments.add_client(command, several=True)
-    sub_function = command.add_argument(
+    command.add_argument(
         "sub_function",
         metavar="SUB-FUNCTION",
         nargs="?",
@@ -143,7 +121,6 @@ def _add_diagnose(commands: Any) -> None:
         default="0",
         help="data of the sub-function, 0..65535 (0)",
     )
-    completing(sub_function, sub_functions)
     arguments.add_json(command)
     command.set_defaults(run=_diagnose)
 
@@ -152,13 +129,11 @@ def _diagnose(options: argparse.Namespace) -> int:
     from ...protocol.plain import number_of
     from .units import print_report, report_units
 
+    def report(context: Context, several: bool) -> int:
+        return print_report(context, _questions(context), as_json=options.json, several=several)
+
     if options.sub_function is None:
-        return report_units(
-            options,
-            lambda context, several: print_report(
-                context, _questions(context), as_json=options.json, several=several
-            ),
-        )
+        return report_units(options, report)
     sub, data = _sub_function(options.sub_function), number_of("data", options.data)
 
     def ask(context: Context, several: bool) -> int:
@@ -173,16 +148,13 @@ def _diagnose(options: argparse.Namespace) -> int:
 
 
 def _answer(context: Context, sub: int, data: int) -> int:
-    """
-    Return the data of the answer, or `data` if a device that shall listen only is silent.
-
-    The client would not wait for its refusal, because the specification has no answer there.
-    """
+    """Return the data of the answer, or `data` if a device that shall listen only is silent."""
     from ...protocol.errors import ModbusTimeoutError
     from ...protocol.pdu import RawRequest, SubFunction
 
     if sub != SubFunction.FORCE_LISTEN_ONLY:
         return context.diagnostics(sub, data)
+    # The method of the client would not wait for a refusal: the specification has no answer here.
     request = RawRequest(8, sub.to_bytes(2, "big") + data.to_bytes(2, "big"))
     with suppress(ModbusTimeoutError):
         context.execute(request)
@@ -193,21 +165,19 @@ def _questions(context: Context) -> dict[str, Callable[[], Named]]:
     """Return the requests that change nothing in the device."""
     from ...protocol.pdu import SubFunction
 
+    def counter(sub: int) -> Named:
+        return [(_name(sub), context.diagnostics(sub))]
+
     counters = range(SubFunction.BUS_MESSAGE_COUNT, SubFunction.BUS_CHARACTER_OVERRUN_COUNT + 1)
-    questions: dict[str, Callable[[], Named]] = {
+    subs = [SubFunction.RETURN_DIAGNOSTIC_REGISTER, *counters]
+    return {
         "exception status": lambda: [
             ("exception status", f"{context.read_exception_status():08b}")
         ],
         "event counter": lambda: context.read_comm_event_counter()._asdict().items(),
         "event log": lambda: context.read_comm_event_log()._asdict().items(),
+        **{_name(sub): partial(counter, sub) for sub in subs},
     }
-    for sub in (SubFunction.RETURN_DIAGNOSTIC_REGISTER, *map(SubFunction, counters)):
-        questions[_name(sub)] = partial(_counter, context, sub)
-    return questions
-
-
-def _counter(context: Context, sub: int) -> Named:
-    return [(_name(sub), context.diagnostics(sub))]
 
 
 def _sub_function(text: str) -> int:
@@ -255,29 +225,27 @@ def _add_raw(commands: Any) -> None:
 
 
 def _raw(options: argparse.Namespace) -> int:
-    from ...protocol.pdu import RawRequest
+    from ...protocol.errors import ModbusError
+    from ...protocol.pdu import RawRequest, decode_request
     from ...protocol.plain import number_of
     from ..connecting import connected
 
     function = options.function
     words = [function, *options.data]
-    if all(re.fullmatch("[0-9A-Fa-f]{2}", word) for word in words) and len(words) > 1:
-        function = _function_of(function)
+    if len(words) > 1 and all(re.fullmatch("[0-9A-Fa-f]{2}", word) for word in words):
+        # As in manuals: 03 00 64.
+        if re.fullmatch("[1-9][0-9]", function):
+            ways = f"0x{function} or 0x{int(function):02x}"
+            raise ValueError(f"FUNCTION {function} can be {ways}; type the one that is meant")
+        function = f"0x{function}"
     request = RawRequest(number_of("function", function), b"".join(map(_bytes_of, options.data)))
     with closing(connected(options)) as context:
         response = request.encode_response(context.execute(request))
     print(response.hex(" "))
-    if (text := _decoded(request.encode(), response)) is not None:
-        print(text)
+    with suppress(ModbusError, ValueError):  # of a function that is not known
+        known = decode_request(request.encode())
+        print(f"{known}: {known.decode_response(response)!r}")
     return 0
-
-
-def _function_of(byte: str) -> str:
-    """Return a function code that stands before bytes as in manuals, such as 03 in 03 00 64."""
-    if not re.fullmatch("[1-9][0-9]", byte):
-        return f"0x{byte}"
-    decimal = f"0x{int(byte):02x}"
-    raise ValueError(f"FUNCTION {byte} can be 0x{byte} or {decimal}; type the one that is meant")
 
 
 def _bytes_of(word: str) -> bytes:
@@ -286,28 +254,6 @@ def _bytes_of(word: str) -> bytes:
     for part in re.split("[ ,:]+", word.strip(" ,")):
         digits = part[2:] if part[:2] in ("0x", "0X") else part
         if not re.fullmatch("(?:[0-9A-Fa-f]{2})+", digits):
-            raise ValueError(f"HEX must be pairs of hex digits, not {part!r}{_hint(digits)}")
+            raise ValueError(f"HEX must be pairs of hex digits, not {part!r}")
         data += bytes.fromhex(digits)
     return data
-
-
-def _hint(digits: str) -> str:
-    """Return a hint for half a byte: a number must be typed with both bytes of its field."""
-    if not re.fullmatch("[0-9A-Fa-f]+", digits):
-        return ""
-    try:
-        number = int(digits)
-    except ValueError:
-        return f"; a byte has two digits, such as {digits[-1:]:>02}"
-    return f"; the number {number} of 16 bits is {number & 0xFFFF:04x}"
-
-
-def _decoded(request: bytes, response: bytes) -> str | None:
-    from ...protocol.errors import ModbusError
-    from ...protocol.pdu import decode_request
-
-    try:
-        known = decode_request(request)
-        return f"{known}: {known.decode_response(response)!r}"
-    except (ModbusError, ValueError):
-        return None

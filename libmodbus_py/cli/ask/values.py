@@ -12,7 +12,7 @@ from typing import Any, get_args
 from ...protocol.checks import DURATION, duration_of
 from ...protocol.words import BitsType, NumberType, Order, TimeType
 from .. import arguments
-from ..arguments import behind, completing, encodings, maps
+from ..arguments import completing, maps
 from ..help import make_rare
 from ..serve import over_http
 
@@ -154,7 +154,6 @@ def _add_item_arguments(
     make_rare(encoding, padding)
     arguments.add_defaults([order, encoding, padding], _of_reads)
     completing(order, get_args(Order))
-    completing(encoding, encodings)
     file = group.add_argument(
         "--map",
         metavar="FILE",
@@ -177,14 +176,14 @@ def _of_reads() -> dict[str, Any]:
 
 
 def names(parsed_args: argparse.Namespace, **_: Any) -> list[str]:
-    """Return the tables, and the names in the map, wherever on the line the map is."""
+    """Return the tables, and the names in the map that was typed before."""
     from .items import TABLE_WORDS, map_of
 
-    found: list[str] = []
-    parsed_args.map = parsed_args.map or behind("--map") or None
-    with contextlib.suppress(OSError, ValueError):
-        found = [*(map_of(parsed_args) or ())]
-    return [*TABLE_WORDS, *found]
+    typed = [part for word in parsed_args.words for part in word.partition("=")[::2]]
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        parsed_args.map = typed[typed.index("--map") + 1]
+        return [*TABLE_WORDS, *(map_of(parsed_args) or ())]
+    return [*TABLE_WORDS]
 
 
 def _seconds(text: str) -> float:

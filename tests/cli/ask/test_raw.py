@@ -70,21 +70,6 @@ def test_words_of_whole_bytes_are_taken(
     assert run("raw", server.url, function, *words).out.startswith("03 04 00 01 00 02\n")
 
 
-@each_case(
-    ("word", "said"),
-    [
-        ("10", None),
-        ("100", "not '100'; the number 100 of 16 bits is 0064"),
-        ("0", "not '0'; the number 0 of 16 bits is 0000"),
-        ("a", "not 'a'; a byte has two digits, such as 0a"),
-        ("0g", "not '0g' (see"),
-    ],
-)
-def test_the_error_says_how_a_number_is_typed(word: str, said: str | None) -> None:
-    done = run("raw", "127.0.0.1:1", 100, word)
-    assert (said or "cannot connect") in done.err
-
-
 def test_bytes_as_they_stand_in_manuals_are_taken(server: RecordingServer) -> None:
     for words, answer in (("03 00 00 00 02", "03 04"), ("0x10 00 00 00 01 02 00 07", "10 00 00")):
         assert run("raw", server.url, *words.split()).out.startswith(answer)
