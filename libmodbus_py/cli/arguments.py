@@ -4,15 +4,12 @@ The arguments that several commands take, each declared once, and the words that
 Every option of URLs (`ports.schemes`) is an option of the command line under the same name, with
 hyphens. Options that are not typed are None, so that the URL or the default applies.
 
-Completers are functions as argcomplete calls them: with the text so far and the arguments typed
-before it. Options behind it are looked up in the whole line.
+Completers are functions as argcomplete calls them: with the text so far, and the arguments typed.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
-import os
 
 from ..ports.schemes import (
     CLIENT_OPTIONS,
@@ -35,28 +32,22 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "SCHEMES_OF_URLS", "URLS", "add_client", "add_client_options", "add_columns",
+    "REPEATED", "SCHEMES_OF_URLS", "URLS", "add_client", "add_client_options", "add_columns",
     "add_csv", "add_defaults", "add_json", "add_requests", "add_security_options",
-    "add_serial_options", "add_units", "add_url", "add_verbose", "behind", "completing",
-    "encodings", "examples", "flag", "given", "lists_of_parities", "maps", "names_of_maps",
-    "sub_functions", "with_forms",
+    "add_serial_options", "add_units", "add_url", "add_verbose", "completing",
+    "examples", "flag", "given", "lists_of_parities", "maps", "names_of_maps", "with_forms",
 ]
 # fmt: on
 
 
-def _indented(words: Iterable[str]) -> str:
-    """Return words behind "URL:", in lines of at most 79 characters."""
+def _listed(shapes: Iterable[str]) -> str:
+    """Return an enumeration of URLs in lines of at most 79 characters."""
     lines = ["URL:"]
-    for word in words:
+    for word in f"{', '.join(shapes)}; or just HOST, HOST:PORT or /dev/ttyUSB0.".split():
         if len(lines[-1]) + 1 + len(word) > 79:
             lines.append("    ")
         lines[-1] += f" {word}"
     return "\n".join(lines)
-
-
-def _listed(shapes: Iterable[str]) -> str:
-    """Return an enumeration of URLs, with what may be typed instead of one."""
-    return _indented(f"{', '.join(shapes)}; or just HOST, HOST:PORT or /dev/ttyUSB0.".split())
 
 
 URLS = f"""\
@@ -72,14 +63,6 @@ SCHEMES_OF_URLS = _listed(f"{scheme}://" for scheme in SCHEMES)
 SHORT = {"unit": "-u", "baudrate": "-b", "parity": "-p", "data_bits": "-d", "stop_bits": "-s"}
 
 SUFFIXES = (".csv", ".json", ".jsonl", ".ndjson", ".tsv", ".txt", ".log")
-
-_ASKS: tuple[str, ...] = ("--timeout", "--retries")
-
-MEANINGLESS: dict[str, dict[str, str]] = {
-    "listen": dict.fromkeys(_ASKS, "; listen sends nothing, so that there is nothing to wait for"),
-    "serve": dict.fromkeys(_ASKS, "; serve sends no requests; --frame-timeout limits its clients"),
-}
-"""Command -> options of other commands, and why the command does not take them."""
 
 RARE = {
     *("busy_retries", "max_in_flight", "turnaround", "request_spacing", "connect_delay"),
@@ -123,15 +106,16 @@ def add_verbose(command: argparse.ArgumentParser) -> None:
 
 
 def add_json(group: Any, text: str = "print JSON in lines") -> None:
+    """Add --json; with the name of a file the output is written there."""
     _add_form(group, "--json", text)
 
 
 def add_csv(group: Any) -> None:
+    """Add --csv; with the name of a file the output is written there."""
     _add_form(group, "--csv", "print CSV")
 
 
 def _add_form(group: Any, name: str, text: str) -> None:
-    """Add a form of output; with the name of a file the output is written there."""
     text += ", or write it to a new FILE"
     group.add_argument(name, action=_Form, nargs="?", const="", metavar="FILE", help=text)
 
@@ -153,29 +137,15 @@ def with_forms(parser: argparse.ArgumentParser, words: Sequence[str]) -> list[st
     The word behind is a file only if its suffix or its beginning says so; a path below /dev is a
     serial port.
     """
-    forms = _forms(parser)
-    pairs = zip(words, [*words[1:], ""], strict=False)
+    options = parser._option_string_actions
     end = words.index("--") if "--" in words else len(words)
-    return [
-        f"{word}=" if at < end and word in forms and not _is_of_form(following) else word
-        for at, (word, following) in enumerate(pairs)
-    ]
-
-
-def _is_of_form(word: str) -> bool:
-    """Return True if the word behind a form of output is a file for it."""
-    is_path = word.startswith(("/", "./", "../")) and not word.startswith("/dev/")
-    return is_path or word.lower().endswith(SUFFIXES)
-
-
-def _forms(parser: argparse.ArgumentParser) -> set[str]:
-    """Return the options of a command and of its actions that a file may follow."""
-    found: set[str] = set()
-    for action in parser._actions:
-        if isinstance(action, _Form):
-            found.update(action.option_strings)
-        if action.nargs == argparse.PARSER:
-            found = found.union(*map(_forms, dict(action.choices or {}).values()))
+    found = [*words]
+    for at, word in enumerate(words[:end]):
+        following = words[at + 1] if at + 1 < len(words) else ""
+        is_path = following.startswith(("/", "./", "../")) and not following.startswith("/dev/")
+        is_file = is_path or following.lower().endswith(SUFFIXES)
+        if isinstance(options.get(word), _Form) and not is_file:
+            found[at] = f"{word}="
     return found
 
 
@@ -196,11 +166,9 @@ def add_columns(group: Any) -> argparse.Action:
 
 def _column(text: str) -> tuple[str, str]:
     key, _, heading = text.partition("=")
-    if not (key and heading):
-        raise argparse.ArgumentTypeError(
-            f"must be KEY=HEADING, such as name=Bezeichnung, not {text!r}"
-        )
-    return key, heading
+    if key and heading:
+        return key, heading
+    raise argparse.ArgumentTypeError(f"must be KEY=HEADING, such as name=Bezeichnung, not {text!r}")
 
 
 def _read_as(option: Option) -> Callable[[str], Any]:
@@ -219,24 +187,17 @@ def _read_as(option: Option) -> Callable[[str], Any]:
 
 
 def add_client(command: argparse.ArgumentParser, *, several: bool = False) -> None:
-    """
-    Add what a client takes.
-
-    Args:
-        several: True if the command asks several units, one after the other.
-    """
+    """Add what a client takes, or one that asks several units, one after the other."""
     add_url(command)
     add_requests(command, several=several)
 
 
 def add_requests(command: argparse.ArgumentParser, *, several: bool = False) -> None:
     """Add the options of `add_client`, for a command whose own groups come before them."""
+    group = command.add_argument_group("requests")
     if several:
-        group = command.add_argument_group("requests")
         add_units(group, "unit to ask, 0..255, or several, such as 1-9,17 (1)")
-        add_client_options(group, without=("unit",))
-    else:
-        add_client_options(command.add_argument_group("requests"))
+    add_client_options(group, without=("unit",) if several else ())
     add_verbose(command)
     add_serial_options(command)
     add_security_options(command)
@@ -264,13 +225,7 @@ def add_client_options(
     without: Collection[str] = (),
     defaults: Callable[[], Mapping[str, str]] = dict,
 ) -> None:
-    """
-    Add the options of clients.
-
-    Args:
-        without: options that mean nothing to the command.
-        defaults: returns texts in place of the defaults of clients.
-    """
+    """Add the options of clients; `defaults` returns texts in place of the defaults of clients."""
     options = {name: each for name, each in CLIENT_OPTIONS.items() if name not in without}
     added = _add(group, options)
     add_defaults(added, lambda: {**_of_clients(), **defaults()})
@@ -313,12 +268,7 @@ def _add(group: Any, options: Mapping[str, Option]) -> list[argparse.Action]:
 
 
 def add_defaults(actions: list[argparse.Action], defaults: Callable[[], Mapping[str, Any]]) -> None:
-    """
-    Make --help add the default values to the texts of options.
-
-    Args:
-        defaults: returns them by the names of the options; called only for --help.
-    """
+    """Make --help add default values, by the names of options; `defaults` is called only then."""
     for action in actions:
         action.usual = lambda name: defaults().get(name)  # type: ignore[attr-defined]
 
@@ -332,7 +282,7 @@ def _of_clients() -> dict[str, Any]:
 
 
 def _of_serial_ports() -> dict[str, Any]:
-    from ..ports.schemes import ASCII_DEFAULTS, PARITIES, SERIAL_DEFAULTS
+    from ..ports.schemes import ASCII_DEFAULTS, SERIAL_DEFAULTS
 
     others = {name: value for name, value in ASCII_DEFAULTS.items() if name in SERIAL_DEFAULTS}
     told = {name: f"{SERIAL_DEFAULTS[name]}; ascii: {value}" for name, value in others.items()}
@@ -360,20 +310,6 @@ def lists_of_parities(prefix: str, **_: Any) -> list[str]:
     return [f"{before}{comma}{each}" for each in PARITY_WORDS if each not in before.split(",")]
 
 
-def encodings(**_: Any) -> list[str]:
-    """Return the encodings of text."""
-    from ..protocol.values import ENCODINGS
-
-    return sorted(each.replace("_", "-") for each in ENCODINGS)
-
-
-def sub_functions(**_: Any) -> list[str]:
-    """Return the sub-functions of function 8."""
-    from ..protocol.pdu import SubFunction
-
-    return [each.name.lower().replace("_", "-") for each in SubFunction]
-
-
 def examples(**_: Any) -> list[str]:
     """Return the device files that come with the package."""
     from ..tools.simulator.example_files import DEVICES
@@ -393,19 +329,3 @@ def maps(prefix: str, **_: Any) -> list[str]:
     from argcomplete.completers import FilesCompleter
 
     return [*names_of_maps(), *FilesCompleter((".csv", ".toml"))(prefix)]
-
-
-def behind(option: str) -> str:
-    """Return the value of an option in the line that is completed; empty if it is not there."""
-    import shlex  # which a command does not need
-
-    words: list[str] = []
-    for quote in ("", "'", '"'):  # one may be open still
-        with contextlib.suppress(ValueError):
-            words = words or shlex.split(f"{os.environ.get('COMP_LINE', '')}{quote}")
-    for at, word in enumerate(words):
-        if word.startswith(f"{option}="):
-            return word.removeprefix(f"{option}=")
-        if word == option:
-            return next(iter(words[at + 1 :]), "")
-    return ""

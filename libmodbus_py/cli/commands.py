@@ -62,14 +62,8 @@ examples:
 
 def parsed(arguments: Sequence[str]) -> argparse.Namespace:
     """
-    Parse the arguments of the program.
-
-    Returns:
-        The arguments of the command; ``run``, which runs the command with them; and
-        ``parser``, whose ``error`` prints a message and exits.
-
-    Raises:
-        SystemExit: --help or --version was asked for, with 0; wrong usage, with 2.
+    Return the arguments of the command; ``run``, which runs the command with them; and
+    ``parser``, whose ``error`` prints a message and exits.
     """
     if arguments and arguments[0] not in COMMANDS and _is_read(arguments):
         arguments = ["read", *arguments]
@@ -119,13 +113,11 @@ def _refuse(parser: argparse.ArgumentParser, unknown: Sequence[str]) -> None:
     if not unknown:
         return
     from ..protocol.mistakes import close_to
-    from .arguments import MEANINGLESS
 
     option = next((word for word in unknown if word.startswith("-")), "").partition("=")[0]
     known = [flag[2:] for flag in parser._option_string_actions if flag.startswith("--")]
-    command = parser.prog.removeprefix(f"{PROGRAM} ")
-    reason = MEANINGLESS.get(command, {}).get(option) or close_to(option[2:], known, "--")
-    parser.error(f"unrecognized arguments: {' '.join(unknown)}{reason}")
+    close = close_to(option[2:], known, "--")
+    parser.error(f"unrecognized arguments: {' '.join(unknown)}{close}")
 
 
 def parser_of(name: str) -> _Parser:
@@ -142,10 +134,7 @@ def _fill(parser: argparse.ArgumentParser, name: str) -> None:
 
 
 class _Wanted:
-    """
-    Argument of `add_command`: looks like the subparsers of argparse, and fills one parser, that of
-    the command `name`.
-    """
+    """Looks like the subparsers of argparse to `add_command`, and fills the parser of a command."""
 
     def __init__(self, parser: argparse.ArgumentParser, name: str) -> None:
         self._parser = parser
@@ -158,12 +147,7 @@ class _Wanted:
 
 
 def whole_parser(filled: Collection[str] = COMMANDS) -> argparse.ArgumentParser:
-    """
-    Return a parser that knows the names of all commands.
-
-    Args:
-        filled: commands whose arguments it knows too; their files are imported.
-    """
+    """Return a parser that knows all commands, and the arguments of `filled`, which it imports."""
     parser = _Parser(
         prog=PROGRAM,
         description="Modbus clients, servers and tools, based on libmodbus.",
@@ -186,12 +170,7 @@ def whole_parser(filled: Collection[str] = COMMANDS) -> argparse.ArgumentParser:
 
 
 class _Parser(argparse.ArgumentParser):
-    """
-    Attributes:
-        shows_all: True if the help contains rare options.
-    """
-
-    shows_all: bool = False
+    shows_all: bool = False  # whether the help contains rare options
 
     def __init__(self, **options: Any) -> None:
         # The beginning of an option is refused: --count would be taken for --count-from-1.

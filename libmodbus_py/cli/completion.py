@@ -47,12 +47,7 @@ def _print(options: argparse.Namespace) -> int:
 
 
 def complete() -> None:
-    """
-    Answer a shell that asks for completions through the environment, and exit.
-
-    Raises:
-        ImportError: argcomplete is not installed.
-    """
+    """Answer a shell that asks for completions through the environment, and exit."""
     name, _, others = os.environ.get("COMP_LINE", "").partition(" ")
     if is_place(others.split(" ")[0]):  # the command read, which may be left out
         os.environ["COMP_LINE"] = f"{name} read {others}"
@@ -63,6 +58,7 @@ def complete() -> None:
 
     class WithoutOptions(argcomplete.CompletionFinder):  # type: ignore[misc, name-defined]
         def _get_completions(self, comp_words: list[str], *others: Any) -> Any:
+            parser.set_defaults(words=comp_words)  # for completers
             return super()._get_completions(_without_options(parser, comp_words), *others)
 
     WithoutOptions()(parser, always_complete_options="long")

@@ -23,16 +23,9 @@ INTERRUPTED = 130
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """
-    Run the command line.
+    Run the command line with arguments, or those of the process, and return the exit code.
 
-    Args:
-        arguments: without the name of the program; None for those of the process.
-
-    Returns:
-        The exit code.
-
-    Raises:
-        SystemExit: after --help and --version, with 0; for wrong usage, with 2.
+    Raises SystemExit after --help and --version, with 0; for wrong usage, with 2.
     """
     # Everything is imported within the try, where Ctrl-C is caught.
     try:
@@ -42,20 +35,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         output.prepare()
         with ended_by_sigterm():
             try:
-                return _run(arguments)
+                return _run(sys.argv[1:] if arguments is None else arguments)
             finally:
                 sys.stdout.flush()  # within the try, where a full disk is caught
     except KeyboardInterrupt:
         return INTERRUPTED
     except Exception as error:
-        if _is_interrupt(error):
+        # While a class is made, Python 3.11 replaces KeyboardInterrupt.
+        if isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
             return INTERRUPTED
         from .failing import failed
 
         return failed(error)
 
 
-def _run(arguments: Sequence[str] | None) -> int:
+def _run(arguments: Sequence[str]) -> int:
     from .commands import parsed
     from .output import print_log_lines, written_to
 
@@ -63,7 +57,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         from .completion import complete
 
         complete()
-    options = parsed(sys.argv[1:] if arguments is None else arguments)
+    options = parsed(arguments)
     print_log_lines(is_on=getattr(options, "log_format", None) == "json")
     options.screen = sys.stdout  # while what is printed goes to a file
     options.written_to = getattr(options, "written_to", None)
@@ -73,14 +67,3 @@ def _run(arguments: Sequence[str] | None) -> int:
     except (ValueError, TypeError) as error:
         parser: argparse.ArgumentParser = options.parser
         parser.error(str(error))
-
-
-def _is_interrupt(error: BaseException | None) -> bool:
-    """Return True if Ctrl-C caused an error, which may have replaced KeyboardInterrupt."""
-    seen: set[int] = set()  # errors that are raised again may cause each other
-    while error is not None and id(error) not in seen:
-        if isinstance(error, KeyboardInterrupt):
-            return True
-        seen.add(id(error))
-        error = error.__cause__ or error.__context__
-    return False
