@@ -4,11 +4,10 @@ Commands that ask one device: read, write, identify, diagnose, raw and map.
 ::
 
     values           the arguments of read and write
-    reading          the requests of read, and its results in each form
-    watching         read --watch: again and again, on a terminal in a table
+    reading          the requests of read, once or again and again
     writing          the requests of write
     items            what is read or written, as words and as requests
-    formatters       values as lines, cells of CSV and fields of JSON
+    formatters       values as lines, cells of CSV and fields of JSON, and what prints them
     units            several units, asked one after the other, and reports of their answers
     shown_watch      the values of read --watch as the live page shows them
     reports          identify, diagnose and raw

@@ -1,28 +1,43 @@
 """
-Values that were read, as lines of text, cells of CSV and fields of JSON.
+Values that were read, as lines of text, cells of CSV and fields of JSON; and what prints them.
 """
 
 from __future__ import annotations
 
+import argparse
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from ...protocol.errors import ModbusError
-from ...protocol.plain import plain, text_of
+from ...protocol.plain import clock_text, plain, text_of, time_text, without_controls
 from ...protocol.values import Interpretation, ValueType, readings, value_type
+from ..output import print_json
+from ..screen import Redrawn
 from .items import ALL, HEX, REGISTERS, Item, reason_of
+from .units import fail
 
 if TYPE_CHECKING:
     from ...maps.point import Point
 
-__all__ = ["FormattedValue", "ReadResult", "aligned", "in_line", "result_of", "titles"]
+# fmt: off
+__all__ = [
+    "Printer", "ReadResult", "TerminalTable", "ValueText", "aligned", "printer_of", "result_of",
+    "titles",
+]
+# fmt: on
+
+CHANGED = "*"
+"""Mark of a line whose value has just changed."""
 
 NUMBER_CHARACTERS = 5
 """The width of an address, so that the addresses of several commands are below each other."""
 
 
-class FormattedValue(NamedTuple):
+class ValueText(NamedTuple):
     """
     One value as text.
 
@@ -38,6 +53,10 @@ class FormattedValue(NamedTuple):
     unit: str = ""
 
 
+_Shown = tuple[list[ValueText], dict[str, Any]]
+"""Values as text, and as fields of JSON."""
+
+
 class ReadResult(NamedTuple):
     """
     The result of one item.
@@ -51,7 +70,7 @@ class ReadResult(NamedTuple):
     """
 
     item: Item
-    rows: list[FormattedValue]
+    rows: list[ValueText]
     fields: dict[str, Any]
     failure: str = ""
     remark: str = ""
@@ -73,7 +92,7 @@ def result_of(item: Item, cells: list[int] | ModbusError, source: Any = None) ->
         else:
             form = "0x{:04X}" if item.form == HEX and _is_registers(item) else "{}"
             texts = [form.format(cell) for cell in cells]
-            rows = [FormattedValue(item.number(at), text, text) for at, text in enumerate(texts)]
+            rows = [ValueText(item.number(at), text, text) for at, text in enumerate(texts)]
             fields = {"values": cells}
     except ValueError as error:
         return ReadResult(item, [], {**whence, "error": str(error)}, str(error))
@@ -104,16 +123,14 @@ def _is_registers(item: Item) -> bool:
     return item.table in (*REGISTERS, "fifo_queue")
 
 
-def _of_type(
-    item: Item, kind: ValueType, cells: list[int]
-) -> tuple[list[FormattedValue], dict[str, Any]]:
+def _of_type(item: Item, kind: ValueType, cells: list[int]) -> _Shown:
     try:
         values = kind.decode_many(cells)
     except ValueError as error:
         place = f"{item.table.replace('_', ' ')} from {item.number()}"
         raise ValueError(f"{place}: {error}") from None
     rows = [
-        FormattedValue(item.number(at * item.size), *_texts(each, kind))
+        ValueText(item.number(at * item.size), *_texts(each, kind))
         for at, each in enumerate(values)
     ]
     fields = {"type": kind.name, "order": kind.order, "values": plain(values)}
@@ -126,14 +143,14 @@ def _of_type(
     return rows, {**fields, "no_value": texts} if texts else fields
 
 
-def _in_all_ways(cells: list[int]) -> tuple[list[FormattedValue], dict[str, Any]]:
+def _in_all_ways(cells: list[int]) -> _Shown:
     """Return every interpretation of registers as one value."""
     found: list[Interpretation] = readings(cells)
     if not found:
         raise ValueError(f"{len(cells)} registers can only be text, and these are not")
     width = max(len(reading.type) for reading in found)
     rows = [
-        FormattedValue(f"{name:<{width}}  {order}", *_texts(value, value_type(name)))
+        ValueText(f"{name:<{width}}  {order}", *_texts(value, value_type(name)))
         for name, order, value in found
     ]
     return rows, {"registers": cells, "readings": plain(found)}
@@ -143,9 +160,9 @@ def _of_point(item: Item, point: Point, cells: list[int], source: Any) -> ReadRe
     found = point.judge(cells if item.kind else [bool(cell) for cell in cells], source=source)
     values = found.value if point.count > 1 else [found.value]
     rows = [
-        FormattedValue(name, "-", "", f"({found.reason})")
+        ValueText(name, "-", "", f"({found.reason})")
         if value is None
-        else FormattedValue(name, *_texts_of_point(point, value), point.units)
+        else ValueText(name, *_texts_of_point(point, value), point.units)
         for name, value in zip(_names(point), values, strict=True)
     ]
     fields = {"name": point.name, "value": plain(found.value)}
@@ -199,7 +216,7 @@ def aligned(results: Sequence[ReadResult]) -> list[str]:
     ]
 
 
-def _where(item: Item, row: FormattedValue, word: int, width: int) -> str:
+def _where(item: Item, row: ValueText, word: int, width: int) -> str:
     """Return what a line begins with: a name, or a table and a number below those of others."""
     if item.point is not None or item.form == ALL or (word and not item.word):
         return row.where
@@ -222,3 +239,135 @@ def in_line(result: ReadResult, *, several: bool) -> str:
     if item.point is not None:
         return f"{item.point.name}={values}"
     return f"{item.label()}: {values}" if several else values
+
+
+# --- printers ------------------------------------------------------------------------
+
+
+Printer = Callable[[int, Sequence[ReadResult], str], None]
+"""Prints the results of a unit, or the reason why there are none."""
+
+
+def printer_of(
+    options: argparse.Namespace, items: Sequence[Item], *, several: bool, are_polls: bool
+) -> Printer:
+    """Return what prints results of several units, or one; those of polls with the time."""
+    if options.csv:
+        return _CsvRows(items, has_unit=several).print
+    if options.json:
+        return partial(_print_object, has_time=are_polls)
+    return partial(_print_line if are_polls else _print_lines, has_unit=several)
+
+
+def _print_lines(unit: int, results: Sequence[ReadResult], reason: str, *, has_unit: bool) -> None:
+    """Print a line for each value; of several units, and of one item, a line for each unit."""
+    if reason:
+        fail(unit, reason, as_json=False, lacks="values")
+        return
+    if has_unit and len(results) == 1 and results[0].item.form != ALL:
+        print(f"unit {unit:<3}  {in_line(results[0], several=False)}", flush=True)
+        return
+    lines = aligned(results)
+    if has_unit:
+        lines = [f"unit {unit}:", *(f"  {line}" for line in lines)]
+    if lines:
+        print("\n".join(lines))
+
+
+def _print_line(unit: int, results: Sequence[ReadResult], reason: str, *, has_unit: bool) -> None:
+    """Print the time and the values of a poll; with their addresses if there are several."""
+    several = len(results) > 1
+    text = reason or "  ".join(in_line(each, several=several) for each in results)
+    whence = f"unit {unit}  " if has_unit else ""
+    print(f"{time_text(time.time())}  {whence}{text}", flush=True)
+
+
+def _print_object(unit: int, results: Sequence[ReadResult], reason: str, *, has_time: bool) -> None:
+    """Print an object of JSON: values by name, one item, or a list of items."""
+    fields = {"error": reason} if reason else _fields(results)
+    when = {"time": time_text(time.time())} if has_time else {}
+    print_json({**when, "unit": unit, **fields})
+
+
+def _fields(results: Sequence[ReadResult]) -> dict[str, Any]:
+    items = [each.fields for each in results]
+    if not all(each.item.point for each in results):
+        return items[0] if len(items) == 1 else {"items": items}
+    by_name = {
+        key: {each["name"]: each[field] for each in items if field in each}
+        for key, field in (("values", "value"), ("no_value", "no_value"), ("errors", "error"))
+    }
+    fell = [each.fields["name"] for each in results if each.has_fallen]
+    others = {key: found for key, found in {**by_name, "fell": fell}.items() if found}
+    return {"values": {}, **others}
+
+
+class _CsvRows:
+    """Prints a header, then a row for each poll: the time, the unit, the values and the error."""
+
+    def __init__(self, items: Sequence[Item], *, has_unit: bool) -> None:
+        self._titles = [title for item in items for title in titles(item)]
+        self._has_unit = has_unit
+        self._has_begun = False
+
+    def print(self, unit: int, results: Sequence[ReadResult], reason: str) -> None:
+        cells: list[str] = [] if results else [""] * len(self._titles)
+        for each in results:
+            cells += [row.plain for row in each.rows] or [""] * len(titles(each.item))
+        remarks = filter(None, (each.failure or each.remark for each in results))
+        if not self._has_begun:
+            self._has_begun = True
+            self._print(["time", *["unit"] * self._has_unit, *self._titles, "error"])
+        whence = [time_text(time.time()), *[str(unit)] * self._has_unit]
+        self._print([*whence, *cells, reason or "; ".join(remarks)])
+        sys.stdout.flush()
+
+    def _print(self, cells: list[str]) -> None:
+        from ...tools.files.csv_text import csv_rows
+
+        text = csv_rows([cells])
+        print(without_controls(text) if sys.stdout.isatty() else text, end="")
+
+
+class TerminalTable:
+    """Draws a title, a line for each value with a mark after a change, and failures."""
+
+    def __init__(self, title: str, units: Iterable[int], screen: TextIO) -> None:
+        self._title = title
+        # Unit -> its lines, each with True if its value has just changed.
+        self._lines: dict[int, list[tuple[str, bool]]] = {unit: [] for unit in units}
+        self._texts: dict[int, list[str]] = {}
+        self._rounds = self._failed = 0
+        self._last_failure = ""
+        self._redrawn = Redrawn(screen)
+
+    def print(self, unit: int, results: Sequence[ReadResult], reason: str) -> None:
+        failures = [reason] if reason else [each.failure for each in results if each.failure]
+        self._rounds += unit == next(iter(self._lines))
+        if failures:
+            self._failed += 1
+            self._last_failure = f", {self._failed} failed, last at {_clock()}"
+        lines = [] if reason else self._marked(unit, results)
+        self._lines[unit] = [*lines, *((each, False) for each in failures)]
+        title = f"{_clock()}  {self._title}, {self._rounds} polls{self._last_failure}"
+        shown = [(title, False)]
+        for each, its_lines in self._lines.items():
+            shown += [(f"unit {each}", False)] if len(self._lines) > 1 else []
+            shown += its_lines
+        self._redrawn.draw(shown)
+
+    def _marked(self, unit: int, results: Sequence[ReadResult]) -> list[tuple[str, bool]]:
+        """Return the lines of a unit; none is marked if the number of lines has changed."""
+        texts = [row.text for each in results for row in each.rows]
+        before = self._texts.get(unit, [])
+        if len(before) != len(texts):
+            before = texts
+        self._texts[unit] = texts
+        return [
+            (f"{' ' if text == old else CHANGED} {line}", text != old)
+            for line, text, old in zip(aligned(results), texts, before, strict=True)
+        ]
+
+
+def _clock() -> str:
+    return clock_text(time.time())

@@ -16,7 +16,6 @@ from ...client.blocking import Context
 from ...maps.point import Point
 from ...maps.register_map import RegisterMap
 from ...ports.endpoint import parse
-from ...ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
 from ...protocol.errors import ExceptionResponse, ModbusError
 from ...protocol.tables import TABLES
 from ...tools.files.map_contents import remarks
@@ -24,7 +23,6 @@ from ...tools.files.map_file import contents_of, load_map
 from ...tools.files.map_texts import MARK, class_text, csv_text, toml_text
 from ...tools.scan.search import Extent, search
 from ...tools.simulator.example_files import map_file
-from .. import arguments
 from ..connecting import connected, endpoint_of
 from ..failing import CommandError
 from ..main import INTERRUPTED
@@ -33,22 +31,11 @@ from ..screen import Status, missing, progress
 
 __all__ = ["check", "class_of", "from_device", "from_sunspec"]
 
-OF_DEVICES = (*CLIENT_OPTIONS, *SERIAL_OPTIONS, *SECURITY_OPTIONS)
-"""Options that mean nothing without a device."""
-
 MOST_MISTAKES = 20
 """Mistakes in a file that are printed, at most."""
 
 # With more cells the file would be too long, so points are ranges instead.
 MOST_CELLS = 4000
-
-PREFIXES = {
-    "coils": "coil",
-    "discrete_inputs": "discrete",
-    "holding_registers": "holding",
-    "input_registers": "input",
-}
-"""Table -> the first part of the names of its points."""
 
 TEXTS: dict[str, Callable[[Iterable[Point]], str]] = {".toml": toml_text, ".csv": csv_text}
 
@@ -60,8 +47,6 @@ def check(options: argparse.Namespace) -> int:
     """
     columns = dict(options.columns)
     if options.device is None:
-        if typed := arguments.given(options, OF_DEVICES):
-            raise ValueError(f"{arguments.flag(next(iter(typed)))} needs --device")
         return max([_check_file(file, columns) for file in options.files])
     options.url = options.device
     with closing(connected(options)) as context:
@@ -210,9 +195,14 @@ def _points(extents: list[Extent]) -> list[Point]:
     if sum(len(cells) for _, cells in found) <= MOST_CELLS:
         found = [(table, range(at, at + 1)) for table, cells in found for at in cells]
     return [
-        Point(f"{PREFIXES[table]}_{cells.start}", table, cells.start, len(cells), access="read")
+        Point(f"{_prefix(table)}_{cells.start}", table, cells.start, len(cells), access="read")
         for table, cells in found
     ]
+
+
+def _prefix(table: str) -> str:
+    """Return the first part of the names of points, such as "coil" or "holding"."""
+    return table.partition("_")[0].removesuffix("s")
 
 
 def _write(output: str | None, heading: list[str], points: list[Point], more: str = "") -> None:

@@ -1,16 +1,21 @@
 """
-The command read: all items of a unit are asked for, and their results are printed.
+The command read: all items of a unit are asked for, once or again and again.
+
+--watch polls at a steady pace, whatever fails, until Ctrl-C or the end that was asked for. On a
+terminal the values are a table that is drawn again in place; so they are while --csv or --json
+write to a file. With --page a page shows them, too.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
-from collections.abc import Callable, Sequence
-from contextlib import closing
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing
 from functools import partial
-from typing import Any
+from typing import Any, TextIO
 
 from ...client.blocking import Context
 from ...maps.holes import Holes, carried_out, reading
@@ -18,16 +23,16 @@ from ...maps.plan import Plan
 from ...maps.watched import PointIntervals, Totals
 from ...protocol import pdu
 from ...protocol.errors import ExceptionResponse, ModbusError
-from ...protocol.plain import time_text, without_controls
 from ..connecting import connected, endpoint_of
-from ..failing import CommandError
-from ..output import complain, print_json
+from ..failing import CommandError, advice
+from ..output import complain
 from ..screen import Status
-from .formatters import ReadResult, aligned, in_line, result_of, titles
-from .items import ALL, REGISTERS, Item, Words, reason_of
-from .units import ask_units, client_of, fail, units_of
+from ..serve import over_http
+from .formatters import Printer, ReadResult, TerminalTable, printer_of, result_of
+from .items import REGISTERS, Item, Words, reason_of
+from .units import ask_units, client_of, units_of
 
-__all__ = ["Printer", "Reader", "printer_of", "read", "readers_of"]
+__all__ = ["read", "watch"]
 
 ONCE_S = 1.0
 """The interval of a read without --watch, where it has no effect."""
@@ -38,9 +43,6 @@ STATUS_AFTER_S = 1.0
 USUAL_RECORDS = 121
 """Records of a request; the byte count of an answer goes to 245 (section 6.14), although 251 would
 fit, so that longer requests are sent only for a count that asks for them."""
-
-Printer = Callable[[int, Sequence[ReadResult], str], None]
-"""Prints the results of a unit, or the reason why there are none."""
 
 
 class _ItemPlan(Plan):
@@ -167,8 +169,8 @@ class Reader:
         return dict(zip(indexes, results[len(self._sources) :], strict=True))
 
     def _values(self, found: dict[int, ReadResult]) -> list[Any]:
-        fields = [found[at].fields if at in found else {} for at in range(len(self.items))]
-        return [each.get("value") for each in fields]
+        indexes = range(len(self.items))
+        return [found[at].fields.get("value") if at in found else None for at in indexes]
 
     def _answers(self, context: Context, status: Status, requests: Sequence[Any]) -> list[Any]:
         """Send requests up to the first failure that ends the read, which is raised."""
@@ -185,18 +187,11 @@ class Reader:
         return answers
 
 
-# --- read once -----------------------------------------------------------------------
-
-
-def readers_of(options: argparse.Namespace) -> list[Reader]:
-    """Return a reader for each unit that was typed."""
-    return [Reader(options, unit) for unit in units_of(options)]
-
-
 def read(options: argparse.Namespace) -> int:
     """Read each unit once, and print."""
-    readers = {reader.unit: reader for reader in readers_of(options)}
-    printer = printer_of(options, [*readers.values()], are_polls=False)
+    readers = {unit: Reader(options, unit) for unit in units_of(options)}
+    items = next(iter(readers.values())).items
+    printer = printer_of(options, items, several=len(readers) > 1, are_polls=False)
     with closing(connected(options)) as context:
 
         def ask(unit: int) -> int:
@@ -211,86 +206,70 @@ def read(options: argparse.Namespace) -> int:
         return ask_units([*readers], ask, lambda unit, reason: printer(unit, [], reason))
 
 
-# --- printers ------------------------------------------------------------------------
+# --- read --watch --------------------------------------------------------------------
 
 
-def printer_of(
-    options: argparse.Namespace, readers: Sequence[Reader], *, are_polls: bool
-) -> Printer:
-    """Return what prints results in the form that was typed; those of polls with the time."""
-    several = len(readers) > 1
-    if options.csv:
-        return _CsvRows(readers[0].items, has_unit=several).print
-    if options.json:
-        return partial(_print_object, has_time=are_polls)
-    return partial(_print_line if are_polls else _print_lines, has_unit=several)
+def watch(options: argparse.Namespace) -> int:
+    """Poll each unit; a lost connection is established again."""
+    readers = [Reader(options, unit) for unit in units_of(options)]
+    interval = min(reader.interval for reader in readers)
+    is_answered, reason = False, ""
+    with closing(connected(options)) as context, ExitStack() as stack:
+        units = ",".join(str(reader.unit) for reader in readers)
+        title = f"{context.url}, unit {units}, every {interval:g} s"
+        printers = _printers(options, readers, title)
+        if options.page is not None or options.page_token is not None:
+            from .shown_watch import ShownWatch
+
+            shown = ShownWatch(title, interval)
+            printers.append(shown.print)
+            page = over_http.tables_shown(
+                lambda: shown, options.page, options.page_token, sys.stderr
+            )
+            stack.enter_context(page)
+        for due in _times(interval, options.count, options.lasts or float("inf")):
+            for reader in readers:
+                reason = _poll(reader, context, due, printers)
+                is_answered |= not reason
+    if not is_answered:
+        raise CommandError(f"no poll was answered; the last one: {reason}")
+    return 0
 
 
-def _print_lines(unit: int, results: Sequence[ReadResult], reason: str, *, has_unit: bool) -> None:
-    """Print a line for each value; of several units, and of one item, a line for each unit."""
-    if reason:
-        fail(unit, reason, as_json=False, lacks="values")
-        return
-    if has_unit and len(results) == 1 and results[0].item.form != ALL:
-        print(f"unit {unit:<3}  {in_line(results[0], several=False)}", flush=True)
-        return
-    lines = aligned(results)
-    if has_unit:
-        lines = [f"unit {unit}:", *(f"  {line}" for line in lines)]
-    if lines:
-        print("\n".join(lines))
+def _times(interval: float, count: int | None, lasts: float) -> Iterator[float]:
+    """Yield when each poll is due, and wait in between; polls that would be late are left out."""
+    due = begun = time.monotonic()
+    polls = 0
+    while polls != count and due < begun + lasts:
+        time.sleep(max(0.0, due - time.monotonic()))
+        yield due
+        polls += 1
+        due = begun + ((time.monotonic() - begun) // interval + 1) * interval
 
 
-def _print_line(unit: int, results: Sequence[ReadResult], reason: str, *, has_unit: bool) -> None:
-    """Print the time and the values of a poll; with their addresses if there are several."""
-    several = len(results) > 1
-    text = reason or "  ".join(in_line(each, several=several) for each in results)
-    whence = f"unit {unit}  " if has_unit else ""
-    print(f"{time_text(time.time())}  {whence}{text}", flush=True)
+def _poll(reader: Reader, context: Context, due: float, printers: Sequence[Printer]) -> str:
+    """Print the results of a unit, or why there are none, which is returned."""
+    results, reason = list[ReadResult](), ""
+    try:
+        results = reader.ask(context, due)
+    except (ModbusError, CommandError) as error:
+        reason = f"{error}{advice(error)}"
+    for each in printers:
+        each(reader.unit, results, reason)
+    return reason
 
 
-def _print_object(unit: int, results: Sequence[ReadResult], reason: str, *, has_time: bool) -> None:
-    """Print an object of JSON: values by name, one item, or a list of items."""
-    fields = {"error": reason} if reason else _fields(results)
-    when = {"time": time_text(time.time())} if has_time else {}
-    print_json({**when, "unit": unit, **fields})
-
-
-def _fields(results: Sequence[ReadResult]) -> dict[str, Any]:
-    items = [each.fields for each in results]
-    if not all(each.item.point for each in results):
-        return items[0] if len(items) == 1 else {"items": items}
-    by_name = {
-        key: {each["name"]: each[field] for each in items if field in each}
-        for key, field in (("values", "value"), ("no_value", "no_value"), ("errors", "error"))
-    }
-    fell = [each.fields["name"] for each in results if each.has_fallen]
-    others = {key: found for key, found in {**by_name, "fell": fell}.items() if found}
-    return {"values": {}, **others}
-
-
-class _CsvRows:
-    """Prints a header, then a row for each poll: the time, the unit, the values and the error."""
-
-    def __init__(self, items: Sequence[Item], *, has_unit: bool) -> None:
-        self._titles = [title for item in items for title in titles(item)]
-        self._has_unit = has_unit
-        self._has_begun = False
-
-    def print(self, unit: int, results: Sequence[ReadResult], reason: str) -> None:
-        cells: list[str] = [] if results else [""] * len(self._titles)
-        for each in results:
-            cells += [row.plain for row in each.rows] or [""] * len(titles(each.item))
-        remarks = filter(None, (each.failure or each.remark for each in results))
-        if not self._has_begun:
-            self._has_begun = True
-            self._print(["time", *["unit"] * self._has_unit, *self._titles, "error"])
-        whence = [time_text(time.time()), *[str(unit)] * self._has_unit]
-        self._print([*whence, *cells, reason or "; ".join(remarks)])
-        sys.stdout.flush()
-
-    def _print(self, cells: list[str]) -> None:
-        from ...tools.files.csv_text import csv_rows
-
-        text = csv_rows([cells])
-        print(without_controls(text) if sys.stdout.isatty() else text, end="")
+def _printers(options: argparse.Namespace, readers: Sequence[Reader], title: str) -> list[Printer]:
+    """Return what prints the values to the output that was typed, and to a terminal."""
+    is_file = options.written_to is not None
+    screen: TextIO = options.screen
+    has_cursor = screen.isatty() and os.environ.get("TERM", "dumb") != "dumb"
+    # Frames of --verbose would be printed into the table.
+    is_table = has_cursor and not options.verbose and (is_file or not (options.csv or options.json))
+    printers: list[Printer] = []
+    if is_file or not is_table:
+        several = len(readers) > 1
+        printers.append(printer_of(options, readers[0].items, several=several, are_polls=True))
+    if is_table:
+        printers.append(TerminalTable(title, [each.unit for each in readers], screen).print)
+    return printers

@@ -12,7 +12,7 @@ from ...tools.page.log import Log
 from ...tools.page.samples import Series
 from ...tools.page.table_source import COLUMNS, Column, Older, PageRow, ShownPoint, Values
 from ...tools.page.text import cell_text
-from .formatters import FormattedValue, ReadResult
+from .formatters import ReadResult, ValueText
 from .items import Item
 
 __all__ = ["ShownWatch"]
@@ -129,7 +129,7 @@ def _device(unit: int) -> str:
     return f"unit {unit}"
 
 
-def _name(item: Item, row: FormattedValue) -> tuple[str, str]:
+def _name(item: Item, row: ValueText) -> tuple[str, str]:
     """Return the name of a value, and its unit of measurement."""
     where = row.where.strip()
     if item.point is not None:

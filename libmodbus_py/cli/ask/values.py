@@ -179,7 +179,7 @@ def names(parsed_args: argparse.Namespace, **_: Any) -> list[str]:
     """Return the tables, and the names in the map that was typed before."""
     from .items import TABLE_WORDS, map_of
 
-    typed = [part for word in parsed_args.words for part in word.partition("=")[::2]]
+    typed = [part for word in parsed_args.words for part in word.split("=", 1)]
     with contextlib.suppress(OSError, ValueError, IndexError):
         parsed_args.map = typed[typed.index("--map") + 1]
         return [*TABLE_WORDS, *(map_of(parsed_args) or ())]
@@ -205,15 +205,11 @@ def _polls(text: str) -> int:
 
 
 def _read(options: argparse.Namespace) -> int:
+    from .reading import read, watch
+
     if options.watch is None and (options.count or options.lasts or options.page):
         options.watch = 1.0
-    if options.watch is None:
-        from .reading import read
-
-        return read(options)
-    from .watching import watch
-
-    return watch(options)
+    return read(options) if options.watch is None else watch(options)
 
 
 def _write(options: argparse.Namespace) -> int:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import os
 import signal
-import stat
 import struct
 import time
 from collections.abc import Iterator
@@ -132,18 +131,6 @@ def test_nobody_there(url: str, tmp_path: Path) -> None:
     assert not file.exists()
 
 
-def test_a_full_disk(url: str, tmp_path: Path) -> None:
-    (tmp_path / "meter.toml").write_text('[[point]]\nname = "a"\ntable = "coils"\naddress = 1\n')
-    for arguments in (
-        ["check", tmp_path / "meter.toml"],
-        ["from-device", f"{url}?unit=3"],
-    ):
-        with open("/dev/full", "w") as full:
-            done = run("map", *arguments, out=full)
-        assert done.code == 1
-        assert done.err == "libmodbus-py: standard output: No space left on device\n"
-
-
 def test_ctrl_c_keeps_what_was_found(tmp_path: Path) -> None:
     def answer(request: bytes) -> list[bytes]:
         function, first, count = struct.unpack(">BHH", request[7:12])
@@ -180,18 +167,13 @@ def test_the_maps_that_come_with_the_package() -> None:
         (["sdm120"], ["sdm120"]),
         (["EASTRON", "single"], ["sdm120", "sdm230"]),
         (["heat", "pumps"], ["nibe_s"]),
+        (["eastron", "toaster"], []),
     ],
 )
 def test_maps_are_found_by_words(words: list[str], names: list[str]) -> None:
-    lines = mapped("list", "--search", *words).out.splitlines()
-    assert [line.split()[0] for line in lines] == names
-
-
-def test_maps_that_lack_a_word_are_not_found() -> None:
-    done = mapped("list", "--search", "eastron", "toaster", code=1)
-    assert done.out == ""
-    assert done.err.endswith(" has eastron and toaster\n")
-    assert done.err.count("\n") == 1
+    done = mapped("list", "--search", *words, code=0 if names else 1)
+    assert [line.split()[0] for line in done.out.splitlines()] == names
+    assert (" has eastron and toaster\n" in done.err) == (not names)
 
 
 GERMAN = "Zähler;;\nBezeichnung;Register;Datentyp\nSpannung;40001;U16\n".encode("cp1252")
@@ -264,14 +246,6 @@ def test_other_files_are_not_overwritten(output: str, message: str, folder: Path
     assert (folder / "mine.py").read_text() == "x = 1\n"
 
 
-def test_a_wrong_map_is_told_with_its_line(folder: Path) -> None:
-    (folder / "meter.csv").write_text(MAP.replace("uint16", "unit16"))
-    done = run("map", "class", folder / "meter.csv", "-o", folder / "meter.py")
-    assert done.code == 2
-    assert "meter.csv, line 2, column type" in done.err
-    assert not (folder / "meter.py").exists()
-
-
 def test_the_names_of_files_stay_texts(folder: Path) -> None:
     for name in ('x"""\nimport os #', "a\\", "import", "7-Eleven \u2028 x", "Any", "ä ö"):
         path = folder / f"{name}.csv"
@@ -279,15 +253,6 @@ def test_the_names_of_files_stay_texts(folder: Path) -> None:
         done = run("map", "class", path)
         assert done.code == 0, done.err
         compile(done.out, "made.py", "exec")
-
-
-def test_a_new_file_can_be_read_by_others(folder: Path) -> None:
-    before = os.umask(0o022)
-    try:
-        run("map", "class", folder / "meter.csv", "-o", folder / "meter.py")
-    finally:
-        os.umask(before)
-    assert stat.S_IMODE((folder / "meter.py").stat().st_mode) == 0o644
 
 
 @each_case("action", ["check", "class"])
@@ -373,18 +338,3 @@ def test_a_device_that_is_silent_or_busy(points: Path) -> None:
         assert done.code == 1
         assert "server device busy" in done.err
         assert len(busy.transactions) == 1
-
-
-@pytest.mark.parametrize(
-    ("typed", "name"),
-    [
-        ("-u 17", "--unit"),
-        ("-b 9600", "--baudrate"),
-        ("--ca a.pem", "--ca"),
-        ("--native", "--native"),
-    ],
-)
-def test_options_of_requests_need_a_device(points: Path, typed: str, name: str) -> None:
-    done = run("map", "check", points, *typed.split())
-    assert (done.code, done.out) == (2, "")
-    assert f"{name} needs --device" in done.err

@@ -8,7 +8,7 @@ import signal
 from typing import Any
 
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.cli.ask.formatters import FormattedValue, ReadResult
+from libmodbus_py.cli.ask.formatters import ReadResult, ValueText
 from libmodbus_py.cli.ask.items import Item
 from libmodbus_py.cli.ask.shown_watch import ShownWatch
 from tests.support.commands import PAGE_TOKEN, Started, page_url
@@ -37,7 +37,7 @@ def test_values_are_shown_and_printed() -> None:
 
 
 ITEM = Item("holding_registers", 7, 1, word="holding")
-GOOD = ReadResult(ITEM, [FormattedValue("    7", "5", "5")], {})
+GOOD = ReadResult(ITEM, [ValueText("    7", "5", "5")], {})
 
 
 def test_what_fails_is_a_gap_with_its_reason() -> None:
