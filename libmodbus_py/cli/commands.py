@@ -77,14 +77,19 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
     from .arguments import with_forms
     from .foreign import equivalents
 
-    if message := equivalents(*_of_action(parser, others)):
-        parser.error(message)
-    others = with_forms(parser, others)
     if any(action.nargs == argparse.PARSER for action in parser._actions):
         found, unknown = parser.parse_known_args(others)  # its actions have their own parsers
     else:  # options may be anywhere between the words
-        found, unknown = parser.parse_known_intermixed_args(others)
-    _refuse(found.parser, unknown)
+        if message := equivalents(parser, others):
+            parser.error(message)
+        found, unknown = parser.parse_known_intermixed_args(with_forms(parser, others))
+    if unknown:
+        from ..protocol.mistakes import close_to
+
+        flags = found.parser._option_string_actions
+        option = next((word for word in unknown if word.startswith("-")), "").partition("=")[0]
+        close = close_to(option[2:], [each[2:] for each in flags if each[:2] == "--"], "--")
+        found.parser.error(f"unrecognized arguments: {' '.join(unknown)}{close}")
     return found
 
 
@@ -96,28 +101,6 @@ def _is_read(arguments: Sequence[str]) -> bool:
         is_asked = arguments[0] in ("-h", "--help", "--help-all", "--version")
         return not is_asked and any(map(is_place, arguments))
     return is_place(arguments[0])
-
-
-def _of_action(
-    parser: argparse.ArgumentParser, words: Sequence[str]
-) -> tuple[argparse.ArgumentParser, Sequence[str]]:
-    """Return the parser of the action that was typed, such as `map check`, and its words."""
-    for action in parser._actions:
-        if action.nargs == argparse.PARSER and words and words[0] in (action.choices or {}):
-            return dict(action.choices or {})[words[0]], words[1:]
-    return parser, words
-
-
-def _refuse(parser: argparse.ArgumentParser, unknown: Sequence[str]) -> None:
-    """Refuse arguments that the command does not take, and name a close one that it does."""
-    if not unknown:
-        return
-    from ..protocol.mistakes import close_to
-
-    option = next((word for word in unknown if word.startswith("-")), "").partition("=")[0]
-    known = [flag[2:] for flag in parser._option_string_actions if flag.startswith("--")]
-    close = close_to(option[2:], known, "--")
-    parser.error(f"unrecognized arguments: {' '.join(unknown)}{close}")
 
 
 def parser_of(name: str) -> _Parser:

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from ..client.blocking import Context
     from ..ports.endpoint import Endpoint
-    from ..ports.schemes import Option, Transport
 
 __all__ = ["OF_SERVERS", "connected", "endpoint_of", "with_options"]
 
@@ -30,29 +29,14 @@ OF_SERVERS = (*SERIAL_OPTIONS, *SECURITY_OPTIONS)
 
 ALL = (*CLIENT_OPTIONS, *OF_SERVERS)
 
-OF_TRANSPORTS: dict[Transport, Mapping[str, Option]] = {
-    name: rules.options for name, rules in TRANSPORTS.items() if rules.options
-}
-"""Transport -> the options that it alone has."""
-
 
 def endpoint_of(options: argparse.Namespace) -> Endpoint:
-    """
-    Return where to connect: the URL, with the options that were typed.
-
-    Raises:
-        ValueError: the URL or an option is wrong.
-    """
+    """Return where to connect: the URL, with the options that were typed."""
     return with_options([options.url], options)[0]
 
 
 def connected(options: argparse.Namespace) -> Context:
-    """
-    Make the client; it connects when it is used.
-
-    Raises:
-        TypeError, ValueError: the URL or an option is wrong.
-    """
+    """Make the client; it connects when it is used."""
     from ..client.blocking import Context
 
     endpoint = endpoint_of(options)
@@ -67,35 +51,22 @@ def connected(options: argparse.Namespace) -> Context:
 def with_options(
     urls: Iterable[str], options: argparse.Namespace, names: Collection[str] = ALL
 ) -> list[Endpoint]:
-    """
-    Return the endpoints of URLs, each with the options that apply to it.
-
-    Args:
-        names: the options that are looked at.
-
-    Raises:
-        ValueError: a URL is wrong, or an option applies to none of the URLs.
-    """
+    """Return the endpoints of URLs, each with those of the named options that apply to it."""
     from ..ports.endpoint import parse
 
     endpoints = [parse(url) for url in urls]
-    typed = _typed(options, names)
+    typed = given(options, names)
+    for name in REPEATED:
+        if name in typed:
+            typed[name] = ",".join(typed[name])
     useful = {name for each in endpoints for name in options_of(each.scheme)}
-    for transport, own in OF_TRANSPORTS.items():
-        useless = [name for name in typed if name in own and name not in useful]
+    for transport, rules in TRANSPORTS.items():
+        useless = [name for name in typed if name in rules.options and name not in useful]
         if useless:
-            wanted = "serial ports" if TRANSPORTS[transport].is_serial else f"{transport}:// URLs"
+            wanted = "serial ports" if rules.is_serial else f"{transport}:// URLs"
             places = ", ".join(map(str, endpoints))
             raise ValueError(f"{flag(useless[0])} applies to {wanted} only, not to {places}")
     return [_overridden(each, typed) for each in endpoints]
-
-
-def _typed(options: argparse.Namespace, names: Collection[str]) -> dict[str, Any]:
-    """Return the options that were typed, with lists as URLs have them."""
-    return {
-        name: ",".join(value) if name in REPEATED else value
-        for name, value in given(options, names).items()
-    }
 
 
 def _overridden(endpoint: Endpoint, typed: Mapping[str, Any]) -> Endpoint:

@@ -12,9 +12,7 @@ import shlex
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from contextlib import ExitStack
 from typing import Any
 
 from ..binding.library import loaded_version
@@ -24,7 +22,6 @@ from ..device.mapping import Mapping
 from ..ports.endpoint import parse
 from ..protocol import pdu
 from ..protocol.errors import ExceptionResponse
-from ..protocol.values import parse_reference
 from ..tools.faults.server import Server
 from ..tools.testing.wires import SerialWire, TcpWire
 from .output import PROGRAM, styled
@@ -33,105 +30,33 @@ __all__ = ["add_command"]
 
 BOLD, RED, GREEN = "1", "31", "32"
 
-
-def add_command(commands: Any) -> None:
-    """Add the command to argparse."""
-    commands.add_parser("demo").set_defaults(run=_demo)
-
-
-@dataclass(frozen=True)
-class Example:
-    """A request, how its answer is printed, and what must be printed."""
-
-    title: str
-    unit: int
-    request: pdu.Request[Any]
-    show: Callable[[Any], str]
-    shown: str
-
-
-def _signed(values: list[int]) -> str:
-    return "  ".join(str(value - 0x10000 if value & 0x8000 else value) for value in values)
-
-
-def _states(values: list[bool]) -> str:
-    return " ".join("on" if value else "off" for value in values)
-
-
-def _records(pieces: list[list[int]]) -> str:
-    return "   ".join(" ".join(f"{value:04X}" for value in piece) for piece in pieces)
-
-
-EXAMPLES = (
-    Example(
+EXAMPLES: tuple[tuple[str, int, pdu.Request[Any], Any], ...] = (
+    (
         "read registers 40123-40125 of unit 6",
         6,
-        pdu.ReadHoldingRegisters(parse_reference("40123").address, 3),
-        _signed,
-        "789  12345  -567",
+        pdu.ReadHoldingRegisters(122, 3),
+        [789, 12345, -567 & 0xFFFF],
     ),
-    Example(
+    (
         "read coils 20-32 of unit 17",
         17,
-        pdu.ReadCoils(parse_reference("00020").address, 13),
-        _states,
-        "on on off off on off on on on on on off on",
+        pdu.ReadCoils(19, 13),
+        [bool(0x17D3 >> bit & 1) for bit in range(13)],
     ),
-    Example(
+    (
         "read file 4, records 1-2, and file 3, records 9-10, of unit 17",
         17,
         pdu.ReadFileRecords(((4, 1, 2), (3, 9, 2))),
-        _records,
-        "0DFE 0020   33CD 0040",
+        [[0x0DFE, 0x0020], [0x33CD, 0x0040]],
     ),
-    Example(
+    (
         "write 999 to register 42450 of unit 13, whose last register is 42048",
         13,
-        pdu.WriteRegister(parse_reference("42450").address, 999),
-        str,
+        pdu.WriteRegister(2449, 999),
         "refused: illegal data address (exception 2)",
     ),
 )
-
-
-def _devices() -> dict[int, Device]:
-    meter, station, drive = (
-        Mapping(holding_registers=200),
-        Mapping(coils=100),
-        Mapping(holding_registers=2048),
-    )
-    meter.holding_registers[122:125] = [789, 12345, -567 & 0xFFFF]
-    station.coils[19:32] = [bool(0x17D3 >> bit & 1) for bit in range(13)]
-    files = {4: {1: 0x0DFE, 2: 0x0020}, 3: {9: 0x33CD, 10: 0x0040}}
-    return {6: Device(meter), 17: Device(station, files=files), 13: Device(drive)}
-
-
-@contextmanager
-def _tcp() -> Iterator[tuple[str, Context, Any]]:
-    with ExitStack() as stack:
-        running = stack.enter_context(Server(_devices()).background("tcp://127.0.0.1:0"))
-        wire = stack.enter_context(TcpWire(parse(running.urls[0]).port))
-        context = stack.enter_context(TcpContext("127.0.0.1", wire.port, native=True))
-        yield running.urls[0], context, wire
-
-
-@contextmanager
-def _serial(scheme: str, make: Callable[[str], Context]) -> Iterator[tuple[str, Context, Any]]:
-    with ExitStack() as stack:
-        wire = stack.enter_context(SerialWire())
-        running = stack.enter_context(
-            Server(_devices()).background(f"{scheme}://{wire.server}?baudrate=19200")
-        )
-        context = stack.enter_context(make(wire.client))
-        yield running.urls[0], context, wire
-
-
-LINES: dict[str, Callable[[], Any]] = {
-    "TCP": _tcp,
-    "RTU": lambda: _serial("rtu", lambda device: RtuContext(device, 19200, native=True)),
-    "ASCII": lambda: _serial("ascii", lambda device: AsciiContext(device, 19200)),
-}
-
+"""A title, the unit, the request, and the values of the answer, or the refusal."""
 
 NEXT = """
 To try next, the second and the third in another terminal:
@@ -140,9 +65,9 @@ To try next, the second and the third in another terminal:
   {program} identify 127.0.0.1:1502"""
 
 
-def _program() -> str:
-    """Return how the command line is called: by its name, if a shell finds it."""
-    return PROGRAM if shutil.which(PROGRAM) else f"{shlex.quote(sys.executable)} -m libmodbus_py"
+def add_command(commands: Any) -> None:
+    """Add the command to argparse."""
+    commands.add_parser("demo").set_defaults(run=_demo)
 
 
 def _demo(_: argparse.Namespace) -> int:
@@ -150,37 +75,59 @@ def _demo(_: argparse.Namespace) -> int:
     version = ".".join(map(str, loaded_version()))
     print(f"libmodbus {version}: a client and a server with a register mapping, on three lines")
     right = True
-    for name, line in LINES.items():
-        with line() as (url, context, wire):
-            print(f"\n{styled(f'{name:<6}', BOLD)} {url}")
-            for example in EXAMPLES:
-                right &= _show(name, example, context.for_unit(example.unit), wire)
+    for line in ("TCP", "RTU", "ASCII"):
+        with ExitStack() as stack:
+            url, context, wire = _opened(line, stack)
+            print(f"\n{styled(f'{line:<6}', BOLD)} {url}")
+            for title, unit, request, expected in EXAMPLES:
+                print(f"\n  {styled(title, BOLD)}")
+                right &= _show(line, context.for_unit(unit), request, expected, wire)
     print(f"\n{'all answers are right' if right else 'WRONG ANSWERS: see above'}")
-    print(NEXT.format(program=_program()))
+    python = f"{shlex.quote(sys.executable)} -m libmodbus_py"
+    print(NEXT.format(program=PROGRAM if shutil.which(PROGRAM) else python))
     return 0 if right else 1
 
 
-def _show(line: str, example: Example, context: Context, wire: Any) -> bool:
+def _opened(line: str, stack: ExitStack) -> tuple[str, Context, Any]:
+    """Return the URL of a server on a line, a client, and the recorded wire between them."""
+    meter, station = Mapping(holding_registers=200), Mapping(coils=100)
+    meter.holding_registers[122:125] = EXAMPLES[0][3]
+    station.coils[19:32] = EXAMPLES[1][3]
+    files = {4: {1: 0x0DFE, 2: 0x0020}, 3: {9: 0x33CD, 10: 0x0040}}
+    drive = Device(Mapping(holding_registers=2048))
+    server = Server({6: Device(meter), 17: Device(station, files=files), 13: drive})
+    if line == "TCP":
+        running = stack.enter_context(server.background("tcp://127.0.0.1:0"))
+        tcp = stack.enter_context(TcpWire(parse(running.urls[0]).port))
+        context: Context = TcpContext("127.0.0.1", tcp.port, native=True)
+        return running.urls[0], stack.enter_context(context), tcp
+    wire = stack.enter_context(SerialWire())
+    url = f"{line.lower()}://{wire.server}?baudrate=19200"
+    running = stack.enter_context(server.background(url))
+    is_rtu = line == "RTU"
+    context = RtuContext(wire.client, 19200, native=True) if is_rtu else AsciiContext(wire.client)
+    return running.urls[0], stack.enter_context(context), wire
+
+
+def _show(line: str, context: Context, request: pdu.Request[Any], expected: Any, wire: Any) -> bool:
+    """Send a request, print what is on the line, and return True if the answer is right."""
     wire.clear()
     try:
-        answer = example.show(context.execute(example.request))
+        answer = context.execute(request)
     except ExceptionResponse as refusal:
         answer = f"refused: {refusal.args[0]}"
-    carrier = "Python" if line == "ASCII" else "C"
-    print(f"\n  {styled(example.title, BOLD)}")
-    _row("function", f"{example.request.function}, carried by {carrier}")
-    _row("request", _wire_text(line, wire.sent_by("client")))
-    _row("response", _wire_text(line, wire.sent_by("server")))
-    right = answer == example.shown
-    _row("answer", styled(answer, GREEN) if right else styled(f"{answer} (WRONG)", RED))
+    right: bool = answer == expected
+    _print_row("function", f"{request.function}, carried by {'Python' if line == 'ASCII' else 'C'}")
+    for name, sender in (("request", "client"), ("response", "server")):
+        data = wire.sent_by(sender)
+        text = repr(data.decode())[1:-1] if line == "ASCII" else data.hex(" ").upper()
+        _print_row(name, text)
+    shown = str(answer) if right else f"{answer} (WRONG)"
+    _print_row("answer", styled(shown, GREEN if right else RED))
     return right
 
 
-def _wire_text(line: str, data: bytes) -> str:
-    return repr(data.decode())[1:-1] if line == "ASCII" else data.hex(" ").upper()
-
-
-def _row(name: str, text: str) -> None:
+def _print_row(name: str, text: str) -> None:
     first, *rest = textwrap.wrap(text, 66) if len(text) > 66 else [text]
     print(f"    {name:<9} {first}")
     for more in rest:

@@ -103,11 +103,8 @@ SWITCHES = ("-B", "-f", "-i", "-0", "-1", "-R", "-F")
 
 def equivalents(parser: argparse.ArgumentParser, words: Sequence[str]) -> str:
     """
-    Return a message about the options that are those of another program; empty if none is.
-
-    Args:
-        parser: that of the command, whose own options are not foreign.
-        words: those that were typed behind the command.
+    Return a message about the options that are those of another program, and not of the command
+    whose parser it is, among the words behind it; empty if none is.
     """
     found: list[str] = []
     words = words[: words.index("--")] if "--" in words else words

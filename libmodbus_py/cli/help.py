@@ -78,12 +78,7 @@ def make_rare(*actions: argparse.Action) -> None:
 
 @contextlib.contextmanager
 def shown(parser: argparse.ArgumentParser, *, all: bool) -> Iterator[None]:
-    """
-    Hide the rare options of a parser from its help while the block runs.
-
-    Args:
-        all: True to show them; --help-all is hidden if there are none.
-    """
+    """Hide the rare options, unless `all` are shown; and --help-all if there are none."""
     rare = [each for each in parser._actions if getattr(each, "is_rare", False)]
     more = [each for each in parser._actions if isinstance(each, HelpAll)]
     for each in more:

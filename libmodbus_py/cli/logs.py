@@ -86,10 +86,8 @@ def called_before_lines(function: Callable[[], object]) -> Iterator[None]:
 
 
 class _Handler(logging.StreamHandler[Any]):
-    """Loses what stderr does not take, such as a closed pipe, instead of saying so there."""
-
     def handleError(self, record: logging.LogRecord) -> None:
-        """Do nothing."""
+        """Lose what stderr does not take, such as a closed pipe, instead of saying so there."""
 
 
 class TextFormatter(logging.Formatter):

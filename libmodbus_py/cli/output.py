@@ -28,7 +28,6 @@ PROGRAM = "libmodbus-py"
 ERROR = "1;31"
 """Style of the name of the program before an error: bold and red."""
 
-
 _prints_log_lines = False
 
 
@@ -113,11 +112,8 @@ def written_to(path: str | None) -> Iterator[None]:
     """
     Write all that is printed to a new file while the block runs; print it if there is no path.
 
-    A file in which nothing was written does not remain, so that the command can be repeated.
-
-    Raises:
-        ValueError: the file exists.
-        OSError: the file cannot be written; it names the file, which ends with a whole line.
+    A file in which nothing was written does not remain, so that the command can be repeated. An
+    OSError names the file, which ends with a whole line.
     """
     if path is None:
         yield
@@ -138,18 +134,10 @@ def written_to(path: str | None) -> Iterator[None]:
 
 
 class _File(io.FileIO):
-    """
-    A file whose errors name it, and that loses the line which does not fit on a full disk.
-
-    Attributes:
-        is_empty: True until something is written.
-    """
+    """A file whose errors name it, and that loses the line which does not fit on a full disk."""
 
     is_empty: bool = True
-
-    def __init__(self, path: str, mode: str) -> None:
-        super().__init__(path, mode)
-        self._whole_lines = 0  # bytes
+    _whole_lines = 0  # bytes
 
     def write(self, data: Any) -> int:
         begin = self.tell()
@@ -168,19 +156,12 @@ class _File(io.FileIO):
 
 def styled(text: str, style: str, stream: TextIO | None = None) -> str:
     """
-    Return a text with a style, on a terminal whose user wants styles (https://no-color.org).
-
-    Args:
-        style: SGR parameters, such as "1" for bold or "31" for red; empty for none.
-        stream: where the text will be written; None for stdout.
+    Return a text with a style, if `stream`, or else stdout, is a terminal whose user wants styles
+    (https://no-color.org): SGR parameters, such as "1" for bold; empty for none.
     """
-    return f"\x1b[{style}m{text}\x1b[0m" if style and _has_styles(stream or sys.stdout) else text
-
-
-def _has_styles(stream: TextIO) -> bool:
-    """Return True if a stream is a terminal that shows styles, and its user wants them."""
     is_plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
-    return stream.isatty() and not is_plain
+    has_styles = (stream or sys.stdout).isatty() and not is_plain
+    return f"\x1b[{style}m{text}\x1b[0m" if style and has_styles else text
 
 
 def counted(number: int, noun: str) -> str:

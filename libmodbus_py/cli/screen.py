@@ -24,12 +24,7 @@ REDRAWN_S = 0.1
 
 
 class Status:
-    """
-    A line on standard error that is drawn again in place.
-
-    Args:
-        after: seconds until the line is first drawn.
-    """
+    """A line on standard error that is drawn again in place, at first `after` seconds."""
 
     def __init__(self, after: float = 0.0) -> None:
         self._is_wanted = sys.stderr.isatty()
@@ -56,24 +51,14 @@ class Status:
 
 
 class Redrawn:
-    """
-    Draws lines on a terminal over those that were drawn before, within its current size.
-
-    Args:
-        stream: the terminal.
-    """
+    """Draws lines on a terminal over those that were drawn before, within its current size."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
         self._drawn: list[str] = []
 
     def draw(self, lines: Sequence[tuple[str, bool]]) -> None:
-        """
-        Draw the lines that fit on the terminal.
-
-        Args:
-            lines: each with True if it is bold.
-        """
+        """Draw the lines that fit on the terminal, each with True if it is bold."""
         import shutil
 
         columns, rows = shutil.get_terminal_size()
@@ -81,13 +66,17 @@ class Redrawn:
         if len(lines) > room:
             more = len(lines) - room + 1
             lines = [*lines[: room - 1], (f"... {more} more", False)]
-        drawn = [(_fitting(line, columns), is_bold) for line, is_bold in lines]
+        fitting = [
+            "".join(each if each.isprintable() else "?" for each in line) for line, _ in lines
+        ]
+        drawn = [line[: max(1, columns - 1)] for line in fitting]
         text = "\n".join(
-            styled(line, "1" if is_bold else "", self._stream) for line, is_bold in drawn
+            styled(line, "1" if is_bold else "", self._stream)
+            for line, (_, is_bold) in zip(drawn, lines, strict=True)
         )
         self._stream.write(f"{self._back(columns)}{text}\n")
         self._stream.flush()
-        self._drawn = [line for line, _ in drawn]
+        self._drawn = drawn
 
     def clear(self) -> None:
         """Remove the lines, before other output."""
@@ -104,17 +93,8 @@ class Redrawn:
         return f"\x1b[{height}A\r\x1b[J" if height else ""
 
 
-def _fitting(line: str, columns: int) -> str:
-    return "".join(each if each.isprintable() else "?" for each in line)[: max(1, columns - 1)]
-
-
 def progress(state: Progress | Searching, found: int = 0) -> str:
-    """
-    Return the progress of a scan or a search as one line.
-
-    Args:
-        found: units that the scan has found.
-    """
+    """Return the progress of a scan, which has `found` units, or of a search as one line."""
     from ..tools.scan.search import Searching
 
     if isinstance(state, Searching):

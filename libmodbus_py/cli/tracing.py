@@ -19,22 +19,17 @@ __all__ = ["Tracing", "print_frame", "wire_printed"]
 
 class Tracing:
     """
-    A `trace` of one client that prints each frame to stderr.
-
-    The columns are the time, the direction, the unit, the function, how long the answer took, and
-    the bytes.
+    A `trace` of one client that prints each frame to stderr: the time, the direction, the unit, the
+    function, how long the answer took, and the bytes.
     """
 
     def __init__(self) -> None:
         self._sent = 0.0
 
     def __call__(self, traced: Traced) -> None:
-        took = None
-        if traced.direction == "sent":
-            self._sent = traced.time
-        else:
-            took = traced.time - self._sent
-        inform(_in_columns(traced, took), sys.stderr)
+        is_sent = traced.direction == "sent"
+        self._sent = traced.time if is_sent else self._sent
+        inform(_in_columns(traced, None if is_sent else traced.time - self._sent), sys.stderr)
 
 
 def print_frame(traced: Traced) -> None:

@@ -28,8 +28,8 @@ def test_demo_shows_every_example_on_every_line() -> None:
         r":0D86026B\r\n",
     ):
         assert line in done.out
-    assert done.out.count("789  12345  -567") == 3
-    assert done.out.count("0DFE 0020   33CD 0040") == 3
+    assert done.out.count("[789, 12345, 64969]") == 3
+    assert done.out.count("[[3582, 32], [13261, 64]]") == 3
     assert done.out.count("refused: illegal data address (exception 2)") == 3
 
 
