@@ -4,16 +4,15 @@ Options: those of URLs, their names, their texts, and what is said of wrong ones
 
 from __future__ import annotations
 
-import argparse
-import contextlib
-import io
+import json
 import re
 from collections.abc import Iterator
 
 import pytest
 
 from libmodbus_py import Context, Device, Mapping, Server
-from libmodbus_py.cli.commands import COMMANDS, parser_of
+from libmodbus_py.cli.commands import COMMANDS, parsed
+from libmodbus_py.cli.connecting import endpoint_of
 from libmodbus_py.client.options import CheckedOptions
 from libmodbus_py.ports.schemes import (
     CLIENT_OPTIONS,
@@ -24,6 +23,7 @@ from libmodbus_py.ports.schemes import (
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.cases import each_case
 from tests.support.commands import Started, run
+from tests.support.names import resolve
 
 CLIENTS = ["read", "write", "identify", "diagnose", "raw", "map from-device"]
 
@@ -115,11 +115,6 @@ def behind() -> Iterator[str]:
         yield running.urls[0]
 
 
-def test_an_option_wins_over_the_url(behind: str) -> None:
-    done = run("read", f"{behind}?unit=9&timeout=0.1", "holding", "0", "-u", "7", "--retries", "1")
-    assert (done.code, done.out) == (0, "    0  555\n")
-
-
 def test_a_gateway_has_options_for_its_devices_and_prints_frames(behind: str) -> None:
     arguments = ["tcp://127.0.0.1:0", "--to", f"7={behind}", "--timeout", "5", "-v"]
     with Started("gateway", *arguments) as process:
@@ -150,36 +145,6 @@ def test_every_sentence_of_help_is_told(name: str) -> None:
         assert re.sub(r"^([A-Z,.\[\]:=/_]+ ?)*", "", text), flag
 
 
-def parsers(name: str) -> Iterator[argparse.ArgumentParser]:
-    """Return the parser of a command, and those of its actions."""
-    parser = parser_of(name)
-    yield parser
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            yield from action.choices.values()
-
-
-def beginnings(parser: argparse.ArgumentParser) -> set[str]:
-    """Return what begins a long option and is none itself."""
-    known = set(parser._option_string_actions)
-    flags = [flag for flag in known if flag.startswith("--")]
-    assert flags
-    return {flag[:end] for flag in flags for end in range(3, len(flag))} - known
-
-
-@each_case("name", COMMANDS)
-def test_no_command_completes_the_beginning_of_an_option(name: str) -> None:
-    for parser in parsers(name):
-        for action in parser._actions:
-            action.required = False
-        for text in beginnings(parser):
-            with contextlib.redirect_stderr(io.StringIO()), contextlib.suppress(SystemExit):
-                _, unknown = parser.parse_known_args([text])
-                assert unknown == [text]
-                continue
-            raise AssertionError(f"{parser.prog} takes {text} for an option")
-
-
 @each_case(
     ("words", "option"),
     [
@@ -194,3 +159,57 @@ def test_the_error_names_what_was_typed(words: str, option: str) -> None:
     done = run(*words.split())
     assert done.code == 2
     assert f"unrecognized arguments: {option}" in done.err
+
+
+# --- endpoints -----------------------------------------------------------------------
+
+
+@each_case(
+    ("query", "options", "unit"),
+    [("?unit=7&timeout=5", [], 7), ("?unit=7", ["--unit", "9"], 9), ("", [], 1)],
+)
+def test_the_unit_is_that_of_the_url_unless_it_is_told(
+    query: str, options: list[str], unit: int
+) -> None:
+    devices = {each: Device(Mapping(coils=each)) for each in (1, 7, 9)}
+    with Server(devices).background("tcp://127.0.0.1:0") as running:
+        where = [running.urls[0] + query, "coils", str(unit - 1)]
+        done = run("read", *where, "--json", "-v", *options)
+        assert json.loads(done.out)["unit"] == unit
+        assert run("write", *where, "1", *options).code == 0
+    assert devices[unit].mapping.coils[unit - 1]
+
+
+@each_case(("flag", "echo"), [("--echo", True), ("--no-echo", False)])
+def test_an_echo_is_set_for_lines_behind_a_converter_too(flag: str, echo: bool) -> None:
+    options = parsed(["read", "rtu+tcp://h:4001", "coils", "0", flag])
+    assert endpoint_of(options).options == {"echo": echo}
+
+
+@each_case(
+    ("where", "said"),
+    [
+        (["127.0.0.1:1"], "cannot connect to 127.0.0.1:1"),
+        (["plc.example:1"], "cannot connect to plc.example:1"),
+        (["[::1]:1"], "cannot connect to [::1]:1"),
+        (["127.0.0.1:1?unit=9"], "unit 9: cannot connect"),
+        (["127.0.0.1:1?unit=9", "-u", "8"], "unit 8: cannot connect"),
+        (["/dev/no-such", "-b", "9600", "-p", "none", "-s", "2"], "cannot open /dev/no-such"),
+        (["./no-such"], "no-such: No such file"),
+        (["127.0.0.1:1", "-b", "9600"], "--baudrate applies to serial ports only"),
+        (["tcp://127.0.0.1:1", "-s", "2"], "--stop-bits applies to serial ports only"),
+        (["/dev/no-such", "-p", "mark"], "must be none, even or odd"),
+        (["http://127.0.0.1"], "scheme must be one of"),
+        (["a b:c:d"], "'a b:c:d'"),
+        (["user@host"], "must be a URL"),
+        ([""], "must be a URL"),
+    ],
+)
+def test_endpoints_without_a_scheme(
+    monkeypatch: pytest.MonkeyPatch, where: list[str], said: str
+) -> None:
+    resolve(monkeypatch, "plc.example")
+    done = run("read", *where, "holding", "0")
+    assert done.code in (1, 2)
+    assert said in done.err
+    assert done.err.count("\n") == 1

@@ -4,7 +4,6 @@ Completion in real shells and whatever the order of the words.
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import shutil
@@ -14,8 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py.cli.ask.items import TABLE_WORDS
-from libmodbus_py.cli.ask.values import names as names_of_map
 from libmodbus_py.protocol.extras import how_to_add
 from tests.support.cases import each_case
 from tests.support.commands import PROGRAM, run
@@ -94,25 +91,6 @@ def test_shells_nobody_knows_are_refused() -> None:
     assert run("completion", "tcsh").code == 2
 
 
-@pytest.mark.parametrize(
-    ("line", "found"),
-    [
-        ("libmodbus-py read h vol --map meter.csv", {"voltage", "current"}),
-        ("libmodbus-py read h vol --map=meter.csv -u 3", {"voltage", "current"}),
-        ("libmodbus-py read h vol --map", set()),
-        ("libmodbus-py read h 'vol --map meter.csv", set()),
-        ("libmodbus-py read h vol --map no-such-file.csv", set()),
-    ],
-)
-def test_the_map_may_stand_behind_the_name(
-    place: Path, monkeypatch: pytest.MonkeyPatch, line: str, found: set[str]
-) -> None:
-    monkeypatch.chdir(place)
-    monkeypatch.setenv("COMP_LINE", line)
-    names = names_of_map(argparse.Namespace(map=None, columns=[]))
-    assert set(names) - {*TABLE_WORDS} == found
-
-
 @each_case(
     ("line", "found"),
     [
@@ -130,15 +108,7 @@ def test_quotes_and_spaces(place: Path, line: str, found: list[str]) -> None:
     names = ["Leistung L1", "spannung's", "$x"]
     rows = "".join(f"{name},holding,{at}\n" for at, name in enumerate(names))
     (place / "my meter.csv").write_text(f"name,table,address\n{rows}")
-    line = f"libmodbus-py {line}"
-    asked = {"COMP_LINE": line, "COMP_POINT": str(len(line.encode())), "COMP_TYPE": "9"}
-    asked |= {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "|", "_ARGCOMPLETE_SHELL": "bash"}
-    asked |= {"_ARGCOMPLETE_STDOUT_FILENAME": str(place / "answer")}
-    done = subprocess.run(
-        PROGRAM, cwd=place, env=os.environ | asked, capture_output=True, text=True
-    )
-    assert done.stderr == ""
-    answers = (place / "answer").read_text().split("|")
+    answers = completed(f"libmodbus-py {line}", place, _ARGCOMPLETE_SHELL="bash").split("\013")
     assert [re.sub(r"\\(.)", r"\1", each).strip() for each in answers] == found
 
 
@@ -164,12 +134,10 @@ LINES = [
     ("read 192.0.2.10 hr 0 -v hol", {"holding"}),
     ("read -u 3 192.0.2.10 hr 0 --type floa", {"float16", "float32", "float64"}),
     ("read 192.0.2.10 hr 0 -u 3 --order CD", {"CDAB"}),
-    ("read 192.0.2.10 hr 0 --encoding latin", {"latin-1"}),
     ("read 192.0.2.10 hr 0 -v --map sdm12", {"sdm120"}),
     ("write 192.0.2.10 --map meter.csv voltage -5 -u 2 cur", {"current"}),
     ("write 192.0.2.10 --mask 0xF0 1 --map meter.csv vol", {"voltage"}),
     ("identify -u 1-9 192.0.2.10 --level ext", {"extended"}),
-    ("diagnose 192.0.2.10 -u 1 return-q", {"return-query-data"}),
     ("map check -u 3 sdm120 sdm63", {"sdm630"}),
     ("map class -o meter.py sdm63", {"sdm630"}),
     ("serve 127.0.0.1:1502 --page --example pla", {"plant"}),
@@ -206,9 +174,3 @@ def completed(line: str, folder: Path, **shell: str) -> str:
 def test_answers_to_bash(place: Path, line: str, found: set[str]) -> None:
     answer = completed(f"libmodbus-py {line}", place, _ARGCOMPLETE_SHELL="bash")
     assert {each.strip() for each in answer.split("\013")} - {"--help", ""} == found
-
-
-def test_answers_to_zsh(place: Path) -> None:
-    line, found = "read 192.0.2.10 --map meter.csv -u 3 vol", {"voltage"}
-    answer = completed(f"libmodbus-py {line}", place, _ARGCOMPLETE_SHELL="zsh")
-    assert {each.partition(":")[0] for each in answer.split("\013")} == found

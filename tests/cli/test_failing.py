@@ -7,7 +7,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from libmodbus_py import Device, Mapping, Server
+from libmodbus_py import Device, Mapping
 from libmodbus_py.tools.testing.recording import ServerMaker
 from tests.support.cases import each_case
 from tests.support.commands import on_terminal, run
@@ -15,17 +15,6 @@ from tests.support.peers import FakeServer, mbap
 
 READ = ["read", "tcp://127.0.0.1:1"]
 WRITE = ["write", "tcp://127.0.0.1:1"]
-
-
-def test_refusal_is_one_line_and_exit_code_1() -> None:
-    device = Device(Mapping(holding_registers=10))
-    with Server(device).background("tcp://127.0.0.1:0") as running:
-        done = run("read", running.urls[0], "holding", "10")
-    assert done.code == 1
-    assert done.out == ""
-    assert re.fullmatch(
-        r"libmodbus-py: unit 1, function 3, .*illegal data address \(exception 2\)\n", done.err
-    )
 
 
 @each_case(

@@ -102,14 +102,6 @@ def test_an_exception_is_told_whole(form: str, capsys: pytest.CaptureFixture[str
     assert told.rstrip().endswith("ValueError: wrong")
 
 
-def test_the_level_is_as_before_afterwards() -> None:
-    logger = logging.getLogger("libmodbus_py")
-    before = logger.level, list(logger.handlers)
-    with logged(Namespace(log="debug", log_format=None)):
-        assert logger.isEnabledFor(logging.DEBUG)
-    assert (logger.level, list(logger.handlers)) == before
-
-
 @pytest.fixture
 def device() -> Iterator[str]:
     with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as running:

@@ -72,7 +72,6 @@ def test_a_terminal_shows_a_watch_that_a_file_gets(url: str, tmp_path: Path) -> 
         shown = terminal.read_to_end()
     assert terminal.process.wait() == 0
     assert "1 polls" in shown
-    assert shown.endswith(f"3 polls in {path}\r\n")
     assert path.read_text().count("\n") == 4
 
 
@@ -89,6 +88,9 @@ def test_errors_of_such_a_watch_are_seen(tmp_path: Path) -> None:
 
 
 PRINTING = [
+    "--version",
+    "--help",
+    "demo",
     "read URL hr 0",
     "read URL hr 0 --json",
     "read URL hr 0 --watch 0.01 --count 3",
@@ -139,11 +141,6 @@ def test_a_watch_in_json_csv_and_text(registers: str) -> None:
     assert FORM.fullmatch(json.loads(run(*watch, "--json").out)["time"])
     assert FORM.fullmatch(run(*watch, "--csv").out.splitlines()[1].split(",")[0])
     assert FORM.fullmatch(run(*watch).out.split()[0])
-
-
-def test_a_poll_that_failed() -> None:
-    done = run("read", "127.0.0.1:1", "hr", 0, "--watch", "0.01", "--count", "1", "--json")
-    assert FORM.fullmatch(json.loads(done.out)["time"])
 
 
 def test_transactions_that_were_heard() -> None:

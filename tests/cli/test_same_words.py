@@ -4,7 +4,6 @@ The same words on every command, and what is said about words that a command doe
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,39 +11,10 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Client, Device, Mapping, Server
-from libmodbus_py.cli.commands import parser_of
 from tests.support.cases import each_case
 from tests.support.commands import Started, run
 
 DECODED = Path(__file__).parents[1] / "tools" / "listener" / "decoded.pcapng"
-
-SERIAL = ["-b", "-p", "-d", "-s", "--echo", "--rs485"]
-OF_CLIENTS = ["--timeout", "--retries"]
-OF_TLS = ["--cert", "--key", "--ca", "--pin"]
-
-
-def known(command: str, action: str = "") -> set[str]:
-    parser = parser_of(command)
-    if action:
-        (nested,) = (each for each in parser._actions if each.nargs == argparse.PARSER)
-        parser = dict(nested.choices or {})[action]
-    return set(parser._option_string_actions)
-
-
-@each_case(
-    ("command", "action", "words"),
-    [
-        *((name, "", [*SERIAL, *OF_CLIENTS, *OF_TLS, "-u"]) for name in ("read", "write", "scan")),
-        *((name, "", [*SERIAL, *OF_CLIENTS, *OF_TLS, "-u"]) for name in ("identify", "diagnose")),
-        *((name, "", [*SERIAL, *OF_CLIENTS, *OF_TLS, "-u"]) for name in ("raw", "gateway")),
-        ("map", "from-device", [*SERIAL, *OF_CLIENTS, *OF_TLS, "-u"]),
-        ("map", "check", [*SERIAL, *OF_CLIENTS, *OF_TLS, "-u"]),
-        ("serve", "", [*SERIAL, *OF_TLS, "-u"]),
-        ("listen", "", [*SERIAL, "-u"]),
-    ],
-)
-def test_the_same_words(command: str, action: str, words: list[str]) -> None:
-    assert set(words) <= known(command, action)
 
 
 @pytest.fixture
@@ -116,8 +86,6 @@ def test_listen_prints_the_units_that_were_typed() -> None:
         ("read h holdng 0", "did you mean holding?"),
         ("read h hr 0 --type flaot32", "did you mean float32"),
         ("serve h --unknown-unit refus", "not 'refus'; did you mean refuse?"),
-        ("listen /dev/x --timeout 3", "--timeout 3; listen sends nothing"),
-        ("serve h --retries 3", "; serve sends no requests"),
         ("serve h --device x -u 3", "--units cannot be given with x"),
         ("gateway --config x -u 3", "x: No such file"),
         ("gateway h --to 1-x=192.0.2.1", "'1-x' must be a unit"),

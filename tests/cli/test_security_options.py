@@ -129,11 +129,6 @@ def test_wrong_usage_is_told_in_one_line(arguments: list[str], text: str) -> Non
     assert "sesame" not in said
 
 
-def test_what_goes_with_tls_only(own: list[str], url: str, papers: Papers) -> None:
-    said = fails(2, "read", "tcp://127.0.0.1:1", "holding", "0", *own)
-    assert "--cert applies to tls:// URLs only, not to tcp://127.0.0.1:1" in said
-
-
 def test_an_option_overrides_the_url(own: list[str], url: str, papers: Papers) -> None:
     whole = papers.url(url, certificates.client())
     assert read(f"{whole}&server_name=other.example", "--server-name", "localhost").endswith(GOOD)

@@ -4,7 +4,6 @@ What a start of the command line costs and survives: the modules it brings, its 
 
 from __future__ import annotations
 
-import errno
 import os
 import socket
 import subprocess
@@ -12,10 +11,6 @@ import sys
 
 import pytest
 
-from libmodbus_py import ModbusConnectionError
-from libmodbus_py.cli import main as main_file
-from libmodbus_py.cli.commands import COMMANDS, parser_of
-from tests.support.cases import each_case
 from tests.support.commands import run
 
 COMMAND = [sys.executable, "-m", "libmodbus_py"]
@@ -75,30 +70,9 @@ def test_a_read_brings_a_blocking_client() -> None:
     assert "libmodbus_py.maps.point" not in found
 
 
-def test_version_and_help() -> None:
+def test_version() -> None:
     done = subprocess.run([*COMMAND, "--version"], capture_output=True, text=True, timeout=30)
     assert done.stdout == "libmodbus-py 0.1.0\n"
-    done = subprocess.run([*COMMAND, "--help"], capture_output=True, text=True, timeout=30)
-    for name, (_, about) in COMMANDS.items():
-        assert name in done.stdout
-        assert about.split()[0] in done.stdout
-
-
-@each_case("name", COMMANDS)
-def test_every_command_is_in_its_file(name: str) -> None:
-    with pytest.raises(SystemExit) as ended:
-        parser_of(name).parse_args(["--help"])
-    assert ended.value.code == 0
-
-
-@pytest.mark.parametrize("arguments", [["--version"], ["--help"], ["read", "--help"], ["demo"]])
-def test_a_full_disk_is_one_line(arguments: list[str]) -> None:
-    with open("/dev/full", "w") as full:
-        done = subprocess.run(
-            [*COMMAND, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, timeout=30
-        )
-    assert done.returncode == 1
-    assert done.stderr == "libmodbus-py: standard output: No space left on device\n"
 
 
 @pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
@@ -106,12 +80,6 @@ def test_closed_streams_hurt_nobody(closed: str) -> None:
     line = f"'{sys.executable}' -m libmodbus_py --version {closed}"
     done = subprocess.run(["sh", "-c", line], capture_output=True, text=True, timeout=30)
     assert done.returncode == 0
-    assert done.stderr == ""
-
-
-def test_a_reader_that_goes_away_hurts_nobody() -> None:
-    line = f"'{sys.executable}' -m libmodbus_py read --help | true"
-    done = subprocess.run(["sh", "-c", line], capture_output=True, text=True, timeout=30)
     assert done.stderr == ""
 
 
@@ -167,14 +135,3 @@ def test_what_the_terminal_cannot_show_is_written_in_ascii() -> None:
         timeout=30,
     )
     assert done.stdout == "21.5 \\u00b0C\n"
-
-
-@pytest.mark.timeout(20)
-def test_errors_that_cause_each_other_end_it_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    def run(arguments: object) -> int:
-        first, second = OSError(errno.EPIPE, "gone"), ModbusConnectionError("lost")
-        first.__cause__, second.__cause__ = second, first
-        raise first
-
-    monkeypatch.setattr(main_file, "_run", run)
-    assert main_file.main([]) == 1

@@ -177,6 +177,13 @@ def test_references_typed_as_addresses_are_explained(url: str, words: str, hint:
             "'none' is neither the path of a register map, which ends with .csv",
         ),
         ("holding 0 --map plant", "the examples are abb_b23, "),
+        ("hr 5-3", "is no range of cells"),
+        ("hr 0-2:float32", "is no range of registers of float32, 2 each"),
+        ("40001-30002", "both references must be of one table"),
+        ("hr 0:flaot32", "did you mean float32"),
+        ("hr 0 --order CDAB", "--order needs --type, or a type as in hr 100:float32"),
+        ("40001=5", "'40001=5' has a value, which the command write takes"),
+        ("hr 0:all", "type must be one of"),
     ],
 )
 def test_wrong_usage_is_one_line(url: str, words: str, named: str) -> None:
@@ -193,22 +200,3 @@ def test_names_that_a_map_lacks_are_guessed(url: str, meter: str) -> None:
     assert "no point 'setpont'; did you mean setpoint" in done.err
     done = run("read", url, "--map", meter, "pump", "--type", "int16")
     assert "pump has the type that the map gives" in done.err
-
-
-@each_case(
-    ("words", "said"),
-    [
-        ("hr 5-3", "is no range of cells"),
-        ("hr 0-2:float32", "is no range of registers of float32, 2 each"),
-        ("40001-30002", "both references must be of one table"),
-        ("hr 0:flaot32", "did you mean float32"),
-        ("hr 0 --order CDAB", "--order needs --type, or a type as in hr 100:float32"),
-        ("40001=5", "'40001=5' has a value, which the command write takes"),
-        ("hr 0:all", "type must be one of"),
-    ],
-)
-def test_wrong_ranges_and_types_are_refused(words: str, said: str) -> None:
-    done = run("read", "127.0.0.1:1", *words.split())
-    assert (done.code, done.out) == (2, "")
-    assert said in done.err
-    assert done.err.count("\n") == 1

@@ -18,6 +18,8 @@ from tests.support.commands import run
     ("words", "code", "said"),
     [
         ("3 0000 0002", 0, "03 04 00 01 00 02\n"),
+        ("03 00 00 00 02", 0, "03 04 00 01 00 02\n"),
+        ("0x10 00 00 00 01 02 00 07", 0, "10 00 00"),
         ("3 0000 0002", 0, "ReadHoldingRegisters(address=0, count=2): [1, 2]\n"),
         ("0x2B 0E0100", 0, "2b 0e 01"),
         ("7", 0, "07 00\n"),
@@ -68,11 +70,6 @@ def test_words_of_whole_bytes_are_taken(
     server: RecordingServer, function: str, words: list[str]
 ) -> None:
     assert run("raw", server.url, function, *words).out.startswith("03 04 00 01 00 02\n")
-
-
-def test_bytes_as_they_stand_in_manuals_are_taken(server: RecordingServer) -> None:
-    for words, answer in (("03 00 00 00 02", "03 04"), ("0x10 00 00 00 01 02 00 07", "10 00 00")):
-        assert run("raw", server.url, *words.split()).out.startswith(answer)
 
 
 @each_case(("byte", "other"), [("10", "0x0a"), ("16", "0x10"), ("43", "0x2b")])

@@ -208,21 +208,9 @@ def test_without_a_connection_nothing_is_asked() -> None:
         print_report(TcpContext("127.0.0.1", port=1), {"one": pytest.fail}, as_json=False)
 
 
-@each_case(
-    ("command", "function", "shown"),
-    [
-        ("identify", 43, "running"),
-        ("identify", 17, "VendorName"),
-        ("diagnose", 7, "bus message count"),
-        ("diagnose", 12, "bus message count"),
-        ("diagnose", 8, "exception status"),
-    ],
-)
-def test_a_device_may_close_the_connection_for_what_it_does_not_know(
-    maker: ServerMaker, command: str, function: int, shown: str
-) -> None:
-    server = maker(faults={None: [Fault("disconnect", function=function)]})
-    done = run(command, server.url)
+def test_a_device_may_close_the_connection_for_what_it_does_not_know(maker: ServerMaker) -> None:
+    server = maker(faults={None: [Fault("disconnect", function=43)]})
+    done = run("identify", server.url)
     assert (done.code, done.err) == (0, "")
-    assert shown in done.out
+    assert "running" in done.out
     assert "closed" in done.out

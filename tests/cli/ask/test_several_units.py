@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py import Context, Device, Mapping, Server
-from libmodbus_py.protocol.checks import duration_of
+from libmodbus_py import Device, Mapping, Server
 from tests.support.cases import each_case
 from tests.support.commands import on_terminal, run
 from tests.support.peers import FakeServer, mbap, refusing, url_of
@@ -142,17 +141,6 @@ def test_the_word_that_is_wrong_is_named(words: str, said: str) -> None:
     assert said in done.err
 
 
-@each_case(
-    ("typed", "seconds"),
-    [("500ms", 0.5), ("10s", 10.0), ("2m", 120.0), ("1h30m", 5400.0), ("1d", 86400.0), ("3", 3.0)],
-)
-def test_durations(typed: str, seconds: float) -> None:
-    assert duration_of(typed) == seconds
-    client = Context.from_url(f"tcp://127.0.0.1:1?timeout={typed}")
-    assert client.timeout == seconds
-    client.close()
-
-
 # --- identify and diagnose of several units ---------------------------------------
 
 
@@ -200,18 +188,6 @@ def test_a_unit_that_has_neither_is_one_line_of_json() -> None:
     assert done.code == 1
     assert [json.loads(line)["unit"] for line in done.out.splitlines()] == [4, 5]
     assert done.out.count("has none of these") == 2
-
-
-def test_a_single_unit_is_printed_as_before(reporting: str) -> None:
-    assert run("identify", reporting, "-u", 2).out == run("identify", f"{reporting}?unit=2").out
-    assert not run("identify", reporting, "-u", 2).out.startswith("unit")
-
-
-def test_units_are_diagnosed_one_after_the_other(reporting: str) -> None:
-    done = run("diagnose", reporting, "-u", "1,17")
-    assert (done.code, done.err) == (0, "")
-    assert done.out.count("  bus message count ") == 2
-    assert done.out.index("unit 1:\n") < done.out.index("unit 17:\n")
 
 
 def test_a_sub_function_is_sent_to_each_unit(reporting: str) -> None:

@@ -151,21 +151,6 @@ def test_hostile_servers_are_one_line_for_each_poll(data: bytes) -> None:
             thread.join()
 
 
-def test_sigterm_ends_it_without_a_word(running: Running) -> None:
-    with Started("read", running.urls[0], "holding", "0", *WATCH) as process:
-        process.stdout.readline()
-        process.send_signal(signal.SIGTERM)
-        _, err = process.communicate()
-        assert (process.returncode, err) == (-signal.SIGTERM, "")
-
-
-def test_a_full_disk_ends_it_with_a_line(running: Running) -> None:
-    with open("/dev/full", "w") as full:
-        done = run("read", running.urls[0], "holding", "0", *WATCH, out=full)
-    assert done.code == 1
-    assert done.err == "libmodbus-py: standard output: No space left on device\n"
-
-
 # --- on a terminal ---------------------------------------------------------------------------
 
 
