@@ -25,19 +25,12 @@ FORGOTTEN = 30.0
 # Seconds before a request to the server times out.
 TIMEOUT = 2.0
 
-# A single server supports one replica, and refuses more with this code.
-REPLICAS = 3
+# The code with which a single server refuses several replicas.
 NOT_IN_A_CLUSTER = 10074
 
 
 class Change(NamedTuple):
-    """
-    A change of a key.
-
-    Attributes:
-        value: the new value; None if the key was deleted.
-        revision: the revision of the bucket.
-    """
+    """A change of a key: its new value, or None if it was deleted, and the revision."""
 
     key: str
     value: bytes | None
@@ -55,11 +48,8 @@ class Bucket:
 
     async def put(self, key: str, value: bytes | None, last: int) -> int:
         """
-        Write a value if the key still has the revision `last`: 0 for a key that must not exist.
-
-        Returns:
-            The new revision; 0 if another value was found and nothing was written; 1 for a
-            deletion.
+        Write a value, or delete a key, if the key still has the revision `last`: 0 for a key that
+        must not exist. Return 0 if it does not; else the new revision, or 1 for a deletion.
 
         Raises:
             EngineError: the request failed; the value may have been written.
@@ -107,16 +97,7 @@ class Bucket:
 
 
 class Watch:
-    """
-    Reports the changes of a bucket in order, and detects gaps.
-
-    Args:
-        name: the name of the bucket.
-        on_change, on_gap: as for `Bucket.watch`.
-
-    Attributes:
-        is_broken: True if a change was missed, or the watch was ended.
-    """
+    """Reports the changes of a bucket in order, until one was missed; see `Bucket.watch`."""
 
     def __init__(
         self, name: str, on_change: Callable[[Change | None], None], on_gap: Callable[[], None]
@@ -182,10 +163,7 @@ class Watch:
 
 async def open_bucket(client: Client, name: str, *, create: bool = False) -> Bucket:
     """
-    Return a bucket.
-
-    Args:
-        create: True to create it if it does not exist: on three servers, or on the only one.
+    Return a bucket; create it if it does not exist and that is asked for.
 
     Raises:
         NothingThere: it does not exist.
@@ -208,22 +186,19 @@ async def open_bucket(client: Client, name: str, *, create: bool = False) -> Buc
             )
             keys = await js.key_value(name)
         known = (await keys.status()).stream_info.config
-    settings = (
+    for key, value, wanted in (
         ("history", known.max_msgs_per_subject, 1),
         ("time to live", known.max_age or 0, 0),
-    )
-    wrong = [f"{key} {value}, not {wanted}" for key, value, wanted in settings if value != wanted]
-    if wrong:
-        raise EngineError(f"bucket {name} has unexpected settings: {', '.join(wrong)}")
+    ):
+        if value != wanted:
+            raise EngineError(f"bucket {name} has unexpected settings: {key} {value}, not {wanted}")
     return Bucket(client, js, keys, name)
 
 
 async def keep_stream(client: Client, name: str, subjects: str, limits: dict[str, Any]) -> None:
     """
-    Create a stream that drops the oldest messages beyond its limits, or change its limits.
-
-    Args:
-        limits: options of nats-py's `StreamConfig`, such as max_age in seconds and max_bytes.
+    Create a stream that drops the oldest messages beyond its limits, or change its limits, which
+    are options of nats-py's `StreamConfig`, such as max_age in seconds and max_bytes.
 
     Raises:
         EngineError: it cannot be created or changed.
@@ -250,10 +225,11 @@ async def keep_stream(client: Client, name: str, subjects: str, limits: dict[str
 
 
 async def _replicated(make: Callable[[int], Any]) -> None:
+    """Make what three servers store; or the only one, which refuses more."""
     import nats.js.errors as js_errors
 
     try:
-        await make(REPLICAS)
+        await make(3)
     except js_errors.APIError as error:
         if error.err_code != NOT_IN_A_CLUSTER:
             raise

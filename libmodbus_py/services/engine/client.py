@@ -36,10 +36,7 @@ _SPACES = re.compile(rb"[ \t\r]+")
 
 
 class SteadyClient(Client):
-    """
-    A client that reads on after malformed messages, connects again after errors of the server,
-    and sends credentials over TLS only if TLS was asked for.
-    """
+    """Reads on after malformed messages, and sends credentials over TLS only if that is wanted."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -116,10 +113,8 @@ def _object(text: bytes) -> dict[str, Any]:
 
 class _Lines(Parser):
     """
-    Cuts received bytes into lines and messages.
-
-    nats-py's expressions take a vertical tab or a form feed for a space, so that a subject with
-    one is an error, or a message for another subscription.
+    Cuts received bytes into lines and messages. nats-py's expressions take a vertical tab or a form
+    feed for a space: a subject with one is an error, or a message for another subscription.
     """
 
     def __init__(self, client: SteadyClient) -> None:

@@ -70,44 +70,35 @@ FILES: dict[str, tuple[str, tuple[str, ...]]] = {
 
 class FileText(UserString):
     """
-    A text that nats-py takes for credentials, as often as it needs them.
+    The text of the file that a variable names, which nats-py takes for credentials, as often as it
+    needs them: the text that the file contains then, or the former if that is wrong.
 
     nats-py itself would read a file without credentials for ever, while nothing else runs.
 
-    Args:
-        name: of the variable that names the file, for errors.
-        path: of the file.
-        needed: what the text must contain.
-
     Raises:
-        ValueError: the file cannot be read, or does not contain one of these.
+        ValueError: the file cannot be read, or does not contain what is needed.
     """
 
     def __init__(self, name: str, path: str, *needed: str) -> None:
-        self._name = name
-        self._path = path
-        self._needed = needed
-        self._content = Renewed(self._read)
-
-    def _read(self) -> str:
-        try:
-            text = read_secret(self._path)
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise ValueError(f"{self._name}: {self._path}: {reason}") from None
-        for each in self._needed:
-            if each not in text:
-                raise ValueError(f"{self._name}: {self._path}: contains no {each!r}")
-        return text
+        self._content = Renewed(partial(_secret, f"{name}: {path}", path, needed))
 
     @property
     def data(self) -> str:  # type: ignore[override]
-        """The text that the file contains now, or the former if it is wrong."""
         return self._content.fresh()
 
     def strip(self, chars: str | None = None) -> Any:
-        """Return the text without spaces at its ends, or without these characters."""
         return UserString(self.data.strip(chars))
+
+
+def _secret(where: str, path: str, needed: tuple[str, ...]) -> str:
+    try:
+        text = read_secret(path)
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{where}: {getattr(error, 'strerror', None) or error}") from None
+    for each in needed:
+        if each not in text:
+            raise ValueError(f"{where}: contains no {each!r}")
+    return text
 
 
 def parse_servers(text: str) -> list[str]:
@@ -138,7 +129,6 @@ async def connected(
     Return a client that is connected, and reconnects to any of the servers without limit.
 
     Args:
-        servers: URLs.
         name: the name of this client on the servers.
         on_change: called when the connection was lost, established again, or closed.
         environment: environment variables with the credentials.
@@ -151,9 +141,9 @@ async def connected(
     except ImportError:
         raise EngineError(what_is_missing("NATS", "nats")) from None
 
-    options = _identity(environment) | _trust(servers, environment)
+    options = {"name": name, **_identity(environment), **_trust(servers, environment)}
     client = SteadyClient()
-    await _connect(client, servers, {"name": name, **options}, on_change)
+    await _connect(client, servers, options, on_change)
     client.options["max_reconnect_attempts"] = -1
     version = client.connected_server_version
     if (version.major, version.minor) < OLDEST:
@@ -169,11 +159,14 @@ async def connected(
 async def _connect(
     client: Client, servers: list[str], options: dict[str, Any], on_change: Callable[[], None]
 ) -> None:
+    import nats.errors
+
     failures: list[Exception] = []
 
     async def failed(error: Exception) -> None:
-        failures.append(error)
-        del failures[:-MOST_SERVERS]
+        # The first reason is raised; the client goes on to call this while it reconnects.
+        if not failures and not isinstance(error, nats.errors.NoServersError | TimeoutError):
+            failures.append(error)
 
     async def changed() -> None:
         on_change()
@@ -189,19 +182,13 @@ async def _connect(
         await disconnect(client)
         if not isinstance(error, Exception):
             raise
-        reasons = [each for each in (*failures, error) if not _is_empty(each)] or [error]
-        raise EngineGone(f"{','.join(servers)}: {what(reasons[0])}") from None
+        reason = failures[0] if failures else error
+        raise EngineGone(f"{','.join(servers)}: {what(reason)}") from None
 
 
 async def disconnect(client: Client) -> None:
     """Close a connection within a second."""
     await finish(client.close(), 1.0)
-
-
-def _is_empty(error: Exception) -> bool:
-    import nats.errors
-
-    return isinstance(error, nats.errors.NoServersError | TimeoutError)
 
 
 def _identity(environment: Mapping[str, str]) -> dict[str, Any]:
@@ -210,52 +197,46 @@ def _identity(environment: Mapping[str, str]) -> dict[str, Any]:
         key: environment[name] for name, key in names.items() if environment.get(name)
     }
     for name, (key, needed) in FILES.items():
-        if not environment.get(name):
-            continue
-        if find_spec("nkeys") is None:
-            raise EngineError(f"{name} needs nkeys: pip install nkeys")
-        try:
-            found[key] = FileText(name, environment[name], *needed)
-        except ValueError as error:
-            raise EngineError(str(error)) from None
+        if environment.get(name):
+            if find_spec("nkeys") is None:
+                raise EngineError(f"{name} needs nkeys: pip install nkeys")
+            try:
+                found[key] = FileText(name, environment[name], *needed)
+            except ValueError as error:
+                raise EngineError(str(error)) from None
     return found
 
 
 def _trust(servers: list[str], environment: Mapping[str, str]) -> dict[str, Any]:
-    files = tuple(environment.get(name) for name in ("NATS_CA", "NATS_CERT", "NATS_KEY"))
-    ca, cert, _ = files
+    ca, cert, key = (environment.get(name) for name in ("NATS_CA", "NATS_CERT", "NATS_KEY"))
     if not (ca or cert or any(server.startswith("tls:") for server in servers)):
         return {}
+
+    def context() -> ssl.SSLContext:
+        try:
+            made = ssl.create_default_context(cafile=ca or None)
+            if cert:
+                made.load_cert_chain(cert, key or None)
+        except OSError as error:
+            files = ", ".join(filter(None, (ca, cert, key)))
+            raise ValueError(f"NATS_CA, NATS_CERT, NATS_KEY: {files}: {what(error)}") from None
+        return made
+
     try:
-        return {"tls": Renewed(partial(_context, *files))}
+        return {"tls": Renewed(context)}
     except ValueError as error:
         raise EngineError(str(error)) from None
 
 
-def _context(ca: str | None, cert: str | None, key: str | None) -> ssl.SSLContext:
-    try:
-        context = ssl.create_default_context(cafile=ca or None)
-        if cert:
-            context.load_cert_chain(cert, key or None)
-    except OSError as error:
-        files = ", ".join(filter(None, (ca, cert, key)))
-        raise ValueError(f"NATS_CA, NATS_CERT, NATS_KEY: {files}: {what(error)}") from None
-    return context
-
-
 # --- errors ----------------------------------------------------------------------------------
 
-# The errors of JetStream by number: temporary ones, while there is no leader or servers are not up,
-# and lasting ones.
-TRANSIENT = {
+# The numbers of those errors of JetStream that pass: there is no leader, or servers are not up.
+TRANSIENT = (10005, 10008, 10009, 10023)
+
+# The texts of some, in place of those of the server.
+TEXTS = {
     10005: "too few servers are up to store three copies",
     10008: "JetStream has no leader now; are most of the servers up?",
-    10009: "",
-    10023: "JetStream has too little room or too few servers",
-}
-LASTING = {
-    10039: "JetStream is off for this account",
-    10047: "JetStream has no room left on its disk",
     10076: "JetStream is off; nats-server needs -js",
 }
 
@@ -274,32 +255,22 @@ class EngineGone(EngineError):
 
 @contextlib.contextmanager
 def explained(where: str) -> Iterator[None]:
-    """
-    Raise an `EngineError` in place of the exceptions of nats-py.
-
-    Args:
-        where: the beginning of the message: a URL or the name of a bucket.
-    """
-    import nats.errors
+    """Raise an `EngineError` about a URL or bucket in place of the exceptions of nats-py."""
+    import nats.errors as basic
+    import nats.js.errors as js
 
     try:
         yield
-    except EngineError:
-        raise
-    except (nats.errors.Error, OSError) as error:
-        raise _kind(error)(f"{where}: {what(error)}") from None
-
-
-def _kind(error: Exception) -> type[EngineError]:
-    import nats.errors
-    import nats.js.errors as js
-
-    if isinstance(error, js.BucketNotFoundError):
-        return NothingThere
-    is_lasting = isinstance(error, js.APIError) and error.err_code not in TRANSIENT
-    if is_lasting or isinstance(error, js.NoStreamResponseError | nats.errors.NoRespondersError):
-        return EngineError
-    return EngineGone
+    except js.BucketNotFoundError:
+        raise NothingThere(f"{where}: there is no fleet yet; put it there with --push") from None
+    except (basic.Error, OSError) as error:
+        does_pass = not isinstance(
+            error, js.NoStreamResponseError | basic.NoRespondersError | basic.MaxPayloadError
+        )
+        if isinstance(error, js.APIError):
+            does_pass = error.err_code in TRANSIENT
+        kind = EngineGone if does_pass else EngineError
+        raise kind(f"{where}: {what(error)}") from None
 
 
 def what(error: BaseException) -> str:
@@ -308,11 +279,8 @@ def what(error: BaseException) -> str:
     import nats.js.errors as js
 
     match error:
-        case js.BucketNotFoundError():
-            return "there is no fleet yet; put it there with --push"
         case js.APIError(err_code=code, description=text):
-            known = TRANSIENT.get(code or 0) or LASTING.get(code or 0)
-            return known or text or "JetStream is off or not ready"
+            return TEXTS.get(code or 0) or text or "JetStream is off or not ready"
         case js.NoStreamResponseError() | basic.NoRespondersError():
             return "JetStream is off, or the stream was deleted; nats-server needs -js"
         case ssl.SSLCertVerificationError():
@@ -321,10 +289,9 @@ def what(error: BaseException) -> str:
             return f"TLS failed: {in_words(error)}"
         case TimeoutError():
             return "no answer; are most of the servers up?"
-        case ConnectionError(args=()):
-            return "the connection was lost"
         case (
-            basic.NoServersError()
+            ConnectionError(args=())
+            | basic.NoServersError()
             | basic.OutboundBufferLimitError()
             | basic.ConnectionClosedError()
             | basic.ConnectionReconnectingError()
