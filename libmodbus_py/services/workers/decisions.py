@@ -154,15 +154,13 @@ class _Deciding:
                 self.put(member.bucket_key, replace(member, state="ended").encode())
 
     def forget_ended(self) -> None:
-        """Delete workers that ended long ago, and their slots without connections before."""
+        """Delete workers that ended long ago, and hold no slots with connections."""
+        holders = {self.view.holders.get(slot) for slot in self.used_slots}
         for member in self.view.members.values():
             at = self.view.seen_at(member.bucket_key).at
-            if member.state == "ended" and self.has_passed(at + REMEMBERED_S):
-                slots = {slot for slot, id in self.view.holders.items() if id == member.id}
-                if not slots:
-                    self.put(member.bucket_key, None)
-                for slot in sorted(slots - self.used_slots):
-                    self.put(slot.key, None)
+            is_gone = member.state == "ended" and member.id not in holders
+            if is_gone and self.has_passed(at + REMEMBERED_S):
+                self.put(member.bucket_key, None)
 
     def renew_lease(self, report: Mapping[str, Any]) -> None:
         worker, view = self.worker, self.view

@@ -51,15 +51,11 @@ MOST_SAID_LINES = 100
 
 class Polling:
     """
-    Polls the devices that are assigned to this worker.
+    Polls the devices that are assigned to this worker, whose name is that of the machine unless
+    another is given; call `engine_changed` when the state of its client changes.
 
     Args:
-        client: a connection to NATS. Call `engine_changed` when its state changes.
-        bucket: the bucket of the fleet.
-        settings: the current settings of the fleet.
-        name: the name of this worker; empty for the name of the machine.
-        zones: zones whose devices this worker polls, besides devices without a zone.
-        outputs: outputs that get all readings, besides the stream of NATS.
+        outputs: they get all readings, besides the stream of NATS.
         clock: returns the time in seconds, for leases; by default that of the clock that also
             advances while the machine is suspended.
     """

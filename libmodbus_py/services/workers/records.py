@@ -71,15 +71,7 @@ class Holding(NamedTuple):
 
 @dataclass(frozen=True)
 class FleetSettings:
-    """
-    The settings of a fleet, which are the same for all workers.
-
-    Attributes:
-        lease: the length of a lease in seconds, 0.5..60.
-        on_engine_loss: "stop" or "continue" polling when the lease has expired.
-        commands: True if points may be written through NATS.
-        max_age, max_bytes: the limits of the stream of readings; the age is in seconds.
-    """
+    """The settings of a fleet, which are the same for all workers, as ``[engine]`` has them."""
 
     lease: float = 10.0
     on_engine_loss: OnLoss = "stop"
@@ -94,11 +86,9 @@ class FleetSettings:
 @dataclass(frozen=True)
 class Connection:
     """
-    A connection and its devices.
+    A connection, with the `DeviceConfig.connection_key` and the longest timeout of its devices.
 
     Attributes:
-        key: the `DeviceConfig.connection_key` of its devices.
-        timeout: the longest timeout of its devices, in seconds.
         devices: JSON, written by `devices_to_json`, or by any other program.
     """
 
@@ -135,8 +125,6 @@ class Member:
     Attributes:
         id: ``NAME.NONCE``.
         state: "here", or "ended" when its slots are free.
-        zones: the zones whose devices it polls.
-        lease: the length of the lease in seconds.
         beat: the number of this value, which is higher than that of the value before.
         seen: the revision up to which the worker has applied the changes of the bucket.
         report: numbers about its devices, for `fleet status`.

@@ -51,27 +51,14 @@ ENDINGS = (errno.ECONNRESET, errno.EPIPE, errno.ECONNABORTED)
 
 
 class Answer(NamedTuple):
-    """
-    A unit has answered the probe.
-
-    Attributes:
-        took: seconds until the response.
-        exception: the code of an exception response; None if it held a register.
-    """
+    """A response: the seconds until it came, and the code of an exception or None."""
 
     took: float
     exception: int | None = None
 
 
 class Prober:
-    """
-    Sends requests to the units of one place after the other, one at a time.
-
-    Attributes:
-        context, waker: the client of the place, and what wakes it and has its clock.
-        requests: the number of requests sent.
-        is_closed: True after `close`.
-    """
+    """Sends requests to the units of one place after the other; `waker` has the clock."""
 
     context: Context
     waker: Waker
@@ -179,9 +166,6 @@ class Prober:
         """
         Send any request that reads: again, once, if the server closes the connection.
 
-        Args:
-            size: bytes of the request and its response.
-
         Raises:
             ModbusError: the request failed; ModbusConnectionError if no other can be sent.
         """
@@ -221,13 +205,7 @@ Item = TypeVar("Item")
 
 
 class Walker(Generic[Item]):
-    """
-    An iterator that sends requests while it is iterated, by one thread, and only reads.
-
-    `close` may be called from any thread; `close`, the end, an exception, Ctrl-C and garbage
-    collection, for which `steps` must not refer to this, close the connection and restore the
-    settings of a serial port.
-    """
+    """An iterator that sends requests; `steps` does not refer to it, so that it is collected."""
 
     def __init__(self, prober: Prober, steps: Generator[Item, None, None]) -> None:
         self.__prober = prober

@@ -35,12 +35,10 @@ MORE_ASKED = 2 + 2 * MOST_PAGES
 
 class Progress(NamedTuple):
     """
-    The progress of a scan.
+    The progress of a scan: the unit that is probed now, and the numbers of probes.
 
     Attributes:
         setting: such as "9600 8E1"; the URL on networks.
-        unit: the unit that is probed now.
-        done, total: numbers of probes.
         left: seconds that the rest takes at most, if no more units are found.
     """
 

@@ -55,12 +55,7 @@ Reads = Generator[range, bool, bool]
 
 
 class Cells:
-    """
-    The cells of one table, as far as they are known.
-
-    Attributes:
-        most: the number of cells that one read may ask for, as far as the device has shown.
-    """
+    """The cells of one table, as far as they are known; one read may ask for `most` of them."""
 
     def __init__(self, most: int) -> None:
         self.most = most
@@ -186,13 +181,7 @@ class _EndedError(Exception):
 
 
 class Searching(NamedTuple):
-    """
-    The progress of a search.
-
-    Attributes:
-        table: the table that is searched now.
-        requests, most_requests: the numbers of requests that were and may be sent.
-    """
+    """The progress of a search: the requests that were sent, and may be sent."""
 
     unit: int
     table: str
@@ -227,12 +216,7 @@ class Search(Walker[Extent]):
     """
     An iterator over the `Extent` of each table, made by `search`. It can be stopped at any time.
 
-    The search sends requests while it is iterated, by one thread, and only reads. `close` may be
-    called from any thread. The connection is closed by `close`, at the end, after an exception or
-    Ctrl-C, and by garbage collection.
-
-    Iterating raises ModbusConnectionError if the connection cannot be established or is lost, and
-    whatever `on_progress` raises.
+    It sends requests, ends and raises errors as a `Scan` does.
 
     Attributes:
         longest: the most seconds that the search takes, if there are no responses.

@@ -7,8 +7,8 @@ from __future__ import annotations
 import asyncio
 import functools
 import itertools
-from collections.abc import Awaitable, Callable, Coroutine
-from dataclasses import dataclass
+from collections.abc import Callable, Coroutine
+from types import SimpleNamespace
 from typing import Any, TypeVar
 
 from libmodbus_py.services.engine.buckets import Change
@@ -38,58 +38,13 @@ def now() -> float:
     return asyncio.get_running_loop().time()
 
 
-@dataclass
-class Message:
-    """What came to a subject."""
-
-    subject: str
-    data: bytes
-    reply: str = ""
-
-
 class MemoryClient:
-    """
-    A connection to the engine.
+    """A connection to the engine, over which nobody sends commands."""
 
-    Attributes:
-        published: subject and data of each message.
-        is_broken: whether `publish` fails.
-    """
+    is_connected, is_closed = True, False
 
-    max_payload = 1 << 20
-
-    def __init__(self) -> None:
-        self.is_connected = True
-        self.is_closed = False
-        self.is_broken = False
-        self.published: list[tuple[str, bytes]] = []
-        self.subscribed: dict[str, Callable[[Any], Awaitable[None]]] = {}
-
-    async def subscribe(
-        self, subject: str, cb: Callable[[Any], Awaitable[None]]
-    ) -> MemorySubscription:
-        self.subscribed[subject] = cb
-        return MemorySubscription(self, subject)
-
-    async def publish(self, subject: str, data: bytes) -> None:
-        if self.is_broken:
-            raise ConnectionError
-        self.published.append((subject, data))
-
-    async def deliver(self, subject: str, data: bytes, reply: str = "") -> None:
-        for take in list(self.subscribed.values()):
-            await take(Message(subject, data, reply))
-
-
-@dataclass
-class MemorySubscription:
-    """What a client subscribed to."""
-
-    client: MemoryClient
-    subject: str
-
-    async def unsubscribe(self) -> None:
-        del self.client.subscribed[self.subject]
+    async def subscribe(self, *_: Any, **__: Any) -> Any:
+        return SimpleNamespace(unsubscribe=functools.partial(asyncio.sleep, 0))
 
 
 class MemoryWatch:

@@ -7,139 +7,21 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
-from contextlib import asynccontextmanager
+from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
 import nats.errors
 import pytest
 
-from libmodbus_py import ModbusTimeoutError
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.commands import Commands, Wanted
-from libmodbus_py.services.fleet.statistics import FleetStatistics
-from libmodbus_py.services.workers.messages import MOST_WAITING, CommandService
+from libmodbus_py.services.workers import messages
 from libmodbus_py.services.workers.records import FleetSettings
-from tests.services.workers.memory_engine import MemoryClient, simulated
-from tests.services.workers.trial import INTERVAL, LEASE, Trial, tried
+from tests.services.workers.trial import LEASE, Trial, tried
 from tests.simulation.engine import EngineClient
 from tests.simulation.workers import push_fleet
 
 INBOX = "_INBOX.u9ii73oAyVwgjXVUkC6cqN"
-SUBJECT = "modbus.write.pump.setpoint"
-
-
-class Pump:
-    """A device that takes writes, at once or when it may; see `Writing`."""
-
-    def __init__(self) -> None:
-        self.statistics = FleetStatistics()
-        self.values: list[Any] = []
-        self.may_go_on = asyncio.Event()
-        self.may_go_on.set()
-
-    def unknown(self, device: str, point: str) -> str:
-        return ""
-
-    async def write(self, device: str, values: dict[str, Any]) -> None:
-        await self.may_go_on.wait()
-        if values == {"setpoint": 99}:
-            raise ModbusTimeoutError("no answer")
-        self.values.append(values["setpoint"])
-
-
-class Service:
-    """A service with its client and a pump."""
-
-    def __init__(self) -> None:
-        self.client = MemoryClient()
-        self.pump = Pump()
-        self.said: list[str] = []
-        given: Any = self.client
-        self.service = CommandService(given, Commands(self.pump), self.said.append)
-
-    async def ask(self, data: bytes) -> list[bool]:
-        """Send a command; return what is published then."""
-        self.client.published.clear()
-        await self.client.deliver(SUBJECT, data, INBOX)
-        await settle()
-        return [json.loads(data)["ok"] for _, data in self.client.published]
-
-
-async def settle() -> None:
-    """Let all go on that can."""
-    for _ in range(10):
-        await asyncio.sleep(0)
-
-
-@asynccontextmanager
-async def serving() -> AsyncIterator[Service]:
-    made = Service()
-    made.service.switch(True)
-    running = asyncio.create_task(made.service.run())
-    await settle()
-    try:
-        yield made
-    finally:
-        running.cancel()
-        await asyncio.gather(running, return_exceptions=True)
-        assert made.client.subscribed == {}
-
-
-@simulated
-async def test_an_engine_that_is_gone_meanwhile_costs_the_answer_only() -> None:
-    async with serving() as made:
-        made.client.is_broken = True
-        assert await made.ask(b"20") == []
-        assert made.pump.values == [20]
-        made.client.is_broken = False
-        assert await made.ask(b"99") == [False, False]
-
-
-@simulated
-async def test_a_flood_is_dropped_beyond_a_bound_and_makes_room_again() -> None:
-    async with serving() as made:
-        made.pump.may_go_on.clear()
-        for _ in range(MOST_WAITING + 50):
-            await made.client.deliver(SUBJECT, b"20", INBOX)
-        made.pump.may_go_on.set()
-        await settle()
-        assert len(made.client.published) == 2 * MOST_WAITING
-        await made.ask(b"21")
-        assert made.pump.values[-1] == 21
-
-
-@simulated
-async def test_what_waits_is_not_carried_out_after_the_end() -> None:
-    async with serving() as made:
-        made.pump.may_go_on.clear()
-        await made.ask(b"20")
-    made.pump.may_go_on.set()
-    await settle()
-    assert (made.client.published, made.pump.values) == ([], [])
-
-
-@simulated
-async def test_a_failed_subscription_is_told_and_tried_again(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    async def fail(*_: Any, **__: Any) -> None:
-        raise nats.errors.ConnectionClosedError
-
-    with monkeypatch.context() as patched:
-        patched.setattr(MemoryClient, "subscribe", fail)
-        made = Service()
-        made.service.switch(True)
-        running = asyncio.create_task(made.service.run())
-        await asyncio.sleep(0.1)
-        assert made.said == ["commands: no server responds"]
-    await asyncio.sleep(1)
-    assert list(made.client.subscribed) == ["modbus.write.*.*"]
-    running.cancel()
-    await asyncio.gather(running, return_exceptions=True)
-
-
-# --- whole workers -------------------------------------------------------------------------------
 
 
 class Listener:
@@ -271,17 +153,6 @@ def test_one_worker_answers_though_the_other_one_was_stopped(seconds: float) -> 
     assert commanded(main, 8).levels.holding_registers[1] == 20
 
 
-def test_a_flood_of_commands_does_not_keep_devices_from_being_asked() -> None:
-    async def main(to: Listener) -> None:
-        for _ in range(1000):
-            await to.client.publish("modbus.write.d0-1.setpoint", b"20")
-        await asyncio.sleep(2)
-        assert to.trial.asked.gap < 2 * INTERVAL
-        assert await to.ask("d0-1.setpoint", 21) == {"ok": True}
-
-    commanded(main)
-
-
 async def switch(trial: Trial, commands: bool) -> None:
     settings = FleetSettings(LEASE, commands=commands)
     await push_fleet(trial.engine, trial.devices(), settings)
@@ -302,10 +173,30 @@ def test_workers_follow_whether_commands_are_taken() -> None:
     commanded(main)
 
 
-def test_commands_that_wait_are_not_carried_out_any_more() -> None:
+def test_a_subscription_that_fails_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    subscribe, failures = EngineClient.subscribe, [nats.errors.ConnectionClosedError()] * 2
+
+    async def fail_first(client: EngineClient, subject: str, cb: Any = None) -> Any:
+        if failures and subject.startswith("modbus.write"):
+            raise failures.pop()
+        return await subscribe(client, subject, cb)
+
+    async def main(to: Listener) -> None:
+        assert await to.ask("d0-1.setpoint", 20) == {"ok": True}
+
+    monkeypatch.setattr(EngineClient, "subscribe", fail_first)
+    commanded(main)
+    assert failures == []
+
+
+def test_commands_that_wait_are_bounded_and_not_carried_out_any_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(messages, "MOST_WAITING", 5)
+
     async def main(to: Listener) -> None:
         worker = next(each for each in to.trial.workers if to.device_of(each) == "d0-1")
-        fleet = to.trial.workers[worker].polling.fleet
+        polling = to.trial.workers[worker].polling
         written: list[int] = []
         # The device takes as long for a write as the push takes to arrive.
         may_end = asyncio.Event()
@@ -314,10 +205,11 @@ def test_commands_that_wait_are_not_carried_out_any_more() -> None:
             written.extend(values.values())
             await may_end.wait()
 
-        fleet.write = slow  # type: ignore[method-assign,assignment]
-        for value in (20, 21, 22):
+        polling.fleet.write = slow  # type: ignore[method-assign,assignment]
+        for value in range(20, 40):
             await to.client.publish("modbus.write.d0-1.setpoint", str(value).encode())
-        await asyncio.sleep(0.1)
+        await asyncio.sleep(0.5)
+        assert len(polling._service._tasks) == 5
         await switch(to.trial, False)
         await asyncio.sleep(0.1)
         may_end.set()

@@ -8,10 +8,8 @@ import asyncio
 import contextlib
 import json
 import os
-import socket
 import subprocess
 import sys
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -45,36 +43,6 @@ def file(tmp_path: Path) -> Path:
 # --- errors ----------------------------------------------------------------------------------
 
 
-class OldServer:
-    """Says that it is a nats-server of a version, and no more."""
-
-    def __init__(self, version: str) -> None:
-        self._info = {"version": version, "max_payload": 1048576, "server_id": "x", "proto": 1}
-
-    def __enter__(self) -> str:
-        self._listening = socket.create_server(("127.0.0.1", 0))
-        self._thread = threading.Thread(target=self._serve)
-        self._thread.start()
-        return f"nats://127.0.0.1:{self._listening.getsockname()[1]}"
-
-    def __exit__(self, *_: object) -> None:
-        self._listening.shutdown(socket.SHUT_RDWR)
-        self._listening.close()
-        self._thread.join()
-
-    def _serve(self) -> None:
-        try:
-            while True:
-                connection, _ = self._listening.accept()
-                with connection:
-                    connection.sendall(b"INFO " + json.dumps(self._info).encode() + b"\r\n")
-                    while data := connection.recv(4096):
-                        if b"PING" in data:
-                            connection.sendall(b"PONG\r\n")
-        except OSError:
-            pass
-
-
 def test_what_is_wrong_with_an_engine_is_told_in_one_line(file, tmp_path, monkeypatch):
     def said(url: str, **environment: str) -> str:
         with monkeypatch.context() as patched:
@@ -86,8 +54,6 @@ def test_what_is_wrong_with_an_engine_is_told_in_one_line(file, tmp_path, monkey
 
     nobody = f"nats://127.0.0.1:{free_ports(1)[0]}"
     assert "Connection refused" in said(nobody)
-    with OldServer("2.8.4") as url:
-        assert "nats-server 2.8.4 is too old; 2.9 or newer is needed" in said(url)
     locked = 'authorization { user: u, password: "right" }\njetstream {}'
     with NatsServers(config=lambda _: locked) as server:
         assert "the server refuses the credentials" in said(

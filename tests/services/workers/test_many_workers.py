@@ -284,15 +284,3 @@ def test_a_lease_is_counted_from_before_it_was_sent():
     slow.is_cut = True
     world.run(2 * LEASE)
     assert world.doubles == []
-
-
-def test_a_wrong_value_of_another_version_is_told_and_harms_nobody():
-    world = settled(processes=2, connections=5)
-    world.bucket.write("settings", b'{"format": 99}')
-    world.bucket.write("worker.a.9", b'{"state": "gone"}')
-    world.bucket.write("something.else", b"")
-    world.run(LEASE)
-    unreadable = world.processes[0].worker.view.unreadable
-    assert sorted(unreadable) == ["settings", "something.else", "worker.a.9"]
-    assert "99" in unreadable["settings"]
-    assert world.doubles == []

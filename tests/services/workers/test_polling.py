@@ -9,10 +9,13 @@ import functools
 import inspect
 import json
 import logging
+import re
 import socket
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -20,7 +23,6 @@ import pytest
 from libmodbus_py import Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.engine.connection import EngineError, EngineGone
-from libmodbus_py.services.fleet.commands import Commands
 from libmodbus_py.services.fleet.config import checked, devices_to_json
 from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.services.fleet.statistics import FleetStatistics
@@ -53,7 +55,7 @@ class Fleet:
         self.statistics = FleetStatistics()
         self.devices: dict[str, DeviceConfig] = {}
         self.replaced = 0
-        self.commands = Commands(self)
+        self.commands = SimpleNamespace(refusal=None)
         self.error: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     async def run(self) -> None:
@@ -66,12 +68,6 @@ class Fleet:
     def replace(self, devices: list[DeviceConfig], *, passed_on: set[str]) -> None:
         self.devices = {each.name: each for each in checked(devices)}
         self.replaced += 1
-
-    def unknown(self, device: str, point: str) -> str:
-        return ""
-
-    async def write(self, device: str, values: dict[str, Any]) -> None:
-        self.devices[device]
 
 
 @pytest.fixture(autouse=True)
@@ -207,34 +203,12 @@ class TestLife:
         assert bucket.watches == []
 
     @simulated
-    async def test_being_cancelled_ends_all_of_it(self) -> None:
-        bucket = filled(connection("pump"))
-        bucket.holds = asyncio.Event()
-        running = asyncio.create_task(made(bucket).run())
-        await asyncio.sleep(1.0)
-        assert bucket.puts
-        running.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await running
-        assert bucket.watches == []
-
-    @pytest.mark.parametrize(
-        ("name", "id"),
-        [
-            ("hall 2.north", "hall-2-north"),
-            ("x" * 90, "x" * 60),
-            ("Ab_9-", "Ab_9-"),
-            ("", "plant-example"),
-        ],
-    )
-    @simulated
-    async def test_its_name_or_that_of_the_machine_becomes_a_key(
-        self, name: str, id: str, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(socket, "gethostname", lambda: "plant.example")
-        first, second = (made(filled(), name=name).worker.id for _ in range(2))
-        assert first.split(".")[0] == id
-        assert first != second
+    async def test_its_name_or_that_of_the_machine_becomes_a_key(self) -> None:
+        names = ["hall 2.north", "x" * 90, ""]
+        ids = [made(filled(), name=name).worker.id.split(".") for name in names]
+        machine = re.sub(r"[^A-Za-z0-9_-]", "-", socket.gethostname())[:60]
+        assert [id for id, _ in ids] == ["hall-2-north", "x" * 60, machine]
+        assert len({nonce for _, nonce in ids}) == 3
 
     def test_a_lease_goes_on_while_the_machine_sleeps(self) -> None:
         default = inspect.signature(Polling).parameters["clock"].default
@@ -277,17 +251,6 @@ class TestBucket:
         bucket.is_mute = False
         await until(lambda: not worker.worker.is_reading)
         assert names(worker) == ["pump"]
-
-    @of_pump
-    async def test_a_change_is_heeded_before_the_next_look_at_the_clock(
-        self, worker: Polling, bucket: MemoryBucket
-    ) -> None:
-        bucket.write(connection("pump").bucket_key, None)
-        begun = now()
-        for _ in range(10):
-            await asyncio.sleep(0)
-        assert names(worker) == []
-        assert now() == begun
 
     @pytest.mark.parametrize("lease", [0.5, LEASE])
     @simulated
@@ -333,19 +296,6 @@ class TestBucket:
             await asyncio.sleep(1.0)
             assert caplog.messages[-1] == "a: the lease is valid again"
 
-    @simulated
-    async def test_a_bucket_that_cannot_be_watched_is_told_and_watched_again(
-        self, caplog: pytest.LogCaptureFixture
-    ) -> None:
-        bucket = filled(connection("pump"))
-        bucket.error = EngineGone("no server responds")
-        async with at_work(bucket) as worker:
-            await asyncio.sleep(5.0)
-            assert caplog.messages == ["the engine: no server responds"]
-            assert bucket.puts == []
-            bucket.error = None
-            await until(lambda: names(worker) == ["pump"])
-
     @of_pump
     async def test_nothing_is_written_while_there_is_no_connection(
         self, worker: Polling, bucket: MemoryBucket
@@ -358,51 +308,28 @@ class TestBucket:
 
 
 class TestDevices:
-    @of_pump
-    async def test_what_has_changed_is_read_again_and_nothing_else(
-        self, worker: Polling, bucket: MemoryBucket
-    ) -> None:
-        pump, replaced = worker.fleet.devices["pump"], worker.fleet.replaced  # type: ignore[attr-defined]
-        await asyncio.sleep(LEASE)
-        assert worker.fleet.replaced == replaced  # type: ignore[attr-defined]
-        for other in (connection("valve", host=2), connection("fan", "valve", host=2)):
-            bucket.write(other.bucket_key, other.encode())
-            await until(lambda: "valve" in names(worker))
-        await until(lambda: names(worker) == ["fan", "pump", "valve"])
-        assert worker.fleet.devices["pump"] is pump
-
-    @pytest.mark.parametrize(
-        "devices",
-        [
-            '{"devices": [{"name": "pump"}]}',
-            devices_to_json([DeviceConfig("pump", "tcp://192.0.2.77", MAP)]),
-            devices_to_json(
-                [
-                    DeviceConfig("pump", "tcp://192.0.2.1", MAP),
-                    DeviceConfig("fan", "tcp://192.0.2.77", MAP),
-                ]
-            ),
-        ],
-        ids=["no devices", "devices of another connection", "one device of another connection"],
-    )
     @simulated
     async def test_what_cannot_be_read_is_told_and_polled_by_nobody(
-        self, devices: str, caplog: pytest.LogCaptureFixture
+        self, caplog: pytest.LogCaptureFixture
     ) -> None:
-        bad = Connection("", "tcp:192.0.2.1:502", 1.0, devices)
-        bucket = filled(bad, connection("valve", host=2))
+        pump, foreign = (DeviceConfig("pump", f"tcp://192.0.2.{at}", MAP) for at in (1, 77))
+        bad = [
+            Connection("", f"tcp:192.0.2.{host}:502", 1.0, devices)
+            for host, devices in (
+                (1, '{"devices": [{"name": "pump"}]}'),
+                (2, devices_to_json([foreign])),
+                (3, devices_to_json([pump, replace(foreign, name="fan")])),
+            )
+        ]
+        # Of two devices of one name, one is polled.
+        good = connection("valve", "fan", host=4), connection("fan", host=5)
+        bucket = filled(*bad, *good)
         async with at_work(bucket) as worker:
             await until(lambda: names(worker))
-            assert names(worker) == ["valve"]
-            told = "tcp:192.0.2.1:502: its devices in the bucket are invalid: "
-            assert [text for text in caplog.messages if text.startswith(told)]
-
-    @simulated
-    async def test_of_two_devices_of_one_name_one_is_polled(self) -> None:
-        bucket = filled(connection("pump", "fan"), connection("pump", "valve", host=2))
-        async with at_work(bucket) as worker:
-            await until(lambda: names(worker))
-            assert names(worker) == ["fan", "pump", "valve"]
+            assert names(worker) == ["fan", "valve"]
+            told = [text.partition(": ") for text in caplog.messages]
+        assert sorted(each[0] for each in told) == [each.key for each in bad]
+        assert {each[2][:32] for each in told} == {"its devices in the bucket are in"}
 
     @simulated
     async def test_texts_that_were_told_are_forgotten_when_they_are_many(
@@ -433,36 +360,6 @@ class TestReport:
         assert report == {"connections": 1, "devices": 3, "up": 2, "down": 1}
         await asyncio.sleep(3.0)
         assert members(bucket)[0]["report"]["polls"] == 0.0
-
-
-class TestCommands:
-    @pytest.mark.parametrize(("on_engine_loss", "is_lost"), [("stop", True), ("continue", False)])
-    @simulated
-    async def test_who_has_lost_its_lease_answers_nothing_and_takes_its_devices_back(
-        self, monkeypatch: pytest.MonkeyPatch, on_engine_loss: Any, is_lost: bool
-    ) -> None:
-        """Another worker may have the devices, and have carried out the same command."""
-        taken: list[float] = []
-        monkeypatch.setattr(Fleet, "take_back", lambda fleet: taken.append(now()))
-        settings = FleetSettings(LEASE, on_engine_loss, commands=True)
-        bucket = filled(connection("pump"), on_engine_loss=on_engine_loss, commands=True)
-        async with at_work(bucket, settings=settings) as worker:
-            await until(lambda: names(worker))
-            bucket.error = EngineGone("no server responds")
-            await asyncio.sleep(3 * LEASE)
-            assert names(worker) == ["pump"]
-            assert await replies(bucket, "pump") == ([] if is_lost else [True])
-            assert len(taken) == is_lost
-            bucket.error = None
-
-
-async def replies(bucket: MemoryBucket, *devices: str) -> list[Any]:
-    """Return what is answered to a command to each device: True, or the error."""
-    for each in devices:
-        await bucket.client.deliver(f"modbus.write.{each}.level", b"7", "_INBOX.x")
-    await asyncio.sleep(0.01)
-    found = [json.loads(data) for to, data in bucket.client.published if to == "_INBOX.x"]
-    return [each.get("error", each["ok"]) for each in found]
 
 
 @pytest.fixture(autouse=True)

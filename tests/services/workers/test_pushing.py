@@ -62,22 +62,6 @@ async def test_nothing_is_pushed_where_others_do_at_the_same_time() -> None:
 
 
 @simulated
-async def test_who_was_overtaken_once_counts_both_times() -> None:
-    bucket = MemoryBucket()
-    put = bucket.put
-
-    async def overtaken(key: str, value: bytes | None, last: int) -> int:
-        if len(bucket.puts) == 1:
-            await put(key, value, last - 1)  # another one was first
-        return await put(key, value, last)
-
-    bucket.put = overtaken  # type: ignore[method-assign]
-    made = await pushed(bucket, device(1), device(2))
-    assert made.new in (2, 3)
-    assert await pushed(bucket, device(1), device(2)) == Pushed(0, 0, 0)
-
-
-@simulated
 async def test_many_are_written_at_once_and_none_is_left_out() -> None:
     bucket = MemoryBucket()
     devices = [device(host) for host in range(1, 131)]

@@ -18,7 +18,6 @@ from libmodbus_py.services.workers.records import (
     Slot,
     decode,
     digest_of,
-    in_key,
 )
 from tests.services.workers.trial import LEASE, Trial
 
@@ -94,18 +93,6 @@ def test_what_no_worker_wrote_is_refused(key: str, given: bytes, why: str) -> No
         decode(key, given)
     assert str(refused.value).startswith(f"{key}: ")
     assert why in str(refused.value)
-
-
-def test_a_zone_has_sixty_characters_at_most() -> None:
-    assert in_key("") == "_"
-    assert in_key("a" * 60) == "a" * 60
-    with pytest.raises(ValueError, match="60 letters"):
-        in_key("a" * 61)
-
-
-def test_a_worker_has_seen_nothing_unless_it_says_so() -> None:
-    made = Member("a.1", "here", ("",), 10.0)
-    assert (made.beat, made.seen, made.report) == (0, 0, {})
 
 
 # --- of strangers ------------------------------------------------------------------------------

@@ -144,17 +144,6 @@ def test_numbers_of_a_report_that_are_none_count_as_nothing() -> None:
     assert status["workers"][0].items() >= numbers.items()
 
 
-def test_a_worker_that_came_between_the_two_looks_is_here() -> None:
-    async def main() -> list[str]:
-        bucket = plant()
-        looking = asyncio.create_task(fleet_status(cast(Bucket, bucket)))
-        await asyncio.sleep(1.0)
-        bucket.write("worker.new.5", member("new.5").encode())
-        return [each["id"] for each in (await looking)["workers"] if each["state"] == "here"]
-
-    assert run(main()) == ["new.5"]
-
-
 @pytest.mark.parametrize(
     ("settings", "said"),
     [

@@ -11,7 +11,6 @@ from libmodbus_py.services.workers.records import (
     Connection,
     FleetSettings,
     Member,
-    Slot,
 )
 from libmodbus_py.services.workers.view import BucketView
 from tests.services.workers.simulated import encode_holder
@@ -34,21 +33,12 @@ def view_of(*entries: tuple[str, bytes | None, int], at: float = 0.0) -> BucketV
 
 
 class TestChanges:
-    def test_a_key_may_come_behind_a_newer_one_of_another(self) -> None:
-        view = view_of(("worker.a.1", member(), 5), ("worker.b.1", member("b.1"), 3))
-        assert view.revision == 5
-        assert view.seen_at("worker.b.1").revision == 3
-        assert sorted(view.members) == ["a.1", "b.1"]
-
     def test_what_is_known_changes_nothing(self) -> None:
         view = view_of(("settings", FleetSettings(5.0).encode(), 2))
         for revision in (1, 2):
             assert not view.add(Change("settings", None, revision), 1.0)
         assert view.settings == FleetSettings(5.0)
         assert view.seen_at("settings") == (2, 0.0)
-
-    def test_of_a_key_that_never_was_there_nothing_is_known(self) -> None:
-        assert view_of().seen_at("worker.a.1") == (0, float("-inf"))
 
     def test_a_worker_that_is_deleted_and_never_ended_has_vanished_until_it_comes_again(
         self,
@@ -93,26 +83,8 @@ class TestValuesThatCannotBeRead:
         view.add(Change(key, None, 5), 4.0)
         assert view.unreadable == {}
 
-    @each_case("number", ["x", "", "0256", "1000", "-1", "\u0665"])
-    def test_a_slot_with_such_a_number_is_none(self, number: str) -> None:
-        view = view_of((f"slot._.{number}", encode_holder("a.1", "a.1"), 1))
-        assert view.holders == {}
-        view.add(Change(f"slot._.{number}", None, 2), 0.0)
-        assert view.holders == {}
-
-    def test_a_key_of_another_version_is_told(self) -> None:
-        assert list(view_of(("later.a.b", b"{}", 1)).unreadable) == ["later.a.b"]
-
 
 class TestConnections:
-    def test_a_slot_that_is_deleted_has_no_holder(self) -> None:
-        for number in (0, 42, 255):
-            key = Slot("", number).key
-            view = view_of((key, encode_holder("a.1", "a.1"), 1))
-            assert view.holders == {Slot("", number): "a.1"}
-            view.add(Change(key, None, 2), 0.0)
-            assert view.holders == {}
-
     def test_slots_with_connections_are_used(self) -> None:
         view = view_of((LINE.bucket_key, LINE.encode(), 1), (OTHER.bucket_key, OTHER.encode(), 2))
         assert set(view.used_slots) == {LINE.slot, OTHER.slot}
@@ -150,27 +122,6 @@ class TestConnections:
         # A zone to which it moves is another key of the same connection.
         view.add(Change(NORTH.bucket_key, NORTH.encode(), 8), 0.0)
         assert view.touched_at(LINE) == view.touched_at(NORTH) == 8
-
-    def test_who_holds_a_slot_may_be_unknown(self) -> None:
-        slot = LINE.slot
-        view = view_of((slot.key, encode_holder("a.1", "a.1"), 1))
-        assert view.holders == {slot: "a.1"}
-        assert view.holder(slot) is None
-        view.add(Change("worker.a.1", member(), 2), 0.0)
-        assert view.holder(slot) == view.members["a.1"]
-        assert view.holder(Slot("north", slot.number)) is None
-        view.add(Change(slot.key, None, 3), 0.0)
-        assert view.holders == {}
-
-    def test_a_slot_that_is_deleted_and_taken_must_be_acknowledged(self) -> None:
-        view = view_of((LINE.bucket_key, LINE.encode(), 1), ("worker.a.1", member(), 2))
-        view.add(Change(LINE.slot.key, encode_holder("a.1", "a.1"), 3), 0.0)
-        assert view.touched_at(LINE) == 3
-        view.add(Change(LINE.slot.key, encode_holder("a.1", "a.1"), 4), 0.0)
-        assert view.touched_at(LINE) == 1
-        view.add(Change(LINE.slot.key, None, 5), 0.0)
-        view.add(Change(LINE.slot.key, encode_holder("b.1", "b.1"), 6), 0.0)
-        assert view.touched_at(LINE) == view.last_touched == 6
 
     def test_a_slot_that_its_holder_did_not_give_up_must_be_acknowledged(self) -> None:
         view = view_of(
@@ -239,11 +190,3 @@ class TestReadAgain:
         newer = view_of(line, (LINE.slot.key, encode_holder("a.1", "a.1"), 4))
         newer.follow(given, 9.0)
         assert newer.touched_at(LINE) == 4
-
-
-def test_of_an_empty_bucket_nothing_is_known() -> None:
-    view = BucketView()
-    assert (view.revision, view.last_touched) == (0, 0)
-    assert view.touched_at(LINE) == 0
-    assert view.settings is None
-    assert view.used_slots == set()

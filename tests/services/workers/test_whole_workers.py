@@ -210,15 +210,6 @@ async def test_the_time_of_day_may_be_set_to_any_time(
 
 
 @tried(6)
-async def test_workers_of_one_name_are_two(trial: Trial) -> None:
-    await trial.start("a")
-    trial.workers["first"] = trial.workers.pop("a")
-    await trial.start("a")
-    await trial.settle()
-    assert len(trial.asked.hosts()) == 2
-
-
-@tried(6)
 async def test_a_bucket_that_is_deleted_stops_all_until_it_is_pushed_again(
     trial: Trial,
     caplog: pytest.LogCaptureFixture,

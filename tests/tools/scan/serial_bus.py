@@ -66,7 +66,6 @@ class Bus:
         self.asked: list[tuple[int, int, bytes]] = []
         self._wake, self._sleep = socket.socketpair()
         self._timers: list[tuple[float, bytes]] = []
-        self._noise: tuple[float, bytes] | None = None
         self._thread = threading.Thread(target=self._serve, name="bus", daemon=True)
 
     def __enter__(self) -> Self:
@@ -90,10 +89,6 @@ class Bus:
     def is_restored(self) -> bool:
         """True if the client left the settings that it found."""
         return termios.tcgetattr(self._slave) == self._before
-
-    def flood(self, data: bytes, every: float) -> None:
-        """Send without having been asked, from the next request on."""
-        self._noise = every, data
 
     def _serve(self) -> None:
         framer = framing.make_framer(self._framing, "server")
@@ -119,14 +114,10 @@ class Bus:
     def _write(self, data: bytes) -> None:
         with contextlib.suppress(BlockingIOError):
             os.write(self._master, data)
-        if self._noise is not None and data == self._noise[1]:
-            self._timers.append((time.monotonic() + self._noise[0], data))
 
     def _hear(self, framer: framing.Framer) -> None:
         if not (data := read_what_is_there(self._master)):
             return
-        if self._noise is not None and not self._timers:
-            self._timers.append((0.0, self._noise[1]))
         settings = termios.tcgetattr(self._master)
         baudrate = RATES[settings[5]]
         stop_bits = 2 if settings[2] & termios.CSTOPB else 1

@@ -4,7 +4,6 @@ What a unit has, over sockets and pseudo-terminals: devices that refuse in their
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -121,24 +120,6 @@ def test_ranges_are_found_on_a_line() -> None:
         assert len(bus.asked) == searched.requests <= 400
 
 
-@pytest.mark.parametrize("code", [2, 3, 4])
-@pytest.mark.parametrize("most", [1, 8, 60])
-def test_devices_that_read_few_at_a_time_are_understood(most: int, code: int) -> None:
-    def answer(function: int, address: int, count: int) -> int:
-        if function != 3:
-            return 1
-        if count > most:
-            return code
-        return 0 if address in range(100, 221 - count) else 2
-
-    with simulated_device(answer) as server:
-        searched = search(server.url, timeout=PATIENT)
-        assert ranges(searched)["holding_registers"] == [range(100, 220)]
-        (extent,) = (each for each in searched.extents if each.table == "holding_registers")
-        assert extent.most <= most
-        assert 2 * extent.most >= most
-
-
 def test_a_table_without_its_function_takes_one_request() -> None:
     with simulated_device(lambda function, address, count: 1) as server:
         searched = search(server.url, timeout=PATIENT)
@@ -201,12 +182,6 @@ def test_a_unit_that_answers_no_more_is_left_with_what_was_found() -> None:
         assert searched.requests < 30
 
 
-def test_a_gateway_that_says_nobody_is_there_ends_it() -> None:
-    with served(lambda *asked: 11) as server:
-        (extent,) = search(server.url, timeout=PATIENT)
-        assert (extent.ended, extent.requests) == ("the unit does not answer any more", 1)
-
-
 @pytest.mark.parametrize("bound", [4, 5, 100, 1000])
 def test_the_bound_holds(bound: int) -> None:
     with simulated_device(lambda function, address, count: 0 if count == 1 else 3) as server:
@@ -251,15 +226,6 @@ def test_it_can_be_left_and_tells_what_was_found() -> None:
         (extent,) = searched.extents
         assert extent.ended == "the user, or a lost connection"
         assert extent.ranges == [range(6001)]
-
-
-def test_it_can_be_closed_from_another_thread() -> None:
-    with served(lambda *asked: None) as server:
-        searched = search(server.url, timeout=60)
-        timer = threading.Timer(0.2, searched.close)
-        timer.start()
-        assert list(searched) == []
-        timer.join()
 
 
 def test_what_is_wrong_is_told_before_anything_is_sent() -> None:
@@ -339,20 +305,6 @@ def test_ranges_are_found_exactly_whatever_the_length_that_a_device_reads(
     assert len(set(reads)) == len(reads)  # nothing is asked twice
 
 
-def test_a_whole_table_takes_few_reads() -> None:
-    cells, reads = found(strict(range(SIZE)))
-    assert cells.ranges == [range(SIZE)]
-    assert cells.unseen == 0
-    assert len(reads) <= SIZE // 125 + 10  # 525 at least
-
-
-def test_a_range_takes_few_reads_for_each_of_its_ends() -> None:
-    """Halving 125 cells takes 7 reads, and one more to prove it."""
-    _, empty = found(strict())
-    _, reads = found(strict(range(100, 400)))
-    assert len(reads) - len(empty) < 3 + 2 * 9 + 36
-
-
 @pytest.mark.parametrize(("limit", "least"), [(1, 1), (2, 1), (10, 5), (60, 30), (124, 62)])
 def test_the_length_that_a_device_reads_is_learnt(limit: int, least: int) -> None:
     cells, reads = found(limited(limit, range(5000)), bound=10_000)
@@ -360,14 +312,6 @@ def test_the_length_that_a_device_reads_is_learnt(limit: int, least: int) -> Non
     assert cells.ranges == [range(5000)]
     refused = [read for read in reads if len(read) > limit and read.start < 5000]
     assert len(refused) < 20  # once, not with each
-
-
-def test_what_was_found_so_far_is_told_when_it_is_left() -> None:
-    cells, _ = found(strict(range(1000)), bound=5)
-    assert len(cells.ranges) == 1
-    assert cells.ranges[0].start == 0
-    assert 100 < len(cells.ranges[0]) < 1000
-    assert cells.unseen > 60_000
 
 
 @settings(max_examples=60)

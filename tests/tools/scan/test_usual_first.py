@@ -116,13 +116,6 @@ def test_what_was_typed_is_asked_in_one_round_and_its_order() -> None:
         assert scanned.longest_first == scanned.longest
 
 
-def test_one_setting_is_one_round() -> None:
-    with simulated() as network:
-        bus = SimulatedBus(network, {})
-        list(scan(f"{bus.url}?baudrate=9600&parity=N", timeout=TIMEOUT))
-        assert [unit for _, unit in probed(bus)] == [*range(1, 248)]
-
-
 def test_one_device_that_ignores_the_unit_is_not_asked_again() -> None:
     with simulated() as network:
         every = {unit: Member(of(device()), 9600, 2) for unit in range(256)}
