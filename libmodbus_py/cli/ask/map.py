@@ -169,7 +169,7 @@ def _add_output(command: argparse.ArgumentParser) -> None:
 
 
 def _timeouts() -> dict[str, str]:
-    from ...tools.scan.places import ON_LINES, ON_NETWORKS
+    from ...tools.scan.probe import ON_LINES, ON_NETWORKS
 
     return {"timeout": f"{ON_LINES:g}; on networks {ON_NETWORKS:g}"}
 

@@ -19,7 +19,7 @@ from ...ports.schemes import DEFAULT_PORT, SERIAL_OPTIONS
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.pdu.interface import OBJECT_NAMES
 from ...protocol.tables import joined
-from ...tools.scan.places import (
+from ...tools.scan.probe import (
     BAUDRATES,
     FIRST_UNITS,
     ON_LINES,

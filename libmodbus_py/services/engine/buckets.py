@@ -50,9 +50,7 @@ class Bucket:
         """
         Write a value, or delete a key, if the key still has the revision `last`: 0 for a key that
         must not exist. Return 0 if it does not; else the new revision, or 1 for a deletion.
-
-        Raises:
-            EngineError: the request failed; the value may have been written.
+        After an EngineError, the value may have been written.
         """
         import nats.js.errors as js
 
@@ -76,15 +74,8 @@ class Bucket:
         on_gap: Callable[[], None] = lambda: None,
     ) -> Watch:
         """
-        Watch the bucket.
-
-        Args:
-            on_change: called with the current value of each key, then with None, then with each
-                change.
-            on_gap: called when a change was missed. `on_change` is not called any more then.
-
-        Raises:
-            EngineError: the watch cannot begin.
+        Call `on_change` with the current value of each key, then with None, then with each change,
+        until one was missed: then call `on_gap`.
         """
         watch = Watch(self.name, on_change, on_gap)
         try:
@@ -162,13 +153,7 @@ class Watch:
 
 
 async def open_bucket(client: Client, name: str, *, create: bool = False) -> Bucket:
-    """
-    Return a bucket; create it if it does not exist and that is asked for.
-
-    Raises:
-        NothingThere: it does not exist.
-        EngineError: it cannot be opened or created, or was created with other settings.
-    """
+    """Return a bucket; create it if it does not exist, or raise NothingThere."""
     import nats.js.errors as js_errors
     from nats.js import api
 
@@ -199,9 +184,6 @@ async def keep_stream(client: Client, name: str, subjects: str, limits: dict[str
     """
     Create a stream that drops the oldest messages beyond its limits, or change its limits, which
     are options of nats-py's `StreamConfig`, such as max_age in seconds and max_bytes.
-
-    Raises:
-        EngineError: it cannot be created or changed.
     """
     import nats.js.errors as js_errors
     from nats.js import api

@@ -71,12 +71,8 @@ FILES: dict[str, tuple[str, tuple[str, ...]]] = {
 class FileText(UserString):
     """
     The text of the file that a variable names, which nats-py takes for credentials, as often as it
-    needs them: the text that the file contains then, or the former if that is wrong.
-
-    nats-py itself would read a file without credentials for ever, while nothing else runs.
-
-    Raises:
-        ValueError: the file cannot be read, or does not contain what is needed.
+    needs them: the text that the file contains then, or the former if that is wrong. nats-py itself
+    would read a file without credentials for ever, while nothing else runs.
     """
 
     def __init__(self, name: str, path: str, *needed: str) -> None:
@@ -102,12 +98,7 @@ def _secret(where: str, path: str, needed: tuple[str, ...]) -> str:
 
 
 def parse_servers(text: str) -> list[str]:
-    """
-    Parse the URLs of NATS servers, separated by commas: ``nats://HOST[:4222]`` or ``tls://``.
-
-    Raises:
-        ValueError: a URL is invalid or contains a login, or there are none or more than 32.
-    """
+    """Parse the URLs of NATS servers, separated by commas: ``nats://HOST[:4222]`` or ``tls://``."""
     # A password may contain a comma: a text with a login is not split.
     parts = [text] if "@" in text else text.split(",")
     servers = [part.strip() for part in parts if part.strip()]
@@ -131,10 +122,6 @@ async def connected(
     Args:
         name: the name of this client on the servers.
         on_change: called when the connection was lost, established again, or closed.
-        environment: environment variables with the credentials.
-
-    Raises:
-        EngineError: no server responds, the credentials are refused, or the server is too old.
     """
     try:
         from .client import SteadyClient

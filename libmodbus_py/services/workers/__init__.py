@@ -12,6 +12,5 @@ Decisions, without sockets or clocks::
 
     decisions      what a worker polls, what it writes, and when it looks again; why that is safe
     worker         what a worker knows: the bucket as it sees it, its lease and its own writes
-    view           the known contents of the bucket, with the times of changes
-    records        the keys and values of the bucket
+    records        the keys and values of the bucket, and its known contents with their times
 """

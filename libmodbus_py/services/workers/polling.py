@@ -52,12 +52,7 @@ MOST_SAID_LINES = 100
 class Polling:
     """
     Polls the devices that are assigned to this worker, whose name is that of the machine unless
-    another is given; call `engine_changed` when the state of its client changes.
-
-    Args:
-        outputs: they get all readings, besides the stream of NATS.
-        clock: returns the time in seconds, for leases; by default that of the clock that also
-            advances while the machine is suspended.
+    another is given. The clock of its leases also advances while the machine is suspended.
     """
 
     def __init__(
@@ -84,13 +79,12 @@ class Polling:
         self.fleet.commands.refusal = self._refusal
         self._service = CommandService(client, self.fleet.commands, self._say)
         self._service.switch(settings.commands)
-        # Set when a decision is due.
+        # Set when a decision is needed.
         self._woken = asyncio.Event()
         self._leave_by = math.inf
         # Set when the bucket must be watched anew; whether anything, and the whole, has arrived.
         self._doubted = asyncio.Event()
         self._has_begun = self._is_whole = False
-        self._closed = asyncio.Event()
         self._active: Mapping[str, Connection] = {}
         self._devices: dict[str, list[DeviceConfig]] = {}
         # The keys of the connections that were reported "offline" because no worker polls them.
@@ -120,13 +114,7 @@ class Polling:
             JournalError: the journal cannot be used.
             OutputError: an output failed and cannot be opened again.
         """
-        parts = (
-            self.fleet.run,
-            self._keep_watching,
-            self._keep_deciding,
-            self._service.run,
-            self._until_closed,
-        )
+        parts = self.fleet.run, self._keep_watching, self._keep_deciding, self._service.run
         tasks = [asyncio.create_task(part()) for part in parts]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -144,18 +132,12 @@ class Polling:
 
     def engine_changed(self) -> None:
         """Watch the bucket anew, because the connection was lost, established or closed."""
-        if self._client.is_closed:
-            self._closed.set()
         self._doubted.set()
-
-    async def _until_closed(self) -> None:
-        await self._closed.wait()
-        raise EngineError("the connection to NATS was closed; start the worker again")
 
     # --- the bucket ----------------------------------------------------------------------------
 
     async def _keep_watching(self) -> None:
-        while True:
+        while not self._client.is_closed:
             self._has_begun = self._is_whole = False
             self._doubted.clear()
             try:
@@ -169,6 +151,7 @@ class Polling:
             except EngineError as error:
                 self._say(f"the engine: {error}")
             await asyncio.sleep(PAUSE_S)
+        raise EngineError("the connection to NATS was closed; start the worker again")
 
     def _demand_whole(self) -> None:
         if not self._is_whole:
@@ -186,7 +169,7 @@ class Polling:
             self.worker.saw(change, self.now())
         if self.worker.view.settings is not None:
             self._service.switch(self.worker.view.settings.commands)
-        self._look()
+        self._woken.set()
 
     def _write(self, put: Put) -> None:
         if self._client.is_connected:
@@ -214,11 +197,6 @@ class Polling:
             if decision.is_blind and self._is_whole:
                 self._doubted.set()
             await self._until_due()
-
-    def _look(self) -> None:
-        """Wake `_keep_deciding` if something has changed."""
-        if self.worker.due <= self.now():
-            self._woken.set()
 
     async def _until_due(self) -> None:
         self._woken.clear()

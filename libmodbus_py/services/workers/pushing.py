@@ -18,8 +18,7 @@ from ..fleet.config import (
     devices_from_json,
     devices_to_json,
 )
-from .records import SETTINGS, Connection, FleetSettings, in_key
-from .view import BucketView
+from .records import SETTINGS, BucketView, Connection, FleetSettings, in_key
 from .worker import Put
 
 if TYPE_CHECKING:
@@ -49,13 +48,7 @@ class Pushed(NamedTuple):
 
 
 def connections_of(devices: Iterable[DeviceConfig], lease: float) -> list[Connection]:
-    """
-    Return the connections of devices, as the bucket holds them.
-
-    Raises:
-        ValueError: devices of one connection are in different zones, a zone is invalid, or a
-            timeout is more than 0.3 of the lease.
-    """
+    """Return the connections of devices, as the bucket holds them; ValueError if that is wrong."""
     return [_connection(key, group, lease) for key, group in by_connection(devices).items()]
 
 
@@ -79,12 +72,7 @@ def _connection(key: str, devices: list[DeviceConfig], lease: float) -> Connecti
 
 
 def devices_of(connection: Connection) -> list[DeviceConfig]:
-    """
-    Return the devices of a connection, which any program may have written to the bucket.
-
-    Raises:
-        ValueError: they cannot be read, or do not belong to this connection.
-    """
+    """Return the devices of a connection; ValueError if another program has written wrong ones."""
     try:
         devices = devices_from_json(connection.devices)
         if any(each.connection_key != connection.key for each in devices):
@@ -112,12 +100,7 @@ def changes(
 
 
 async def push(bucket: Bucket, settings: FleetSettings, connections: list[Connection]) -> Pushed:
-    """
-    Make the bucket match a fleet file.
-
-    Raises:
-        EngineError: the bucket cannot be written, or other programs change it at the same time.
-    """
+    """Make the bucket match a fleet file, unless other programs change it at the same time."""
     new = changed = gone = 0
     for _ in range(MOST_TRIES):
         view = await seen_now(bucket)
@@ -138,12 +121,7 @@ async def push(bucket: Bucket, settings: FleetSettings, connections: list[Connec
 
 
 async def seen_now(bucket: Bucket) -> BucketView:
-    """
-    Return the current contents of a bucket.
-
-    Raises:
-        EngineError: the bucket cannot be read, or did not arrive within 10 s.
-    """
+    """Return the current contents of a bucket; they must arrive within 10 s."""
     view = BucketView()
     is_whole = asyncio.Event()
 

@@ -13,8 +13,7 @@ from typing import Any
 from ..engine.buckets import Bucket
 from ..engine.connection import EngineError
 from .pushing import devices_of, seen_now
-from .records import Member, zone_of
-from .view import BucketView
+from .records import BucketView, Member, zone_of
 
 __all__ = ["fleet_status", "is_polled", "tables"]
 
@@ -27,12 +26,7 @@ NUMBERS = ("connections", "devices", "up", "down", "polls")
 
 
 async def fleet_status(bucket: Bucket) -> dict[str, Any]:
-    """
-    Return the status of a fleet. The bucket is read twice, a quarter of a lease apart.
-
-    Raises:
-        EngineError: the bucket cannot be read, or contains no fleet in the format of this version.
-    """
+    """Return the status of a fleet. The bucket is read twice, a quarter of a lease apart."""
     before = await seen_now(bucket)
     if before.settings is None:
         why = before.unreadable.get("settings", "there is no fleet yet; put it there with --push")

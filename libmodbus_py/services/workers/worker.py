@@ -10,8 +10,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import NamedTuple
 
 from ..engine.buckets import Change
-from .records import Connection, Slot
-from .view import HEARD_PART, BucketView
+from .records import HEARD_PART, BucketView, Connection, Slot
 
 __all__ = ["OWN_PART", "Decision", "Put", "Worker"]
 

@@ -15,8 +15,19 @@ from ...protocol.errors import NO_UNIT, FrameError, ModbusConnectionError, Modbu
 from ...protocol.mistakes import named_parameters
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...security.security import Security
-from .places import FIRST_UNITS, USUAL_UNITS, Place, listed, places
-from .probe import LONGEST_SIZE, MOST_PAGES, PROBE_SIZE, Answer, Prober, Walker
+from .probe import (
+    FIRST_UNITS,
+    LONGEST_SIZE,
+    MOST_PAGES,
+    PROBE_SIZE,
+    USUAL_UNITS,
+    Answer,
+    Place,
+    Prober,
+    Walker,
+    listed,
+    places,
+)
 
 __all__ = ["Found", "Progress", "Scan", "scan"]
 

@@ -30,8 +30,7 @@ from ...protocol.errors import (
 from ...protocol.mistakes import named_parameters
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...security.security import Security
-from .places import Place, places
-from .probe import LONGEST_SIZE, Prober, Walker
+from .probe import LONGEST_SIZE, Place, Prober, Walker, places
 
 __all__ = ["MOST_REQUESTS", "Cells", "Extent", "Search", "Searching", "halving", "search"]
 

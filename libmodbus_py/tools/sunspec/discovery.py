@@ -62,15 +62,7 @@ class _Header(NamedTuple):
 
 @dataclass
 class _Chain:
-    """
-    The headers of a chain of models.
-
-    Attributes:
-        base: the address of the marker.
-        headers: in their order, without the end model.
-        end: the address of the end model; None if the chain ends without one.
-        notes: what is wrong with the chain, each as one sentence.
-    """
+    """The headers of a chain of models between the marker and the end model, if there is one."""
 
     base: int
     headers: list[_Header] = field(default_factory=list)
@@ -79,13 +71,7 @@ class _Chain:
 
 
 def walk(bases: Iterable[int]) -> Steps[_Chain]:
-    """
-    Find the marker, and follow the chain to its end.
-
-    Raises:
-        SunSpecError: there is no marker.
-        ModbusError: there is no answer.
-    """
+    """Find the marker, and follow the chain to its end."""
     reasons = []
     for base in bases:
         answer = yield from _asked(base, len(MARKER))
@@ -230,12 +216,7 @@ def definition_of(model: int) -> Mapping[str, Any] | None:
 
 
 def folder() -> Path:
-    """
-    Return the folder of the definitions, files such as "model_103.json".
-
-    Raises:
-        ImportError: pysunspec2 is missing; the message names the extra.
-    """
+    """Return the folder of the definitions, files such as "model_103.json"."""
     # Its client, which needs pyserial, is not imported.
     found = find_spec("sunspec2")
     for parent in (found and found.submodule_search_locations) or ():

@@ -10,7 +10,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping
 from libmodbus_py.scan import scan
-from libmodbus_py.tools.scan.places import FIRST_UNITS, USUAL_UNITS
+from libmodbus_py.tools.scan.probe import FIRST_UNITS, USUAL_UNITS
 from libmodbus_py.tools.scan.scan import Progress
 from tests.support.commands import Started
 from tests.support.peers import until
