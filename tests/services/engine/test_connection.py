@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -80,14 +80,6 @@ def refused(client: type[Client], **environment: str) -> str:
     return str(caught.value)
 
 
-def test_a_connection_that_is_lost_is_sought_for_ever_but_the_first_is_not(
-    client: type[Client],
-) -> None:
-    made = connect()
-    assert made.options["max_reconnect_attempts"] == -1
-    assert made.options["pending_size"] == -1
-
-
 def test_credentials_come_from_the_environment(
     client: type[Client], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -134,6 +126,23 @@ def test_a_file_that_is_not_there_is_named(client: type[Client]) -> None:
     assert client.made == []
 
 
+def test_a_connection_that_is_lost_is_sought_for_ever_and_each_change_told(
+    client: type[Client],
+) -> None:
+    told: list[None] = []
+
+    async def main() -> None:
+        made: Any = await connected(
+            SERVERS, name="a", on_change=lambda: told.append(None), environment={}
+        )
+        assert made.options["max_reconnect_attempts"] == -1
+        for event in ("disconnected_cb", "reconnected_cb", "closed_cb"):
+            await made.options[event]()
+
+    asyncio.run(main())
+    assert len(told) == 3
+
+
 @pytest.mark.parametrize("version", [(2, 9, 0), (3, 0, 0), (2, 8, 9), (1, 10, 0)])
 def test_a_server_must_be_new_enough(version: Any, client: type[Client]) -> None:
     client.version = version
@@ -160,19 +169,6 @@ def test_who_stops_it_leaves_nothing_open(client: type[Client]) -> None:
     with pytest.raises(asyncio.CancelledError):
         connect()
     assert client.made[0].is_closed
-
-
-@pytest.mark.parametrize("event", ["disconnected_cb", "reconnected_cb", "closed_cb"])
-def test_each_change_of_the_connection_is_told(event: str, client: type[Client]) -> None:
-    told: list[str] = []
-
-    async def main() -> None:
-        note: Callable[[], None] = lambda: told.append(event)  # noqa: E731
-        made: Any = await connected(SERVERS, name="a", on_change=note, environment={})
-        await made.options[event]()
-
-    asyncio.run(main())
-    assert told == [event]
 
 
 # --- where it is ----------------------------------------------------------------------------

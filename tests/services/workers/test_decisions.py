@@ -17,10 +17,10 @@ from libmodbus_py.services.workers.records import (
     Connection,
     FleetSettings,
     Member,
-    decode,
 )
-from libmodbus_py.services.workers.worker import Put, Worker
+from libmodbus_py.services.workers.worker import Worker
 from tests.services.workers.simulated import LEASE, OneWorker, every, written
+from tests.support.cases import each_case
 
 LINE = Connection("", "tcp:192.0.2.1:502", 1.0, '{"devices": [{"name": "pump"}]}')
 OTHER = Connection("", "tcp:192.0.2.2:502", 1.0, '{"devices": []}')
@@ -58,13 +58,6 @@ class TestSnapshot:
         assert worker.due == -math.inf
         (put,) = step(worker, 0.0).puts
         assert (put.key, put.last) == ("worker.m.1", 0)
-
-    def test_nothing_is_written_before_there_are_settings(self) -> None:
-        worker = Worker(lambda: "m.1", {""})
-        worker.begins()
-        worker.is_synced(0.0)
-        assert step(worker, 0.0).puts == ()
-        assert worker.due == math.inf
 
     def test_a_bucket_that_went_back_is_another_one(self) -> None:
         one = at_work(LINE)
@@ -156,10 +149,6 @@ class TestSlots:
         one.step(10.6)
         assert one.polled() == {LINE.key}
 
-    def test_the_slot_of_an_ended_worker_is_taken_at_once(self) -> None:
-        one = beside_ended()
-        assert written(one.steps(0.0, 0.1)) == {LINE.slot.key: "m.1"}
-
     def test_a_worker_whose_lease_is_over_has_ended_and_its_slots_are_taken(self) -> None:
         one = OneWorker(LINE)
         one.member("b.1", 0.0)
@@ -249,17 +238,6 @@ class TestAcknowledgements:
         one.step(11.5)
         assert one.polled() == {LINE.key}
 
-    def test_a_beat_is_hurried_when_others_wait_for_it(self) -> None:
-        one = OneWorker(LINE)
-        one.steps(0.0, 1.0)
-        assert one.decided(1.5) == []
-        one.write(OTHER.bucket_key, OTHER.encode(), 1.5)
-        (put,) = one.decided(1.5)
-        assert put.key == one.worker.key
-        assert isinstance(record := decode(put.key, put.value or b""), Member)
-        assert record.seen == one.revision
-        assert (record.zones, record.lease, record.state) == (("",), LEASE, "here")
-
 
 class TestEndedWorkers:
     """They stay for `fleet status` for a minute."""
@@ -316,13 +294,6 @@ class TestBlindness:
         one.decided(at)
         return one.last.is_blind
 
-    def test_who_knows_of_no_fleet_or_reads_is_not_blind(self) -> None:
-        one = OneWorker()
-        one.worker.begins()
-        assert not self.blind(one, 1000.0)
-        one.worker.is_synced(1000.0)  # nothing is there
-        assert not self.blind(one, 2000.0)
-
     def test_who_does_not_see_its_own_values_is_blind(self) -> None:
         one = OneWorker()
         assert [self.blind(one, at) for at in (2.9, 3.1)] == [False, True]
@@ -377,38 +348,24 @@ class TestRefusals:
     def refusal(self, one: OneWorker, device: str = "pump", at: float = 1.0) -> str:
         return refusal(one.worker, device, at)
 
-    def test_what_nobody_has_is_refused(self) -> None:
-        one = OneWorker(LINE, lives=True)
-        assert [self.refusal(one, each) for each in ("valve", "pump")] == [self.VALVE, self.PUMP]
-
-    @pytest.mark.parametrize(
-        ("holder", "state", "is_refused"),
+    @each_case(
+        ("device", "holder", "state", "expected"),
         [
-            ("z.1", "here", False),  # it answers, or has just died
-            ("z.1", "ended", True),
-            ("m.1", "here", True),  # nobody else will answer
+            ("valve", "z.1", "here", VALVE),  # by the first of all workers
+            ("valve", "a.1", "here", ""),
+            ("pump", "z.1", "here", ""),  # it answers, or has just died
+            ("pump", "z.1", "ended", PUMP),
+            ("pump", "m.1", "here", PUMP),  # nobody else will answer
         ],
     )
-    def test_the_holder_of_the_slot_decides(
-        self, holder: str, state: str, is_refused: bool
+    def test_the_first_of_all_workers_refuses_what_no_other_one_answers(
+        self, device: str, holder: str, state: str, expected: str
     ) -> None:
         one = OneWorker(LINE, lives=True)
+        assert self.refusal(one) == self.PUMP
         one.member(holder, state=state)
         one.hold(LINE, holder)
-        for at in (1.0, 4.9):
-            assert self.refusal(one, at=at) == (self.PUMP if is_refused else "")
-
-    def test_a_slot_that_is_handed_over_may_be_answered_for_already(self) -> None:
-        one = OneWorker(LINE, lives=True)
-        one.hold(LINE, one.me)
-        one.worker.decided(one.last._replace(puts=[Put(LINE.slot.key, b"", one.revision)]), 0.0)
-        assert self.refusal(one) == ""
-
-    @pytest.mark.parametrize(("other", "is_refused"), [("a.1", False), ("z.1", True)])
-    def test_the_first_of_all_workers_refuses(self, other: str, is_refused: bool) -> None:
-        one = OneWorker(LINE, lives=True)
-        one.member(other)
-        assert self.refusal(one, "valve") == (self.VALVE if is_refused else "")
+        assert self.refusal(one, device, 4.9) == expected
 
     def test_a_worker_that_fell_silent_refuses_nothing(self) -> None:
         """Half a lease without a word of the first: the next one refuses, which is heard."""

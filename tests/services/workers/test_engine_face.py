@@ -96,26 +96,6 @@ async def _write(url: str, key: str, value: bytes) -> None:
     await client.close()
 
 
-WRONG = [
-    ("lease = 0.1", "fleet.toml, line 4: engine.lease must be in 0.5..60 seconds, not 0.1"),
-    ('lease = "long"', "line 4: engine.lease must be a number of seconds, not str"),
-    ("leese = 1", "line 4: engine.leese: no such key; allowed are lease, on_engine_loss"),
-    (
-        'on_engine_loss = "hope"',
-        "line 4: engine.on_engine_loss must be one of stop, continue, not 'hope'",
-    ),
-    ("commands = 1", "line 4: engine.commands must be true or false, not 1"),
-    ("max_bytes = 1", "line 4: engine.max_bytes must be in 65536.."),
-    ("lease = 0.5", "a timeout of 0.2 s needs an engine.lease of 0.667 s or more, not 0.5"),
-]
-
-
-@pytest.mark.parametrize(("engine", "told"), WRONG)
-def test_what_is_wrong_in_the_file_is_told_before_anything_is_sent(tmp_path, engine, told):
-    file = fleet_file(tmp_path, ["tcp://127.0.0.1:9"], interval=1, engine=engine)
-    assert told in failed("poll", file, "--engine", "nats://127.0.0.1:9", code=2)
-
-
 @pytest.mark.parametrize(
     ("options", "told"),
     [
@@ -127,7 +107,7 @@ def test_what_is_wrong_in_the_file_is_told_before_anything_is_sent(tmp_path, eng
         (["--engine", "nats://h", "--zone", "a.b"], "zone 'a.b' must be 1..60 letters"),
     ],
 )
-def test_wrong_usage_is_told(file, options, told):
+def test_wrong_usage_is_told_before_anything_is_sent(file, options, told):
     line = failed("poll", file, *options, code=2)
     assert told in line
     assert "secret" not in line

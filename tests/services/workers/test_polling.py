@@ -331,19 +331,6 @@ class TestDevices:
         assert sorted(each[0] for each in told) == [each.key for each in bad]
         assert {each[2][:32] for each in told} == {"its devices in the bucket are in"}
 
-    @simulated
-    async def test_texts_that_were_told_are_forgotten_when_they_are_many(
-        self, caplog: pytest.LogCaptureFixture
-    ) -> None:
-        worker = made(filled())
-        for number in range(102):
-            worker._say(f"trouble {number}")
-        assert len(caplog.messages) == 102
-        worker._say("trouble 101")
-        worker._say("trouble 0")
-        assert caplog.messages[102:] == ["trouble 0"]
-        assert len(worker._said) < 102
-
 
 class TestReport:
     @of_pump

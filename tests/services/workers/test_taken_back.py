@@ -152,14 +152,3 @@ async def test_devices_of_a_dead_worker_whose_zone_nobody_has_are_offline(trial:
     assert fleet.qualities() == ["good"]
     trial.kill("north")
     await trial.until(lambda: fleet.qualities() == ["offline"], 60)
-
-
-@tried(6)
-async def test_devices_of_a_dead_worker_that_others_take_over_are_never_offline(
-    trial: Trial,
-) -> None:
-    fleet = Fleet(trial)
-    await fleet.start("a", "b", "c")
-    trial.kill("b")
-    await asyncio.sleep(6 * LEASE)
-    assert fleet.offline() == []

@@ -33,13 +33,6 @@ def view_of(*entries: tuple[str, bytes | None, int], at: float = 0.0) -> BucketV
 
 
 class TestChanges:
-    def test_what_is_known_changes_nothing(self) -> None:
-        view = view_of(("settings", FleetSettings(5.0).encode(), 2))
-        for revision in (1, 2):
-            assert not view.add(Change("settings", None, revision), 1.0)
-        assert view.settings == FleetSettings(5.0)
-        assert view.seen_at("settings") == (2, 0.0)
-
     def test_a_worker_that_is_deleted_and_never_ended_has_vanished_until_it_comes_again(
         self,
     ) -> None:
@@ -85,18 +78,6 @@ class TestValuesThatCannotBeRead:
 
 
 class TestConnections:
-    def test_slots_with_connections_are_used(self) -> None:
-        view = view_of((LINE.bucket_key, LINE.encode(), 1), (OTHER.bucket_key, OTHER.encode(), 2))
-        assert set(view.used_slots) == {LINE.slot, OTHER.slot}
-        assert {each.key for each in view.connections} == {LINE.key, OTHER.key}
-        view.add(Change(LINE.bucket_key, LINE.encode(), 3), 0.0)
-        view.add(Change(LINE.bucket_key, None, 4), 0.0)
-        assert view.used_slots == {OTHER.slot}
-        assert [each.key for each in view.connections] == [OTHER.key]
-        view.add(Change(LINE.bucket_key, None, 5), 0.0)
-        view.add(Change(LINE.bucket_key, LINE.encode(), 6), 0.0)
-        assert set(view.used_slots) == {LINE.slot, OTHER.slot}
-
     @each_case("is_reversed", [False, True])
     def test_of_a_connection_in_two_zones_the_newer_one_counts(self, is_reversed: bool) -> None:
         first, second = (NORTH, LINE) if is_reversed else (LINE, NORTH)

@@ -28,17 +28,6 @@ async def three(trial: Trial) -> None:
 
 
 @tried(6)
-async def test_three_share_what_is_there(trial: Trial) -> None:
-    await three(trial)
-    shares = trial.asked.hosts().values()
-    assert len(shares) == 3
-    assert min(shares) >= UNITS
-    await asyncio.sleep(8)
-    # Polls are not late, and none is missed.
-    assert trial.asked.gap < INTERVAL + 0.1
-
-
-@tried(6)
 async def test_who_is_killed_is_replaced_when_its_lease_is_over(trial: Trial) -> None:
     await three(trial)
     trial.kill("b")

@@ -15,7 +15,7 @@ import termios
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 from libmodbus_py import Device, framing
 from libmodbus_py.device.caller import Caller
@@ -58,11 +58,10 @@ class Bus:
         asked: every request, as (baudrate, unit, PDU).
     """
 
-    def __init__(self, units: dict[int, Member], scheme: str = "rtu") -> None:
+    def __init__(self, units: dict[int, Member]) -> None:
         self._units = units
-        self._framing: Any = scheme
         self._master, self._slave, self.path = open_line()
-        self.url = f"{scheme}://{self.path}"
+        self.url = f"rtu://{self.path}"
         self.asked: list[tuple[int, int, bytes]] = []
         self._wake, self._sleep = socket.socketpair()
         self._timers: list[tuple[float, bytes]] = []
@@ -91,7 +90,7 @@ class Bus:
         return termios.tcgetattr(self._slave) == self._before
 
     def _serve(self) -> None:
-        framer = framing.make_framer(self._framing, "server")
+        framer = framing.make_framer("rtu", "server")
         while True:
             now = time.monotonic()
             for due, data in list(self._timers):

@@ -18,10 +18,9 @@ import pytest
 
 from libmodbus_py import Context, Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.scan import Found, Scan, scan
-from tests.interop.test_interop_pymodbus import pymodbus_server
 from tests.support import certificates
 from tests.support.certificates import Papers
-from tests.support.interop import UNIT, program
+from tests.support.interop import program
 from tests.support.peers import FakeServer, dead, mbap, refusing, until, url_of
 from tests.tools.scan.serial_bus import Bus, Member, of
 from tests.tools.scan.simulated_bus import SimulatedBus, answering, served, simulated
@@ -107,18 +106,6 @@ def test_three_units_are_found_at_their_two_rates(scheme: str) -> None:
             assert client.read_holding_registers(0, 10) == [0] * 10
 
 
-def test_a_device_with_one_stop_bit_is_found_without_parity() -> None:
-    """Its receiver looks at the first one only: what is sent has two (serial line, 2.5.1)."""
-    with simulated() as network:
-        bus = SimulatedBus(network, {1: Member(of(meter()), 9600, 2)})
-        made = scan(bus.url, baudrates=[9600], parities=["N"], units=[1], timeout=PATIENT)
-        assert [each.stop_bits for each in made] == [2]
-    with simulated() as network:
-        bus = SimulatedBus(network, {1: Member(of(meter()), 9600, 1)})
-        url = f"{bus.url}?stop_bits=1&baudrate=9600&parity=N&unit=1&timeout={PATIENT}"
-        assert [at(each) for each in scan(url)] == [(1, 9600, "N", 1)]
-
-
 def test_a_late_answer_is_its_own_units_and_not_the_next_ones() -> None:
     members = {7: Member(of(meter(holding_registers=1)), 9600, 2, after=0.3)}
     with simulated() as network:
@@ -129,21 +116,6 @@ def test_a_late_answer_is_its_own_units_and_not_the_next_ones() -> None:
         # And the frames of eight and seven characters, of eleven bits each.
         assert found.took == pytest.approx(0.3 + 15 * 11 / 9600, abs=0.001)
     assert any("came late" in note for note in scanned.notes)
-
-
-def test_a_late_answer_is_its_own_units_on_tcp_too() -> None:
-    """Through a gateway that works off what it was asked, one after the other."""
-    answers: list[bytes] = []
-
-    def slow(request: bytes) -> list[bytes]:
-        answers.append(mbap(request, b"\x03\x02\0\1" if request[6] == 2 else b"\x83\x0b"))
-        return [answers.pop(0)] if len(answers) > 2 else []  # each comes two requests later
-
-    with simulated() as network:
-        server = served(network, "tcp://10.0.0.1", slow)
-        scanned = scan(server.url, units=[1, 2, 3, 4, 5], timeout=0.1)
-        assert [(each.unit, each.is_late) for each in all_of(scanned)] == [(2, True)]
-        assert server.connections == 1
 
 
 def test_noise_does_not_make_a_unit() -> None:
@@ -191,11 +163,6 @@ def test_a_port_that_vanishes_ends_it_with_what_was_found() -> None:
         with pytest.raises(StopIteration):
             next(scanned)
     assert scanned.requests < 10
-
-
-def test_a_port_that_is_not_there_is_an_error() -> None:
-    with pytest.raises(ModbusConnectionError, match="cannot open"):
-        next(scan("rtu:///dev/nowhere"))
 
 
 def test_a_rate_that_the_port_cannot_do_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -313,6 +280,8 @@ def test_a_dead_host_is_an_error_soon() -> None:
         next(scan(url_of(bound)))
     with refusing() as bound, pytest.raises(ModbusConnectionError):
         next(scan(url_of(bound).replace("tcp", "udp")))
+    with pytest.raises(ModbusConnectionError, match="cannot open"):
+        next(scan("rtu:///dev/nowhere"))
 
 
 def test_a_server_that_is_gone_in_the_middle_is_an_error() -> None:
@@ -336,15 +305,6 @@ def test_libmodbus_is_one_device_over_tcp(compiled: Callable[[str], Path]) -> No
         assert found.server_id is not None
         assert found.server_id.identifier == b"\xb4"
         assert found.identification is None
-
-
-def test_pymodbus_is_found_over_tcp() -> None:
-    """Its server says 11 of units that it does not have."""
-    with pymodbus_server("tcp") as context:
-        scanned = scan(context.for_unit(1).url, units=range(1, 30), timeout=PATIENT)
-        (found,) = all_of(scanned)
-    assert (found.unit, found.is_any) == (UNIT, False)
-    assert "28 units" in scanned.notes[0]
 
 
 def _port(process: subprocess.Popen[str]) -> int:
@@ -413,18 +373,6 @@ def test_what_the_callback_raises_ends_it_well() -> None:
             next(scanned)
         assert bus.is_restored
         assert bus.asked == []
-
-
-def test_it_takes_no_longer_than_it_says() -> None:
-    with simulated() as network:
-        bus = SimulatedBus(network, {})
-        scanned = scan(bus.url, baudrates=[9600, 19200], units=range(1, 6), timeout=0.1)
-        started = network.events.now
-        all_of(scanned)
-        # Two units less at each place than it may have to ask.
-        assert 0.6 * scanned.longest < network.events.now - started < scanned.longest
-        assert 30 * 0.1 < scanned.longest < 60 * 0.2
-        assert len(bus.asked) == 30
 
 
 # --- what is told wrong --------------------------------------------------------------------

@@ -4,17 +4,13 @@ The order of a full scan of a line: usual settings and units first.
 
 from __future__ import annotations
 
-import signal
-
 import pytest
 
 from libmodbus_py import Device, Mapping
 from libmodbus_py.scan import scan
 from libmodbus_py.tools.scan.probe import FIRST_UNITS, USUAL_UNITS
 from libmodbus_py.tools.scan.scan import Progress
-from tests.support.commands import Started
-from tests.support.peers import until
-from tests.tools.scan.serial_bus import Bus, Member, of
+from tests.tools.scan.serial_bus import Member, of
 from tests.tools.scan.simulated_bus import SimulatedBus, simulated
 
 TIMEOUT = 0.05
@@ -125,30 +121,3 @@ def test_one_device_that_ignores_the_unit_is_not_asked_again() -> None:
         assert [(each.is_any, each.baudrate) for each in found] == [(True, 9600)]
         assert len([unit for baudrate, unit in probed(bus) if baudrate == 9600]) == 3
         assert sum("all units are answered alike" in note for note in scanned.notes) == 1
-
-
-def test_what_a_place_showed_is_noted_once() -> None:
-    with simulated() as network:
-        bus = SimulatedBus(network, {9: Member(of(device()), 9600, 2, garbles=True)})
-        with scan(bus.url, baudrates=[9600, 19200], parities="N", timeout=TIMEOUT) as scanned:
-            list(scanned)
-    notes = [note for note in scanned.notes if "19200 8N2" in note]
-    assert len(notes) == 1
-    assert "brought bytes that are not a response" in notes[0]
-
-
-def test_the_command_finds_a_usual_device_at_once() -> None:
-    with (
-        Bus({3: Member(of(device()), 19200, 1)}) as bus,
-        Started("scan", bus.path, "--timeout", "30ms") as process,
-    ):
-        first = process.stdout.readline()
-        estimate = process.stderr.readline()
-        process.send_signal(signal.SIGINT)
-        assert process.wait() == 130
-        until(lambda: bus.is_restored)
-        asked = [(baudrate, unit) for baudrate, unit, pdu in bus.asked if pdu[0] == 3]
-    assert first.startswith("unit 3 at 19200 8E1: ")
-    assert estimate.startswith("247 units at 24 settings, ")
-    assert "; units 1-3,247 come first, and take " in estimate
-    assert asked[: len(FIRST_UNITS)] == [(9600, unit) for unit in FIRST_UNITS]

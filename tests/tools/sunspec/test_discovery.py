@@ -7,18 +7,16 @@ from __future__ import annotations
 import asyncio
 import importlib.util
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from typing import Any
 
 import pytest
 from sunspec2.device import get_model_def
 from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP
 
-from libmodbus_py import AsyncClient, Client, Device, Mapping, RegisterMap, Server, sunspec
+from libmodbus_py import AsyncClient, Client, RegisterMap, sunspec
 from libmodbus_py.sunspec import SunSpecError
 from libmodbus_py.tools.sunspec.discovery import BASES, _discovery, definition_of, folder, walk
 from libmodbus_py.tools.sunspec.points import ModelLayout
-from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.sunspec import chain, file_device, serving, walked
 
 DEVICES = {"inverter_123.json": 2, "device_1547.json": 14}
@@ -151,21 +149,6 @@ def test_without_pysunspec2_the_error_names_the_extra(monkeypatch: pytest.Monkey
     assert importlib.util.find_spec("sunspec2")
     with pytest.raises(ImportError, match=r"SunSpec needs pysunspec2: .* 'pysunspec2>="):
         sunspec.discover(Client("tcp://127.0.0.1:9"))
-
-
-@pytest.mark.parametrize("scheme", ["udp", "rtu+tcp", "rtu+udp", "ascii+tcp", "rtu"])
-def test_models_are_found_on_other_transports(scheme: str) -> None:
-    device = Device(Mapping(holding_registers={40000: file_device("device_1547.json")}))
-    with ExitStack() as stack:
-        wire = stack.enter_context(SerialWire())
-        at = f"rtu://{wire.server}" if scheme == "rtu" else f"{scheme}://127.0.0.1:0"
-        running = stack.enter_context(Server({5: device}).background(at))
-        url = f"rtu://{wire.client}" if scheme == "rtu" else running.urls[0]
-        plc = stack.enter_context(Client(url, unit=5))
-        found = sunspec.discover(plc)
-        values = plc.read_map(found.map)
-    assert len(found) == DEVICES["device_1547.json"]
-    assert values["common.Mn"] == "SunSpecTest"
 
 
 # --- chains of models, hostile ones included ------------------------------------------------------
