@@ -54,6 +54,6 @@ from .services.gateway.routes import Route as Route
 from .services.loading import load as load
 from .tools.faults.fault import Fault as Fault
 from .tools.faults.server import Server as Server
-from .tools.files.map_contents import MapError as MapError
+from .tools.files.map_file import MapError as MapError
 from .tools.files.map_file import load_map as load_map
 from .version import __version__ as __version__

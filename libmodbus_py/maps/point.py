@@ -17,7 +17,7 @@ from .meaning import CellChange, Judged, Meaning, NoValue, Scaling, exact, scali
 from .plan import Read
 from .point_checks import check_point
 
-__all__ = ["Point", "Rights"]
+__all__ = ["Point"]
 
 Rights = Literal["read", "write", "read_write"]
 

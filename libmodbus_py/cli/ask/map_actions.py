@@ -18,8 +18,7 @@ from ...maps.register_map import RegisterMap
 from ...ports.endpoint import parse
 from ...protocol.errors import ExceptionResponse, ModbusError
 from ...protocol.tables import TABLES
-from ...tools.files.map_contents import remarks
-from ...tools.files.map_file import contents_of, load_map
+from ...tools.files.map_file import contents_of, load_map, remarks
 from ...tools.files.map_texts import MARK, class_text, csv_text, toml_text
 from ...tools.scan.search import Extent, search
 from ...tools.simulator.example_files import map_file

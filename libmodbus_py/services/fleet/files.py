@@ -40,8 +40,7 @@ from ...protocol.mistakes import (
     placed,
 )
 from ...tools.files.csv_text import CsvRow, CsvText
-from ...tools.files.map_contents import POINT
-from ...tools.files.map_file import load_map
+from ...tools.files.map_file import POINT, load_map
 from ...tools.files.schema import (
     REQUIRED,
     Check,

@@ -14,28 +14,104 @@ from __future__ import annotations
 import json
 import re
 import reprlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import partial
+from itertools import pairwise
 from os import PathLike, fspath
 from pathlib import PurePath
-from typing import Any
+from typing import Any, NamedTuple
 
+from ...maps.point import Point
 from ...maps.point_checks import BYTES, SCALES
+from ...maps.point_plan import scale_mistakes
 from ...maps.register_map import RegisterMap
 from ...protocol.mistakes import Path, WrongValue, inside, placed
 from ...protocol.values import parse_reference
 from ...protocol.words import ORDER_WORDS, TABLE_WORDS, TYPE_WORDS, by_word, plain, type_named
 from .csv_text import CsvRow, CsvText, flag_in, number_in, whole_in
-from .map_contents import POINT, Contents, MapEntry, MapError, collected
-from .schema import Key, Keys, table, tables
-from .texts import FilePlace, line_of, read_table, read_text, read_toml
+from .schema import Key, Keys, keys_of, table, tables
+from .texts import FileError, FilePlace, line_of, read_table, read_text, read_toml
 
-__all__ = ["FORMS", "PADDINGS", "contents_of", "contents_of_text", "load_map"]
+# fmt: off
+__all__ = [
+    "FORMS", "PADDINGS", "POINT", "Contents", "MapError", "contents_of", "contents_of_text",
+    "load_map", "remarks",
+]
+# fmt: on
 
 FORMS: tuple[str, ...] = (".toml", ".csv", ".tsv", ".txt")
 """The suffixes of files that may be maps; all but the first have columns."""
 
 FILE = Keys([Key("point", tables, "a table for each point: [[point]]", ())])
+
+
+POINT = keys_of(Point)
+"""The keys of a point, in every file that describes points."""
+
+
+class MapError(FileError):
+    """A file is not a valid register map; the message names file, line, column or key."""
+
+
+class MapEntry(NamedTuple):
+    """The description of one point in a file, not yet checked."""
+
+    path: Path  # of the point in the file; empty in CSV, where a row is a point
+    place: Callable[[Path], FilePlace]  # of a path in the file
+    keys: Callable[[], Mapping[str, Any]]  # the arguments of `Point`, or a TypeError or ValueError
+
+
+@dataclass
+class Contents:
+    """The content of a file, which is a map if there are no mistakes."""
+
+    points: dict[str, Point] = field(default_factory=dict)
+    entries: dict[str, MapEntry] = field(default_factory=dict)  # of each of these points
+    mistakes: list[MapError] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # how it was read, if not in the usual way
+
+    def place(self, name: str) -> FilePlace:
+        """Return the place of a point in the file."""
+        entry = self.entries[name]
+        return entry.place(entry.path)
+
+
+def collected(contents: Contents, entries: Iterable[MapEntry], most: int) -> Contents:
+    """Add the points of entries to contents, up to the mistake with the number `most`."""
+    try:
+        for entry in entries:
+            _add(contents, entry)
+            if len(contents.mistakes) == most:
+                return contents
+    except MapError as error:
+        contents.mistakes.append(error)
+    for name, mistake in scale_mistakes(contents.points) if not contents.mistakes else ():
+        entry = contents.entries[name]
+        path = (*entry.path, *mistake.path[1:])
+        contents.mistakes.append(MapError.of(mistake.renamed(entry.path), entry.place(path)))
+    del contents.mistakes[most:]
+    if not contents.points and not contents.mistakes:
+        contents.mistakes.append(MapError((), "it has no points"))
+    return contents
+
+
+def _add(contents: Contents, entry: MapEntry) -> None:
+    """Add the point of an entry, or the mistake in it."""
+    try:
+        point: Point = POINT.read(entry.path, entry.keys())
+        if point.name in contents.points:
+            reason = f"{point.name!r} stands in {contents.place(point.name)} already"
+            raise WrongValue((*entry.path, "name"), reason)
+    except (TypeError, ValueError) as error:
+        mistake = placed(error, ())
+        contents.mistakes.append(MapError.of(mistake, entry.place(mistake.path)))
+    else:
+        contents.points[point.name] = point
+        contents.entries[point.name] = entry
+
+
+# --- files ---------------------------------------------------------------------------------
 
 
 def load_map(path: str | PathLike[str], *, columns: Mapping[str, str] | None = None) -> RegisterMap:
@@ -93,15 +169,16 @@ def contents_of_text(text: str, suffix: str, most: int, columns: Mapping[str, st
             allowed = ", ".join(READERS)
             raise ValueError(f"columns must name some of {allowed}, not {kind!r}")
     headings = COLUMNS.keys() | {plain(heading) for heading in named.values()}
-    contents = Contents()
+    ignored: list[str] = []
     try:
         rows = CsvText(text, lambda heading: plain(heading) in headings, MapError)
-        columns_found = _columns(rows.head, named, contents.ignored)
+        found = _columns(rows.head, named, ignored)
     except MapError as error:
         return Contents(mistakes=[error])
-    if rows.skipped:
-        contents.notes.append(f"rows above the headings that are skipped: {rows.skipped}")
-    return collected(contents, _csv_entries(rows, columns_found), most)
+    notes = [f"rows above the headings that are skipped: {rows.skipped}"] if rows.skipped else []
+    if ignored:
+        notes.append(f"columns that mean nothing here: {', '.join(ignored)}")
+    return collected(Contents(notes=notes), _csv_entries(rows, found), most)
 
 
 def _toml_entries(text: str) -> Iterator[MapEntry]:
@@ -350,3 +427,32 @@ READERS: dict[str, Callable[[str], Any]] = {
     "byte": _word({word: word for word in BYTES}),
 }
 """Kind of a column -> the reader that returns the argument of `Point`, or raises WrongValue."""
+
+
+# --- a valid map that may not be what its author meant ---------------------------------------
+
+# Table -> how references to it begin (PI-MBUS-300): a 5-digit one is an address, too.
+_REFERENCES = {"holding_registers": range(40001, 50000), "input_registers": range(30001, 40000)}
+
+
+def remarks(contents: Contents) -> Iterator[str]:
+    """Yield a line for everything in a file that is allowed, and unlikely."""
+    points = list(contents.points.values())
+    yield from contents.notes
+    for name, span in _REFERENCES.items():
+        addresses = [point.address for point in points if point.table == name]
+        if addresses and all(address in span for address in addresses):
+            yield (
+                f"all addresses of {name} are in {span.start}..{span.stop - 1}: if these are"
+                f" references, {span.start} for address 0, leave out the column with the table"
+            )
+    for first, second in pairwise(sorted(points, key=lambda point: (point.table, point.address))):
+        are_parts = first.is_part and second.is_part  # which may be different bits
+        is_within = first.table == second.table and second.address < first.cells.stop
+        if is_within and not are_parts:
+            place = contents.place(second.name)
+            yield f"{place}: {second.name} overlaps {first.name} at {second.table} {second.address}"
+    for name, point in contents.points.items():
+        if point.scale < 0 and point.scale == int(point.scale):
+            place = contents.place(name)
+            yield f"{place}: {name} is multiplied by {point.scale}: no power of ten is meant?"

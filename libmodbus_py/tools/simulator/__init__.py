@@ -3,11 +3,9 @@ Simulated devices, described in a file.
 
 ::
 
-    device_file    TOML to devices and faults; DeviceFileError
-    keys           all keys of device files
+    device_file    TOML to devices and faults, with the keys of files; DeviceFileError
     points         points described in the device file itself, or in register maps
-    clockwork      a point with its first values and its behaviour; computes values that move
-    behaviour      ... by counters, waves, walks, copies
+    clockwork      computes values that move: counters, waves, walks, copies
     simulated      SimulatedDevice: a device with named points, which can take over values of
                    another; Simulation: all devices of a file
     reloading      a file that is read again while its devices are served

@@ -13,7 +13,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from functools import partial
 from os import PathLike, fspath
 from os.path import dirname
 from typing import Any
@@ -21,16 +20,28 @@ from typing import Any
 from ...device.functions import DEFAULT_SERVER_ID
 from ...device.mapping import Mapping as Tables
 from ...protocol.checks import integer
-from ...protocol.mistakes import Path, WrongValue, close_to, inside, placed
+from ...protocol.mistakes import Path, WrongValue, close_to, placed
 from ...protocol.pdu.interface import OBJECT_NAMES
 from ...protocol.tables import TABLES, joined
-from ...protocol.values import value_type
-from ..faults.fault import Fault
-from ..files.schema import bytes_or_text
+from ..faults.fault import LONGEST, Fault
+from ..files.schema import (
+    REQUIRED,
+    Check,
+    Key,
+    Keys,
+    a_list,
+    bytes_or_text,
+    flag,
+    keys_of,
+    roles,
+    table,
+    tables,
+    text,
+    whole,
+)
 from ..files.texts import FileError, load_file, read_toml, shown_key
 from .clockwork import Clockwork, SimulatedPoint
-from .keys import DEFAULTS, FAULT, FIFO, FILE, TYPING, UNIT
-from .points import Found, Maps, points_of
+from .points import CONTENTS, DEFAULTS, Found, Maps, points_of
 from .simulated import SimulatedDevice, Simulation
 
 __all__ = [
@@ -43,6 +54,113 @@ __all__ = [
 ]
 
 Clock = Callable[[], float]
+
+
+# --- keys --------------------------------------------------------------------------------------
+
+
+def _unit_id(path: Path, value: object) -> int:
+    number = integer(path, value, 0, 255)
+    if 247 < number < 255:
+        raise WrongValue(path, f"must be in 0..247, or 255, not {number}")
+    return number
+
+
+def _maps(path: Path, value: object) -> list[tuple[Path, str]]:
+    """Check one path of a register map, or several; return each with its own place."""
+    found = [((*path, at), name) for at, name in enumerate(value)] if type(value) is list else []
+    for where, name in found or [(path, value)]:
+        if not isinstance(name, str):
+            raise WrongValue(where, "must be the path of a register map, or a list of them")
+    return found or [(path, str(value))]
+
+
+def _each(keys: Keys) -> Check:
+    """Return a check for an array of tables that have these keys."""
+
+    def check(path: Path, value: object) -> list[Any]:
+        return [keys.read((*path, at), each) for at, each in enumerate(tables(path, value))]
+
+    return check
+
+
+def _registers(path: Path, value: object) -> list[int]:
+    found = [integer((*path, at), each, 0, 0xFFFF) for at, each in enumerate(a_list(path, value))]
+    if len(found) > MOST_QUEUED:
+        raise WrongValue(path, f"must have 0..{MOST_QUEUED} registers, not {len(found)}")
+    return found
+
+
+def _identification(path: Path, value: object) -> dict[int, bytes]:
+    numbers = {name: number for number, name in OBJECT_NAMES.items()}
+    found: dict[int, bytes] = {}
+    for key, content in table(path, value).items():
+        where = (*path, shown_key(key))
+        number = numbers.get(key, int(key) if key.isdecimal() and len(key) < 4 else -1)
+        if number not in OBJECT_NAMES and not 0x80 <= number <= 0xFF:
+            names = ", ".join(numbers)
+            reason = f"no such key; allowed are {names}, and the numbers 0..6, 128..255"
+            raise WrongValue.about(where, reason + close_to(key, numbers))
+        if number in found:
+            raise WrongValue.about(where, f"there is already an object {number}")
+        found[number] = bytes_or_text(0, 244)(where, content)
+    return found
+
+
+MOST_QUEUED = 31
+"""Registers in a queue (application protocol, 6.18)."""
+
+FAULT = keys_of(Fault, data=bytes_or_text(0, LONGEST))
+
+SERVER_ID = Keys(
+    [
+        Key("identifier", bytes_or_text(1, 125), "the identifier of the device"),
+        Key("running", flag, "the run indicator"),
+        Key("additional", bytes_or_text(0, 125), "additional data"),
+    ]
+)
+
+FIFO = Keys(
+    [
+        Key("address", whole(0, 0xFFFF), "the address of the queue", REQUIRED),
+        Key("values", _registers, "oldest first", REQUIRED),
+    ]
+)
+
+UNIT = Keys(
+    [
+        Key("id", _unit_id, "0..247 or 255; a single unit without an id answers for every unit"),
+        Key("name", text(100), "a name, for people"),
+        Key("description", text(250), "a description, for people"),
+        Key("exception_status", whole(0, 255), "the response to function 7"),
+        Key("server_id", SERVER_ID.read, "the response to function 17"),
+        Key("identification", _identification, "the response to function 43/14"),
+        Key("defaults", DEFAULTS.read, "keys of points of the unit without their own"),
+        Key("map", _maps, "paths of register maps; the device has all their points"),
+        Key("values", table, "initial values of points of the maps, by name"),
+        Key("moves", table, "how points of the maps change, by name"),
+        *(Key(name, tables, "a table for each point, or run of records") for name in CONTENTS),
+        Key("fifo", _each(FIFO), "a table for each queue"),
+        Key("fault", _each(FAULT), "a table for each fault"),
+        Key("roles", roles, "what each role may read and write, in this unit"),
+    ]
+)
+
+FILE = Keys(
+    [
+        Key("unit", tables, "a table for each unit", REQUIRED),
+        Key("fault", _each(FAULT), "a table for each fault of all units"),
+        Key("roles", roles, "what each role may read and write: [roles.NAME]"),
+        Key(
+            "defaults",
+            DEFAULTS.read,
+            "keys of points of all units without their own",
+        ),
+    ]
+)
+
+
+# --- files -------------------------------------------------------------------------------------
 
 
 class DeviceFileError(FileError):
@@ -69,7 +187,9 @@ def load(path: str | PathLike[str], *, clock: Clock = time.monotonic) -> Simulat
     """
     maps = Maps(dirname(fspath(path)))
     try:
-        return load_file(path, partial(_parse, maps=maps, clock=clock), DeviceFileError)
+        return load_file(
+            path, lambda text: _simulation(read_toml(text), maps, clock), DeviceFileError
+        )
     except DeviceFileError as error:
         error.files = maps.files
         raise
@@ -89,7 +209,7 @@ def parse(
         DeviceFileError: the text is not TOML, or contains a mistake.
     """
     try:
-        return _parse(text, maps=Maps(fspath(folder)), clock=clock)
+        return _simulation(read_toml(text), Maps(fspath(folder)), clock)
     except (TypeError, ValueError) as error:
         raise DeviceFileError.of(error) from None
 
@@ -110,7 +230,7 @@ def mapped_simulation(
     """
     described = [{"id": unit, "map": map} for unit in units] or [{"map": map}]
     try:
-        return _simulation({"unit": described}, maps=Maps("", columns), clock=time.monotonic)
+        return _simulation({"unit": described}, Maps("", columns), time.monotonic)
     except (TypeError, ValueError) as error:
         mistake = placed(error, ())
         # There is no file whose keys the path could name.
@@ -118,14 +238,9 @@ def mapped_simulation(
         raise DeviceFileError(path, mistake.reason) from None
 
 
-def _parse(text: str, *, maps: Maps, clock: Clock) -> Simulation:
-    return _simulation(read_toml(text), maps=maps, clock=clock)
-
-
-def _simulation(content: dict[str, Any], *, maps: Maps, clock: Clock) -> Simulation:
+def _simulation(content: dict[str, Any], maps: Maps, clock: Clock) -> Simulation:
     given = FILE.read((), content)
-    defaults = _defaults((), given)
-    faults: dict[int | None, list[Fault]] = {None: _faults((), given)}
+    faults: dict[int | None, list[Fault]] = {None: given.get("fault", [])}
     devices: dict[int | None, SimulatedDevice] = {}
     of_all = {"roles": given["roles"]} if "roles" in given else {}
     for at, own in enumerate(given["unit"]):
@@ -133,60 +248,43 @@ def _simulation(content: dict[str, Any], *, maps: Maps, clock: Clock) -> Simulat
         if "id" not in own and len(given["unit"]) > 1:
             raise WrongValue((*path, "id"), "is missing; only a single unit can be without")
         unit = UNIT.read(path, of_all | own)
+        unit["defaults"] = given.get("defaults", {}) | unit.get("defaults", {})
         # Compared after the file was read again, together with what it takes from elsewhere.
-        definition = own, content.get("roles")
-        device = _device(path, unit, definition, defaults, maps, clock)
+        definition = own, content.get("roles"), unit["defaults"]
         number = unit.get("id")
         if number in devices:
             raise WrongValue.about((*path, "id"), f"there is already a unit {number}")
-        devices[number] = device
-        faults[number] = faults.get(number, []) + _faults(path, unit)
+        devices[number] = _device(path, unit, definition, maps, clock)
+        faults[number] = faults.get(number, []) + unit.get("fault", [])
     if not devices:
         raise WrongValue("unit", "must not be empty")
     return Simulation(devices, {unit: each for unit, each in faults.items() if each}, maps.files)
-
-
-def _faults(path: Path, given: Mapping[str, Any]) -> list[Fault]:
-    raw = given.get("fault", ())
-    return [FAULT.read((*path, "fault", at), each) for at, each in enumerate(raw)]
-
-
-def _defaults(path: Path, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the checked defaults of points, of the file or of a unit."""
-    path = (*path, "defaults")
-    found: dict[str, Any] = DEFAULTS.read(path, given.get("defaults", {}))
-    options = {key: value for key, value in found.items() if key in TYPING and key != "type"}
-    with inside(*path):
-        value_type(found.get("type", "string:1"), **options)
-    return found
 
 
 # --- one unit --------------------------------------------------------------------------------
 
 
 def _device(
-    path: Path,
-    unit: dict[str, Any],
-    definition: tuple[object, ...],
-    defaults: dict[str, Any],
-    maps: Maps,
-    clock: Clock,
+    path: Path, unit: dict[str, Any], definition: tuple[object, ...], maps: Maps, clock: Clock
 ) -> SimulatedDevice:
     """Return the device of a unit, whose keys are checked."""
-    defaults = defaults | _defaults(path, unit)
-    found = points_of(path, unit, defaults, maps)
-    mapping, records, contents = _filled(found)
-    of_maps = [each.point for each in contents if each.is_mapped]
+    mapping, records, contents = _filled(points_of(path, unit, maps))
+    fifos: dict[int, list[int]] = {}
+    for at, each in enumerate(unit.get("fifo", ())):
+        if each["address"] in fifos:
+            reason = f"there is already a queue at address {each['address']}"
+            raise WrongValue.about((*path, "fifo", at, "address"), reason)
+        fifos[each["address"]] = each["values"]
     return SimulatedDevice(
         mapping,
         name=unit.get("name", ""),
         description=unit.get("description", ""),
-        definition=(*definition, defaults, of_maps),
+        definition=(*definition, [each.point for each in contents if each.is_mapped]),
         contents=contents,
         clockwork=Clockwork(mapping, [each for each in contents if not each.file], clock),
         files=records,
-        fifos=_fifos((*path, "fifo"), unit),
-        identification=_identification((*path, "identification"), unit),
+        fifos=fifos,
+        identification=unit.get("identification"),
         server_id=DEFAULT_SERVER_ID._replace(**unit.get("server_id", {})),
         exception_status=unit.get("exception_status", 0),
         authorize=unit.get("roles"),
@@ -218,41 +316,3 @@ def _filled(
             first = getattr(mapping, each.table)[each.span.start : each.span.stop]
         contents.append(replace(each, cells=tuple(map(int, first)) if any(first) else ()))
     return mapping, records, contents
-
-
-def _fifos(where: Path, unit: Mapping[str, Any]) -> dict[int, list[int]]:
-    fifos: dict[int, list[int]] = {}
-    for at, raw in enumerate(unit.get("fifo", ())):
-        path = (*where, at)
-        given = FIFO.read(path, raw)
-        address, values = given["address"], given["values"]
-        if address in fifos:
-            reason = f"there is already a queue at address {address}"
-            raise WrongValue.about((*path, "address"), reason)
-        if len(values) > 31:
-            raise WrongValue((*path, "values"), f"must be 0..31, not {len(values)}")
-        numbers = enumerate(values)
-        fifos[address] = [integer((*path, "values", i), value, 0, 0xFFFF) for i, value in numbers]
-    return fifos
-
-
-def _identification(path: Path, unit: Mapping[str, Any]) -> dict[str | int, str | bytes]:
-    objects: dict[str | int, str | bytes] = {}
-    check = bytes_or_text(0, 244)
-    for key, value in unit.get("identification", {}).items():
-        where = (*path, shown_key(key))
-        number = _object_id(where, key)
-        if number in objects:
-            raise WrongValue.about(where, f"there is already an object {number}")
-        objects[number] = check(where, value)
-    return objects
-
-
-def _object_id(path: Path, key: str) -> int:
-    numbers = {name: number for number, name in OBJECT_NAMES.items()}
-    number = numbers.get(key, int(key) if key.isdecimal() and len(key) < 4 else -1)
-    if number not in OBJECT_NAMES and not 0x80 <= number <= 0xFF:
-        names = ", ".join(numbers)
-        reason = f"no such key; allowed are {names}, and the numbers 0..6, 128..255"
-        raise WrongValue.about(path, reason + close_to(key, numbers))
-    return number

@@ -18,19 +18,13 @@ DEVICES = ("iem3155", "meter", "plant", "sdm630", "victron_gx")
 
 def described() -> dict[str, str]:
     """Return the name of each example with the description in its first line."""
-    folder = _folder()
-    return {name: _first_line(os.path.join(folder, f"{name}.toml")) for name in DEVICES}
+    return {name: _first_line(f"{name}.toml") for name in DEVICES}
 
 
 def path_of(name: str) -> str:
-    """
-    Return the path of the device file of an example.
-
-    Raises:
-        ValueError: there is no example of that name.
-    """
-    if name not in (known := described()):
-        raise ValueError(f"there is no example {name!r}; there are {', '.join(known)}")
+    """Return the path of the device file of an example; raise ValueError if there is none."""
+    if name not in DEVICES:
+        raise ValueError(f"there is no example {name!r}; there are {', '.join(DEVICES)}")
     return os.path.join(_folder(), f"{name}.toml")
 
 
@@ -53,13 +47,14 @@ def map_file(word: str) -> str:
 
 
 def maps() -> dict[str, str]:
-    """Return the name of each register map with the description in its first line."""
-    folder = _folder()
-    names = sorted(
-        each.removesuffix(".csv") for each in os.listdir(folder) if each.endswith(".csv")
-    )
-    found = {name: _first_comment(os.path.join(folder, f"{name}.csv")) for name in names}
-    return {name: text for name, text in found.items() if name not in LISTS}
+    """Return the name of each register map with the first sentence of its first comment."""
+    stems = sorted(os.path.splitext(each) for each in os.listdir(_folder()))
+    lines = {
+        stem: _first_line(stem + suffix)
+        for stem, suffix in stems
+        if suffix == ".csv" and stem not in LISTS
+    }
+    return {stem: line.partition(". ")[0].rstrip(".") for stem, line in lines.items()}
 
 
 def _folder() -> str:
@@ -69,13 +64,8 @@ def _folder() -> str:
     return built if os.path.isdir(built) else os.path.join(here, *[".."] * 3, "examples")
 
 
-def _first_comment(path: str) -> str:
-    """Return the first sentence of the comment with which a file begins; "" without one."""
-    with open(path, encoding="utf-8") as file:
+def _first_line(name: str) -> str:
+    """Return the comment with which a file begins; "" without one."""
+    with open(os.path.join(_folder(), name), encoding="utf-8") as file:
         line = file.readline()
-    return line.strip("# \n").partition(". ")[0].rstrip(".") if line.startswith("#") else ""
-
-
-def _first_line(path: str) -> str:
-    with open(path, encoding="utf-8") as file:
-        return file.readline().strip("# \n")
+    return line.strip("# \n") if line.startswith("#") else ""

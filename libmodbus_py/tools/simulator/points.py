@@ -18,13 +18,67 @@ from ...maps.register_map import RegisterMap, close_to
 from ...protocol.mistakes import Path, WrongValue, inside, path_text, placed
 from ...protocol.pdu import RECORDS_PER_FILE
 from ...protocol.tables import TABLES
-from ..files.map_file import load_map
+from ...protocol.values import value_type
+from ..files.map_file import POINT, load_map
+from ..files.schema import REQUIRED, Key, Keys, a_list, keys_of, whole
 from ..files.texts import shown_key
-from .clockwork import SimulatedPoint
+from .clockwork import BEHAVIOURS, SimulatedPoint
 from .example_files import map_file
-from .keys import CONTENTS, MOVES, POINT_KEYS, TYPING, VALUES
 
-__all__ = ["Maps", "points_of"]
+__all__ = ["CONTENTS", "DEFAULTS", "Found", "Maps", "points_of"]
+
+# --- keys --------------------------------------------------------------------------------------
+
+MOVES = Keys(Key(name, keys_of(make).read) for name, make in BEHAVIOURS.items())
+"""Kind of movement -> its keys."""
+
+VALUES = Keys(
+    [
+        Key("value", text="the initial value of all"),
+        Key("values", a_list, "the initial value of each, in place of `value` and `count`"),
+    ]
+)
+
+POINT_KEYS = POINT.but("table")
+"""The keys of a point; the name of the list is its table."""
+
+TYPING = POINT.only("type", "order", "encoding", "padding")
+
+
+def _defaults(**given: Any) -> dict[str, Any]:
+    """Check defaults of points: one of any type must be possible."""
+    typing = {key: value for key, value in given.items() if key not in ("type", "access")}
+    value_type(given.get("type", "string:1"), **typing)
+    return given
+
+
+DEFAULTS = Keys((TYPING | POINT.only("access")).optional().values(), _defaults)
+
+# The keys of a point in a table.
+_IN_TABLE = (
+    POINT_KEYS.optional()
+    | POINT.only("address")
+    | Keys([Key("count", whole(1, 0x10000))])
+    | VALUES
+    | MOVES
+)
+
+CONTENTS: dict[str, Keys] = {
+    **dict.fromkeys(TABLES, _IN_TABLE),
+    "file": Keys(
+        [
+            Key("number", whole(1, 0xFFFF), "the number of the file", REQUIRED),
+            Key("record", whole(0, RECORDS_PER_FILE - 1), "the first record", REQUIRED),
+            Key("count", whole(1, RECORDS_PER_FILE)),
+        ]
+    )
+    | VALUES
+    | TYPING
+    | POINT.only("access"),
+}
+"""Table -> the keys of its points or records."""
+
+# --- maps --------------------------------------------------------------------------------------
 
 Found = tuple[SimulatedPoint, CellChange | None]
 """A point, and what its first values change; None for zeros."""
@@ -59,15 +113,8 @@ class Maps:
         return self._maps[path]
 
 
-def points_of(
-    path: Path, unit: Mapping[str, Any], defaults: Mapping[str, Any], maps: Maps
-) -> list[Found]:
-    """
-    Return the points of a unit, and the records of its files, each with its first values.
-
-    Raises:
-        TypeError, ValueError: the device file, or a map, contains a mistake.
-    """
+def points_of(path: Path, unit: Mapping[str, Any], maps: Maps) -> list[Found]:
+    """Return the points of a unit, and the records of its files, each with its first values."""
     firsts = _first_values(unit)
     found = list(_mapped_points(path, unit, maps, firsts))
     points = {each.point.name: each.point for each, _ in found}
@@ -75,7 +122,7 @@ def points_of(
     raws = [(table, at, raw) for table in CONTENTS for at, raw in enumerate(unit.get(table, ()))]
     for table, at, raw in sorted(raws, key=lambda each: "name" not in each[2]):
         where = (*path, table, at)
-        each, change = _own_point(where, table, raw, defaults, firsts)
+        each, change = _own_point(where, table, raw, unit["defaults"], firsts)
         name = each.point.name
         if name in points and "name" in raw:
             raise WrongValue.about((*where, "name"), f"there is already a point {name}")
@@ -149,12 +196,15 @@ def _own_point(
         raise WrongValue((*path, "values"), "must not be empty")
     values = given.get("values", [given[source]] if source == "value" else [])
     first = given["record" if table == "file" else "address"]
-    keys = {key: value for key, value in given.items() if key in POINT_KEYS}
+    rules = TABLES.get(table)
+    without = {*TYPING} if rules is not None and rules.is_bits else set()
+    if behaviour or (rules is not None and not rules.most_written):
+        without.add("access")
     keys = {
-        **_defaults_for(table, defaults, can_be_written=behaviour is None),
+        **{key: value for key, value in defaults.items() if key not in without},
         "name": f"{table}_{first}",
         "count": len(values) if source == "values" else 1,
-        **keys,
+        **{key: value for key, value in given.items() if key in POINT_KEYS},
         "table": "holding_registers" if table == "file" else table,
         "address": first,
     }
@@ -167,18 +217,6 @@ def _own_point(
     where, file = (*path, source), given.get("number", 0)
     change = _change(where, point, values, firsts) if values else None
     return SimulatedPoint(path, point, behaviour=behaviour, moved_by=where, file=file), change
-
-
-def _defaults_for(
-    table: str, defaults: Mapping[str, Any], *, can_be_written: bool
-) -> dict[str, Any]:
-    """Return the defaults that a point of this table can have."""
-    without: set[str] = set()
-    if table in TABLES and TABLES[table].is_bits:
-        without |= set(TYPING)
-    if not can_be_written or (table in TABLES and not TABLES[table].most_written):
-        without |= {"access"}
-    return {key: value for key, value in defaults.items() if key not in without}
 
 
 def _mapped_points(

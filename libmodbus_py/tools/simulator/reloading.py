@@ -8,7 +8,7 @@ import asyncio
 import contextlib
 import gc
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 from ...protocol.mistakes import inside
 from ..faults.server import Server
@@ -20,9 +20,6 @@ __all__ = ["Reloader"]
 
 LOOK_EVERY_S = 0.5
 """Two checks of the files in a row must see the same, because writing a file takes a while."""
-
-# The attributes that change when a file is written or replaced.
-Signature = tuple[int, int, int] | None
 
 
 class Reloader:
@@ -56,8 +53,8 @@ class Reloader:
         self._tell = tell
         self._asked = asyncio.Event()
         self._of_others: Sequence[str] = ()
-        self._files = (path, *simulation.files)
-        self._read_signatures = self._signatures()
+        self._maps: Sequence[str] = simulation.files
+        self._read = self._signatures()
 
     @property
     def devices(self) -> SimulatedDevice | dict[int, SimulatedDevice]:
@@ -73,17 +70,12 @@ class Reloader:
         self._task.cancel()
 
     def ask(self, of_others: Sequence[str] = ()) -> None:
-        """
-        Request another reading of the file, in the loop of the server.
-
-        Args:
-            of_others: what the line about this reading says of other files.
-        """
+        """Request a reading, in the loop of the server; its line ends with those of other files."""
         self._of_others = of_others
         self._asked.set()
 
     async def _run(self) -> None:
-        seen = self._read_signatures
+        seen = self._read
         while True:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(self._look_every):
@@ -91,19 +83,20 @@ class Reloader:
             is_asked = self._asked.is_set()
             self._asked.clear()
             before, seen = seen, self._signatures()
-            if is_asked or seen == before != self._read_signatures:
+            if is_asked or seen == before != self._read:
                 await self._read_again()
-                seen = self._read_signatures
+                seen = self._read
 
     async def _read_again(self) -> None:
-        self._read_signatures = self._signatures()
+        before = self._signatures()
         loading = asyncio.get_running_loop().run_in_executor(None, load, self._path)
         try:
             await asyncio.wait([loading])
         finally:
             loading.cancel()  # if this task was cancelled, its result is not used
-        error = loading.exception()
-        self._follow(getattr(error, "files", ()) if error else loading.result().files)
+        self._maps = getattr(loading.exception() or loading.result(), "files", ())
+        now = self._signatures()
+        self._read = {path: before.get(path, facts) for path, facts in now.items()}
         line = reread(loading.result, self._use)
         of_others, self._of_others = self._of_others, ()
         self._tell("; ".join([line, *of_others]))
@@ -120,23 +113,12 @@ class Reloader:
         of_faults = "" if before.faults == simulation.faults else "; its faults have changed"
         return changes + of_faults
 
-    # --- the files -----------------------------------------------------------------------------
-
-    def _follow(self, maps: Iterable[str]) -> None:
-        """Watch these maps from now on; new maps count as unchanged since they were just read."""
-        self._files = (self._path, *maps)
-        known = self._read_signatures
-        self._read_signatures = {
-            path: known[path] if path in known else _signature(path) for path in self._files
-        }
-
-    def _signatures(self) -> dict[str, Signature]:
-        return {path: _signature(path) for path in self._files}
-
-
-def _signature(path: str) -> Signature:
-    try:
-        found = os.stat(path)
-    except (OSError, ValueError):
-        return None
-    return found.st_mtime_ns, found.st_size, found.st_ino
+    def _signatures(self) -> dict[str, tuple[int, ...]]:
+        """Return what changes of the files when they are written or replaced, by path."""
+        found: dict[str, tuple[int, ...]] = {}
+        for path in (self._path, *self._maps):
+            found[path] = ()
+            with contextlib.suppress(OSError, ValueError):
+                facts = os.stat(path)
+                found[path] = facts.st_mtime_ns, facts.st_size, facts.st_ino
+        return found

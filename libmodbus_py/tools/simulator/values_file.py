@@ -76,13 +76,12 @@ class ValuesFile:
 
     def close(self) -> None:
         """Write the file for the last time, and let others use it. Any number of times."""
-        if self._lock is None and self._is_closed.is_set():
+        if self._owner != os.getpid() or self._is_closed.is_set():
             return
         self._is_closed.set()
         if self._thread.ident is not None:
             self._thread.join()
-        if self._owner == os.getpid():
-            self._write()
+        self._write()
         self.abandon()
 
     def abandon(self) -> None:
@@ -101,13 +100,11 @@ class ValuesFile:
         if self._lock is not None:
             return
         path = f"{os.path.realpath(self._path)}.lock"  # one lock, by whatever link it is reached
-        descriptor = None
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
             lock_file(descriptor)
-        except BaseException as error:
-            if descriptor is not None:
-                os.close(descriptor)
+        except OSError as error:
+            os.close(descriptor)
             if isinstance(error, BlockingIOError):
                 raise BlockingIOError(error.errno, "in use by another program") from None
             raise
@@ -162,6 +159,4 @@ class ValuesFile:
 
     def _units(self) -> dict[int | None, Device]:
         devices = self._devices()
-        if isinstance(devices, Device):
-            return {None: devices}
-        return {unit: device for unit, device in devices.items()}  # noqa: C416 (its type)
+        return {None: devices} if isinstance(devices, Device) else dict(devices.items())

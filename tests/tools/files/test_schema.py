@@ -15,8 +15,7 @@ from libmodbus_py.protocol.mistakes import Mistake, path_text
 from libmodbus_py.protocol.mistakes import Path as KeyPath
 from libmodbus_py.services.fleet import files as fleet_files
 from libmodbus_py.tools.files.csv_text import CELLS
-from libmodbus_py.tools.files.map_contents import POINT
-from libmodbus_py.tools.files.map_file import READERS
+from libmodbus_py.tools.files.map_file import POINT, READERS
 from libmodbus_py.tools.files.schema import (
     REQUIRED,
     Key,

@@ -14,7 +14,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from libmodbus_py import IllegalDataAddress, ServerDeviceFailure, pdu, values
-from libmodbus_py.tools.simulator.behaviour import Counter, RandomWalk
+from libmodbus_py.tools.simulator.clockwork import Counter, RandomWalk
 from tests.support.cases import each_case
 from tests.tools.simulator.simulated_units import Clock, answer, holding, inputs, numbers, unit
 

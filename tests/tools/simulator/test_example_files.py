@@ -29,9 +29,9 @@ from libmodbus_py import (
 )
 from libmodbus_py.tools.faults.fault import KINDS, PLACES, Fault
 from libmodbus_py.tools.simulator import example_files
-from libmodbus_py.tools.simulator.behaviour import BEHAVIOURS
-from libmodbus_py.tools.simulator.device_file import load
-from libmodbus_py.tools.simulator.keys import CONTENTS, DEFAULTS, FIFO, FILE, SERVER_ID, UNIT
+from libmodbus_py.tools.simulator.clockwork import BEHAVIOURS
+from libmodbus_py.tools.simulator.device_file import FIFO, FILE, SERVER_ID, UNIT, load
+from libmodbus_py.tools.simulator.points import CONTENTS, DEFAULTS
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.commands import Started
 from tests.tools.simulator.simulated_units import Clock, inputs
