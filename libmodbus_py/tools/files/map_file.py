@@ -142,9 +142,7 @@ def load_map(path: str | PathLike[str], *, columns: Mapping[str, str] | None = N
 def contents_of(
     path: str | PathLike[str], most: int, columns: Mapping[str, str] | None = None
 ) -> Contents:
-    """
-    Read a file up to the mistake with the number `most`; `columns` and errors as for `load_map`.
-    """
+    """Read a file up to the mistake with the number `most`; otherwise as `load_map`."""
     suffix = PurePath(path).suffix.lower()
     if suffix not in FORMS:
         reason = f"a register map must end with one of {', '.join(FORMS)}"
@@ -257,12 +255,7 @@ Columns = dict[str, tuple[int, str]]
 
 
 def _columns(head: CsvRow, named: Mapping[str, str], ignored: list[str]) -> Columns:
-    """
-    Return the columns by their kinds, and add headings without a meaning to `ignored`.
-
-    Raises:
-        MapError: a column is missing, two are of one kind, or a heading is ambiguous.
-    """
+    """Return the columns by their kinds, and add headings without a meaning to `ignored`."""
     place = FilePlace(line=head.line)
     cells = [" ".join(cell.split()) for cell in head.cells]
     by_heading = {plain(heading): kind for kind, heading in named.items()}

@@ -29,7 +29,7 @@ __all__ = [
 # fmt: on
 
 Check = Callable[[Path, object], Any]
-"""Function that checks the value of the key at a path, and returns the converted value."""
+"""Checks the value of the key at a path, and returns the converted value."""
 
 REQUIRED: Any = inspect.Parameter.empty
 """The default of a required key."""
@@ -52,12 +52,7 @@ class Key:
 
 
 class Keys(dict[str, Key]):
-    """
-    All keys of one table in a file, by name, in the order in which errors name them.
-
-    Args:
-        make: called with the values; by default they become a dict.
-    """
+    """All keys of one table in a file, by name; `make` is called with their values."""
 
     def __init__(self, keys: Iterable[Key], make: Callable[..., Any] = dict) -> None:
         super().__init__({key.name: key for key in keys})
@@ -81,13 +76,7 @@ class Keys(dict[str, Key]):
         return Keys({**self, **other}.values())
 
     def read(self, path: Path, given: object) -> Any:
-        """
-        Check a table, and return the result of `make` for its values.
-
-        Raises:
-            TypeError, ValueError: `given` is not a table, a key is missing or unknown, or has
-                    a wrong value; with the path of the key.
-        """
+        """Return the result of `make` for the checked values; errors have the path of a key."""
         found = table(path, given)
         for name in found:
             if name not in self:
@@ -193,40 +182,26 @@ def one_of(*choices: str) -> Check:
 # --- amounts with their units, such as "90 days" and "2 GB" ---------------------------------------
 
 
-_MINUTE, _HOUR, _DAY = 60, 3600, 86_400
-
 _SECONDS: dict[str, int] = {
     **dict.fromkeys(("s", "second", "seconds"), 1),
-    **dict.fromkeys(("min", "minute", "minutes"), _MINUTE),
-    **dict.fromkeys(("h", "hour", "hours"), _HOUR),
-    **dict.fromkeys(("d", "day", "days"), _DAY),
-    **dict.fromkeys(("week", "weeks"), 7 * _DAY),
-    **dict.fromkeys(("year", "years"), 365 * _DAY),
+    **dict.fromkeys(("min", "minute", "minutes"), 60),
+    **dict.fromkeys(("h", "hour", "hours"), 3600),
+    **dict.fromkeys(("d", "day", "days"), 86_400),
+    **dict.fromkeys(("week", "weeks"), 7 * 86_400),
+    **dict.fromkeys(("year", "years"), 365 * 86_400),
 }
 
 _BYTES: dict[str, int] = {
     "B": 1,
-    "kB": 10**3,
-    "MB": 10**6,
-    "GB": 10**9,
-    "TB": 10**12,
-    "KiB": 1 << 10,
-    "MiB": 1 << 20,
-    "GiB": 1 << 30,
-    "TiB": 1 << 40,
+    **{f"{letter}B": 1000**power for power, letter in enumerate("kMGT", start=1)},
+    **{f"{letter}iB": 1024**power for power, letter in enumerate("KMGT", start=1)},
 }
 
 _AMOUNT = re.compile(r"\s*([0-9]{1,15}(?:\.[0-9]{1,9})?)\s*([A-Za-z]+)\s*")
 
 
 def in_seconds(name: str | Path, text: object, low: str, high: str) -> float:
-    """
-    Return the seconds of an amount of time, such as "90 days", within two amounts.
-
-    Raises:
-        TypeError: not a text.
-        ValueError: not an amount of time, or out of range.
-    """
+    """Return the seconds of an amount of time, such as "90 days", within two amounts."""
     return _amount(name, text, _SECONDS, low, high, "a time")
 
 
@@ -257,12 +232,8 @@ def _in_units(text: str, units: dict[str, int]) -> float:
 
 
 def roles(path: Path, given: object) -> Rules:
-    """
-    Return the rules of all roles; the empty name stands for clients without a role.
-
-    A unit without rules of its own has those of the file, which are passed ready-made.
-    """
-    if isinstance(given, Rules):
+    """Return the rules of all roles; the empty name stands for clients without a role."""
+    if isinstance(given, Rules):  # those of the file, for a unit without its own
         return given
     named = table(path, given)
     found = {

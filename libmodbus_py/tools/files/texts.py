@@ -75,7 +75,6 @@ class FileError(WrongValue):
 
 # --- texts ----------------------------------------------------------------------------------------
 
-
 Content = TypeVar("Content")
 
 
@@ -97,10 +96,10 @@ def read_text(path: str | PathLike[str], kind: type[FileError]) -> str:
 
 def read_table(path: str | PathLike[str], kind: type[FileError]) -> tuple[str, str]:
     """
-    Return the text of a file that a spreadsheet may have saved, and a note on its encoding.
+    Return the text of a file that a spreadsheet may have saved, and a note unless it is UTF-8.
 
-    UTF-16 is recognised by its first two bytes. What is not UTF-8 is cp1252, in which Excel saves
-    CSV in Western Europe and America. The note is empty for UTF-8.
+    UTF-16 is recognised by its first two bytes. Otherwise it is cp1252, in which Excel saves CSV in
+    Western Europe and America.
     """
     data = _content(path, kind)
     is_utf_16 = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -130,11 +129,7 @@ def load_file(
 
 
 def reread(load: Callable[[], Content], use: Callable[[Content], str]) -> str:
-    """
-    Load a file again, use its content, and return the line of `use` about what changed.
-
-    A mistake in the file changes nothing, and is the line.
-    """
+    """Load a file again, use it, and return what `use` says, or the mistake in the file."""
     try:
         return use(load())
     except (TypeError, ValueError) as error:

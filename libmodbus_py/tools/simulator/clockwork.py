@@ -13,7 +13,7 @@ import time
 from bisect import bisect_right
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from ...device.mapping import Mapping
 from ...maps.point import Point
@@ -23,18 +23,10 @@ from ...protocol.errors import ServerDeviceFailure
 from ...protocol.mistakes import Path, WrongValue, inside
 from ...protocol.tables import TABLES
 
-__all__ = ["BEHAVIOURS", "Behaviour", "Clockwork", "Counter", "RandomWalk", "SimulatedPoint"]
+__all__ = ["BEHAVIOURS", "Clockwork", "Counter", "RandomWalk", "SimulatedPoint"]
 
 Compute = Callable[[int, float], Any]
 """Function that returns the value with this index in a point, at seconds since the start."""
-
-
-class Behaviour(Protocol):
-    """The movement of a point's values. TypeError, ValueError: an attribute is wrong."""
-
-    def begin(self, point: SimulatedPoint, others: Clockwork) -> Compute:
-        """Return what computes a point's values; raise ValueError if they cannot move this way."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -44,7 +36,7 @@ class SimulatedPoint:
     path: Path  # in the device file
     point: Point  # of records, its address is the first one, and its table has no meaning
     cells: tuple[int, ...] = ()  # at first; none if all are 0
-    behaviour: Behaviour | None = None
+    behaviour: Behaviour | None = None  # how its values move
     moved_by: Path = ()  # the path of the behaviour
     file: int = 0  # the number of the file that contains these records
     is_mapped: bool = False  # the point comes from a register map
@@ -106,12 +98,9 @@ class Clockwork:
         for each in [each for points in self._points.values() for each in points]:
             if each.behaviour is not None:
                 with inside(*each.moved_by):
-                    self._moving[each.table, each.span] = each, self._begun(each, each.behaviour)
-
-    def _begun(self, each: SimulatedPoint, behaviour: Behaviour) -> Compute:
-        if (source := each.point.scale_from) is not None:
-            raise WrongValue.about((), f"a point that {source} scales does not move")
-        return behaviour.begin(each, self)
+                    if (source := each.point.scale_from) is not None:
+                        raise ValueError(f"a point that {source} scales does not move")
+                    self._moving[each.table, each.span] = each, each.behaviour.begin(each, self)
 
     def go_on_from(self, before: Clockwork) -> None:
         """Continue with the start, the seed and the held values of another clockwork."""
@@ -123,8 +112,6 @@ class Clockwork:
         points = self._points[table]
         at = bisect_right(points, address, key=lambda each: each.span.start)
         return next((each for each in points[at - 1 :: -1] if at and address in each.span), None)
-
-    # --- held values ---------------------------------------------------------------------------
 
     def _with(self, table: str, cells: range) -> set[tuple[str, range]]:
         """Return the keys of the moving points that have some of these cells."""
@@ -150,15 +137,8 @@ class Clockwork:
         else:
             self._held -= self._with(table, cells)
 
-    # --- values --------------------------------------------------------------------------------
-
     def refresh(self, table: str, address: int, count: int) -> None:
-        """
-        Compute the values that are about to be read.
-
-        Raises:
-            ServerDeviceFailure: the source of a copy contains no value of its type.
-        """
+        """Compute the values that are about to be read."""
         now, stop = self._clock() - self._start, address + count
         for key in self._with(table, range(address, stop)):
             each, _ = self._moving[key]
@@ -168,7 +148,7 @@ class Clockwork:
                 self._refresh(each, index, now)
 
     def value(self, each: SimulatedPoint, index: int, now: float) -> Any:
-        """Return one value of a point, at a time since the start; nan for no value."""
+        """Return one value of a point, nan for none, or raise ServerDeviceFailure."""
         self._refresh(each, index, now)
         cells = getattr(self._mapping, each.table)[each.slice_of(index)]
         try:
@@ -200,9 +180,6 @@ def _nearest(point: Point, value: Any) -> Any:
 # --- how values move -------------------------------------------------------------------------
 
 Number = int | float
-
-# More waves would make a walk longer than any clock runs.
-MOST_WAVES = 16
 
 # Reading the last copy computes all copies before it.
 MOST_COPIES = 8
@@ -236,21 +213,12 @@ def _limits(simulated: SimulatedPoint, **numbers: Number) -> tuple[Number, Numbe
 
 @dataclass(frozen=True)
 class Counter:
-    """
-    Increases (or decreases) by a step at each interval.
-
-    Attributes:
-        step: the change at each interval; may be negative.
-        interval: seconds from one step to the next, 0.001..86400.
-        start: the first value.
-        wrap: the value, never reached, at which it restarts from `start`; the excess of the
-            last step over it is kept. None is the end of the type; a float then stays at its end.
-    """
+    """Increases (or decreases) by a step at each interval, and keeps what exceeds the wrap."""
 
     step: Number = 1
-    interval: float = 1.0
+    interval: float = 1.0  # seconds
     start: Number = 0
-    wrap: Number | None = None
+    wrap: Number | None = None  # never reached; None is the end of the type, where floats stay
 
     def __post_init__(self) -> None:
         _number("step", self.step)
@@ -283,13 +251,7 @@ class Counter:
 
 @dataclass(frozen=True)
 class Sine:
-    """
-    Swings between two values, from the middle upwards at first.
-
-    Attributes:
-        low, high: the lowest and the highest value.
-        period: seconds from one top to the next, 0.001..86400.
-    """
+    """Swings between two values, from the middle upwards at first; its period is in seconds."""
 
     low: Number
     high: Number
@@ -312,14 +274,11 @@ class Sine:
 @dataclass(frozen=True)
 class RandomWalk:
     """
-    Moves by chance, from the middle on, and turns round at its limits.
+    Moves by chance, from the middle on, by at most a step in each interval of seconds.
 
-    Attributes:
-        low, high: the lowest and the highest value.
-        step: the longest move up or down.
-        interval: seconds from one move to the next, 0.001..86400.
-        seed: makes every start walk the same way, whenever it is read; each value of a
-            run its own.
+    It goes in straight lines from one random value to the next, with a random deviation at each
+    move; each makes up half of the step. So a value depends on nothing but the time and the seed,
+    which makes every start walk the same way; each value of a run its own.
     """
 
     low: Number
@@ -341,40 +300,23 @@ class RandomWalk:
     def begin(self, point: SimulatedPoint, others: Clockwork) -> Compute:
         _limits(point, low=self.low, high=self.high)
         origin = _mixed(list(TABLES).index(point.table), point.span.start)
-        low, high, span = self.low, self.high, self.high - self.low
-        waves = [self.step * 3 / 8]
-        while waves[-1] < span and len(waves) < MOST_WAVES:
-            waves.append(4 * waves[-1])
+        middle, deviation = self.low / 2 + self.high / 2, self.step / 4
+        reach = (self.high - self.low) / 2 - deviation
+        moves_of_line = math.ceil(min(4 * reach / self.step, 1e15)) or 1
 
         def compute(index: int, now: float) -> Number:
-            seed = _mixed(others.seed, origin) if self.seed is None else self.seed
-            way = span / 2 + _way(_mixed(seed, index), int(now / self.interval), waves)
-            # It turns round at the limits, as often as necessary.
-            return min(max(low + abs((way + span) % (2 * span) - span), low), high)
+            seed = _mixed(_mixed(others.seed, origin) if self.seed is None else self.seed, index)
+            move = int(now / self.interval)
+            line, done = divmod(move, moves_of_line)
+            here, there = _share(seed, line), _share(seed, line + 1)
+            way = here + (there - here) * done / moves_of_line
+            value = middle + reach * way + deviation * _share(seed + 1, move)
+            return min(max(value, self.low), self.high)
 
         return compute
 
 
-def _way(seed: int, moves: int, waves: list[float]) -> float:
-    """
-    Return the distance of a walk from its start after a number of moves.
-
-    Random points, joined by straight lines: in the first wave one at each move, and in each
-    next one, which is four times as high, one at every 16th of those before. So it gets four
-    times as far in 16 times the moves, as a walk of single steps does; no move is longer than
-    8/3 of the first wave, and the cost does not depend on the time since the last read.
-    """
-    way = 0.0
-    for wave, height in enumerate(waves):
-        at, rest = divmod(moves, 1 << 4 * wave)
-        here = _height(seed + wave, at)
-        if rest:
-            here += (_height(seed + wave, at + 1) - here) * rest / (1 << 4 * wave)
-        way += height * here
-    return way
-
-
-def _height(seed: int, at: int) -> float:
+def _share(seed: int, at: int) -> float:
     """Return a random number in -1..1; 0 at the start."""
     return _mixed(seed, at) / (1 << 63) - 1 if at else 0.0
 
@@ -390,16 +332,10 @@ def _mixed(seed: int, number: int) -> int:
 @dataclass(frozen=True)
 class Copy:
     """
-    Follows other values: each value of the point is a copy of one of them.
+    Follows other values: each value of the point is a copy of one of them, from an address on.
 
     The number is rounded, and limited to the range of its type. Function 23 reads copies of
     the values before its own write.
-
-    Attributes:
-        address: the address of the first of the other values, 0..65535.
-        table: the table of the other values: "coils", "discrete_inputs", "holding_registers",
-            "input_registers".
-        scale: the factor by which the other value is multiplied.
     """
 
     address: int
@@ -453,10 +389,12 @@ class Copy:
         raise ValueError(f"in {self.table} no value begins at {address}")
 
 
-BEHAVIOURS: dict[str, Callable[..., Behaviour]] = {
+Behaviour = Counter | Sine | RandomWalk | Copy
+
+BEHAVIOURS: dict[str, type[Behaviour]] = {
     "counter": Counter,
     "sine": Sine,
     "random_walk": RandomWalk,
     "copy": Copy,
 }
-"""Name -> class."""
+"""The key of a movement -> its class."""

@@ -27,8 +27,6 @@ from .example_files import map_file
 
 __all__ = ["CONTENTS", "DEFAULTS", "Found", "Maps", "points_of"]
 
-# --- keys --------------------------------------------------------------------------------------
-
 MOVES = Keys(Key(name, keys_of(make).read) for name, make in BEHAVIOURS.items())
 """Kind of movement -> its keys."""
 
@@ -78,20 +76,12 @@ CONTENTS: dict[str, Keys] = {
 }
 """Table -> the keys of its points or records."""
 
-# --- maps --------------------------------------------------------------------------------------
-
 Found = tuple[SimulatedPoint, CellChange | None]
 """A point, and what its first values change; None for zeros."""
 
 
 class Maps:
-    """
-    The register maps of one device file, each read once.
-
-    Args:
-        folder: the folder to which their paths are relative.
-        columns: of all of them, as for `load_map`.
-    """
+    """The register maps of one device file, each read once; paths are relative to its folder."""
 
     def __init__(self, folder: str, columns: Mapping[str, str] | None = None) -> None:
         self._folder = folder

@@ -27,14 +27,8 @@ class Reloader:
     Reads a device file again when it is asked to, or when the file or a register map of it changes.
 
     The file is read in a thread, so clients are answered meanwhile, and their connections stay. A
-    mistake in the file leaves the devices as they were. See `Simulation.going_on_from` for the fate
-    of values that clients wrote.
-
-    Args:
-        server: the server of `simulation`.
-        path: path of the file.
-        is_watching: True to check the files for changes.
-        tell: called in the loop of the server with one line about each reading, or mistake.
+    mistake in the file leaves the devices as they were. `tell` is called in the loop of the server
+    with one line about each reading, or mistake.
     """
 
     def __init__(

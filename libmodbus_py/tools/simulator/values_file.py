@@ -37,16 +37,8 @@ class ValuesFile:
     Keeps the values of devices in a file, which is replaced at most once a second and at the end.
 
     While it exists, no other program can use the file: a second file, with the ending ".lock",
-    is locked. If the file cannot be written, that is said once, and said again when it can.
-
-    Args:
-        path: the file; a file that does not exist holds no values.
-        devices: returns the devices that are served now.
-        tell: called with one line about each failure, in the thread of this object or the caller's.
-
-    Raises:
-        ValueError: the file is used by another program, cannot be read, is damaged, of a newer
-            version or of other devices; no value is taken from it.
+    is locked. `tell` is called in any thread with a line when writing fails first, and when it
+    succeeds again. A ValueError says why the file cannot be used; no value is taken from it then.
     """
 
     def __init__(
@@ -89,8 +81,6 @@ class ValuesFile:
         descriptor, self._lock = self._lock, None
         if descriptor is not None:
             os.close(descriptor)
-
-    # --- the file ------------------------------------------------------------------------------
 
     def _run(self) -> None:
         while not self._is_closed.wait(WRITE_EVERY):

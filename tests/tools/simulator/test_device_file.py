@@ -20,23 +20,10 @@ from tests.tools.simulator.simulated_units import HOLDING, answer, holding, inpu
 
 def test_values_lie_where_the_file_says() -> None:
     device = unit("""
-        [[unit.holding_registers]]
-        address = 65535
-        value = 7
-        [[unit.holding_registers]]
-        address = 0
-        values = [1, 2]
-        [[unit.input_registers]]
-        address = 10
-        count = 3
-        value = 9
-        [[unit.coils]]
-        address = 5
-        values = [true, 0, 1, false]
-        [[unit.discrete_inputs]]
-        address = 5
-        count = 2
-        value = true
+        holding_registers = [{ address = 65535, value = 7 }, { address = 0, values = [1, 2] }]
+        input_registers = [{ address = 10, count = 3, value = 9 }]
+        coils = [{ address = 5, values = [true, 0, 1, false] }]
+        discrete_inputs = [{ address = 5, count = 2, value = true }]
     """)
     assert holding(device, 65535) == [7]
     assert holding(device, 0, 2) == [1, 2]
@@ -102,15 +89,11 @@ def test_a_file_may_come_through_a_pipe() -> None:
 
 def test_units_are_told_apart_and_faults_are_collected() -> None:
     devices, faults = parse("""
-        [[fault]]
-        kind = "no_answer"
-        every = 9
+        fault = [{ kind = "no_answer", every = 9 }]
         [[unit]]
         id = 247
         exception_status = 1
-        [[unit.fault]]
-        kind = "delay"
-        seconds = 2
+        fault = [{ kind = "delay", seconds = 2 }]
         [[unit]]
         id = 0
         exception_status = 2
@@ -146,49 +129,21 @@ def test_every_unit_of_a_file_without_id_is_served(tmp_path: Path) -> None:
 
 
 ACCESS = """
-    [[unit.holding_registers]]
-    address = 0
-    count = 2
-    [[unit.holding_registers]]
-    address = 2
-    count = 2
-    access = "read"
-    [[unit.holding_registers]]
-    address = 4
-    count = 2
-    access = "write"
-    [[unit.holding_registers]]
-    address = 8
-    count = 2
-    access = "read_write"
-    [[unit.coils]]
-    address = 0
-    count = 2
-    [[unit.coils]]
-    address = 2
-    access = "read"
-    [[unit.coils]]
-    address = 3
-    access = "write"
-    [[unit.file]]
-    number = 1
-    record = 0
-    count = 2
-    [[unit.file]]
-    number = 1
-    record = 2
-    access = "read"
-    [[unit.file]]
-    number = 1
-    record = 3
-    access = "write"
-    [[unit.file]]
-    number = 1
-    record = 6
-    [[unit.file]]
-    number = 2
-    record = 3
-"""
+    holding_registers = [
+        { address = 0, count = 2 },
+        { address = 2, count = 2, access = "read" },
+        { address = 4, count = 2, access = "write" },
+        { address = 8, count = 2, access = "read_write" },
+    ]
+    coils = [{ address = 0, count = 2 }, { address = 2, access = "read" }, { address = 3, access = "write" }]
+    file = [
+        { number = 1, record = 0, count = 2 },
+        { number = 1, record = 2, access = "read" },
+        { number = 1, record = 3, access = "write" },
+        { number = 1, record = 6 },
+        { number = 2, record = 3 },
+    ]
+"""  # noqa: E501
 
 # Request -> whether it is executed; neighbours that allow the same are one range.
 REQUESTS = [

@@ -1,28 +1,28 @@
 """
-Device files with names, scales, defaults and register maps: what clients and programs find.
+Device files with names, scales, defaults and register maps: what clients, programs and pages find.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, IllegalDataAddress, Server, load_map, pdu
+from libmodbus_py import Context, IllegalDataAddress, Server, device_file, load_map, pdu
+from libmodbus_py.device_file import DeviceFileError, SimulatedDevice, Simulation, load, parse
+from libmodbus_py.fleet import load as load_fleet
+from libmodbus_py.tools.page.samples import Samples
+from libmodbus_py.tools.page.server_source import set_point
+from libmodbus_py.tools.page.units import ShownUnit, point_rows
 from libmodbus_py.tools.simulator import example_files
-from libmodbus_py.tools.simulator.device_file import (
-    DeviceFileError,
-    SimulatedDevice,
-    Simulation,
-    load,
-    parse,
-)
 from tests.support.cases import each_case
 from tests.tools.simulator.simulated_units import Clock, answer, holding, inputs
 
-MAP = """name,table,address,type,scale,unit,access
+METER = """name,table,address,type,scale,unit,access
 voltage,input,0,uint16,0.1,V,read
 power,input,2,int32,,W,read
 setpoint,holding,0,int16,0.5,°C,read_write
@@ -33,6 +33,8 @@ door,discrete,3,,,,read
 pump,coil,4,,,,read_write
 """
 
+Write = Callable[..., SimulatedDevice]
+
 
 def the(simulation: Simulation) -> SimulatedDevice:
     assert isinstance(simulation.devices, SimulatedDevice)
@@ -40,16 +42,15 @@ def the(simulation: Simulation) -> SimulatedDevice:
 
 
 @pytest.fixture
-def written(tmp_path: Path) -> Callable[[str], Path]:
-    """Writes a device file beside the map."""
-    (tmp_path / "meter.csv").write_text(MAP)
+def made(tmp_path: Path) -> Write:
+    """Returns the device of a file that stands beside a map."""
 
-    def write(text: str) -> Path:
-        path = tmp_path / "device.toml"
-        path.write_text(text)
-        return path
+    def make(text: str, map: str = METER, **options: Any) -> SimulatedDevice:
+        (tmp_path / "map.csv").write_text(map)
+        (tmp_path / "device.toml").write_text(f"[[unit]]\nmap = ['map.csv']\n{text}")
+        return the(load(tmp_path / "device.toml", **options))
 
-    return write
+    return make
 
 
 # --- scales ----------------------------------------------------------------------------------
@@ -77,30 +78,16 @@ def test_values_are_those_that_users_see(content: str, registers: list[int]) -> 
 
 def test_what_moves_is_scaled() -> None:
     clock = Clock()
-    device = the(
-        parse(
-            """
-            [[unit]]
-            [[unit.input_registers]]
-            address = 0
-            scale = 0.1
-            sine = { low = 220, high = 240, period = 4 }
-            [[unit.input_registers]]
-            address = 1
-            scale = 0.5
-            counter = { start = 1.5, step = 0.5, interval = 1 }
-            [[unit.input_registers]]
-            address = 2
-            scale = 0.1
-            counter = { start = 6553.5, step = 0.1, interval = 1 }
-            [[unit.input_registers]]
-            address = 3
-            scale = 0.01
-            copy = { table = "input_registers", address = 0, scale = 0.5 }
-            """,
-            clock=clock,
-        )
-    )
+    text = """
+    [[unit]]
+    input_registers = [
+        { address = 0, scale = 0.1, sine = { low = 220, high = 240, period = 4 } },
+        { address = 1, scale = 0.5, counter = { start = 1.5, step = 0.5, interval = 1 } },
+        { address = 2, scale = 0.1, counter = { start = 6553.5, step = 0.1, interval = 1 } },
+        { address = 3, scale = 0.01, copy = { table = "input_registers", address = 0, scale = 0.5 } },
+    ]
+    """  # noqa: E501
+    device = the(parse(text, clock=clock))
     assert inputs(device, 0, 4) == [2300, 3, 65535, 11500]
     clock.now += 1
     assert inputs(device, 0, 4) == [2400, 4, 65535, 12000]
@@ -108,11 +95,11 @@ def test_what_moves_is_scaled() -> None:
     assert inputs(device, 0, 2) == [2200, 6]
 
 
-# --- names -----------------------------------------------------------------------------------
+# --- names, defaults and meanings ------------------------------------------------------------
 
 
 def test_a_device_knows_its_names_and_points() -> None:
-    simulation = parse("""
+    devices = parse("""
         [[unit]]
         id = 1
         name = "Boiler"
@@ -137,87 +124,96 @@ def test_a_device_knows_its_names_and_points() -> None:
         counter = {}
         [[unit]]
         id = 2
-    """)
-    assert isinstance(simulation.devices, dict)
-    boiler, other = simulation.devices[1], simulation.devices[2]
+    """).devices
+    assert isinstance(devices, dict)
+    boiler, other = devices[1], devices[2]
     assert (boiler.name, boiler.description) == ("Boiler", "in the cellar")
     assert (other.name, other.description, len(other.points)) == ("", "", 0)
     assert set(boiler.points) == {
         *("flow", "holding_registers_100", "discrete_inputs_3", "input_registers_0")
     }
-    flow = boiler.points["flow"]
-    assert (flow.units, flow.scale, flow.count, flow.description) == (
-        "°C",
-        0.1,
-        2,
-        "of the heating",
-    )
+    flow, ticks = boiler.points["flow"], boiler.points["input_registers_0"]
+    assert (flow.units, flow.scale, flow.count) == ("°C", 0.1, 2)
     assert flow.decode(holding(boiler, 7, 2)) == [55.5, 45]
-    other_point = boiler.points["holding_registers_100"]
-    assert (other_point.type, other_point.order, other_point.access) == ("float32", "CDAB", "read")
-    assert boiler.points["discrete_inputs_3"].count == 4
-    assert boiler.points["input_registers_0"].access == "read"
+    float_ = boiler.points["holding_registers_100"]
+    assert (float_.type, float_.order, float_.access, ticks.access) == (
+        *("float32", "CDAB", "read", "read"),
+    )
 
 
-def test_a_range_may_have_the_name_that_another_would_get() -> None:
-    text = "[[unit.coils]]\naddress = 0\n[[unit.coils]]\naddress = 5\nname = 'coils_0'\n"
-    points = the(parse("[[unit]]\n" + text)).points
+def test_names_of_ranges_are_their_own() -> None:
+    text = "[[unit]]\ncoils = [{{ address = 0 {} }}, {{ address = 5, name = '{}' }}]"
+    points = the(parse(text.format("", "coils_0"))).points
     assert {name: point.address for name, point in points.items()} == {"coils_0": 5, "coils_0_": 0}
-
-
-def test_two_ranges_of_one_name_are_a_mistake() -> None:
-    text = "[[unit.coils]]\naddress = 0\nname = 'a'\n[[unit.coils]]\naddress = 5\nname = 'a'\n"
     with pytest.raises(DeviceFileError, match=r"coils\[1\].name: there is already a point a"):
-        parse("[[unit]]\n" + text)
-
-
-# --- defaults --------------------------------------------------------------------------------
+        parse(text.format(", name = 'a'", "a"))
 
 
 def test_defaults_hold_where_nothing_else_is_said() -> None:
-    simulation = parse("""
+    devices = parse("""
         [defaults]
         type = "uint32"
         access = "read"
         [[unit]]
         id = 1
+        coils = [{ address = 0 }]
+        holding_registers = [{ address = 0, value = 1 }, { address = 10, type = "uint16", access = "read_write" }]
+        input_registers = [{ address = 0, counter = { start = 2 } }]
         [unit.defaults]
         order = "CDAB"
-        [[unit.holding_registers]]
-        address = 0
-        value = 1
-        [[unit.holding_registers]]
-        address = 10
-        type = "uint16"
-        access = "read_write"
-        [[unit.input_registers]]
-        address = 0
-        counter = { start = 2 }
-        [[unit.coils]]
-        address = 0
         [[unit]]
         id = 2
-        [[unit.holding_registers]]
-        address = 0
-        value = 1
-    """)
-    assert isinstance(simulation.devices, dict)
-    one, two = simulation.devices[1], simulation.devices[2]
-    assert holding(one, 0, 2) == [1, 0]
-    assert holding(two, 0, 2) == [0, 1]
-    assert inputs(one, 0, 2)[1] == 0
+        holding_registers = [{ address = 0, value = 1 }]
+    """).devices  # noqa: E501
+    assert isinstance(devices, dict)
+    assert (holding(devices[1], 0, 2), holding(devices[2], 0, 2)) == ([1, 0], [0, 1])
+    assert inputs(devices[1], 0, 2)[1] == 0
     for request in (pdu.WriteRegister(0, 5), pdu.WriteCoil(0, True)):
         with pytest.raises(IllegalDataAddress):
-            answer(one, request)
-    answer(one, pdu.WriteRegister(10, 5))
-    assert one.points["holding_registers_0"].order == "CDAB"
+            answer(devices[1], request)
+    answer(devices[1], pdu.WriteRegister(10, 5))
+    assert devices[1].points["holding_registers_0"].order == "CDAB"
+
+
+RANGES = """
+[[unit]]
+holding_registers = [
+    { address = 0, name = "remote", bit = 3, value = true },
+    { address = 0, name = "mode", bit = "4..7", maximum = 9, value = 5 },
+    { address = 1, name = "state", states = { 0 = "off", 1 = "on" }, value = "on" },
+    { address = 2, name = "power", type = "int16", scale_from = "power_sf", value = 1250 },
+    { address = 3, name = "power_sf", type = "int16", value = 1 },
+    { address = 4, name = "clock", type = "date48", time_zone = "Europe/Berlin", value = 2024-07-15T10:00:00Z },
+    { address = 7, name = "faults", bits = { 0 = "door", "4..7" = "code" }, value = { door = true, code = 3 } },
+]
+"""  # noqa: E501
+
+
+def test_ranges_hold_what_their_values_mean() -> None:
+    device = the(parse(RANGES))
+    assert list(device.mapping.holding_registers[0:8]) == [
+        5 << 4 | 1 << 3, 1, 125, 1, 24 << 8 | 7, 15 << 8 | 12, 0, 0x31,
+    ]  # fmt: skip
+    assert {name: device[name] for name in device.points} == {
+        "remote": True,
+        "mode": 5,
+        "state": "on",
+        "power": 1250,
+        "power_sf": 1,
+        "clock": datetime(2024, 7, 15, 10, tzinfo=UTC),
+        "faults": {"door": True, "code": 3},
+    }
+    device.update({"mode": 9})
+    assert (device["remote"], device["mode"]) == (True, 9)
+    with pytest.raises(ValueError, match=r"mode: value must be in \.\.9, not 10"):
+        device["mode"] = 10
 
 
 # --- register maps ---------------------------------------------------------------------------
 
 
-def test_all_points_of_a_map_exist(written: Callable[[str], Path]) -> None:
-    device = the(load(written("[[unit]]\nmap = 'meter.csv'\n")))
+def test_all_points_of_a_map_exist(made: Write) -> None:
+    device = made("")
     assert inputs(device, 0) == [0]
     assert inputs(device, 2, 2) == [0, 0]
     assert holding(device, 10, 2) == [0, 0]
@@ -232,13 +228,12 @@ def test_all_points_of_a_map_exist(written: Callable[[str], Path]) -> None:
     answer(device, pdu.WriteRegister(0, 41))
     assert device.points["setpoint"].decode(holding(device, 0)) == 20.5
     answer(device, pdu.WriteRegister(5, 1))  # one of its two points may be written
-    assert list(device.points) == re.findall(r"^([\w ]+),", MAP, re.MULTILINE)[1:]
+    assert list(device.points) == re.findall(r"^([\w ]+),", METER, re.MULTILINE)[1:]
 
 
-def test_values_and_moves_by_name(written: Callable[[str], Path]) -> None:
-    path = written("""
-        [[unit]]
-        map = ["meter.csv"]
+def test_values_and_moves_by_name(made: Write) -> None:
+    clock = Clock()
+    text = """
         [unit.values]
         power = -966
         setpoint = 21.5
@@ -250,35 +245,117 @@ def test_values_and_moves_by_name(written: Callable[[str], Path]) -> None:
         door = { counter = {} }
         [[unit.holding_registers]]
         address = 99
-    """)
-    clock = Clock()
-    device = the(load(path, clock=clock))
+    """
+    device = made(text, clock=clock)
     assert inputs(device, 0) == [2300]
     clock.now += 1
     assert inputs(device, 0) == [2350]
     assert answer(device, pdu.ReadDiscreteInputs(3, 1)) == [True]
     assert inputs(device, 2, 2) == [0xFFFF, 0x10000 - 966]
-    assert holding(device, 0) == [43]
-    assert holding(device, 5) == [0x8001]
+    assert (holding(device, 0), holding(device, 5)) == ([43], [0x8001])
     assert bytes(b for r in holding(device, 10, 2) for b in divmod(r, 256)) == b"pump"
     assert answer(device, pdu.ReadCoils(4, 1)) == [True]
     assert "holding_registers_99" in device.points
 
 
+BOUNDS = """name,table,address,type,scale,access,minimum,maximum
+setpoint,holding,0,uint16,0.1,read_write,5,30
+total,holding,1,uint32,1,read_write,,70000
+total_low,holding,2,uint16,1,read_write,,
+power,input,0,int16,1,read,,
+"""
+
+MOVING = """
+holding_registers = [{ address = 20, maximum = 100, name = "own" }, { address = 21, counter = {}, name = "ticks" }]
+values = { setpoint = 20 }
+moves = { power = { counter = { start = 5 } } }
+"""  # noqa: E501
+
+
+def test_bounds_of_maps_and_ranges_also_of_points_that_share_cells(made: Write) -> None:
+    device = made(MOVING, BOUNDS)
+    for request, code in (
+        (pdu.WriteRegister(0, 49), 3),
+        (pdu.WriteRegister(0, 50), 0),
+        (pdu.WriteRegister(20, 101), 3),
+        (pdu.WriteRegister(20, 100), 0),
+        (pdu.WriteRegister(21, 0), 2),
+        (pdu.WriteRegister(1, 1), 0),
+        (pdu.WriteRegister(2, 4465), 3),
+        (pdu.WriteRegister(2, 4464), 0),
+    ):
+        response = device.answer(request.encode())
+        assert (response[1] if response[0] & 0x80 else 0) == code
+    assert (device["setpoint"], device["own"]) == (5, 100)
+    assert (device["total"], device["total_low"]) == (70_000, 4464)
+
+
+def test_a_value_that_moves_cannot_be_written_by_another_name_either(made: Write) -> None:
+    device = made("moves = { total = { counter = {} } }", BOUNDS)
+    for address in (1, 2):
+        with pytest.raises(IllegalDataAddress):
+            answer(device, pdu.WriteRegister(address, 1))
+    with pytest.raises(ValueError, match="total_low: the device computes this value itself"):
+        device["total_low"] = 1
+
+
+def test_moving_values_by_name(made: Write) -> None:
+    clock = Clock()
+    device = made(MOVING, BOUNDS, clock=clock)
+    clock.now += 7
+    assert (device["power"], device["ticks"]) == (12, 7)
+    for name in ("power", "ticks"):
+        with pytest.raises(ValueError, match=f"{name}: the device computes this value itself"):
+            device.update({"setpoint": 30, name: 3})
+    assert device["setpoint"] == 20
+    device.update({"setpoint": 30, "own": 3})
+    assert (device["setpoint"], device["own"]) == (30, 3)
+    with pytest.raises(KeyError, match="no point 'setpiont'; did you mean setpoint"):
+        device["setpiont"] = 3
+
+
+MEANINGS = """name,table,address,type,scale from,states,bit,bits,missing
+v,holding,0,int16,v_sf,,,,
+v_sf,holding,1,int16,,,,,
+state,holding,2,,,0 = off; 1 = on,,,
+flag,holding,3,,,,3,,
+mode,holding,3,,,,4..7,,
+flags,holding,4,,,,,0 = door; 1 = alarm,
+level,holding,5,,,,,,0
+"""
+
+
+def test_a_page_shows_and_sets_what_points_mean(made: Write) -> None:
+    values = "v = 230.5, v_sf = -1, state = 'on', flag = true, mode = 5, flags = { alarm = true }"
+    device = made(f"values = {{ {values} }}", MEANINGS)
+    assert device.mapping.holding_registers[0:6] == [2305, 0xFFFF, 1, 0x58, 2, 0]
+    points = device.points
+    unit = ShownUnit(None, device, points=tuple(points.values()))
+
+    def texts() -> list[str]:
+        return [row[0] for row in point_rows(unit, 0, 100, lambda *_: Samples()).values()]
+
+    assert texts() == ["230.5", "-1", "on", "on", "5", "door=0 alarm=1", "- (Missing)"]
+    for name, text in (("mode", "2"), ("state", "off"), ("flags", "door=1"), ("v_sf", "0")):
+        set_point(unit, points[name], text)
+    assert texts() == ["2305", "0", "off", "on", "2", "door=1 alarm=1", "- (Missing)"]
+    assert device.mapping.holding_registers[3] == 0x28
+    with pytest.raises(ValueError, match="value must be one of off, on, or a number, not 'up'"):
+        set_point(unit, points["state"], "up")
+
+
+# --- what comes with the package -------------------------------------------------------------
+
+
 def test_a_client_reads_the_example_by_its_map() -> None:
-    path = example_files.path_of("meter")
-    simulation = load(path)
+    simulation = load(example_files.path_of("meter"))
     assert not any(simulation.faults.values())  # the first device of a new user
     with (
         Server(*simulation).background("tcp://127.0.0.1:0") as running,
         Context.from_url(running.urls[0], unit=1) as client,
     ):
         found = client.read_map(the(simulation).points)
-        assert found["power"] == 966
-        assert found["current"] == 4.2
-        assert found["frequency"] == 50.02
-        assert found["label"] == "cellar"
-        assert found["temperature"] == 21.5
+        assert (found["power"], found["current"], found["label"]) == (966, 4.2, "cellar")
         assert 225 <= found["voltage"] <= 235.5
         client.write_map(the(simulation).points, {"alarm_limit": 250.5})
         assert client.read_holding_registers(0, 1) == [2505]
@@ -294,3 +371,37 @@ def test_examples_are_described_and_can_be_loaded() -> None:
         load(example_files.path_of(name))
     with pytest.raises(ValueError, match=r"no example 'plants'; there are .*meter, .*plant"):
         example_files.path_of("plants")
+
+
+FLEET = '[[device]]\nname = "a"\nurl = "tcp://127.0.0.1"\nmap = "{name}"\n'
+
+FORMS: dict[str, tuple[str, Callable[[Path], Any]]] = {
+    "fleet file": (FLEET, lambda path: load_fleet(path).devices[0].map),
+    "device file": (
+        '[[unit]]\nid = 1\nmap = "{name}"\n',
+        lambda path: device_file.load(path).devices[1].points,
+    ),
+    "list of devices": (
+        'devices = "list.csv"\n',
+        lambda path: load_fleet(path).devices[0].map,
+    ),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_map_of_the_package_has_its_name_and_others_their_ending(
+    form: str, tmp_path: Path
+) -> None:
+    (tmp_path / "sdm120.csv").write_text("name,table,address\nown,holding_registers,7\n")
+
+    def names(map: str) -> set[str]:
+        text, read = FORMS[form]
+        (tmp_path / "file.toml").write_text(text.replace("{name}", map))
+        (tmp_path / "list.csv").write_text(f"name,url,map\na,tcp://127.0.0.1,{map}\n")
+        return set(read(tmp_path / "file.toml"))
+
+    assert names("sdm120") == set(load_map(example_files.map_file("sdm120")))
+    assert names("sdm120.csv") == {"own"}
+    said = r"'sdm12' is neither the path of a register map.* the examples are abb_b23, .*sdm120"
+    with pytest.raises(ValueError, match=rf"{re.escape(str(tmp_path))}.*map: {said}"):
+        names("sdm12")

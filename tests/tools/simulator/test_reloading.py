@@ -23,7 +23,7 @@ from libmodbus_py.tools.simulator.device_file import SimulatedDevice, load, pars
 from libmodbus_py.tools.simulator.reloading import Reloader
 from libmodbus_py.tools.simulator.simulated import Simulation
 from tests.support.cases import each_case
-from tests.support.commands import Started, run
+from tests.support.commands import Started
 from tests.tools.simulator.simulated_units import Clock
 
 PLAIN = """
@@ -356,29 +356,3 @@ def test_a_file_that_changes_is_read_again_with_reload(path: Path) -> None:
         other.write_text(PLAIN.replace("[1, 2]", "[8, 9]"))
         other.rename(path)
         until(lambda: client.read_holding_registers(0, 1) == [8])
-
-
-def test_an_example_is_served() -> None:
-    with (
-        command("--example", "plant") as (process, url),
-        Context.from_url(url, unit=1) as client,
-    ):
-        assert client.read_holding_registers(100, 3) == [555, 0, 100]
-        process.send_signal(signal.SIGTERM)
-        assert process.wait() == 0
-
-
-@each_case(
-    ("arguments", "code", "told"),
-    [
-        (["--example"], 0, " An electricity meter, "),
-        (["--example", "plants"], 2, "there is no example 'plants'; there are "),
-        (["--example", "plant", "--device", "x"], 2, "not allowed with argument"),
-        (["tcp://127.0.0.1:0", "--reload"], 2, "--reload needs --device"),
-    ],
-)
-def test_what_serve_says_without_serving(arguments: list[str], code: int, told: str) -> None:
-    done = run("serve", *arguments)
-    assert done.code == code
-    assert told in (done.err if code else done.out)
-    assert done.err.count("\n") == (1 if code else 0)

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Device, Mapping, device_file, pdu
+from libmodbus_py import device_file, pdu
 from libmodbus_py.tools.simulator.values_file import ValuesFile
 from tests.support.cases import each_case
 from tests.tools.simulator.simulated_units import Clock
@@ -146,67 +146,6 @@ def test_values_of_another_device_are_refused(
     assert first == {unit: list(each.mapping.holding_registers) for unit, each in units.items()}
     assert (folder / "state").read_bytes() == before
     kept(folder, plant(folder)).close()  # and the lock is free
-
-
-def test_another_type_at_the_same_place_is_another_device(folder: Path) -> None:
-    after_a_write(folder)
-    (folder / "map.csv").write_text(MAP.replace("0,uint16", "0,int16"))
-    with pytest.raises(ValueError, match=r"units.1.points.setpoint must be \[.*'int16'"):
-        kept(folder, plant(folder))
-    (folder / "map.csv").write_text(MAP.replace("0.1", "0.01") + "more,coil,9,,\n")
-    kept(folder, plant(folder)).close()  # scales and new points do not matter
-
-
-@each_case(
-    ("change", "message"),
-    [
-        (('"2": {', '"1": {'), "1: occurs twice"),
-        (('"0": [215]', '"0": [1], "0": [215]'), "0: occurs twice"),
-        (('"setpoint": [', '"setpoint": [], "setpoint": ['), "setpoint: occurs twice"),
-        (('"version": 1', '"version": 9, "version": 1'), "version: occurs twice"),
-    ],
-)
-def test_a_key_that_is_there_twice_is_refused(
-    change: tuple[str, str], message: str, folder: Path
-) -> None:
-    (folder / "state").unlink(missing_ok=True)
-    after_a_write(folder)
-    text = (folder / "state").read_text()
-    assert change[0] in text
-    (folder / "state").write_text(text.replace(*change, 1))
-    units = plant(folder)
-    with pytest.raises(ValueError, match=message):
-        kept(folder, units)
-    assert units[1]["setpoint"] == 20
-
-
-def test_half_a_file_is_refused_wherever_it_ends(folder: Path) -> None:
-    after_a_write(folder)
-    data = (folder / "state").read_bytes()
-    for length in range(0, len(data) - 1, 7):
-        (folder / "state").write_bytes(data[:length])
-        units = plant(folder)
-        with pytest.raises(ValueError, match="state: line "):
-            kept(folder, units)
-        assert units[1]["setpoint"] == 20
-
-
-def test_a_plain_device(folder: Path) -> None:
-    def everything() -> Device:
-        return Device(Mapping(65536, 65536, 65536, 65536), files={1: [0] * 10_000})
-
-    device = everything()
-    file = kept(folder, device)
-    file.start()
-    device.mapping.holding_registers[:] = [address ^ 0x5555 for address in range(65536)]
-    device.mapping.coils[65535] = True
-    device.files[1][9999] = 1
-    file.close()
-    other = everything()
-    kept(folder, other).close()
-    assert other.mapping.holding_registers[:] == device.mapping.holding_registers[:]
-    assert other.mapping.coils[65535] is True
-    assert other.files[1][9999] == 1
 
 
 def test_only_changes_are_written(folder: Path) -> None:
