@@ -172,10 +172,9 @@ class Polling:
         self._woken.set()
 
     def _write(self, put: Put) -> None:
-        if self._client.is_connected:
-            task = asyncio.create_task(self._written(put))
-            self._writes.add(task)
-            task.add_done_callback(self._writes.discard)
+        task = asyncio.create_task(self._written(put))
+        self._writes.add(task)
+        task.add_done_callback(self._writes.discard)
 
     async def _written(self, put: Put) -> None:
         try:

@@ -13,7 +13,8 @@ from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.engine.connection import EngineError, EngineGone
 from libmodbus_py.services.workers.pushing import Pushed, connections_of, push, seen_now
 from libmodbus_py.services.workers.records import SETTINGS, FleetSettings
-from tests.services.workers.memory_engine import MemoryBucket, now, simulated
+from tests.simulation.engine import Engine
+from tests.simulation.network import Network
 
 LEASE = 10.0
 MAP = RegisterMap([Point("level", "holding_registers", 0)])
@@ -27,60 +28,75 @@ async def pushed(bucket: Any, *devices: DeviceConfig, lease: float = LEASE) -> P
     return await push(bucket, FleetSettings(lease), connections_of(devices, lease))
 
 
-@simulated
-async def test_only_what_differs_is_written_and_counted() -> None:
-    bucket = MemoryBucket()
-    assert await pushed(bucket) == Pushed(0, 0, 0)
-    assert bucket.values.keys() == {SETTINGS}
-    assert await pushed(bucket, *map(device, range(1, 4))) == Pushed(3, 0, 0)
-    assert len(bucket.puts) == 4  # the settings, too
-    assert await pushed(bucket, *map(device, range(1, 4))) == Pushed(0, 0, 0)
-    assert len(bucket.puts) == 4
-    changed = device(2, interval=60)
-    assert await pushed(bucket, device(1), changed, device(4), device(5)) == Pushed(2, 1, 1)
-    assert len(bucket.puts) == 8
-    assert bucket.puts[-1][1] is None  # deletions come last
-    assert await pushed(bucket, device(3)) == Pushed(1, 0, 4)
-    assert await pushed(bucket, device(3), lease=20.0) == Pushed(0, 0, 0)
-    assert bucket.puts[-1][0] == SETTINGS
-    assert bucket.watches == []
+def test_only_what_differs_is_written_and_counted() -> None:
+    network = Network()
+    engine = Engine(network)
+
+    async def main() -> None:
+        client = engine.client()
+        bucket = engine.bucket(client)
+        assert engine.latest is not None
+        assert await pushed(bucket) == Pushed(0, 0, 0)
+        assert engine.latest.keys() == {SETTINGS}
+        for expected in (Pushed(3, 0, 0), Pushed(0, 0, 0)):
+            assert await pushed(bucket, *map(device, range(1, 4))) == expected
+            assert engine.revision == 4  # the settings, too
+        changed = device(2, interval=60)
+        assert await pushed(bucket, device(1), changed, device(4), device(5)) == Pushed(2, 1, 1)
+        assert engine.revision == 8
+        last = max(engine.latest.values(), key=lambda each: each.revision)
+        assert last.value is None  # deletions come last
+        assert await pushed(bucket, device(3)) == Pushed(1, 0, 4)
+        assert await pushed(bucket, device(3), lease=20.0) == Pushed(0, 0, 0)
+        assert engine.latest[SETTINGS].revision == engine.revision
+        many = [device(host) for host in range(1, 131)]
+        assert (await pushed(bucket, *many)).new == 129
+        assert len((await seen_now(bucket)).all_connections) == 130
+        await client.close()
+
+    network.run(main)
 
 
-@simulated
-async def test_nothing_is_pushed_where_others_do_at_the_same_time() -> None:
-    bucket = MemoryBucket()
-    put = bucket.put
+def test_nothing_is_pushed_where_others_do_at_the_same_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    network = Network()
+    engine = Engine(network)
+    put, leases = engine.put, iter(range(11, 99))
 
-    async def overtaken(key: str, value: bytes | None, last: int) -> int:
-        bucket.write(SETTINGS, FleetSettings(LEASE + len(bucket.puts) + 1).encode())
-        return await put(key, value, last)
+    def overtaken(*given: Any) -> None:
+        engine.write(SETTINGS, FleetSettings(next(leases)).encode())
+        put(*given)
 
-    bucket.put = overtaken  # type: ignore[method-assign]
-    with pytest.raises(EngineError, match="other programs change the bucket"):
-        await pushed(bucket)
-    assert len(bucket.puts) == 5
+    async def main() -> None:
+        client = engine.client()
+        monkeypatch.setattr(engine, "put", overtaken)
+        with pytest.raises(EngineError, match="other programs change the bucket"):
+            await pushed(engine.bucket(client))
+        assert next(leases) == 16  # after five attempts
+        await client.close()
 
-
-@simulated
-async def test_many_are_written_at_once_and_none_is_left_out() -> None:
-    bucket = MemoryBucket()
-    devices = [device(host) for host in range(1, 131)]
-    assert await pushed(bucket, *devices) == Pushed(130, 0, 0)
-    assert len(bucket.puts) == 131
-    view = await seen_now(bucket)  # type: ignore[arg-type]
-    assert len(list(view.all_connections)) == 130
+    network.run(main)
 
 
-@simulated
-async def test_a_bucket_that_does_not_arrive_is_given_up_after_ten_seconds() -> None:
-    bucket = MemoryBucket()
-    bucket.is_mute = True
-    begun = now()
-    given: Any = bucket
-    with pytest.raises(EngineGone, match="within 10 s"):
-        await seen_now(given)
-    assert now() - begun == pytest.approx(10.0, abs=0.1)
-    assert bucket.watches == []
+def test_a_bucket_that_does_not_arrive_is_given_up_after_ten_seconds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    network = Network()
+    engine = Engine(network)
+    engine.write(SETTINGS, FleetSettings(LEASE).encode())
+    monkeypatch.setattr(engine, "_feed", lambda consumer: None)
+
+    async def main() -> None:
+        client = engine.client()
+        begun = network.events.now
+        with pytest.raises(EngineGone, match="within 10 s"):
+            await seen_now(engine.bucket(client))
+        assert network.events.now - begun == pytest.approx(10.0, abs=0.1)
+        await client.close()
+
+    network.run(main)
+    assert engine._consumers == []
 
 
 def test_devices_of_a_connection_are_together() -> None:
@@ -97,7 +113,7 @@ def test_an_answer_may_take_three_tenths_of_a_lease() -> None:
         connections_of([device(1, timeout=3.01)], LEASE)
 
 
-@pytest.mark.parametrize("zone", ["a.b", "a b", "*", ">"])
+@pytest.mark.parametrize("zone", ["a.b", "a b", "*", ">", "a" * 61])
 def test_a_zone_that_is_no_key_is_refused(zone: str) -> None:
     with pytest.raises(ValueError, match="zone"):
         connections_of([device(1, zone=zone)], LEASE)

@@ -1,16 +1,15 @@
 """
-What `fleet status` says, of a bucket in memory.
+What `fleet status` says, of a bucket on a simulated server.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
-from libmodbus_py.services.engine.buckets import Bucket
 from libmodbus_py.services.engine.connection import EngineError
 from libmodbus_py.services.fleet.config import devices_to_json
 from libmodbus_py.services.workers.records import (
@@ -21,8 +20,9 @@ from libmodbus_py.services.workers.records import (
     digest_of,
 )
 from libmodbus_py.services.workers.status import fleet_status, is_polled, tables
-from tests.services.workers.memory_engine import MemoryBucket, now, run
 from tests.services.workers.simulated import encode_holder
+from tests.simulation.engine import Engine
+from tests.simulation.network import Network
 
 LEASE = 8.0
 
@@ -39,39 +39,52 @@ def member(id: str, *, beat: int = 1, state: Any = "here", report: Any = REPORT)
     return Member(id, state, ("", "north"), LEASE, beat, 0, report)
 
 
-def plant() -> MemoryBucket:
+def plant() -> tuple[Network, Engine]:
     """Three workers, of whom one is silent and one has ended; connections in three zones."""
-    bucket = MemoryBucket()
-    bucket.write(SETTINGS, FleetSettings(LEASE).encode())
-    for each in (connection("", 1), connection("north", 2), connection("south", 3)):
-        bucket.write(each.bucket_key, each.encode())
+    network, engine = empty()
     for each in (
-        member("alive.1"),
-        member("silent.2"),
-        member("ended.3", state="ended"),
+        *(connection("", 1), connection("north", 2), connection("south", 3)),
+        *(member("alive.1"), member("silent.2"), member("ended.3", state="ended")),
     ):
-        bucket.write(each.bucket_key, each.encode())
+        engine.write(each.bucket_key, each.encode())
     for zone, host, worker in (("", 1, "alive.1"), ("north", 2, "silent.2")):
         slot = connection(zone, host).slot
-        bucket.write(slot.key, encode_holder(worker, worker))
-    bucket.write("worker.odd.4", b"{}")
-    return bucket
+        engine.write(slot.key, encode_holder(worker, worker))
+    engine.write("worker.odd.4", b"{}")
+    return network, engine
 
 
-async def seen(bucket: MemoryBucket, *, report: Any = REPORT) -> tuple[dict[str, Any], float]:
-    """Look at the fleet while one of its workers tells of itself; give how long that took too."""
-    began = now()
-    looking = asyncio.create_task(fleet_status(cast(Bucket, bucket)))
-    await asyncio.sleep(1.0)
-    told = member("alive.1", beat=2, report=report)
-    # Others may write a NaN, which this package refuses to write.
-    bucket.write(told.bucket_key, told.encode().replace(b'"NaN"', b"NaN"))
-    return await looking, now() - began
+def empty(settings: bytes | None = FleetSettings(LEASE).encode()) -> tuple[Network, Engine]:
+    network = Network()
+    engine = Engine(network)
+    if settings:
+        engine.write(SETTINGS, settings)
+    return network, engine
+
+
+def seen(network: Network, engine: Engine, report: Any = REPORT) -> dict[str, Any]:
+    """Look at the fleet for a quarter of a lease, while one of its workers tells of itself."""
+
+    async def main() -> dict[str, Any]:
+        client = engine.client()
+        looking = asyncio.create_task(fleet_status(engine.bucket(client)))
+        await asyncio.sleep(1.0)
+        told = member("alive.1", beat=2, report=report)
+        # Others may write a NaN, which this package refuses to write.
+        engine.write(told.bucket_key, told.encode().replace(b'"NaN"', b"NaN"))
+        try:
+            return await looking
+        finally:
+            await client.close()
+
+    began = network.events.now
+    status: dict[str, Any] = network.run(main)
+    assert network.events.now - began == pytest.approx(LEASE / 4, abs=0.1)
+    return status
 
 
 def test_workers_zones_and_sums() -> None:
-    status, took = run(seen(plant()))
-    assert took == pytest.approx(LEASE / 4)
+    status = seen(*plant())
     assert [(each["id"], each["state"], each["slots"]) for each in status["workers"]] == [
         ("alive.1", "here", 1),
         ("ended.3", "ended", 0),
@@ -99,16 +112,15 @@ def test_workers_zones_and_sums() -> None:
 def test_what_no_worker_can_read_is_a_part_that_is_not_polled(
     zone: str, value: object, why: str
 ) -> None:
-    bucket = MemoryBucket()
-    bucket.write(SETTINGS, FleetSettings(LEASE).encode())
+    network, engine = empty()
     first = connection("", 1)
-    bucket.write(first.bucket_key, first.encode())
-    bucket.write(first.slot.key, encode_holder("alive.1", "alive.1"))
+    engine.write(first.bucket_key, first.encode())
+    engine.write(first.slot.key, encode_holder("alive.1", "alive.1"))
     if value:
         slot = Connection(zone, KEY, 1.0, "{}").slot
-        bucket.write(f"connection.{zone or '_'}.{digest_of(KEY)}", json.dumps(value).encode())
-        bucket.write(slot.key, encode_holder("alive.1", "alive.1"))
-    status, _ = run(seen(bucket))
+        engine.write(f"connection.{zone or '_'}.{digest_of(KEY)}", json.dumps(value).encode())
+        engine.write(slot.key, encode_holder("alive.1", "alive.1"))
+    status = seen(network, engine)
     assert is_polled(status) == (not value)
     assert len(status["unreadable"]) == bool(value)
     if value:
@@ -118,7 +130,7 @@ def test_what_no_worker_can_read_is_a_part_that_is_not_polled(
 
 
 def test_tables_say_the_same_to_be_read() -> None:
-    status, _ = run(seen(plant()))
+    status = seen(*plant())
     status["workers"][0]["zones"] = ["east", "north"]
     status["workers"][1]["id"] = "e" * 30
     status["zones"]["z" * 30] = status["zones"].pop("south")
@@ -139,7 +151,7 @@ unreadable: worker.odd.4: zones is missing"""
 
 
 def test_numbers_of_a_report_that_are_none_count_as_nothing() -> None:
-    status, _ = run(seen(plant(), report={"polls": "many", "up": "NaN", "down": 2}))
+    status = seen(*plant(), report={"polls": "many", "up": "NaN", "down": 2})
     numbers = {"connections": 0, "devices": 0, "up": 0, "down": 2, "polls": 0}
     assert status["workers"][0].items() >= numbers.items()
 
@@ -152,9 +164,6 @@ def test_numbers_of_a_report_that_are_none_count_as_nothing() -> None:
     ],
 )
 def test_a_bucket_without_a_fleet(settings: bytes | None, said: str) -> None:
-    bucket = MemoryBucket()
-    if settings:
-        bucket.write(SETTINGS, settings)
     with pytest.raises(EngineError) as refused:
-        run(fleet_status(cast(Any, bucket)))
-    assert str(refused.value) == f"{bucket.name}: {said}"
+        seen(*empty(settings))
+    assert str(refused.value) == f"modbus-fleet: {said}"
