@@ -20,8 +20,7 @@ from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.cases import each_case
 from tests.support.commands import Started, on_terminal, run
 from tests.support.peers import FakeServer, mbap, refusing, until, url_of
-from tests.tools.scan.serial_bus import Member, of
-from tests.tools.scan.simulated_bus import SimulatedBus, simulated
+from tests.tools.scan.simulated_bus import Member, SimulatedBus, of, simulated
 
 
 @pytest.fixture

@@ -5,19 +5,77 @@ own settings, and peers on a network that answer what they are told.
 
 from __future__ import annotations
 
+import os
+import termios
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Any
+from contextlib import ExitStack, contextmanager, suppress
+from typing import Any, NamedTuple
 
-from libmodbus_py import Device, framing
+from libmodbus_py import Device, Server, framing
 from libmodbus_py.device.caller import Caller
 from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.lines import MemorySerialPort, Party
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
-from tests.tools.scan.serial_bus import Member
+from tests.support.peers import until
 
-__all__ = ["SimulatedBus", "answering", "served", "simulated"]
+__all__ = ["Member", "SimulatedBus", "answering", "line", "of", "served", "simulated"]
+
+# A request PDU -> the answer PDU, or None for silence; EOFError takes the port away.
+Answer = Callable[[bytes], bytes | None]
+
+
+class Member(NamedTuple):
+    """
+    One device.
+
+    Attributes:
+        answer: what it answers.
+        baudrate, stop_bits: at which it is heard.
+        after: seconds that it takes.
+        garbles: whether it is heard at other settings, too, as damaged bytes.
+    """
+
+    answer: Answer
+    baudrate: int
+    stop_bits: int = 1
+    after: float = 0.0
+    garbles: bool = False
+
+
+def of(device: Device) -> Answer:
+    """Let a device of ours answer."""
+    return lambda pdu: device.answer(pdu, Caller(1, "test"))
+
+
+@contextmanager
+def line(units: dict[int, Device]) -> Iterator[SerialWire]:
+    """A pseudo-terminal with units; whoever scans it restores its settings and closes it."""
+    with SerialWire() as wire, ExitStack() as stack:
+        if units:
+            stack.enter_context(Server(units).background(f"rtu://{wire.server}"))
+        before = _settings(wire.client), _open_at(wire.client)
+        yield wire
+        if os.path.exists(wire.client):  # else it was unplugged
+            until(lambda: (_settings(wire.client), _open_at(wire.client)) == before)
+
+
+def _settings(path: str) -> list[Any]:
+    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        return termios.tcgetattr(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _open_at(path: str) -> int:
+    """Return how often this process has a port open."""
+    found = 0
+    for each in os.listdir("/proc/self/fd"):
+        with suppress(OSError):
+            found += os.readlink(f"/proc/self/fd/{each}") == path
+    return found
 
 
 @contextmanager
@@ -30,7 +88,7 @@ def simulated(seed: int = 1) -> Iterator[Network]:
 
 class SimulatedBus(Party):
     """
-    Units on a line in memory, as `serial_bus.Bus` has them on a pseudo-terminal.
+    Units on a line in memory, of which each hears only what is sent at its own settings.
 
     Attributes:
         url: of the line.

@@ -5,12 +5,11 @@ Who answers where: real pseudo-terminals and sockets, and peers of every kind.
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
 import socket
 import subprocess
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +20,16 @@ from libmodbus_py.scan import Found, Scan, scan
 from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.interop import program
-from tests.support.peers import FakeServer, dead, mbap, refusing, until, url_of
-from tests.tools.scan.serial_bus import Bus, Member, of
-from tests.tools.scan.simulated_bus import SimulatedBus, answering, served, simulated
+from tests.support.peers import FakeServer, dead, mbap, refusing, url_of
+from tests.tools.scan.simulated_bus import (
+    Member,
+    SimulatedBus,
+    answering,
+    line,
+    of,
+    served,
+    simulated,
+)
 
 QUICK = 0.05  # seconds for the answer of somebody who is not there
 PATIENT = 1.0  # for one who is, on a busy machine
@@ -49,22 +55,6 @@ def all_of(scanned: Scan) -> list[Found]:
 def only_read(pdus: list[bytes]) -> bool:
     """No function that writes, and of 8 and 43 none that changes anything."""
     return all(each[0] in READING and (each[0] != 43 or each[1] == 14) for each in pdus)
-
-
-@contextlib.contextmanager
-def descriptors(*, sockets: bool = False) -> Iterator[None]:
-    """None is left over; a device that answers in the thread of a bus has sockets of its own."""
-
-    def count() -> int:
-        links = []
-        for each in os.listdir("/proc/self/fd"):
-            with contextlib.suppress(OSError):
-                links.append(os.readlink(f"/proc/self/fd/{each}"))
-        return sum(sockets or not link.startswith("socket:") for link in links)
-
-    before = count()
-    yield
-    until(lambda: count() <= before)
 
 
 # --- a line ------------------------------------------------------------------------------
@@ -151,13 +141,10 @@ def test_a_line_that_never_falls_silent_is_left_soon() -> None:
 
 
 def test_a_port_that_vanishes_ends_it_with_what_was_found() -> None:
-    def unplug(pdu: bytes) -> None:
-        raise EOFError
-
-    members = {1: Member(of(meter()), 9600, 2), 3: Member(unplug, 9600, 2)}
-    with Bus(members) as bus, descriptors():
-        scanned = scan(bus.url, baudrates=[9600], parities=["N"], timeout=0.2)
+    with line({1: meter()}) as wire:
+        scanned = scan(f"rtu://{wire.client}", baudrates=[9600], parities="N", timeout=PATIENT)
         assert next(scanned).unit == 1
+        wire.unplug()
         with pytest.raises(ModbusConnectionError):
             next(scanned)
         with pytest.raises(StopIteration):
@@ -173,12 +160,13 @@ def test_a_rate_that_the_port_cannot_do_is_passed_over(monkeypatch: pytest.Monke
         raise OSError(22, f"baudrate {baudrate} refused")
 
     monkeypatch.setattr(serial, "set_odd_baudrate", refuse)
-    with Bus({1: Member(of(meter()), 9600, 2)}) as bus, descriptors():
-        scanned = scan(bus.url, baudrates=[12345, 9600], parities="N", units=[1], timeout=0.2)
+    with line({1: meter()}) as wire:
+        url = f"rtu://{wire.client}"
+        scanned = scan(url, baudrates=[12345, 9600], parities="N", units=[1], timeout=PATIENT)
         assert [at(each) for each in all_of(scanned)] == [(1, 9600, "N", 2)]
         assert "12345" in scanned.notes[0]
         with pytest.raises(ModbusConnectionError, match="refused"):
-            next(scan(bus.url, baudrates=[12345], units=[1]))
+            next(scan(url, baudrates=[12345], units=[1]))
 
 
 # --- networks ----------------------------------------------------------------------------
@@ -321,24 +309,23 @@ def _port(process: subprocess.Popen[str]) -> int:
 
 
 def test_it_can_be_left_at_any_time() -> None:
-    members = {each: Member(of(meter()), 9600, 2) for each in (1, 2, 3)}
-    with Bus(members) as bus, descriptors():
-        for found in scan(bus.url, baudrates=[9600], parities="N", timeout=0.2):
+    with line({each: meter() for each in (1, 2, 3)}) as wire:
+        url = f"rtu://{wire.client}"
+        for found in scan(url, baudrates=[9600], parities="N", timeout=PATIENT):
             assert found.unit == 1
             break
         del found
-        until(lambda: bus.is_restored)
-        scanned = scan(bus.url, baudrates=[9600], parities="N", timeout=0.2)
+    with line({1: meter()}) as wire:
+        scanned = scan(f"rtu://{wire.client}", baudrates=[9600], parities="N", timeout=PATIENT)
         next(scanned)
         scanned.close()
         scanned.close()
-        assert bus.is_restored
         assert list(scanned) == []
 
 
 def test_it_can_be_closed_from_a_signal_handler() -> None:
-    with Bus({}) as bus, descriptors():
-        scanned = scan(bus.url, baudrates=[9600], parities="N", timeout=60)
+    with line({}) as wire:
+        scanned = scan(f"rtu://{wire.client}", baudrates=[9600], parities="N", timeout=60)
         before = signal.signal(signal.SIGALRM, lambda *_: scanned.close())
         try:
             signal.setitimer(signal.ITIMER_REAL, 0.2)
@@ -346,7 +333,6 @@ def test_it_can_be_closed_from_a_signal_handler() -> None:
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, before)
-        assert bus.is_restored
 
 
 def test_what_is_told_of_progress() -> None:
@@ -367,12 +353,11 @@ def test_what_the_callback_raises_ends_it_well() -> None:
     def fail(progress: object) -> None:
         raise KeyboardInterrupt
 
-    with Bus({}) as bus, descriptors():
-        scanned = scan(bus.url, on_progress=fail)
+    with line({}) as wire:
+        scanned = scan(f"rtu://{wire.client}", on_progress=fail)
         with pytest.raises(KeyboardInterrupt):
             next(scanned)
-        assert bus.is_restored
-        assert bus.asked == []
+    assert scanned.requests == 0
 
 
 # --- what is told wrong --------------------------------------------------------------------

@@ -21,8 +21,7 @@ from tests.simulation.scripted import Scripted
 from tests.support.interop import program
 from tests.support.peers import FakeServer, mbap, refusing, url_of
 from tests.tools.scan import simulated_bus as peers
-from tests.tools.scan.serial_bus import Bus, Member, of
-from tests.tools.scan.simulated_bus import simulated
+from tests.tools.scan.simulated_bus import line, simulated
 
 PATIENT = 1.0
 
@@ -110,14 +109,11 @@ def test_ranges_with_holes_are_found(scheme: str) -> None:
 
 
 def test_ranges_are_found_on_a_line() -> None:
-    device = Device(Mapping(holding_registers=range(100, 300)))
-    with Bus({17: Member(of(device), 115200, 1)}) as bus:
-        url = f"{bus.url}?baudrate=115200&unit=17&timeout=0.5"
-        searched = search(url, most_requests=400)
+    with line({17: Device(Mapping(holding_registers=range(100, 300)))}) as wire:
+        searched = search(f"rtu://{wire.client}?baudrate=115200&unit=17", most_requests=400)
         assert ranges(searched)["holding_registers"] == [range(100, 300)]
-        assert bus.is_restored
-        assert {asked[2][0] for asked in bus.asked} == {1, 2, 3, 4}
-        assert len(bus.asked) == searched.requests <= 400
+        assert searched.requests <= 400
+        assert set(wire.sent_by("client")[1::8]) == {1, 2, 3, 4}  # functions that read
 
 
 def test_a_table_without_its_function_takes_one_request() -> None:

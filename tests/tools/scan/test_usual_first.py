@@ -10,8 +10,7 @@ from libmodbus_py import Device, Mapping
 from libmodbus_py.scan import scan
 from libmodbus_py.tools.scan.probe import FIRST_UNITS, USUAL_UNITS
 from libmodbus_py.tools.scan.scan import Progress
-from tests.tools.scan.serial_bus import Member, of
-from tests.tools.scan.simulated_bus import SimulatedBus, simulated
+from tests.tools.scan.simulated_bus import Member, SimulatedBus, of, simulated
 
 TIMEOUT = 0.05
 
