@@ -95,20 +95,10 @@ class SteadyClient(Client):
     def _build_message(
         self, sid: int, subject: bytes, reply: bytes, data: bytes, headers: dict[str, str] | None
     ) -> Msg:
-        message: Msg = super()._build_message(sid, _text(subject), _text(reply), data, headers)
+        # No name of a fleet is spelled with replaced characters.
+        subject, reply = (each.decode(errors="replace").encode() for each in (subject, reply))
+        message: Msg = super()._build_message(sid, subject, reply, data, headers)
         return message
-
-
-def _text(name: bytes) -> bytes:
-    """Return a subject as UTF-8; no name of a fleet is spelled with replaced characters."""
-    return name.decode(errors="replace").encode()
-
-
-def _object(text: bytes) -> dict[str, Any]:
-    found = json.loads(text)
-    if not isinstance(found, dict):
-        raise ValueError(f"must be an object, not {text[:40]!r}")
-    return found
 
 
 class _Lines(Parser):
@@ -164,7 +154,10 @@ class _Lines(Parser):
             elif operation == b"PONG":
                 await self._client._process_pong()
             elif operation == b"INFO":
-                await self._client._process_info(_object(line[len(operation) :]))
+                info = json.loads(line[len(operation) :])
+                if not isinstance(info, dict):
+                    raise ValueError(info)
+                await self._client._process_info(info)
             elif operation == b"-ERR":
                 text = line[len(operation) :].decode(errors="replace")
                 await self._client._process_err(text.strip().lower())

@@ -221,18 +221,16 @@ class _Deciding:
         }
         mine = {each.key: each for each in self.view.connections if each.slot in slots}
         new = mine.keys() - self.worker.active.keys()
-        acknowledged = self.acknowledged() if new else math.inf
+        # The highest revision that all workers with a lease have acknowledged.
+        acknowledged = min((each.seen for each in self.others), default=math.inf)
+        vanished = self.view.vanished.values() if new else ()
+        if not all(self.has_passed(at + self.longest_wait) for at in vanished):
+            acknowledged = 0
         return {
             key: each
             for key, each in mine.items()
             if key not in new or self.view.touched_at(each) <= acknowledged
         }
-
-    def acknowledged(self) -> float:
-        """Return the highest revision that all workers with a lease have acknowledged."""
-        if not all(self.has_passed(at + self.longest_wait) for at in self.view.vanished.values()):
-            return 0
-        return min((each.seen for each in self.others), default=math.inf)
 
     def unserved(self) -> list[Connection]:
         """Return the connections that no worker has polled for long."""

@@ -13,7 +13,7 @@ from typing import Any
 from ..engine.buckets import Bucket
 from ..engine.connection import EngineError
 from .pushing import devices_of, seen_now
-from .records import BucketView, Member, zone_of
+from .records import BucketView, zone_of
 
 __all__ = ["fleet_status", "is_polled", "tables"]
 
@@ -42,7 +42,11 @@ def is_polled(status: dict[str, Any]) -> bool:
 
 
 def _document(before: BucketView, view: BucketView) -> dict[str, Any]:
-    states = {member.id: _state(member, before, view) for _, member in sorted(view.members.items())}
+    states = {}
+    for id, member in sorted(view.members.items()):
+        key = member.bucket_key
+        is_new = before.seen_at(key).revision < view.seen_at(key).revision
+        states[id] = member.state if member.state == "ended" or is_new else "silent"
     slots = Counter(view.holders[slot] for slot in view.used_slots if slot in view.holders)
     workers = [
         {
@@ -63,13 +67,6 @@ def _document(before: BucketView, view: BucketView) -> dict[str, Any]:
     here = {id for id, state in states.items() if state == "here"}
     zones = _zones(view, here, unreadable)
     return {"workers": workers, "zones": zones, "unreadable": sorted(unreadable.values())}
-
-
-def _state(member: Member, before: BucketView, view: BucketView) -> str:
-    """Return "ended"; else "here" if the lease was renewed between the reads, or "silent"."""
-    key = member.bucket_key
-    is_new = before.seen_at(key).revision < view.seen_at(key).revision
-    return member.state if member.state == "ended" or is_new else "silent"
 
 
 def _zones(view: BucketView, here: set[str], unreadable: Iterable[str]) -> dict[str, Any]:

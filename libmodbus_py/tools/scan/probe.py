@@ -24,7 +24,7 @@ from ...ports.waiting import Waker
 from ...protocol import pdu
 from ...protocol.checks import integer, seconds
 from ...protocol.errors import NO_UNIT, ExceptionResponse, ModbusConnectionError, ModbusError
-from ...protocol.pdu import DeviceIdentification, ServerId
+from ...protocol.pdu import DeviceIdentification
 from ...protocol.pdu.interface import MANDATORY, identify
 from ...security.security import Security
 from ..listener.pairing import TracePairing
@@ -177,16 +177,6 @@ def listed(name: str, given: Iterable[Item] | None, usual: Iterable[Item]) -> li
 
 # --- requests -----------------------------------------------------------------------------------
 
-# The only requests that are sent: none of them writes.
-Reading = (
-    pdu.ReadCoils
-    | pdu.ReadDiscreteInputs
-    | pdu.ReadHoldingRegisters
-    | pdu.ReadInputRegisters
-    | pdu.ReportServerId
-    | pdu.ReadDeviceIdentification
-)
-
 PROBE = pdu.ReadHoldingRegisters(0, 1)
 
 # Bytes of the probe and its response, and of the longest request and response, as RTU frames.
@@ -260,11 +250,6 @@ class Prober:
         self._silent.discard(unit)
         return Answer(self.waker.now() - started, code)
 
-    def server_id(self, unit: int) -> ServerId | None:
-        """Read the server id (function 17); None if the unit has none."""
-        found: ServerId | None = self._read_any(unit, pdu.ReportServerId())
-        return found
-
     def identification(self, unit: int) -> DeviceIdentification | None:
         """Read the identification (43/14): some regular ones lack objects of the basic level."""
         found = self._level(unit, "regular")
@@ -281,7 +266,7 @@ class Prober:
         try:
             request = next(steps)
             for _ in range(MOST_PAGES):
-                page = self._read_any(unit, request)
+                page = self.read_any(unit, request)
                 if page is None:
                     break
                 objects.update(page.objects)
@@ -295,7 +280,7 @@ class Prober:
             pass  # a wrong page
         return found
 
-    def _read_any(self, unit: int, request: Any) -> Any:
+    def read_any(self, unit: int, request: Any) -> Any:
         """Send a request that units may lack; return None if it fails."""
         try:
             return self.read(unit, request)
@@ -304,7 +289,7 @@ class Prober:
         except ModbusError:
             return None
 
-    def read(self, unit: int, request: Reading, size: int = LONGEST_SIZE) -> Any:
+    def read(self, unit: int, request: Any, size: int = LONGEST_SIZE) -> Any:
         """
         Send any request that reads: again, once, if the server closes the connection. Only a
         ModbusConnectionError means that no other can be sent.

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from ...ports.endpoint import parse
+from ...protocol import pdu
 from ...protocol.checks import checked_callback, integer
 from ...protocol.errors import NO_UNIT, FrameError, ModbusConnectionError, ModbusError
 from ...protocol.mistakes import named_parameters
@@ -257,10 +258,12 @@ class _PlaceScan:
         return self._impossible
 
     def _found(self, prober: Prober, unit: int, answer: Answer, is_any: bool = False) -> Found:
-        server_id = prober.server_id(unit)
-        identification = prober.identification(unit)
-        made = self._made(unit, answer)
-        return replace(made, is_any=is_any, server_id=server_id, identification=identification)
+        return replace(
+            self._made(unit, answer),
+            is_any=is_any,
+            server_id=prober.read_any(unit, pdu.ReportServerId()),
+            identification=prober.identification(unit),
+        )
 
     def _made(self, unit: int, answer: Answer) -> Found:
         return Found(unit, self.place.url(unit), *answer, **self.place.settings)

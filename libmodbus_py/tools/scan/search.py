@@ -58,18 +58,15 @@ class Cells:
 
     def __init__(self, most: int) -> None:
         self.most = most
-        self._states = bytearray(TABLE_SIZE)
-
-    def state(self, address: int) -> int:
-        return self._states[address]
+        self.states = bytearray(TABLE_SIZE)
 
     def ask(self, read: range) -> Reads:
         """Yield a read; a refusal proves something only if it is of a single cell."""
         answered = yield read
         if answered:
-            self._states[read.start : read.stop] = bytes([THERE]) * len(read)
+            self.states[read.start : read.stop] = bytes([THERE]) * len(read)
         elif len(read) == 1:
-            self._states[read.start] = MISSING
+            self.states[read.start] = MISSING
         return answered
 
     @property
@@ -83,7 +80,7 @@ class Cells:
         return max((len(run) for run in self._runs(UNKNOWN)), default=0)
 
     def _runs(self, state: int) -> Iterator[range]:
-        for found in re.finditer(b"%c+" % state, self._states):
+        for found in re.finditer(b"%c+" % state, self.states):
             yield range(*found.span())
 
 
@@ -95,10 +92,10 @@ def halving(cells: Cells) -> Generator[range, bool, None]:
         address = near.popleft() if near else next(rest, None)
         if address is None:
             return
-        if cells.state(address) == UNKNOWN and (yield from cells.ask(range(address, address + 1))):
+        if cells.states[address] == UNKNOWN and (yield from cells.ask(range(address, address + 1))):
             last = yield from _grow(cells, address, 1)
             # A range usually begins where it is found: one read shows that, halving takes seven.
-            if address and cells.state(address - 1) == UNKNOWN:
+            if address and cells.states[address - 1] == UNKNOWN:
                 yield from cells.ask(range(address - 1, address))
             first = yield from _grow(cells, address, -1)
             around = [last + each for each in BEHIND] + [first - each for each in BEFORE]
@@ -114,20 +111,20 @@ def _places() -> Iterator[int]:
 
 
 def _between(near: int, far: int, way: int) -> range:
-    """Return the cells from `near` up to, but without, `far`, in either direction."""
+    """Return the cells from `near` to the last before `far`, in either direction."""
     return range(near, far) if way > 0 else range(far + 1, near + 1)
 
 
 def _grow(cells: Cells, address: int, way: int) -> Generator[range, bool, int]:
     """Go on from a cell that exists; return the first that does not."""
     near = address + way
-    while 0 <= near < TABLE_SIZE and cells.state(near) != MISSING:
-        if cells.state(near) == THERE:
+    while 0 <= near < TABLE_SIZE and cells.states[near] != MISSING:
+        if cells.states[near] == THERE:
             near += way
             continue
         far = near
         while (
-            0 <= far < TABLE_SIZE and abs(far - near) < cells.most and cells.state(far) == UNKNOWN
+            0 <= far < TABLE_SIZE and abs(far - near) < cells.most and cells.states[far] == UNKNOWN
         ):
             far += way
         if (yield from cells.ask(_between(near, far, way))):
@@ -147,9 +144,9 @@ def _halve(cells: Cells, near: int, far: int, way: int) -> Generator[range, bool
             near = middle
         else:
             far = middle
-    if cells.state(near) == UNKNOWN:
+    if cells.states[near] == UNKNOWN:
         yield from cells.ask(_between(near, far, way))
-    if cells.state(near) == THERE:  # all of them exist: the length was the reason
+    if cells.states[near] == THERE:  # all of them exist: the length was the reason
         cells.most = min(cells.most, largest)
     return near
 
