@@ -171,12 +171,10 @@ async def open_bucket(client: Client, name: str, *, create: bool = False) -> Buc
             )
             keys = await js.key_value(name)
         known = (await keys.status()).stream_info.config
-    for key, value, wanted in (
-        ("history", known.max_msgs_per_subject, 1),
-        ("time to live", known.max_age or 0, 0),
-    ):
-        if value != wanted:
-            raise EngineError(f"bucket {name} has unexpected settings: {key} {value}, not {wanted}")
+    history, age = known.max_msgs_per_subject, known.max_age or 0
+    if (history, age) != (1, 0):
+        wrong = f"history {history}, not 1, or time to live {age}, not 0"
+        raise EngineError(f"bucket {name} has unexpected settings: {wrong}")
     return Bucket(client, js, keys, name)
 
 

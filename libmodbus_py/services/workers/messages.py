@@ -95,13 +95,8 @@ class Stream:
 
 def _messages(readings: Sequence[Reading], largest: int) -> Iterator[tuple[str, str, bytes]]:
     """
-    Yield the subject, a mark that no other message has, and the data of each message.
-
-    Args:
-        largest: the bytes that a message may have, with its headers.
-
-    Raises:
-        ReadingsRefused: a single reading has more bytes.
+    Yield the subject, a mark that no other message has, and the data of each message. A message may
+    have `largest` bytes with its headers; a single reading that has more is refused.
     """
     for (device, time), group in groupby(readings, lambda each: each.poll):
         subject = f"{READINGS}.{_LEVELS.spell(device)}"

@@ -107,12 +107,8 @@ class Polling:
     async def run(self) -> None:
         """
         Poll until this worker has left: `leave` was called, and the end of the worker was seen in
-        the bucket or three seconds have passed.
-
-        Raises:
-            EngineError: the connection to NATS was closed for good.
-            JournalError: the journal cannot be used.
-            OutputError: an output failed and cannot be opened again.
+        the bucket or three seconds have passed. An EngineError means that the connection to NATS
+        was closed for good; errors of the journal and of outputs end it, too.
         """
         parts = self.fleet.run, self._keep_watching, self._keep_deciding, self._service.run
         tasks = [asyncio.create_task(part()) for part in parts]

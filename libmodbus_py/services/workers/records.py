@@ -252,8 +252,6 @@ class BucketView:
 
     Attributes:
         last_touched: the last revision that all workers must acknowledge.
-        settings, members, holders: the records; members by their ids, holders by slots.
-        seen: the last change of each key.
         vanished: ids of workers whose keys were deleted although they had not ended, each with the
             time of the deletion.
         uncertain: keys of slots whose holder changed although the previous holder neither wrote
@@ -261,7 +259,7 @@ class BucketView:
         unreadable: the keys with invalid values, each with the reason. Their previous values
             are forgotten.
         since: the time at which the view was complete.
-        longest_lease: the longest lease that any worker ever had, in seconds.
+        longest_lease: that any worker ever had, in seconds.
     """
 
     def __init__(self) -> None:

@@ -19,12 +19,7 @@ OWN_PART = 0.9
 
 
 class Put(NamedTuple):
-    """
-    A write to the bucket; without a value, a deletion.
-
-    Attributes:
-        last: the revision that the key must still have; 0 if it must not exist.
-    """
+    """A write of a key that still has the revision `last`, or 0; without a value, a deletion."""
 
     key: str
     value: bytes | None
@@ -60,9 +55,8 @@ class Worker:
     Attributes:
         active: the connections that it polls since the last decision, by their keys.
         attempts: its writes to other keys than its own: the revision before, and the time.
-        lease_until: the time at which the lease expires.
         joined: True once a value of this worker was seen in the bucket.
-        beat, sent_at: the number and the time of the last value that was sent.
+        beat, sent_at: the number and the time of its last value.
         hears_since: since when it has seen its own values without a gap: the silence of other
             workers counts only from then.
         left: True once it has ended after `leave`.

@@ -154,14 +154,12 @@ def places(
     ]
     if baudrates is None and parities is None:
         settings.sort(key=lambda each: USUAL.index(each) if each in USUAL else len(USUAL))
-    return [Place(_set(endpoint, *setting), timeout, security) for setting in settings]
-
-
-def _set(endpoint: Endpoint, baudrate: int, parity: str) -> Endpoint:
-    usual = {"stop_bits": _STOP_BITS[parity]}
-    return replace(
-        endpoint, options={**usual, **endpoint.options, "baudrate": baudrate, "parity": parity}
-    )
+    found = []
+    for rate, parity in settings:
+        chosen = {"stop_bits": _STOP_BITS[parity], **options, "baudrate": rate, "parity": parity}
+        setting = replace(endpoint, options=chosen)
+        found.append(Place(setting, timeout, security))
+    return found
 
 
 def listed(name: str, given: Iterable[Item] | None, usual: Iterable[Item]) -> list[Item]:

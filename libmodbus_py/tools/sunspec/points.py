@@ -108,20 +108,16 @@ class ModelLayout:
         name, count = f"{prefix}{group['name']}", group.get("count")
         if count is None:
             return self._lay(group, f"{name}.", scales)
-        if count == 0:
-            count = self._as_many_as_fit(group, name)
+        if count == 0:  # as many as fit
+            size, room = _size(group), self._stop - self._at
+            count = room // size
+            if room % size:
+                self.notes.append(
+                    f"{name} takes {size} registers each, and {room} is not a multiple"
+                )
         elif isinstance(count, str):
             count = self._counts.get(count, 0)
         return all(self._lay(group, f"{name}.{at}.", scales) for at in range(1, count + 1))
-
-    def _as_many_as_fit(self, group: Mapping[str, Any], name: str) -> int:
-        size = _size(group)
-        count, rest = divmod(self._stop - self._at, size)
-        if rest:
-            self.notes.append(
-                f"{name} takes {size} registers each, and {self._stop - self._at} is not a multiple"
-            )
-        return count
 
 
 def _size(group: Mapping[str, Any]) -> int:

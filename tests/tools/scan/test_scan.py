@@ -4,7 +4,6 @@ Who answers where: real pseudo-terminals and sockets, and peers of every kind.
 
 from __future__ import annotations
 
-import contextlib
 import signal
 import socket
 import subprocess
@@ -272,16 +271,6 @@ def test_a_dead_host_is_an_error_soon() -> None:
         next(scan("rtu:///dev/nowhere"))
 
 
-def test_a_server_that_is_gone_in_the_middle_is_an_error() -> None:
-    with contextlib.ExitStack() as stack:
-        running = stack.enter_context(Server({1: meter()}).background("tcp://127.0.0.1:0"))
-        scanned = scan(running.urls[0], timeout=PATIENT)
-        assert next(scanned).unit == 1
-        stack.close()
-        with pytest.raises(ModbusConnectionError):
-            next(scanned)
-
-
 # --- peers ---------------------------------------------------------------------------------
 
 
@@ -333,20 +322,6 @@ def test_it_can_be_closed_from_a_signal_handler() -> None:
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, before)
-
-
-def test_what_is_told_of_progress() -> None:
-    told = []
-    with Server({2: meter()}).background("tcp://127.0.0.1:0") as running:
-        scanned = scan(running.urls[0], units=[1, 2, 3], timeout=0.5, on_progress=told.append)
-        all_of(scanned)
-    assert [(each.unit, each.done, each.total) for each in told] == [
-        (1, 0, 3),
-        (2, 1, 3),
-        (3, 2, 3),
-    ]
-    assert [each.left for each in told] == sorted((each.left for each in told), reverse=True)
-    assert told[0].left <= scanned.longest <= 5 * 0.6 + 0.5
 
 
 def test_what_the_callback_raises_ends_it_well() -> None:
