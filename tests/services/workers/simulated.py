@@ -36,13 +36,7 @@ def encode_holder(worker: str, by: str) -> bytes:
 
 
 class OneWorker:
-    """
-    A worker that sees its bucket at once. Other workers are what a test writes.
-
-    Attributes:
-        hears: whether it sees what is written.
-        last: the last decision.
-    """
+    """A worker that sees its bucket at once, while it hears. Others are what a test writes."""
 
     def __init__(
         self,

@@ -43,14 +43,12 @@ class Asked:
     device if one asks it over a connection, after somebody else did so within a lease.
 
     Attributes:
-        polls: how often devices were asked.
         doubles: of each device that two had, when and by whom it was asked.
         gap: the longest time, in seconds, in which a device was not asked, since `forget`.
         last: when each device was asked the last time, and from where.
     """
 
     def __init__(self, now: Callable[[], float]) -> None:
-        self.polls: int = 0
         self.doubles: list[tuple[str, float, str]] = []
         self.gap: float = 0.0
         self.last: dict[tuple[str, int], tuple[float, str]] = {}
@@ -61,7 +59,6 @@ class Asked:
         if traced.direction != "received":
             return
         now, device, asking = self._now(), (traced.endpoint, traced.unit or 0), traced.peer or ""
-        self.polls += 1
         before, peer = self.last.get(device, (now, asking))
         self.gap = max(self.gap, now - before)
         followed = self._followed.setdefault(device, set())
@@ -93,17 +90,7 @@ class Asked:
 
 
 class Trial:
-    """
-    All of it.
-
-    Args:
-        connections: how many places there are, with two units each.
-        settings: of the fleet.
-        seed: of all that happens.
-
-    Attributes:
-        workers: those that were started, by name.
-    """
+    """All of it: so many connections with two units each, and the workers that were started."""
 
     def __init__(self, connections: int, *, settings: FleetSettings | None = None, seed: int = 1):
         self.network = Network(seed)
