@@ -102,19 +102,6 @@ def test_a_client_of_the_system_sees_the_fault_and_the_next_request_succeeds(
         assert plc.read_holding_registers(0, 3) == [555, 0, 100]
 
 
-def test_a_late_answer_is_the_answer_to_its_own_request(stage: Stage) -> None:
-    with (
-        serving(stage, "tcp", {1: [Fault("delay", every=2, seconds=300)]}) as url,
-        client_of(url) as client,
-    ):
-        client.read_holding_registers(0, 1)
-        with pytest.raises(ModbusTimeoutError):
-            client.read_holding_registers(0, 1)
-        client.timeout = 5000
-        assert client.read_holding_registers(2, 1) == [100]
-        assert client.late_answers == 1
-
-
 @pytest.mark.parametrize("scheme", ["tcp", "rtu", "ascii"])
 def test_a_client_with_patience_gets_delayed_and_trickled_answers(
     stage: Stage, scheme: str
@@ -123,12 +110,3 @@ def test_a_client_with_patience_gets_delayed_and_trickled_answers(
     with serving(stage, scheme, {1: faults}) as url, client_of(url, timeout=5000) as client:
         assert client.read_holding_registers(0, 3) == [555, 0, 100]
         assert client.read_coils(0, 3) == [False] * 3
-
-
-@pytest.mark.parametrize("scheme", ["rtu", "ascii"])
-def test_noise_before_an_answer_is_skipped_on_lines(stage: Stage, scheme: str) -> None:
-    with (
-        serving(stage, scheme, {1: [Fault("garbage", data=b"\xff\xfe")]}) as url,
-        client_of(url) as client,
-    ):
-        assert client.read_holding_registers(0, 3) == [555, 0, 100]

@@ -163,7 +163,7 @@ def test_toml(tmp_path: Path) -> None:
 
 
 HEAD = "name,table,address,type,scale,access\n"
-HOLDING = "name;address;table\n"
+MEANING = "name,table,address,missing,states,bits,scale from,never falls,byte\n"
 
 # A file, and what is wrong with it; {} is the file.
 REFUSED = [
@@ -210,6 +210,13 @@ REFUSED = [
      " 00017: "),
     ("name;address;scale\na;40001;1.000,5", "{}, line 2, column scale: scale must be a number such"
      " as 0.1, not '1.000,5'"),
+    (MEANING + "a,holding,0,x", "{}, line 2, column missing: missing must be a number such"),
+    (MEANING + "a,holding,0,,0:off", "{}, line 2, column states: states must be like 0 = off"),
+    (MEANING + "a,holding,0,,0=a; 0=b", "{}, line 2, column states: states must name 0 once"),
+    (MEANING + "a,holding,0,,,0=a; 99=b", "{}, line 2, column bits: bits.99 must be in 0..15"),
+    (MEANING + "a,holding,0,,,,b", "{}, line 2, column scale from: scale_from: the map has no"),
+    (MEANING + "a,holding,0,,,,,maybe", "{}, line 2, column never falls: never_falls must be"),
+    (MEANING + 'a,holding,0,,"{"', "{}, line 2, column states: states must be a JSON object"),
     (b"PK\x03\x04\x14\0\0\0\x08\0", "{}, line 1: contains the control character 0x03"),
 ]  # fmt: skip
 
@@ -352,14 +359,3 @@ def test_anything_else_is_a_mistake(tmp_path: Path, content: bytes) -> None:
             told.append(str(error))
     assert all(len(each) < 1000 for each in told)
     assert time.process_time() - began < 10
-
-
-def test_a_large_file_takes_no_time(tmp_path: Path) -> None:
-    began = time.process_time()
-    points = [Point(f"p{at}", H, at, description="x" * 200) for at in range(3_000)]
-    assert len(loaded(tmp_path, csv_text(points))) == 3_000
-    text = toml_text(points)
-    assert len(text) > 600_000
-    assert len(loaded(tmp_path, text, "meter.toml")) == 3_000
-    # A second and a half is usual; not the square of their number.
-    assert time.process_time() - began < 20

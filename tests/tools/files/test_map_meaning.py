@@ -11,9 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from libmodbus_py import MapError, Point, RegisterMap, load_map
+from libmodbus_py import Point, RegisterMap, load_map
 from libmodbus_py.tools.files.map_texts import csv_text, toml_text
-from tests.support.cases import each_case
 
 TOML = """
 [[point]]
@@ -118,28 +117,3 @@ def test_an_accumulator_of_sunspec_is_missing_at_0(tmp_path: Path) -> None:
     text = "name,table,address,type,missing\nenergy,holding,0,acc32,sunspec\n"
     point = loaded(tmp_path, "map.csv", text)["energy"]
     assert (point.decode([0, 0]), point.decode([0xFFFF, 0xFFFF])) == (None, 0xFFFFFFFF)
-
-
-HEAD = "name,table,address,missing,states,bits,scale from,never falls,byte\n"
-
-WRONG = [
-    (HEAD + "a,holding,0,x,,,,,", "line 2, column missing: missing must be a number such"),
-    (HEAD + "a,holding,0,,0:off,,,,", "line 2, column states: states must be like 0 = off"),
-    (HEAD + "a,holding,0,,0=a; 0=b,,,,", "line 2, column states: states must name 0 once"),
-    (HEAD + "a,holding,0,,,0=a; 99=b,,,", "line 2, column bits: bits.99 must be in 0..15"),
-    (HEAD + "a,holding,0,,,,b,,", "line 2, column scale from: scale_from: the map has no"),
-    (HEAD + "a,holding,0,,,,,maybe,", "line 2, column never falls: never_falls must be"),
-    (HEAD + "a,holding,0,,,,,,top", "line 2, column byte: byte must be one of high, low"),
-    (HEAD + 'a,holding,0,,"{",,,,', "line 2, column states: states must be a JSON object"),
-    (HEAD + 'a,holding,0,,"{}",,,,', "line 2, column states: states must not be empty"),
-]  # fmt: skip
-
-
-@each_case(("text", "message"), WRONG)
-def test_a_mistake_has_its_place(
-    tmp_path_factory: pytest.TempPathFactory, text: str, message: str
-) -> None:
-    folder = tmp_path_factory.mktemp("maps")
-    with pytest.raises(MapError) as caught:
-        loaded(folder, "map.csv", text)
-    assert str(caught.value).startswith(f"{folder / 'map.csv'}, {message}")

@@ -150,14 +150,6 @@ def test_a_wrong_key(tmp_path: Path, text: str, meant: str) -> None:
     assert str(raised.value).endswith(f"; {meant}")
 
 
-def test_a_long_key_is_compared_with_none(tmp_path: Path) -> None:
-    file = tmp_path / "wrong.toml"
-    file.write_text(DEVICE_TEXT + "interval" * 9 + " = 2")
-    with pytest.raises(ValueError, match="no such key; allowed are ") as raised:
-        load(file)
-    assert "did you mean" not in str(raised.value)
-
-
 # --- lines of keys in TOML -------------------------------------------------------------------
 
 TEXT = """\
@@ -236,40 +228,18 @@ def test_a_wrong_amount_is_named_with_what_is_allowed(
 # --- files that are read again --------------------------------------------------------------------
 
 
-def test_the_content_is_used_and_what_changed_is_returned() -> None:
-    used: list[str] = []
+def test_content_that_is_read_again_is_used_or_the_mistake_is_returned() -> None:
+    def fail(error: Exception) -> str:
+        raise error
 
-    def use(content: str) -> str:
-        used.append(content)
-        return "all is new"
-
-    assert reread(lambda: "content", use) == "all is new"
-    assert used == ["content"]
-
-
-@pytest.mark.parametrize("kind", [TypeError, ValueError])
-def test_a_mistake_is_returned_and_nothing_used(kind: type[Exception]) -> None:
-    def load() -> str:
-        raise kind("line 4: unit must be in 0..255")
-
-    line = reread(load, lambda content: pytest.fail(content))
-    assert line == "the former content is used: line 4: unit must be in 0..255"
-
-
-def test_content_that_cannot_be_used_is_returned_as_a_mistake() -> None:
-    def use(content: str) -> str:
-        raise ValueError("two routes for unit 1")
-
-    line = reread(lambda: "content", use)
-    assert line == "the former content is used: two routes for unit 1"
-
-
-def test_other_errors_are_raised() -> None:
-    def load() -> str:
-        raise RuntimeError("a bug")
-
+    assert reread(lambda: "content", lambda content: f"{content} is new") == "content is new"
+    for kind in (TypeError, ValueError):
+        error = kind("line 4: unit must be in 0..255")
+        told = f"the former content is used: {error}"
+        assert reread(lambda error=error: fail(error), pytest.fail) == told  # type: ignore[misc]
+        assert reread(lambda: "", lambda _, error=error: fail(error)) == told  # type: ignore[misc]
     with pytest.raises(RuntimeError, match="a bug"):
-        reread(load, lambda content: "")
+        reread(lambda: fail(RuntimeError("a bug")), pytest.fail)
 
 
 @each_case(

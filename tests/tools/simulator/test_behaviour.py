@@ -336,7 +336,7 @@ def test_waves_and_walks_stay_between_their_limits(
         f"""
         input_registers = [
             {{ address = 0, type = "float64", sine = {{ {limits}, period = 7 }} }},
-            {{ address = 4, type = "float64", random_walk = {{ {limits}, step = {high - low!r} }} }},
+            {{ address = 4, type = "float64", random_walk = {{ {limits}, step = {high - low!r} }} }}
         ]
     """,
         clock,

@@ -1,0 +1,275 @@
+"""
+Gateways, fleets, listeners, scans and live pages, while the n-th call of the system fails: whoever
+asks afterwards is answered.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import Fleet, Gateway, Point, RegisterMap, Route
+from libmodbus_py.protocol import framing
+from libmodbus_py.protocol.tables import TABLES
+from libmodbus_py.scan import scan, search
+from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
+from libmodbus_py.services.fleet.poller import DeviceState
+from libmodbus_py.tools.listener.listener import listen
+from libmodbus_py.tools.page.page import live_page
+from tests.faults.injecting import Scenario, Trial, eventually, tried
+from tests.faults.test_clients import Place, each_echoed, on_line, tcp, udp
+from tests.faults.test_servers import (
+    LINE_ANSWER,
+    LINE_REQUEST,
+    TCP_ANSWER,
+    ask_while_failing,
+    line,
+    over,
+    port_of,
+    server,
+)
+from tests.services.fleet.fleets import meter, until
+from tests.support.peers import FakeServer, FakeUnit
+
+__all__ = ["line"]
+
+GATEWAY = ("services.gateway", "server", "client", "ports", "device")
+SCAN = ("tools.scan", "client", "ports")
+
+# Where a fault takes an answer away, somebody waits so long.
+SHORT = 0.05
+
+
+@pytest.fixture(autouse=True)
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody waits long for the next attempt."""
+    for name in (
+        *("services.tasks.FIRST_PAUSE_S", "server.peers.RETRY_AFTER"),
+        "tools.listener.listener.REOPEN_AFTER",
+    ):
+        monkeypatch.setattr(f"libmodbus_py.{name}", 0.001)
+
+
+# --- gateways ------------------------------------------------------------------------------
+
+ask = over(socket.SOCK_STREAM)
+
+
+def passing(device: str) -> Scenario:
+    def scenario(trial: Trial) -> None:
+        background = Gateway([Route(device)]).background("tcp://127.0.0.1:0")
+        ask_while_failing(trial, background, ask, TCP_ANSWER)
+
+    return scenario
+
+
+def test_a_gateway_from_tcp_to_tcp() -> None:
+    with FakeServer(each_echoed) as server:
+        tried(passing(f"{server.url}?timeout=0.02&max_pause=0"), *GATEWAY)
+
+
+def test_a_gateway_from_tcp_to_a_serial_line() -> None:
+    with FakeUnit(on_line) as unit:
+        url = f"rtu://{unit.path}?baudrate=115200&timeout=0.02&max_pause=0"
+        tried(passing(url), *GATEWAY)
+
+
+# --- fleets --------------------------------------------------------------------------------
+
+ONE = RegisterMap([Point("value", "holding_registers", 5)])
+
+INTERVAL = 0.01
+
+
+def polling(urls: list[str], file: Path) -> Scenario:
+    """Poll until both were read and written, while calls fail and when they do not any more."""
+
+    async def run(trial: Trial) -> None:
+        devices = [
+            meter(f"device {at}", url, map=ONE, interval=INTERVAL) for at, url in enumerate(urls)
+        ]
+        fleet = Fleet(devices, outputs=[JsonOutput(str(file))])
+        with contextlib.ExitStack() as ends:
+            ends.callback(file.unlink, missing_ok=True)
+            async with contextlib.AsyncExitStack() as stack:
+                with trial.faults():
+                    await stack.enter_async_context(fleet)
+                    await until(lambda: fleet.statistics.polls > 2 * len(urls))
+                polls = fleet.statistics.polls + 2 * len(urls)
+                (output,) = fleet.statistics.outputs.values()
+                written = output.written
+                await until(lambda: fleet.statistics.polls > polls and is_up(fleet))
+                await until(lambda: output.written > written)
+                with trial.faults():
+                    await stack.aclose()
+
+    return lambda trial: asyncio.run(run(trial))
+
+
+def is_up(fleet: Fleet) -> bool:
+    return all(each.state is DeviceState.UP for each in fleet.devices.values())
+
+
+def test_a_fleet_on_networks_and_lines(tmp_path: Path) -> None:
+    with FakeServer(each_echoed) as server, FakeUnit(on_line) as unit:
+        urls = [
+            f"{server.url}?timeout={SHORT}&max_pause=0",
+            f"rtu://{unit.path}?baudrate=115200&timeout={SHORT}&max_pause=0",
+        ]
+        tried(polling(urls, tmp_path / "readings.jsonl"), "services.fleet", "client", "ports")
+
+
+# --- listeners -----------------------------------------------------------------------------
+
+
+def hearing(url: str, between: str | None, say: Callable[[str], None]) -> Scenario:
+    """Listen to one transaction while calls fail, and to another when they do not any more."""
+
+    def scenario(trial: Trial) -> None:
+        with contextlib.ExitStack() as stack:
+            heard = None
+            with trial.faults():
+                heard = stack.enter_context(listen(url, between=between))
+                say(heard.url)
+            if heard is not None:
+                say(heard.url)
+                assert next(heard).unit == 1
+            with trial.faults():
+                stack.close()
+
+    return scenario
+
+
+def test_a_listener_on_a_line(line: tuple[int, str]) -> None:
+    far, path = line
+
+    def say(url: str) -> None:
+        os.write(far, LINE_REQUEST + LINE_ANSWER)
+
+    tried(hearing(f"rtu://{path}?baudrate=115200", None, say), "tools.listener", "ports")
+
+
+def is_passed_on(url: str) -> bool:
+    with contextlib.suppress(OSError), socket.socket() as made:
+        made.settimeout(SHORT)
+        made.connect(port_of(url))
+        made.send(LINE_REQUEST)
+        return made.recv(300) == LINE_ANSWER
+    return False
+
+
+def test_a_listener_between_clients_and_a_device() -> None:
+    def say(url: str) -> None:
+        assert eventually(lambda: is_passed_on(url))
+
+    with FakeServer(on_line) as device:
+        between = f"rtu+tcp://127.0.0.1:{device.port}"
+        scenario = hearing("rtu+tcp://127.0.0.1:0", between, say)
+        # What listens can always be shut down, and that is what ends its thread.
+        tried(scenario, "tools.listener", "ports", without="shut down")
+
+
+# --- live pages ----------------------------------------------------------------------------
+
+
+def got(url: str, path: str, until: bytes) -> bytes:
+    """Return what comes for a request, up to some bytes in it."""
+    where, _, token = url.partition("?")
+    host, _, port = where.removeprefix("http://").strip("/").rpartition(":")
+    found = b""
+    with contextlib.suppress(OSError), socket.socket() as made:
+        made.settimeout(0.2)
+        made.connect((host, int(port)))
+        made.send(
+            f"GET {path}?{token} HTTP/1.1\r\nHost: {host}:{port}\r\n"
+            "Connection: close\r\n\r\n".encode()
+        )
+        while until not in found and (data := made.recv(65_536)):
+            found += data
+    return found
+
+
+def is_shown(url: str) -> bool:
+    return b"</html>" in got(url, "/", b"</html>") and b"data:" in got(url, "/events", b"data:")
+
+
+def shown() -> Scenario:
+    def scenario(trial: Trial) -> None:
+        shown = server()
+        with shown.background("tcp://127.0.0.1:0"), contextlib.ExitStack() as stack:
+            page = None
+            with trial.faults(OSError):
+                page = stack.enter_context(live_page(shown))
+                is_shown(page.url)
+            if page is not None:
+                assert eventually(lambda: is_shown(page.url))
+            with trial.faults():
+                stack.close()
+
+    return scenario
+
+
+def test_a_page_with_its_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("libmodbus_py.tools.timed_server.SWEEP", 0.005)
+    monkeypatch.setattr("libmodbus_py.tools.page.streams.PERIOD", 0.005)
+    tried(shown(), "tools.page")
+
+
+# --- scans ---------------------------------------------------------------------------------
+
+
+def unit(request: bytes) -> list[bytes]:
+    """Answer reads of holding registers, and all else with exception 1."""
+    if request[1] == 3:
+        return on_line(request)
+    body = bytes([request[0], request[1] | 0x80, 1])
+    return [body + framing.crc16(body).to_bytes(2, "little")]
+
+
+@contextlib.contextmanager
+def rtu(folder: Path) -> Iterator[str]:
+    with FakeUnit(unit) as made:
+        yield f"rtu://{made.path}?baudrate=115200&parity=N"
+
+
+PLACES: dict[str, Place] = {"tcp": tcp, "udp": udp, "rtu": rtu}
+
+
+def finds(url: str) -> bool:
+    return [each.unit for each in scan(url, units=[1], timeout=1)] == [1]
+
+
+def scanned(url: str) -> Scenario:
+    def scenario(trial: Trial) -> None:
+        with trial.faults(), scan(url, units=[1], timeout=SHORT) as found:
+            for each in found:
+                assert each.unit == 1
+        assert eventually(lambda: finds(url))
+
+    return scenario
+
+
+def searched(url: str) -> Scenario:
+    def scenario(trial: Trial) -> None:
+        with trial.faults(), search(url, timeout=SHORT, most_requests=8) as extents:
+            assert {each.table for each in extents} <= set(TABLES)
+        assert eventually(lambda: finds(url))
+
+    return scenario
+
+
+@pytest.mark.parametrize("kind", PLACES)
+def test_a_scan(tmp_path: Path, kind: str) -> None:
+    with PLACES[kind](tmp_path) as url:
+        tried(scanned(url), *SCAN)
+
+
+def test_a_search(tmp_path: Path) -> None:
+    with udp(tmp_path) as url:
+        tried(searched(f"{url}?unit=1"), *SCAN, errors=1)
