@@ -1,12 +1,12 @@
 """
-Device files that are wrong, and what is said of them: whole in `golden/mistakes.txt`.
+Device files that are wrong, and what is said of them: both are in `golden/mistakes.txt`.
 """
 
 from __future__ import annotations
 
+import ast
 import json
 import math
-import reprlib
 from pathlib import Path
 
 import pytest
@@ -15,11 +15,6 @@ from hypothesis import strategies as st
 
 from libmodbus_py.tools.simulator.device_file import DeviceFileError, load, parse
 from tests.support.golden import Golden
-from tests.tools.simulator.simulated_units import HOLDING
-
-FAULT = "[[unit]]\n[[unit.fault]]\n"
-INPUT = "[[unit.input_registers]]\naddress = 0\n"
-MAPPED = "[[unit]]\nmap = 'meter.csv'\n"
 
 METER = """name,table,address,type,scale,unit,access
 voltage,input,0,uint16,0.1,V,read
@@ -29,215 +24,23 @@ status high,holding,5,bits16,,,read_write
 pump,coil,4,,,,read_write
 """
 
-RANGE = "[[unit]]\n[[unit.holding_registers]]\naddress = 0\nname = 'a'\n"
-SECOND = "[[unit.holding_registers]]\naddress = 0\nname = 'b'\n"
-
-TABLES_AND_KEYS = [
-    "[[unit]",
-    "[[unit]]\nid = 1\nid = 2\n",
-    "",
-    "unit = []",
-    "[unit]",
-    "unit = [1]",
-    "units = []",
-    "'my unit' = []",
-    "[[unit]]\nid = 248",
-    "[[unit]]\nid = -1",
-    "[[unit]]\nid = '1'",
-    "[[unit]]\nid = true",
-    "[[unit]]\nid = 1\n[[unit]]\nid = 1",
-    "[[unit]]\nid = 1\n[[unit]]",
-    "[[unit]]\n[[unit]]",
-    "[[unit]]\nnames = 'x'",
-    "[[unit]]\nexception_status = 256",
-    "[[unit]]\nserver_id = 1",
-    "[[unit]]\nserver_id = { name = 1 }",
-    "[[unit]]\nserver_id = { running = 1 }",
-    "[[unit]]\nserver_id = { identifier = '' }",
-    "[[unit]]\nserver_id = { identifier = [1, 256] }",
-    "[[unit]]\nidentification = { Vendor = 'x' }",
-    "[[unit]]\nidentification = { 7 = 'x' }",
-    "[[unit]]\nidentification = { VendorName = 'ü' }",
-    "[[unit]]\nidentification = { VendorName = 'a', 0 = 'b' }",
-    f"[[unit]]\nidentification = {{ 128 = '{'x' * 245}' }}",
-    "[[unit]]\ncoils = 8",
-    "[[unit]]\n[[unit.coils]]",
-    "[[unit]]\n[[unit.coils]]\naddress = 0\ntype = 'int16'",
-    "[[unit]]\n[[unit.coils]]\naddress = 0\ntable = 'coils'",
-    "[[unit]]\n[[unit.coils]]\naddress = 0\nvalues = [true, 2]",
-    "[[unit]]\n[[unit.discrete_inputs]]\naddress = 0\naccess = 'read_write'",
-    "[[unit]]\n[[unit.holding_registers]]\naddress = 65536",
-    HOLDING + "count = 0",
-    HOLDING.replace("0\n", "65534\n") + "values = [1, 2, 3]",
-    HOLDING + "value = 1\nvalues = [1]",
-    HOLDING + "value = 1\ncounter = {}",
-    HOLDING + "values = [1]\ncount = 1",
-    HOLDING + "values = []",
-    HOLDING + "values = 1",
-    HOLDING + "values = [1, -1]",
-    HOLDING + "value = 1.5",
-    HOLDING + "type = 'quux'",
-    HOLDING + "type = 1",
-    HOLDING + "type = 'int32'\norder = 'ABDC'",
-    HOLDING + "minimum = 5\nvalue = 4",
-    HOLDING + "type = 'string:4'\nencoding = 'klingon'",
-    HOLDING + "type = 'string:4'\nvalue = 'abcde'",
-    HOLDING + "type = 'bits16'\nvalue = [2]",
-    HOLDING + "access = 'readonly'",
-    HOLDING + "access = 'read_write'\ncounter = {}",
-    HOLDING + "count = 5\n[[unit.holding_registers]]\naddress = 4",
-    HOLDING + "counter = 1",
-    HOLDING + "counter = { stop = 1 }",
-    HOLDING + "counter = { step = 0 }",
-    HOLDING + "counter = { step = inf }",
-    HOLDING + "counter = { step = '1' }",
-    HOLDING + "counter = { interval = 0 }",
-    HOLDING + "counter = { start = 5, wrap = 5 }",
-    HOLDING + "counter = { step = -1, start = 5, wrap = 6 }",
-    HOLDING + "counter = { wrap = 65537 }",
-    HOLDING + "counter = { start = -1 }",
-    HOLDING + "type = 'string:2'\ncounter = {}",
-    HOLDING + "sine = { low = 1 }",
-    HOLDING + "sine = { low = 1, high = 1, period = 1 }",
-    HOLDING + "sine = { low = nan, high = 1, period = 1 }",
-    HOLDING + "type = 'float64'\nsine = { low = 0, high = 1e101, period = 1 }",
-    HOLDING + "sine = { low = 0, high = 65536, period = 1 }",
-    HOLDING + "type = 'float32'\nsine = { low = 0, high = 1e39, period = 1 }",
-    HOLDING + "random_walk = { low = 0, high = 9, step = 10 }",
-    HOLDING + "random_walk = { low = 0, high = 9, step = 1, seed = 'x' }",
-    HOLDING + "copy = { address = 0 }",
-    HOLDING + "copy = { table = 'holding', address = 0 }",
-    HOLDING + "copy = { table = 'coils', address = 0 }",
-    HOLDING + "copy = { table = 'input_registers', address = 1 }\n" + INPUT + "type = 'int32'",
-    HOLDING + "count = 2\ncopy = { table = 'input_registers', address = 0 }\n" + INPUT,
-    HOLDING + "copy = { table = 'input_registers', address = 0 }\n" + INPUT + "type = 'string:2'",
-    HOLDING
-    + "type = 'bits16'\ncopy = { table = 'input_registers', address = 0, scale = 2 }\n"
-    + INPUT
-    + "type = 'bits16'",
-    HOLDING + "copy = { table = 'holding_registers', address = 0 }",
-    HOLDING
-    + "count = 9\ncopy = { table = 'holding_registers', address = 1 }\n"
-    + "[[unit.holding_registers]]\naddress = 9",
-    "[[unit]]\n[[unit.file]]\nnumber = 0",
-    "[[unit]]\n[[unit.file]]\nnumber = 0\nrecord = 0",
-    "[[unit]]\n[[unit.file]]\nnumber = 1\nrecord = 9999\ncount = 2",
-    "[[unit]]\n[[unit.file]]\nnumber = 1\nrecord = 0\ncounter = {}",
-    "[[unit]]\n[[unit.file]]\nnumber = 1\nrecord = 0\n[[unit.file]]\nnumber = 2\nrecord = 0\n"
-    "[[unit.file]]\nnumber = 1\nrecord = 0",
-    "[[unit]]\n[[unit.fifo]]\naddress = 0",
-    "[[unit]]\n[[unit.fifo]]\naddress = 0\nvalues = [65536]",
-    f"[[unit]]\n[[unit.fifo]]\naddress = 0\nvalues = {[0] * 32}",
-    "[[unit]]\n" + "[[unit.fifo]]\naddress = 0\nvalues = []\n" * 2,
-    FAULT,
-    FAULT + "kind = 'slow'",
-    FAULT + "kind = 'delay'",
-    FAULT + "kind = 'delay'\ndelay = 1",
-    "[[unit]]\n[[fault]]\nkind = 'no_answer'\nevery = 0",
-]
-
-NAMES_AND_MAPS = [
-    "[[unit]]\nmap = 5",
-    "[[unit]]\nmap = [5]",
-    "[[unit]]\nmap = 'none.csv'",
-    "[[unit]]\nmap = 'device.doc'",
-    "[[unit]]\nmap = ['meter.csv', 'meter.csv']",
-    "[[unit]]\nmap = 'bad.csv'",
-    MAPPED + "values = { volt = 1 }",
-    "[[unit]]\nvalues = { a = 1 }",
-    MAPPED + "values = { voltage = 6553.6 }",
-    MAPPED + "values = { pump = 2 }",
-    MAPPED + "moves = { voltage = 1 }",
-    MAPPED + "moves = { voltage = {} }",
-    MAPPED + "moves = { voltage = { counter = {}, sine = { low = 1, high = 2, period = 1 } } }",
-    MAPPED + "moves = { voltage = { sin = 1 } }",
-    MAPPED + "moves = { voltage = { counter = { start = 7000 } } }",
-    MAPPED + "moves = { voltage = { counter = {} } }\nvalues = { voltage = 1 }",
-    MAPPED + "moves = { status = { counter = {} }, 'status high' = { counter = {} } }",
-    MAPPED + "[[unit.input_registers]]\naddress = 3",
-    MAPPED + "[[unit.coils]]\naddress = 9\nname = 'pump'",
-    "[[unit]]\n" + INPUT + "scale = 0",
-    "[[unit]]\n" + INPUT + "scale = 'a'",
-    "[[unit]]\n" + INPUT + "type = 'bits16'\nscale = 2",
-    "[[unit]]\n" + INPUT + "scale = 0.1\nvalue = 7000",
-    "[[unit]]\n" + INPUT + "name = ''",
-    "[[unit]]\n" + INPUT + "units = 5",
-    "[[unit]]\nname = 5",
-    "[[unit]]\ndefaults = 5",
-    "[[unit]]\ndefaults = { value = 5 }",
-    "[[unit]]\n[defaults]\ntype = 'x'",
-    "[[unit]]\n[defaults]\norder = 'x'",
-    "[[unit]]\n[[unit.fault]]\nkind = 'garbage'\ndata = [256]",
-]
-
-MEANINGS = [
-    RANGE + "bit = 16\n",
-    RANGE + "scale_from = 'b'\n",
-    RANGE + "scale_from = 'b'\n" + SECOND.replace("0", "1") + "scale_from = 'a'\n",
-    RANGE + "scale_from = 'b'\nvalue = 7\n" + SECOND.replace("0", "1") + "value = 300\n",
-    RANGE + "bit = 3\n" + SECOND + "bit = '2..5'\n",
-    RANGE + "bit = 3\n" + SECOND,
-    RANGE + "bit = 3\n" + SECOND.replace("'b'", "'a'") + "bit = 4\n",
-    RANGE + "states = { 0 = 'x', 1 = 'x' }\n",
-    RANGE + "type = 'date48'\ntime_zone = 'Europe/Berlyn'\n",
-    RANGE + "interval = 0\n",
-    RANGE + "scale_from = 'b'\ncounter = {}\n" + SECOND.replace("0", "1"),
-]
-
-LINES = [
-    "[[unit]]\n[[units]]\n",
-    "[[unit]]\n[unit.foo]\nx = 1\n",
-    "[[unit]]\nid = 1\n[[unit.foo]]\nx = 1\n",
-    "[[unit]]\nid = 1\n[unit.foo.bar]\n",
-    "[[unit]]\nid = 1\nfoo.bar = 1\n",
-    "[[unit]]\nid = 1\n[unit.'my table']\nid = 2\n",
-    '[[unit]]\nid = 1\n[[unit."a.b"]]\n',
-    "[[unit]]\nid = 1\n'my id' = 1\n",
-    "[[unit]]\n[[unit.coils]]\naddress = 0\ncounter.stop = 1\n",
-    "[[unit]]\n[[unit.coils]]\naddress = 0\n[unit.coils.sine]\nx = 1\n",
-    "# a\u2028b\x85c\n[[unit]]\nfoo = 1\n",
-    "[[unit]]\r\n[[unit.foo]]\r\n",
-]
-
-ROLES = [
-    "[[roles]]",
-    "[roles]\nViewer = 5",
-    "[roles.Viewer]\nreads = 5",
-    "[roles.Viewer]\nread = 5",
-    '[roles.Viewer]\nread = "coils"',
-    '[roles.Viewer]\n\nread = ["coil"]',
-    '[roles.Viewer]\nread = ["coils", 5]',
-    '[roles.Viewer]\nwrite = ["fifo"]',
-    "[roles.Viewer]\nread = [{address = 5}]",
-    '[roles.Viewer]\nread = [{table = "coils", address = 5}]',
-    '[roles.Viewer]\nread = [{table = "coils", address = 5, count = 65536}]',
-    '[roles.Viewer]\nread = [{table = "coils", address = 5, count = 1, unit = 3}]',
-    '[roles.Viewer]\nread = [{table = "coils", address = "5", count = 1}]',
-    '[roles.Viewer]\nread = [{table = "coils", address = [5], count = {a = 1}}]',
-    "[roles.Viewer]\nfunctions = [3]",
-    "[roles.Viewer]\nfunctions = [[]]",
-    "[roles.Viewer]\nfunctions = 17",
-    '[roles."a\\nb"]',
-]
-
-SHORT = reprlib.Repr()
-SHORT.maxstring = 160
+MISTAKES = Path(__file__).with_name("golden") / "mistakes.txt"
+"""A file as Python writes it, and in the next line what is said of it; then an empty line."""
 
 
 def test_a_wrong_file_is_told_what_is_wrong(tmp_path: Path, golden: Golden) -> None:
     (tmp_path / "meter.csv").write_text(METER)
     (tmp_path / "bad.csv").write_text("name,table,address\na,coilz,0\n")
-    roles = [f"{text}\n[[unit]]\n" for text in ROLES]
-    of_units = [f"[[unit]]\n{text.replace('roles', 'unit.roles')}\n" for text in ROLES[:5]]
     lines = []
-    for text in (*TABLES_AND_KEYS, *NAMES_AND_MAPS, *MEANINGS, *LINES, *roles, *of_units):
+    for text in MISTAKES.read_text().split("\n")[::3]:
         path = tmp_path / "device.toml"
-        path.write_text(text, newline="")
+        path.write_text(ast.literal_eval(text), newline="")
         with pytest.raises(DeviceFileError) as caught:
             load(path)
         message = str(caught.value).replace(str(tmp_path), "FOLDER")
         assert "\n" not in message
-        lines += [SHORT.repr(text), f"    {message}", ""]
+        lines += [text, f"    {message}", ""]
+    assert len(lines) > 3 * 150
     golden("mistakes.txt", "\n".join(lines))
 
 
