@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 ClientT = TypeVar("ClientT", "Context", "AsyncClient")
 
 MeterName = Literal[
-    "voltage",
-    "power",
-    "energy_total",
-    "phases",
-    "setpoint",
-    "serial_number",
-    "run",
+    'voltage',
+    'power',
+    'energy_total',
+    'phases',
+    'setpoint',
+    'serial_number',
+    'run',
 ]
 
 
@@ -47,70 +47,70 @@ class MeterValues(TypedDict, total=False):
 MAP = RegisterMap(
     [
         Point(
-            name="voltage",
-            table="input_registers",
+            name='voltage',
+            table='input_registers',
             address=0,
-            type="uint16",
+            type='uint16',
             scale=0.1,
-            units="V",
-            access="read",
-            description="phase to neutral",
+            units='V',
+            access='read',
+            description='phase to neutral',
         ),
         Point(
-            name="power",
-            table="input_registers",
+            name='power',
+            table='input_registers',
             address=2,
-            type="int32",
+            type='int32',
             scale=0.1,
-            units="W",
-            access="read",
-            description="negative when it feeds back",
+            units='W',
+            access='read',
+            description='negative when it feeds back',
         ),
         Point(
-            name="energy total",
-            table="input_registers",
+            name='energy total',
+            table='input_registers',
             address=4,
-            type="uint32",
-            units="kWh",
-            access="read",
+            type='uint32',
+            units='kWh',
+            access='read',
         ),
         Point(
-            name="phases",
-            table="input_registers",
+            name='phases',
+            table='input_registers',
             address=6,
-            type="float32",
-            units="A",
-            access="read",
+            type='float32',
+            units='A',
+            access='read',
         ),
         Point(
-            name="setpoint",
-            table="holding_registers",
+            name='setpoint',
+            table='holding_registers',
             address=0,
-            type="uint16",
+            type='uint16',
             scale=0.1,
-            units="°C",
-            access="read_write",
+            units='°C',
+            access='read_write',
             minimum=5,
             maximum=30,
         ),
         Point(
-            name="serial number",
-            table="holding_registers",
+            name='serial number',
+            table='holding_registers',
             address=10,
-            type="string:8",
-            access="read",
+            type='string:8',
+            access='read',
         ),
         Point(
-            name="run",
-            table="coils",
+            name='run',
+            table='coils',
             address=0,
-            access="read_write",
+            access='read_write',
         ),
         Point(
-            name="reset",
-            table="coils",
+            name='reset',
+            table='coils',
             address=1,
-            access="write",
+            access='write',
         ),
     ]
 )
@@ -155,7 +155,7 @@ class Meter(_MeterRequests[ClientT]):
 
         phase to neutral
         """
-        value: float = self._certain("voltage")
+        value: float = self._certain('voltage')
         return value
 
     @property
@@ -165,7 +165,7 @@ class Meter(_MeterRequests[ClientT]):
 
         negative when it feeds back
         """
-        value: float = self._certain("power")
+        value: float = self._certain('power')
         return value
 
     @property
@@ -173,7 +173,7 @@ class Meter(_MeterRequests[ClientT]):
         """
         energy total: uint32, kWh, read-only.
         """
-        value: int = self._certain("energy total")
+        value: int = self._certain('energy total')
         return value
 
     @property
@@ -181,7 +181,7 @@ class Meter(_MeterRequests[ClientT]):
         """
         phases: float32, A, read-only.
         """
-        value: float = self._certain("phases")
+        value: float = self._certain('phases')
         return value
 
     @property
@@ -189,7 +189,7 @@ class Meter(_MeterRequests[ClientT]):
         """
         setpoint: uint16, °C, 5..30.
         """
-        value: float = self._certain("setpoint")
+        value: float = self._certain('setpoint')
         return value
 
     @property
@@ -197,7 +197,7 @@ class Meter(_MeterRequests[ClientT]):
         """
         serial number: string:8, read-only.
         """
-        value: str = self._certain("serial number")
+        value: str = self._certain('serial number')
         return value
 
     @property
@@ -205,5 +205,5 @@ class Meter(_MeterRequests[ClientT]):
         """
         run: bit.
         """
-        value: bool = self._certain("run")
+        value: bool = self._certain('run')
         return value

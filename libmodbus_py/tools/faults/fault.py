@@ -203,9 +203,6 @@ class Fault:
         )
 
 
-# --- switched on and off --------------------------------------------------------------------------
-
-
 FaultsByUnit = dict[int | None, list[Fault]]
 """Unit 0..255 -> the faults of its answers; None is every unit."""
 
@@ -214,22 +211,13 @@ _numbers = count()
 
 @dataclass(eq=False, slots=True)
 class FaultState:
-    """
-    One fault of a server, which is on or off.
+    """One fault of a server, which is on or off."""
 
-    Attributes:
-        unit: the unit whose responses have the fault, 0..255; None for every unit.
-        fault: the fault.
-        is_given: True for a fault of the server itself, False for one that was switched on.
-        is_on: True if the fault is on; `FaultSwitch.turn` changes this.
-        number: a number that no other fault of the program has; later ones have greater ones.
-    """
-
-    unit: int | None
+    unit: int | None  # None for every unit
     fault: Fault
-    is_given: bool
+    is_given: bool  # to the server itself, not switched on
     is_on: bool = True
-    number: int = field(default_factory=lambda: next(_numbers))
+    number: int = field(default_factory=lambda: next(_numbers))  # greater than of earlier ones
 
 
 class FaultSwitch:
@@ -317,12 +305,7 @@ def _that_are_on(states: list[FaultState]) -> FaultsByUnit:
 
 
 class _Switched:
-    """
-    Faults that one user has switched on, until they are switched off.
-
-    Attributes:
-        states: the faults, as `FaultSwitch.states` lists them.
-    """
+    """Faults that one user has switched on, until they are switched off."""
 
     def __init__(self, switch: FaultSwitch, states: list[FaultState]) -> None:
         self.states: list[FaultState] = states

@@ -58,11 +58,9 @@ class _Counted:
 
 class Faults:
     """
-    The faults of one server, by unit. See `Interceptor`.
+    The faults of one server, by unit; those equal to faults of `before` go on counting.
 
-    Args:
-        before: the previous faults of the same server: equal ones go on counting.
-        aliases: further units, and the unit whose faults they have if they have none of their own.
+    Units that are keys of `aliases` have the faults of another one, unless they have their own.
     """
 
     def __init__(
@@ -181,11 +179,7 @@ def _with_wrong_check(adu: bytes, framer: Framer) -> bytes:
 
 
 class FaultyAnswers:
-    """
-    The answers of one session: late, wrong, in fragments or not at all. See `Interception`.
-
-    They are sent in order, each fragment at its time.
-    """
+    """The answers of one session: in order, late, wrong, in fragments or not at all."""
 
     def __init__(self, session: Intercepted) -> None:
         self.is_waiting: bool = False
@@ -318,7 +312,7 @@ class Server(DeviceServer):
         self.fault_switch: FaultSwitch = FaultSwitch(
             lambda faults: self._serve(self.devices, faults)
         )
-        self._put(devices, faults)
+        self.replace(devices, faults)
 
     def replace(
         self,
@@ -341,19 +335,12 @@ class Server(DeviceServer):
         Raises:
             TypeError, ValueError: as for `Server`; nothing has changed.
         """
-        self._put(devices, faults)
-
-    def _put(
-        self,
-        devices: Device | Mapping[int, Device],
-        faults: Mapping[int | None, Iterable[Fault]] | None,
-    ) -> None:
         if faults is not None and not isinstance(faults, Mapping):
             given_type = type(faults).__name__
             raise TypeError(f"faults must be {{unit or None: [Fault, ...]}}, not {given_type}")
         given = {unit: list(each) for unit, each in (faults or {}).items()}
-        with self.fault_switch.giving(given) as switched_on:
-            self._serve(devices, switched_on)
+        with self.fault_switch.giving(given) as faults_on:
+            self._serve(devices, faults_on)
         self.faults: Mapping[int | None, list[Fault]] = given
 
     def _serve(self, devices: Device | Mapping[int, Device], faults: FaultsByUnit) -> None:

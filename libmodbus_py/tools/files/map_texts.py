@@ -78,8 +78,6 @@ def _shown(value: Any) -> str:
 MARK = "written by libmodbus-py map class"
 """In the first lines of such a file: only those are overwritten."""
 
-WIDTH = 88
-
 WHOLE = {f"{kind}{bits}" for kind in ("int", "uint", "bcd") for bits in (16, 32, 64)}
 
 # Names that the file itself has, or imports.
@@ -189,7 +187,7 @@ def class_text(map: RegisterMap, stem: str) -> str:
     names = attribute_names(map)
     readable = [each for each in map.values() if each.is_readable]
     writable = [each for each in map.values() if each.is_writable]
-    words = [f"    {_quoted(names[each.name])},\n" for each in readable]
+    words = [f"    {names[each.name]!r},\n" for each in readable]
     values = [f"    {names[each.name]}: {_written_kind(each)}\n" for each in writable]
     has_times = any("datetime" in _kind(each) for each in map.values())
     return FILE.format(
@@ -231,7 +229,7 @@ def _property(point: Point, attribute: str) -> str:
         kind=kind if is_certain else f"{kind} | None",
         about=_docstring(_about(point), " " * 8),
         get="_certain" if is_certain else "_value",
-        name=_quoted(point.name),
+        name=repr(point.name),
     )
 
 
@@ -285,35 +283,17 @@ def _about(point: Point) -> str:
 
 def _docstring(text: str, indent: str) -> str:
     """Return a text for the inside of a docstring, which it cannot end."""
-    lines: list[str] = []
-    for line in text.expandtabs(4).split("\n"):
-        safe = "".join(_escaped(each, '"') for each in line.strip())
-        width = WIDTH - len(indent)
-        lines += textwrap.wrap(safe, width, break_long_words=False, break_on_hyphens=False) or [""]
-    return "\n".join(indent + line if line else "" for line in lines)
+    safe = "".join(map(_escaped, text.expandtabs(4)))
+    return textwrap.indent("\n".join(map(str.strip, safe.split("\n"))), indent)
 
 
-def _quoted(text: str) -> str:
-    """Return a text as a literal, in the quotes that a formatter would choose."""
-    quote = "'" if text.count('"') > text.count("'") else '"'
-    return quote + "".join(_escaped(each, quote) for each in text) + quote
-
-
-def _escaped(character: str, quote: str) -> str:
-    if character in ("\\", quote):
+def _escaped(character: str) -> str:
+    if character in ("\\", '"'):
         return f"\\{character}"
-    if character.isprintable():
-        return character
-    return ascii(character)[1:-1]
+    is_plain = character.isprintable() or character == "\n"
+    return character if is_plain else ascii(character)[1:-1]
 
 
 def _literal(value: Any) -> str:
     """Return a value of a point's field as Python writes it."""
-    if isinstance(value, str):
-        return _quoted(value)
-    if isinstance(value, Mapping):
-        items = (f"{_literal(key)}: {_literal(each)}" for key, each in value.items())
-        return f"{{{', '.join(items)}}}"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_literal, value))}]"
-    return repr(value)
+    return repr(dict(value) if isinstance(value, Mapping) else value)

@@ -148,40 +148,25 @@ ACCESS = """
 # Request -> whether it is executed; neighbours that allow the same are one range.
 REQUESTS = [
     (pdu.ReadHoldingRegisters(0, 4), True),
-    (pdu.ReadHoldingRegisters(0, 5), False),
     (pdu.ReadHoldingRegisters(3, 2), False),
-    (pdu.ReadHoldingRegisters(4, 1), False),
-    (pdu.ReadHoldingRegisters(6, 1), False),
     (pdu.ReadHoldingRegisters(6, 2), False),
-    (pdu.ReadHoldingRegisters(7, 2), False),
     (pdu.ReadHoldingRegisters(8, 2), True),
-    (pdu.ReadHoldingRegisters(9, 2), False),
-    (pdu.WriteRegister(1, 9), True),
     (pdu.WriteRegister(2, 9), False),
     (pdu.WriteRegister(4, 9), True),
-    (pdu.WriteRegister(6, 9), False),
-    (pdu.WriteRegisters(0, (9, 9)), True),
     (pdu.WriteRegisters(1, (9, 9)), False),
     (pdu.WriteRegisters(4, (9, 9)), True),
-    (pdu.WriteRegisters(5, (9, 9)), False),
-    (pdu.MaskWriteRegister(0, 0, 0), True),
     (pdu.MaskWriteRegister(3, 0, 0), False),
     (pdu.ReadWriteRegisters(0, 4, 4, (9, 9)), True),
     (pdu.ReadWriteRegisters(4, 1, 0, (9, 9)), False),
-    (pdu.ReadWriteRegisters(0, 1, 2, (9,)), False),
     (pdu.ReadCoils(0, 3), True),
     (pdu.ReadCoils(2, 2), False),
     (pdu.WriteCoil(3, True), True),
-    (pdu.WriteCoil(2, True), False),
-    (pdu.WriteCoils(0, (True, True)), True),
     (pdu.WriteCoils(1, (True, True)), False),
     (pdu.ReadFileRecords(((1, 0, 3),)), True),
     (pdu.ReadFileRecords(((1, 2, 2),)), False),
     (pdu.ReadFileRecords(((1, 4, 1),)), False),
     (pdu.ReadFileRecords(((1, 6, 1), (2, 3, 1))), True),
-    (pdu.ReadFileRecords(((2, 0, 1),)), False),
     (pdu.ReadFileRecords(((3, 0, 1),)), False),
-    (pdu.WriteFileRecords(((1, 0, (9, 9)),)), True),
     (pdu.WriteFileRecords(((1, 3, (9,)),)), True),
     (pdu.WriteFileRecords(((1, 0, (9,)), (1, 2, (9,)))), False),
 ]
@@ -210,8 +195,6 @@ def _pieces(request: pdu.Request[Any]) -> list[Any]:
 
 # --- roles in device files ------------------------------------------------------------------------
 
-
-PLANT = Path(__file__).parents[3] / "examples" / "plant.toml"
 
 UNITS = """
 [[unit]]
@@ -242,12 +225,6 @@ def code(device: Device, request: pdu.Request[Any], role: str | None) -> int:
 
 
 READ, WRITE = pdu.ReadHoldingRegisters(0, 10), pdu.WriteRegister(20, 1)
-
-
-def test_without_roles_all_is_allowed() -> None:
-    for device in devices(UNITS).values():
-        for role in (None, "Viewer"):
-            assert code(device, READ, role) == code(device, WRITE, role) == 0
 
 
 def test_one_role_refuses_the_rest() -> None:
@@ -318,13 +295,3 @@ def test_files_and_queues() -> None:
     assert code(device, pdu.ReadFileRecords(((4, 0, 10),)), "Viewer") == 0
     assert code(device, pdu.ReadFileRecords(((4, 0, 11),)), "Viewer") == 1
     assert code(device, pdu.ReadFileRecords(((3, 0, 1),)), "Viewer") == 1
-
-
-def test_the_example_does_what_it_says() -> None:
-    plant = load(PLANT).devices
-    assert isinstance(plant, dict)
-    boiler = plant[1]
-    allowed = pdu.ReadHoldingRegisters(100, 3)
-    assert [code(boiler, allowed, role) for role in (None, "Viewer", "Thief")] == [0, 0, 1]
-    for role, expected in (("Operator", 0), ("Viewer", 1), (None, 0)):
-        assert code(boiler, pdu.ReportServerId(), role) == expected

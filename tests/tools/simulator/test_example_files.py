@@ -5,7 +5,6 @@ The examples of device files keep what their comments promise, and have every ke
 from __future__ import annotations
 
 import re
-import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,10 +19,8 @@ from libmodbus_py import (
     FrameError,
     IllegalDataAddress,
     InvalidResponse,
-    ModbusConnectionError,
     ModbusTimeoutError,
     Point,
-    ServerDeviceBusy,
     pdu,
     values,
 )
@@ -32,7 +29,6 @@ from libmodbus_py.tools.simulator import example_files
 from libmodbus_py.tools.simulator.clockwork import BEHAVIOURS
 from libmodbus_py.tools.simulator.device_file import FIFO, FILE, SERVER_ID, UNIT, load
 from libmodbus_py.tools.simulator.points import CONTENTS, DEFAULTS
-from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.commands import Started
 from tests.tools.simulator.simulated_units import Clock, inputs
 
@@ -151,33 +147,6 @@ def test_the_faults_of_the_example(
         assert client.for_unit(1).read_holding_registers(100, 3) == [555, 0, 100]
 
 
-def test_the_rarer_faults_of_the_example(plant: str) -> None:
-    with Context.from_url(plant, unit=2, timeout=0.3, native=False) as client:
-        assert client.read_coils(7, 1) == [False]
-        with pytest.raises(ModbusTimeoutError):
-            client.read_coils(7, 1)
-    with Context.from_url(plant, unit=2, timeout=5, native=False) as client:
-        refused = 0
-        for _ in range(100):
-            try:
-                client.read_holding_registers(0, 1)
-            except ServerDeviceBusy:
-                refused += 1
-        assert 5 < refused < 60
-    with Context.from_url(plant, unit=2, timeout=5, native=False) as client:
-        assert client.read_write_registers(0, 1, 0, [1]) == [1]
-        with pytest.raises(ModbusConnectionError):
-            client.read_write_registers(0, 1, 0, [1])
-        client.connect()
-        assert client.read_write_registers(2, 1, 1, [1]) == [0]
-    host, _, port = plant.removeprefix("tcp://").partition(":")
-    mask = bytes.fromhex("0000 0000 0008 02 16 0003 000F 0000")
-    with socket.create_connection((host, int(port)), 30) as connection:
-        connection.sendall(2 * mask)
-        with connection.makefile("rb") as answers:
-            assert answers.read(2 * len(mask) + 2) == 2 * mask + b"\0\xff"
-
-
 def test_the_examples_have_every_key() -> None:
     text = PLANT.read_text() + Path(example_files.path_of("meter")).read_text()
     keys = set(re.findall(r"^(\w+) =|[{,] (\w+) =", text, re.MULTILINE))
@@ -202,16 +171,3 @@ def test_the_page_about_the_simulator_explains_every_key() -> None:
     expected += [each.__dataclass_fields__ for each in (Fault, *BEHAVIOURS.values())]  # type: ignore[attr-defined]
     for keys in expected:
         assert set(keys) <= explained
-
-
-def test_the_example_is_served_on_a_serial_line() -> None:
-    with SerialWire() as wire:
-        options = "?baudrate=115200"
-        with served(f"rtu://{wire.server}{options}", "--device", str(PLANT)):
-            address = f"rtu://{wire.client}{options}"
-            with Context.from_url(address, unit=1, timeout=2, native=False) as boiler:
-                assert boiler.read_holding_registers(100, 3) == [555, 0, 100]
-                client = boiler.for_unit(2)
-                client.write_coil(0, True)  # no wrong transaction where there is none
-                with pytest.raises(FrameError):
-                    client.read_input_registers(0, 1)

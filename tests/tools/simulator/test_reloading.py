@@ -124,15 +124,6 @@ def test_what_the_file_says_otherwise_is_as_it_says(old: str, new: str, found: l
     assert [*registers[0:2], *registers[10:12]] == found
 
 
-def test_records_and_queues_that_the_file_changes_are_as_it_says() -> None:
-    text = PLAIN.replace("values = [7, 8]", "values = [7, 9]").replace(
-        "address = 3\nvalues = [1, 2]", "address = 3\nvalues = [2]"
-    )
-    device = after(PLAIN, write_all, text)
-    assert list(device.files[4]) == [7, 9]
-    assert device.fifos[3] == [2]
-
-
 def test_what_moves_goes_on() -> None:
     text = PLAIN.replace("id = 1", "id = 1\nname = 'other'")
     walked: list[int] = []
