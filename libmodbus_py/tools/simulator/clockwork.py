@@ -35,11 +35,12 @@ class SimulatedPoint:
 
     path: Path  # in the device file
     point: Point  # of records, its address is the first one, and its table has no meaning
-    cells: tuple[int, ...] = ()  # at first; none if all are 0
+    value: Any = None  # at first; None for zeros
     behaviour: Behaviour | None = None  # how its values move
-    moved_by: Path = ()  # the path of the behaviour
+    source: Path = ()  # of the key with the value or the behaviour
     file: int = 0  # the number of the file that contains these records
     is_mapped: bool = False  # the point comes from a register map
+    cells: tuple[int, ...] = ()  # with its first value, and those of others that share them
 
     @property
     def table(self) -> str:
@@ -97,7 +98,7 @@ class Clockwork:
         self._held: set[tuple[str, range]] = set()
         for each in [each for points in self._points.values() for each in points]:
             if each.behaviour is not None:
-                with inside(*each.moved_by):
+                with inside(*each.source):
                     if (source := each.point.scale_from) is not None:
                         raise ValueError(f"a point that {source} scales does not move")
                     self._moving[each.table, each.span] = each, each.behaviour.begin(each, self)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
 from os import PathLike, fspath
 from os.path import dirname
 from typing import Any
@@ -40,8 +39,8 @@ from ..files.schema import (
     whole,
 )
 from ..files.texts import FileError, load_file, read_toml, shown_key
-from .clockwork import Clockwork, SimulatedPoint
-from .points import CONTENTS, DEFAULTS, Found, Maps, points_of
+from .clockwork import Clockwork
+from .points import CONTENTS, DEFAULTS, Maps, points_of
 from .simulated import SimulatedDevice, Simulation
 
 __all__ = [
@@ -268,20 +267,27 @@ def _device(
     path: Path, unit: dict[str, Any], definition: tuple[object, ...], maps: Maps, clock: Clock
 ) -> SimulatedDevice:
     """Return the device of a unit, whose keys are checked."""
-    mapping, records, contents = _filled(points_of(path, unit, maps))
+    points = points_of(path, unit, maps)
+    in_tables = [each for each in points if not each.file]
+    spans = {table: [each.span for each in points if each.table == table] for table in TABLES}
+    mapping = Tables(**{table: joined(each) for table, each in spans.items()})
+    records: dict[int, dict[int, int]] = {each.file: {} for each in points if each.file}
+    for each in points:
+        if each.file:
+            records[each.file].update(dict.fromkeys(each.span, 0))
     fifos: dict[int, list[int]] = {}
-    for at, each in enumerate(unit.get("fifo", ())):
-        if each["address"] in fifos:
-            reason = f"there is already a queue at address {each['address']}"
+    for at, queue in enumerate(unit.get("fifo", ())):
+        if queue["address"] in fifos:
+            reason = f"there is already a queue at address {queue['address']}"
             raise WrongValue.about((*path, "fifo", at, "address"), reason)
-        fifos[each["address"]] = each["values"]
-    return SimulatedDevice(
+        fifos[queue["address"]] = queue["values"]
+    device = SimulatedDevice(
         mapping,
         name=unit.get("name", ""),
         description=unit.get("description", ""),
-        definition=(*definition, [each.point for each in contents if each.is_mapped]),
-        contents=contents,
-        clockwork=Clockwork(mapping, [each for each in contents if not each.file], clock),
+        definition=(*definition, [each.point for each in points if each.is_mapped]),
+        contents=points,
+        clockwork=Clockwork(mapping, in_tables, clock),
         files=records,
         fifos=fifos,
         identification=unit.get("identification"),
@@ -289,30 +295,5 @@ def _device(
         exception_status=unit.get("exception_status", 0),
         authorize=unit.get("roles"),
     )
-
-
-def _filled(
-    found: list[Found],
-) -> tuple[Tables, dict[int, dict[int, int]], list[SimulatedPoint]]:
-    """Return the tables and the records with their first values, and points that know them."""
-    spans: dict[str, list[range]] = {table: [] for table in TABLES}
-    records: dict[int, dict[int, int]] = {}
-    for each, change in found:
-        if each.file:
-            cells = change.cells if change else [0] * len(each.span)
-            records.setdefault(each.file, {}).update(zip(each.span, cells, strict=True))
-        else:
-            spans[each.table].append(each.span)
-    mapping = Tables(**{table: joined(ranges) for table, ranges in spans.items()})
-    for each, change in found:
-        if change is not None and not each.file:
-            table, span = getattr(mapping, each.table), slice(each.span.start, each.span.stop)
-            table[span] = change.over(table[span])
-    contents = []
-    for each, _ in found:
-        if each.file:
-            first = [records[each.file][record] for record in each.span]
-        else:
-            first = getattr(mapping, each.table)[each.span.start : each.span.stop]
-        contents.append(replace(each, cells=tuple(map(int, first)) if any(first) else ()))
-    return mapping, records, contents
+    device.set_first_values()
+    return device

@@ -11,11 +11,10 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
-from ...maps.meaning import CellChange
 from ...maps.point import Point
 from ...maps.point_plan import scale_mistakes
 from ...maps.register_map import RegisterMap, close_to
-from ...protocol.mistakes import Path, WrongValue, inside, path_text, placed
+from ...protocol.mistakes import Path, WrongValue, inside, path_text
 from ...protocol.pdu import RECORDS_PER_FILE
 from ...protocol.tables import TABLES
 from ...protocol.values import value_type
@@ -25,7 +24,7 @@ from ..files.texts import shown_key
 from .clockwork import BEHAVIOURS, SimulatedPoint
 from .example_files import map_file
 
-__all__ = ["CONTENTS", "DEFAULTS", "Found", "Maps", "points_of"]
+__all__ = ["CONTENTS", "DEFAULTS", "Maps", "points_of"]
 
 MOVES = Keys(Key(name, keys_of(make).read) for name, make in BEHAVIOURS.items())
 """Kind of movement -> its keys."""
@@ -76,9 +75,6 @@ CONTENTS: dict[str, Keys] = {
 }
 """Table -> the keys of its points or records."""
 
-Found = tuple[SimulatedPoint, CellChange | None]
-"""A point, and what its first values change; None for zeros."""
-
 
 class Maps:
     """The register maps of one device file, each read once; paths are relative to its folder."""
@@ -103,16 +99,15 @@ class Maps:
         return self._maps[path]
 
 
-def points_of(path: Path, unit: Mapping[str, Any], maps: Maps) -> list[Found]:
-    """Return the points of a unit, and the records of its files, each with its first values."""
-    firsts = _first_values(unit)
-    found = list(_mapped_points(path, unit, maps, firsts))
-    points = {each.point.name: each.point for each, _ in found}
+def points_of(path: Path, unit: Mapping[str, Any], maps: Maps) -> list[SimulatedPoint]:
+    """Return the points of a unit, and the records of its files."""
+    found = list(_mapped_points(path, unit, maps))
+    points = {each.point.name: each.point for each in found}
     paths: dict[str, Path] = {}
     raws = [(table, at, raw) for table in CONTENTS for at, raw in enumerate(unit.get(table, ()))]
     for table, at, raw in sorted(raws, key=lambda each: "name" not in each[2]):
         where = (*path, table, at)
-        each, change = _own_point(where, table, raw, unit["defaults"], firsts)
+        each = _own_point(where, table, raw, unit["defaults"])
         name = each.point.name
         if name in points and "name" in raw:
             raise WrongValue.about((*where, "name"), f"there is already a point {name}")
@@ -121,55 +116,16 @@ def points_of(path: Path, unit: Mapping[str, Any], maps: Maps) -> list[Found]:
         if not each.file:
             each = replace(each, point=replace(each.point, name=name))
             points[name], paths[name] = each.point, where
-        found.append((each, change))
+        found.append(each)
     for name, mistake in scale_mistakes(points):
         raise mistake.renamed(paths[name])
-    _check_overlaps([each for each, _ in found])
+    _check_overlaps(found)
     return found
 
 
-def _first_values(unit: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the initial values of points by name, which are not checked yet."""
-    found: dict[str, Any] = {}
-    for table in TABLES:
-        for raw in unit.get(table, ()):
-            name = raw.get("name", f"{table}_{raw.get('address')}")
-            values = raw.get("values")
-            first = values[0] if isinstance(values, list) and values else 0
-            found.setdefault(str(name), raw.get("value", first))
-    return {**found, **unit.get("values", {})}
-
-
-def _change(path: Path, point: Point, values: list[Any], firsts: Mapping[str, Any]) -> CellChange:
-    """Return what the first values of a point change: one for each of its values, or for all."""
-    if len(values) not in (1, point.count):
-        raise WrongValue(path, f"must be a list of {point.count}, not of {len(values)}")
-    source = firsts.get(point.scale_from or "", 0)
-    if not source and point.scale_as != "exponent":
-        source = None
-    cells: list[Any] = []
-    masks: list[int] = []
-    for at, value in enumerate(values):
-        try:
-            scaling = point.scaling_for(source)
-            point.cells_of_one(value, scaling)  # which checks bounds, too
-            change = point.meaning.change(value, scaling)
-        except (TypeError, ValueError) as error:
-            where = (*path, at) if path[-1] == "values" else path
-            raise placed(error, ()).renamed(where) from None
-        cells += change.cells
-        masks += change.masks or ()
-    times = point.count // len(values)
-    return CellChange(cells * times, masks * times or None)
-
-
 def _own_point(
-    path: Path,
-    table: str,
-    raw: dict[str, object],
-    defaults: Mapping[str, Any],
-    firsts: Mapping[str, Any],
-) -> Found:
+    path: Path, table: str, raw: dict[str, object], defaults: Mapping[str, Any]
+) -> SimulatedPoint:
     """Return a point of the device file itself, or the records of a file, which are alike."""
     given: dict[str, Any] = CONTENTS[table].read(path, raw)
     sources = [key for key in given if key in VALUES or key in MOVES]
@@ -184,7 +140,6 @@ def _own_point(
         raise WrongValue((*path, "count"), "cannot be given together with values")
     if given.get("values") == []:
         raise WrongValue((*path, "values"), "must not be empty")
-    values = given.get("values", [given[source]] if source == "value" else [])
     first = given["record" if table == "file" else "address"]
     rules = TABLES.get(table)
     without = {*TYPING} if rules is not None and rules.is_bits else set()
@@ -193,7 +148,7 @@ def _own_point(
     keys = {
         **{key: value for key, value in defaults.items() if key not in without},
         "name": f"{table}_{first}",
-        "count": len(values) if source == "values" else 1,
+        "count": len(given.get("values", " ")),
         **{key: value for key, value in given.items() if key in POINT_KEYS},
         "table": "holding_registers" if table == "file" else table,
         "address": first,
@@ -202,16 +157,16 @@ def _own_point(
         point = Point(**keys)
     if table == "file" and point.cells.stop > RECORDS_PER_FILE:
         raise WrongValue(path, f"ends at {point.cells.stop - 1}, after {RECORDS_PER_FILE - 1}")
-    if not values and point.read.kind is not None and point.read.kind.is_text:
-        values = [""]  # which may be padded with other than zeros
-    where, file = (*path, source), given.get("number", 0)
-    change = _change(where, point, values, firsts) if values else None
-    return SimulatedPoint(path, point, behaviour=behaviour, moved_by=where, file=file), change
+    # A text may be padded with other than zeros.
+    is_text = point.read.kind is not None and point.read.kind.is_text and behaviour is None
+    value = given.get("value", "" if is_text else None)
+    if value is not None or "values" in given:
+        values = given.get("values", [value] * point.count)
+        value = values if point.count > 1 else values[0]
+    return SimulatedPoint(path, point, value, behaviour, (*path, source), given.get("number", 0))
 
 
-def _mapped_points(
-    path: Path, unit: Mapping[str, Any], maps: Maps, firsts: Mapping[str, Any]
-) -> Iterator[Found]:
+def _mapped_points(path: Path, unit: Mapping[str, Any], maps: Maps) -> Iterator[SimulatedPoint]:
     """Yield the points of all maps of a unit."""
     points: dict[str, Point] = {}
     for where, name in unit.get("map", ()):
@@ -226,22 +181,19 @@ def _mapped_points(
                 reason = f"no such point{close_to(name, points)}"
                 raise WrongValue.about((*path, key, shown_key(name)), reason)
     for name, point in points.items():
-        key, behaviour, change = shown_key(name), None, None
-        moved_by: Path = (*path, "moves", key)
+        key, behaviour = shown_key(name), None
+        source: Path = (*path, "values", key)
+        if name in values and name in moves:
+            raise WrongValue(source, f"cannot be given together with moves.{key}")
         if name in moves:
-            read = MOVES.read(moved_by, moves[name])
+            source = (*path, "moves", key)
+            read = MOVES.read(source, moves[name])
             if len(read) != 1:
-                raise WrongValue(moved_by, f"must have one of {', '.join(MOVES)}")
+                raise WrongValue(source, f"must have one of {', '.join(MOVES)}")
             ((kind, behaviour),) = read.items()
-            moved_by = (*moved_by, kind)
-        if name in values:
-            where, value = (*path, "values", key), values[name]
-            if name in moves:
-                raise WrongValue(where, f"cannot be given together with moves.{key}")
-            is_list = point.count > 1 and isinstance(value, list)
-            change = _change(where, point, value if is_list else [value], firsts)
+            source = (*source, kind)
         where = (*path, "map", key)
-        yield SimulatedPoint(where, point, (), behaviour, moved_by, is_mapped=True), change
+        yield SimulatedPoint(where, point, values.get(name), behaviour, source, is_mapped=True)
 
 
 # --- points that share cells ------------------------------------------------------------------
@@ -255,7 +207,7 @@ def _check_overlaps(points: Iterable[SimulatedPoint]) -> None:
     in_order = sorted(points, key=lambda each: (each.area, each.span.start))
     for before, each in pairwise(each for each in in_order if each.is_mapped and each.behaviour):
         if before.table == each.table and each.span.start < before.span.stop:
-            raise WrongValue(each.moved_by[:-1], "shares cells with another that moves")
+            raise WrongValue(each.source[:-1], "shares cells with another that moves")
     last, bits = None, 0
     for each in in_order:
         own_bits = _bits(each)

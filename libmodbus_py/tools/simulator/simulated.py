@@ -17,7 +17,7 @@ from ...device.named_values import RuledCells, known_point
 from ...maps.point import Point
 from ...maps.point_plan import sources_of
 from ...maps.register_map import RegisterMap
-from ...protocol.mistakes import WrongValue
+from ...protocol.mistakes import WrongValue, placed
 from ...protocol.tables import TABLES
 from ..faults.fault import Fault
 from .clockwork import Clockwork, SimulatedPoint
@@ -120,6 +120,28 @@ class SimulatedDevice(Device):
             self._clockwork.hold(point.table, point.cells, is_on=is_on)
 
     # --- values kept over a restart, and in another device of the same unit ---------------------
+
+    def set_first_values(self) -> None:
+        """Set the values that the device file gives; errors have the path of their key."""
+        # What scales others comes first.
+        scales = sources_of(self.points.values(), self.points)
+        order = {name: at for at, name in enumerate(scales)}
+        valued = [each for each in self._contents if each.value is not None]
+        for each in sorted(valued, key=lambda each: order.get(each.point.name, len(order))):
+            try:
+                if each.file:
+                    cells = tuple(each.point.encode(each.value))
+                    self.files[each.file].write(each.span.start, cells)
+                else:
+                    super().update({each.point.name: each.value})
+            except (TypeError, ValueError) as error:
+                reason = placed(error, ()).reason
+                about = reason.removeprefix("value ")
+                between = ": " if about == reason else " "
+                raise WrongValue(each.source, about, between) from None
+        for at, each in enumerate(self._contents):
+            cells = self._present(each)
+            self._contents[at] = replace(each, cells=cells if any(cells) else ())
 
     def first_values(self) -> Iterator[Access]:
         """
