@@ -17,13 +17,12 @@ from typing import Any
 
 from ...device.mapping import Mapping
 from ...maps.point import Point
-from ...protocol.checks import integer, seconds
-from ...protocol.checks import number as check_number
+from ...protocol.checks import integer, number, seconds
 from ...protocol.errors import ServerDeviceFailure
 from ...protocol.mistakes import Path, WrongValue, inside
 from ...protocol.tables import TABLES
 
-__all__ = ["BEHAVIOURS", "Clockwork", "Counter", "RandomWalk", "SimulatedPoint"]
+__all__ = ["BEHAVIOURS", "Clockwork", "SimulatedPoint"]
 
 Compute = Callable[[int, float], Any]
 """Function that returns the value with this index in a point, at seconds since the start."""
@@ -36,7 +35,7 @@ class SimulatedPoint:
     path: Path  # in the device file
     point: Point  # of records, its address is the first one, and its table has no meaning
     value: Any = None  # at first; None for zeros
-    behaviour: Behaviour | None = None  # how its values move
+    behaviour: tuple[str, dict[str, Any]] | None = None  # key of `BEHAVIOURS`, and arguments
     source: Path = ()  # of the key with the value or the behaviour
     file: int = 0  # the number of the file that contains these records
     is_mapped: bool = False  # the point comes from a register map
@@ -69,7 +68,7 @@ class SimulatedPoint:
         scale = (point.scale, point.offset, point.scale_from, point.scale_as)
         names = (point.missing, point.bit, point.byte, str(point.states), str(point.bits))
         meaning = (point.type, point.order, point.time_zone, *scale, *names)
-        return (self.area, self.span, meaning, type(self.behaviour), self.cells)
+        return (self.area, self.span, meaning, self.behaviour and self.behaviour[0], self.cells)
 
 
 class Clockwork:
@@ -101,7 +100,9 @@ class Clockwork:
                 with inside(*each.source):
                     if (source := each.point.scale_from) is not None:
                         raise ValueError(f"a point that {source} scales does not move")
-                    self._moving[each.table, each.span] = each, each.behaviour.begin(each, self)
+                    kind, settings = each.behaviour
+                    compute = BEHAVIOURS[kind](each, self, **settings)
+                    self._moving[each.table, each.span] = each, compute
 
     def go_on_from(self, before: Clockwork) -> None:
         """Continue with the start, the seed and the held values of another clockwork."""
@@ -189,132 +190,115 @@ MOST_COPIES = 8
 LARGEST = 1e100
 
 
-def _number(name: str, value: object) -> None:
-    check_number(name, value, -LARGEST, LARGEST)
-
-
-def _check_between(low: Number, high: Number) -> None:
-    _number("low", low)
-    _number("high", high)
-    if low >= high:
-        raise WrongValue("high", f"must be above low, which is {low}, not {high}")
-
-
 def _limits(simulated: SimulatedPoint, **numbers: Number) -> tuple[Number, Number]:
     """Return the limits of a point's values; raise WrongValue for a named number outside."""
     point = simulated.point
     low, high = point.limits
     if low is None or high is None:
         raise ValueError(f"only numbers can move by themselves, not {point.type_name}")
-    for name, number in numbers.items():
-        if not low <= number <= high:
-            raise WrongValue(name, f"must be in {low}..{high} for {point.type_name}, not {number}")
+    for name, given in numbers.items():
+        number(name, given, -LARGEST, LARGEST)
+        if not low <= given <= high:
+            raise WrongValue(name, f"must be in {low}..{high} for {point.type_name}, not {given}")
     return low, high
 
 
-@dataclass(frozen=True)
-class Counter:
-    """Increases (or decreases) by a step at each interval, and keeps what exceeds the wrap."""
+def _check_span(point: SimulatedPoint, low: Number, high: Number) -> None:
+    _limits(point, low=low, high=high)
+    if low >= high:
+        raise WrongValue("high", f"must be above low, which is {low}, not {high}")
 
-    step: Number = 1
-    interval: float = 1.0  # seconds
-    start: Number = 0
-    wrap: Number | None = None  # never reached; None is the end of the type, where floats stay
 
-    def __post_init__(self) -> None:
-        _number("step", self.step)
-        seconds("interval", self.interval)
-        _number("start", self.start)
-        if self.step == 0:
-            raise WrongValue("step", "must not be 0")
-        if self.wrap is not None:
-            _number("wrap", self.wrap)
-            if (self.wrap - self.start) * self.step <= 0:
-                side = "above" if self.step > 0 else "below"
-                raise WrongValue("wrap", f"must be {side} start, which is {self.start}")
+def counter(
+    point: SimulatedPoint,
+    others: Clockwork,
+    step: Number = 1,
+    interval: float = 1.0,
+    start: Number = 0,
+    wrap: Number | None = None,
+) -> Compute:
+    """
+    Increase (or decrease) by a step at each interval of seconds, up to `wrap`.
 
-    def begin(self, point: SimulatedPoint, others: Clockwork) -> Compute:
-        low, high = _limits(point, start=self.start)
-        wrap, beyond = self.wrap, point.point.step
-        if wrap is None and beyond:
-            wrap = high + beyond if self.step > 0 else low - beyond
-        elif wrap is not None and not low - (beyond or 1) <= wrap <= high + (beyond or 1):
-            span = f"{low - (beyond or 1)}..{high + (beyond or 1)} for {point.point.type_name}"
+    There it begins again, with what the last step exceeds it by. None is the end of the type, where
+    floats stay.
+    """
+    number("step", step, -LARGEST, LARGEST)
+    seconds("interval", interval)
+    if step == 0:
+        raise WrongValue("step", "must not be 0")
+    low, high = _limits(point, start=start)
+    low, high = low - (point.point.step or 1), high + (point.point.step or 1)
+    if wrap is None and point.point.step:
+        wrap = high if step > 0 else low
+    if wrap is not None:
+        number("wrap", wrap, -LARGEST, LARGEST)
+        if (wrap - start) * step <= 0:
+            side = "above" if step > 0 else "below"
+            raise WrongValue("wrap", f"must be {side} start, which is {start}")
+        if not low <= wrap <= high:
+            span = f"{low}..{high} for {point.point.type_name}"
             raise WrongValue("wrap", f"must be in {span}, not {wrap}")
 
-        def compute(index: int, now: float) -> Number:
-            way = self.step * int(now / self.interval)
-            # Both have the sign of the step.
-            return self.start + (way if wrap is None else way % (wrap - self.start))
+    def compute(index: int, now: float) -> Number:
+        way = step * int(now / interval)
+        # Both have the sign of the step.
+        return start + (way if wrap is None else way % (wrap - start))
 
-        return compute
-
-
-@dataclass(frozen=True)
-class Sine:
-    """Swings between two values, from the middle upwards at first; its period is in seconds."""
-
-    low: Number
-    high: Number
-    period: float
-
-    def __post_init__(self) -> None:
-        _check_between(self.low, self.high)
-        seconds("period", self.period)
-
-    def begin(self, point: SimulatedPoint, others: Clockwork) -> Compute:
-        _limits(point, low=self.low, high=self.high)
-
-        def compute(index: int, now: float) -> Number:
-            share = (1 + math.sin(math.tau * now / self.period)) / 2
-            return self.low * (1 - share) + self.high * share
-
-        return compute
+    return compute
 
 
-@dataclass(frozen=True)
-class RandomWalk:
+def sine(
+    point: SimulatedPoint, others: Clockwork, low: Number, high: Number, period: float
+) -> Compute:
+    """Swing between two values in a period of seconds, from the middle upwards at first."""
+    _check_span(point, low, high)
+    seconds("period", period)
+
+    def compute(index: int, now: float) -> Number:
+        share = (1 + math.sin(math.tau * now / period)) / 2
+        return low * (1 - share) + high * share
+
+    return compute
+
+
+def random_walk(
+    point: SimulatedPoint,
+    others: Clockwork,
+    low: Number,
+    high: Number,
+    step: Number,
+    interval: float = 1.0,
+    seed: int | None = None,
+) -> Compute:
     """
-    Moves by chance, from the middle on, by at most a step in each interval of seconds.
+    Move by chance, from the middle on, by at most a step in each interval of seconds.
 
     It goes in straight lines from one random value to the next, with a random deviation at each
     move; each makes up half of the step. So a value depends on nothing but the time and the seed,
     which makes every start walk the same way; each value of a run its own.
     """
+    _check_span(point, low, high)
+    number("step", step, -LARGEST, LARGEST)
+    if not 0 < step <= high - low:
+        raise WrongValue("step", f"must be more than 0 and up to {high - low}, not {step}")
+    seconds("interval", interval)
+    if seed is not None:
+        integer("seed", seed, 0, (1 << 64) - 1)
+    origin = _mixed(list(TABLES).index(point.table), point.span.start)
+    middle, deviation = low / 2 + high / 2, step / 4
+    reach = (high - low) / 2 - deviation
+    moves_of_line = math.ceil(min(4 * reach / step, 1e15)) or 1
 
-    low: Number
-    high: Number
-    step: Number
-    interval: float = 1.0
-    seed: int | None = None
+    def compute(index: int, now: float) -> Number:
+        own = _mixed(_mixed(others.seed, origin) if seed is None else seed, index)
+        move = int(now / interval)
+        line, done = divmod(move, moves_of_line)
+        here, there = _share(own, line), _share(own, line + 1)
+        way = here + (there - here) * done / moves_of_line
+        return min(max(middle + reach * way + deviation * _share(own + 1, move), low), high)
 
-    def __post_init__(self) -> None:
-        _check_between(self.low, self.high)
-        _number("step", self.step)
-        if not 0 < self.step <= self.high - self.low:
-            span = f"more than 0 and up to {self.high - self.low}"
-            raise WrongValue("step", f"must be {span}, not {self.step}")
-        seconds("interval", self.interval)
-        if self.seed is not None:
-            integer("seed", self.seed, 0, (1 << 64) - 1)
-
-    def begin(self, point: SimulatedPoint, others: Clockwork) -> Compute:
-        _limits(point, low=self.low, high=self.high)
-        origin = _mixed(list(TABLES).index(point.table), point.span.start)
-        middle, deviation = self.low / 2 + self.high / 2, self.step / 4
-        reach = (self.high - self.low) / 2 - deviation
-        moves_of_line = math.ceil(min(4 * reach / self.step, 1e15)) or 1
-
-        def compute(index: int, now: float) -> Number:
-            seed = _mixed(_mixed(others.seed, origin) if self.seed is None else self.seed, index)
-            move = int(now / self.interval)
-            line, done = divmod(move, moves_of_line)
-            here, there = _share(seed, line), _share(seed, line + 1)
-            way = here + (there - here) * done / moves_of_line
-            value = middle + reach * way + deviation * _share(seed + 1, move)
-            return min(max(value, self.low), self.high)
-
-        return compute
+    return compute
 
 
 def _share(seed: int, at: int) -> float:
@@ -330,72 +314,61 @@ def _mixed(seed: int, number: int) -> int:
     return bits ^ bits >> 31
 
 
-@dataclass(frozen=True)
-class Copy:
+def copy(
+    point: SimulatedPoint, others: Clockwork, address: int, table: str, scale: Number = 1
+) -> Compute:
     """
-    Follows other values: each value of the point is a copy of one of them, from an address on.
+    Follow other values, from an address on: each value is a copy of one of them, times `scale`.
 
     The number is rounded, and limited to the range of its type. Function 23 reads copies of
     the values before its own write.
     """
-
-    address: int
-    table: str
-    scale: Number = 1
-
-    def __post_init__(self) -> None:
-        integer("address", self.address, 0, 0xFFFF)
-        if self.table not in TABLES:
-            raise WrongValue("table", f"must be one of {', '.join(TABLES)}, not {self.table!r}")
-        _number("scale", self.scale)
-
-    def begin(self, point: SimulatedPoint, others: Clockwork) -> Compute:
-        sources = [self._source(index, others) for index in range(point.point.count)]
-        for source, at in sources:
-            self._check(source, at, point, others)
-
-        def compute(index: int, now: float) -> Any:
-            source, at = sources[index]
-            value = others.value(source, at, now)
-            return value if source.point.limits[0] is None else value * self.scale
-
-        return compute
-
-    def _check(
-        self, source: SimulatedPoint, at: int, own: SimulatedPoint, others: Clockwork
-    ) -> None:
-        names = source.point.type_name, own.point.type_name
-        are_numbers = source.point.limits[0] is not None and own.point.limits[0] is not None
-        if not are_numbers and (names[0] != names[1] or self.scale != 1):
+    number("scale", scale, -LARGEST, LARGEST)
+    sources = [_source(others, index, address, table) for index in range(point.point.count)]
+    own = point.point
+    for source, at in sources:
+        names = source.point.type_name, own.type_name
+        are_numbers = source.point.limits[0] is not None and own.limits[0] is not None
+        if not are_numbers and (names[0] != names[1] or scale != 1):
             raise ValueError(
                 f"{names[0]} cannot be copied to {names[1]}: values that are not"
                 " numbers need the same type on both sides, and no scale"
             )
-        for _ in range(MOST_COPIES - 1):
-            if not isinstance(source.behaviour, Copy):
-                return
-            source, at = source.behaviour._source(at, others)
-        if isinstance(source.behaviour, Copy):
-            raise ValueError(f"more than {MOST_COPIES} copies in a row, or a circle of them")
+        copies = 1
+        while source.behaviour is not None and source.behaviour[0] == "copy":
+            copies += 1
+            if copies > MOST_COPIES:
+                raise ValueError(f"more than {MOST_COPIES} copies in a row, or a circle of them")
+            settings = source.behaviour[1]
+            source, at = _source(others, at, settings["address"], settings["table"])
 
-    def _source(self, index: int, others: Clockwork) -> tuple[SimulatedPoint, int]:
-        """Return the point that one value of this point follows, and the index in it."""
-        first = others.find(self.table, self.address)
-        address = self.address + index * (1 if first is None else first.point.read.size)
-        source = others.find(self.table, address)
-        if source is not None:
-            at, rest = divmod(address - source.span.start, source.point.read.size)
-            if not rest:
-                return source, at
-        raise ValueError(f"in {self.table} no value begins at {address}")
+    def compute(index: int, now: float) -> Any:
+        source, at = sources[index]
+        value = others.value(source, at, now)
+        return value if source.point.limits[0] is None else value * scale
+
+    return compute
 
 
-Behaviour = Counter | Sine | RandomWalk | Copy
+def _source(others: Clockwork, index: int, address: int, table: str) -> tuple[SimulatedPoint, int]:
+    """Return the point that one value of a copy follows, and the index in it."""
+    integer("address", address, 0, 0xFFFF)
+    if table not in TABLES:
+        raise WrongValue("table", f"must be one of {', '.join(TABLES)}, not {table!r}")
+    first = others.find(table, address)
+    address += index * (1 if first is None else first.point.read.size)
+    source = others.find(table, address)
+    if source is not None:
+        at, rest = divmod(address - source.span.start, source.point.read.size)
+        if not rest:
+            return source, at
+    raise ValueError(f"in {table} no value begins at {address}")
 
-BEHAVIOURS: dict[str, type[Behaviour]] = {
-    "counter": Counter,
-    "sine": Sine,
-    "random_walk": RandomWalk,
-    "copy": Copy,
+
+BEHAVIOURS: dict[str, Callable[..., Compute]] = {
+    "counter": counter,
+    "sine": sine,
+    "random_walk": random_walk,
+    "copy": copy,
 }
-"""The key of a movement -> its class."""
+"""The key of a movement -> begins it, with its keys as arguments behind point and clockwork."""

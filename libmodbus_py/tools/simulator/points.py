@@ -26,7 +26,9 @@ from .example_files import map_file
 
 __all__ = ["CONTENTS", "DEFAULTS", "Maps", "points_of"]
 
-MOVES = Keys(Key(name, keys_of(make).read) for name, make in BEHAVIOURS.items())
+MOVES = Keys(
+    Key(name, keys_of(make).but("point", "others").read) for name, make in BEHAVIOURS.items()
+)
 """Kind of movement -> its keys."""
 
 VALUES = Keys(
@@ -132,7 +134,7 @@ def _own_point(
     if len(sources) > 1:
         raise WrongValue((*path, sources[1]), f"cannot be given together with {sources[0]}")
     source = sources[0] if sources else ""
-    behaviour = given[source] if source in MOVES else None
+    behaviour = (source, given[source]) if source in MOVES else None
     if behaviour and given.get("access", "read") != "read":
         # A value written by a client would be lost at the next read.
         raise WrongValue((*path, "access"), "must be read for what moves by itself")
@@ -181,7 +183,7 @@ def _mapped_points(path: Path, unit: Mapping[str, Any], maps: Maps) -> Iterator[
                 reason = f"no such point{close_to(name, points)}"
                 raise WrongValue.about((*path, key, shown_key(name)), reason)
     for name, point in points.items():
-        key, behaviour = shown_key(name), None
+        key = shown_key(name)
         source: Path = (*path, "values", key)
         if name in values and name in moves:
             raise WrongValue(source, f"cannot be given together with moves.{key}")
@@ -190,8 +192,8 @@ def _mapped_points(path: Path, unit: Mapping[str, Any], maps: Maps) -> Iterator[
             read = MOVES.read(source, moves[name])
             if len(read) != 1:
                 raise WrongValue(source, f"must have one of {', '.join(MOVES)}")
-            ((kind, behaviour),) = read.items()
-            source = (*source, kind)
+            source = (*source, *read)
+        behaviour = next(iter(read.items())) if name in moves else None
         where = (*path, "map", key)
         yield SimulatedPoint(where, point, values.get(name), behaviour, source, is_mapped=True)
 
