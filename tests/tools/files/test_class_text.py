@@ -68,13 +68,6 @@ def test_a_class_has_a_name_that_the_file_does_not_use(stem: str) -> None:
         assert meter.a is True
 
 
-def test_the_map_in_the_file_is_that_of_the_class() -> None:
-    for source in (TYPING / "meter.csv", Path("examples/meter-map.csv")):
-        if source.exists():
-            map = load_map(source)
-            assert list(made(map)["MAP"].values()) == list(map.values())
-
-
 MEANINGS = [
     (Point("a", "holding_registers", 0), "int"),
     (Point("a", "holding_registers", 0, scale=2, offset=-5), "int"),
@@ -150,12 +143,6 @@ TEXTS = [
 @each_case("text", TEXTS)
 def test_descriptions_stay_texts(text: str) -> None:
     check_texts(RegisterMap([Point("a", "coils", 0, description=text)]))
-
-
-@each_case("text", [each for each in TEXTS if "\n" not in each and len(each) < 50])
-def test_names_and_units_stay_texts(text: str) -> None:
-    name = text.strip()
-    check_texts(RegisterMap([Point(name, "coils", 0), Point("b", "coils", 1, units=name)]))
 
 
 PRINTABLE = st.characters(exclude_categories=["C", "Z"])

@@ -5,14 +5,8 @@ Keys that say what raw values mean, in TOML and in CSV: the same points, and whe
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-
-from libmodbus_py import Point, RegisterMap, load_map
-from libmodbus_py.tools.files.map_texts import csv_text, toml_text
+from libmodbus_py import RegisterMap, load_map
 
 TOML = """
 [[point]]
@@ -86,31 +80,6 @@ def test_toml_and_csv_say_the_same(tmp_path: Path) -> None:
     assert list(loaded(tmp_path, "map.csv", CSV).values()) == list(points.values())
     assert points["state"].states == {0: "off", 1: "on", 16: "a;b"}
     assert points["flags"].decode([0x51]) == {"door": True, "mode": 5}
-
-
-NAMES = st.text(st.characters(categories=("L", "N", "P", "S", "Zs")), min_size=1, max_size=8)
-KEYS: st.SearchStrategy[dict[str, Any]] = st.one_of(
-    st.fixed_dictionaries({"states": st.dictionaries(st.integers(0, 9), NAMES, min_size=1)}),
-    st.fixed_dictionaries({"bits": st.dictionaries(st.integers(0, 9), NAMES, min_size=1)}),
-    st.fixed_dictionaries({"missing": st.lists(st.integers(0, 65535), min_size=1, max_size=5)}),
-    st.fixed_dictionaries({"bit": st.one_of(st.integers(0, 15), st.just("2..5"))}),
-    st.fixed_dictionaries({"plausible_minimum": st.floats(-1e9, 1e9)}),
-)
-
-
-@pytest.mark.parametrize("form", ["toml", "csv"])
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
-@given(keys=KEYS)
-def test_any_keys_come_back_from_files(tmp_path: Path, form: str, keys: dict[str, Any]) -> None:
-    for key in ("states", "bits"):
-        if key in keys:  # without spaces around, which no name has, and each name once
-            kept = {" ".join(name.split()): number for number, name in keys[key].items()}
-            keys = {key: {number: name for name, number in kept.items() if name}}
-            if not keys[key]:
-                return
-    point = Point("p", "holding_registers", 0, **keys)
-    text = {"toml": toml_text, "csv": csv_text}[form]([point])
-    assert loaded(tmp_path, f"back.{form}", text)["p"] == point
 
 
 def test_an_accumulator_of_sunspec_is_missing_at_0(tmp_path: Path) -> None:

@@ -64,18 +64,6 @@ def test_only_what_is_read_is_computed_and_all_of_it() -> None:
     assert inputs(device, 10, 11) == [0, 5, 0, 5, 0, 5, 0, 5, 5, 5, 3]
 
 
-@pytest.mark.parametrize("kind", ["float16", "float32", "float64"])
-def test_floats_move_in_fractions(kind: str) -> None:
-    clock = Clock()
-    device = unit(
-        f'[[unit.input_registers]]\naddress = 0\ntype = "{kind}"\ncounter = {{ step = 0.25 }}',
-        clock,
-    )
-    clock.now += 3
-    count = values.value_type(kind).registers
-    assert values.value_type(kind).decode(inputs(device, 0, count)) == 0.75
-
-
 def test_a_coil_blinks_and_a_bit_is_a_number() -> None:
     clock = Clock()
     device = unit(
@@ -237,30 +225,6 @@ def test_a_copy_of_a_copy_is_of_now() -> None:
 
 
 # --- values that walk at random -------------------------------------------------------------------
-
-
-def test_a_random_walk_with_a_seed_is_the_same_after_every_start() -> None:
-    text = """
-        [[unit.input_registers]]
-        address = 0
-        count = 3
-        random_walk = { low = 0, high = 1000, step = 50, interval = 0.1, seed = 1 }
-    """
-    walks = []
-    for _ in range(2):
-        clock = Clock()
-        device = unit(text, clock)
-        walk = []
-        for _ in range(50):
-            walk.append(inputs(device, 0, 3))
-            assert inputs(device, 0, 3) == walk[-1]
-            clock.now += 0.1
-        walks.append(walk)
-    assert walks[0] == walks[1]
-    assert walks[0][0] == [500, 500, 500]
-    columns = list(zip(*walks[0], strict=True))
-    assert len(set(columns)) == 3
-    assert all(len(set(column)) > 20 for column in columns)
 
 
 def test_a_random_walk_with_a_seed_is_the_same_whenever_it_is_read() -> None:

@@ -314,14 +314,3 @@ def test_what_cannot_be_such_a_file_is_refused(
     make(path)
     with pytest.raises(ValueError, match=message):
         ValuesFile(str(path), lambda: plant(folder), tell=pytest.fail)
-
-
-def test_a_damaged_device_does_not_end_the_thread(folder: Path) -> None:
-    units, told = plant(folder), list[str]()
-    file = kept(folder, units, told)
-    file.start()
-    units[3] = object()
-    file._write()
-    del units[3]
-    file.close()
-    assert told[0].startswith(f"{folder / 'state'}: AttributeError")
