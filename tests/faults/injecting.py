@@ -64,21 +64,13 @@ NO_RECEIVE = tuple(map(system, (errno.ECONNRESET, errno.ENETDOWN, errno.EIO)))
 
 @dataclass(frozen=True)
 class Kind:
-    """
-    Calls that fail alike.
-
-    Attributes:
-        name: of the kind.
-        owner, names: whose functions are wrapped.
-        errors: what each of them may raise.
-        of_loops: whether calls that event loops make for themselves count, too.
-    """
+    """Calls that fail alike: functions of an owner that are wrapped, and what they may raise."""
 
     name: str
     owner: Any
     names: tuple[str, ...]
     errors: tuple[Error, ...]
-    of_loops: bool = False
+    of_loops: bool = False  # calls that event loops make for themselves count, too
 
 
 KINDS: tuple[Kind, ...] = (
@@ -120,17 +112,11 @@ PACKAGE = "libmodbus_py"
 
 
 class Counting:
-    """
-    Counts the calls of one kind that the part on trial makes, and fails the n-th.
-
-    Attributes:
-        error: what was raised; None as long as there was no n-th call.
-        place: the code that met it.
-    """
+    """Counts the calls of one kind that the part on trial makes, and fails the n-th."""
 
     def __init__(self, kind: Kind, part: tuple[str, ...], count: int, make: Error) -> None:
-        self.error: Exception | None = None
-        self.place = ""
+        self.error: Exception | None = None  # what was raised
+        self.place = ""  # the code that met it
         self._kind = kind
         self._part = part
         self._left = count
@@ -233,25 +219,14 @@ def complaints() -> Iterator[Complaints]:
 
 @dataclass
 class Trial:
-    """
-    One run of a scenario.
-
-    Attributes:
-        counting: what fails.
-        problems: what was wrong.
-    """
+    """One run of a scenario, and what was wrong."""
 
     counting: Counting
     problems: list[str] = field(default_factory=list)
 
     @contextlib.contextmanager
     def faults(self, *allowed: type[BaseException]) -> Iterator[None]:
-        """
-        Let the call fail in this block; what comes out of the block must say so.
-
-        Args:
-            allowed: what may be raised instead of ModbusConnectionError.
-        """
+        """Let the call fail in this block; ModbusConnectionError, or what is allowed, says so."""
         self.counting.is_armed = True
         try:
             yield

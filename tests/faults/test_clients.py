@@ -14,16 +14,12 @@ import pytest
 from libmodbus_py import (
     AsyncClient,
     Context,
-    Device,
-    Mapping,
     ModbusError,
     ModbusTimeoutError,
-    Server,
-    TcpContext,
 )
-from libmodbus_py.ports.sockets import TcpPort
 from libmodbus_py.protocol import framing
 from tests.faults.injecting import Scenario, Trial, eventually, tried
+from tests.faults.test_servers import server
 from tests.support.certificates import Papers, secured
 from tests.support.names import resolve
 from tests.support.peers import FakeServer, FakeUnit, echo
@@ -70,13 +66,6 @@ def named(folder: Path) -> Iterator[str]:
 def rtu_over_tcp(folder: Path) -> Iterator[str]:
     with FakeServer(on_line) as server:
         yield f"rtu+tcp://127.0.0.1:{server.port}"
-
-
-def server() -> Server:
-    """Return one whose registers hold their addresses."""
-    mapping = Mapping(holding_registers=10)
-    mapping.holding_registers[:] = range(10)
-    return Server({1: Device(mapping)})
 
 
 @contextlib.contextmanager
@@ -162,21 +151,3 @@ def test_a_client_says_what_failed_and_goes_on(kind: str, place: str, tmp_path: 
     with PLACES[place](tmp_path) as url:
         scenario = unblocked(url) if kind == "asyncio" else blocking(url, kind == "native")
         tried(scenario, *PART)
-
-
-@pytest.mark.parametrize("native", [True, False])
-def test_what_a_mistake_kept_from_being_sent_is_not_sent_later(
-    native: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with (
-        FakeServer(each_echoed) as server,
-        TcpContext("127.0.0.1", server.port, native=native, timeout=PATIENT) as client,
-    ):
-        client.read_holding_registers(5, 1)
-        with monkeypatch.context() as patch:
-            patch.setattr(TcpPort, "has_input", lambda port: 1 / 0)
-            patch.setattr(client._driver, "_carrier", None)
-            with pytest.raises(ZeroDivisionError):
-                client.read_holding_registers(6, 1)
-        assert client.read_holding_registers(7, 1) == [7]
-        assert [request[9] for request in server.requests] == [5, 7]

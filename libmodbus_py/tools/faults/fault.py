@@ -104,26 +104,20 @@ class Fault:
     Attributes:
         kind: what goes wrong:
 
-            * "delay": the response is sent `seconds` later, and so are those after it on
-              that connection;
+            * "delay": the response, and those after it on the connection, come `seconds` later;
             * "no_answer": no response is sent;
             * "exception": the request is refused with the exception `code`;
-            * "wrong_check": the CRC or LRC is wrong; on TCP, which has none, the length in
-              the header is 0;
+            * "wrong_check": the CRC or LRC is wrong; on TCP, the length in the header is 0;
             * "wrong_transaction": the response has the transaction id of the previous
-              request; this never happens on serial lines, which have none;
+              request; never on lines, which have none;
             * "wrong_unit": the response has the address of another unit;
-            * "trickle": the bytes of the response are sent one by one, `seconds` apart; over
-              UDP, each byte is a datagram;
-            * "truncate": only the first `length` bytes of the frame are sent, and never all
-              of them;
-            * "disconnect": the first `length` bytes of the response are sent (none if it is
-              not given, all of a shorter response). Then the connection is closed, over TLS
-              with close_notify, and later requests of the client are not executed. Serial
-              ports and UDP have no connection: there only the rest of the response is
-              missing;
-            * "garbage": bytes that are not part of the response are sent at `place`: those of
-              `data`, or `length` random ones; over UDP in the same datagram.
+            * "trickle": its bytes are sent one by one, `seconds` apart; over UDP as datagrams;
+            * "truncate": only the first `length` bytes of the frame are sent, never all;
+            * "disconnect": the first `length` bytes of the response are sent, none by default,
+              then the connection is closed, and later requests of the client are not executed.
+              On serial ports and UDP only the rest of the response is missing;
+            * "garbage": `data`, or `length` random bytes, are sent at `place`; over UDP in the
+              datagram of the response.
 
         function: the function code whose requests have the fault, 1..127; None for all.
         every: the fault happens to every n-th request, n = 1 or more; None for 1.

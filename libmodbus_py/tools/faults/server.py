@@ -30,8 +30,6 @@ MAX_WAITING_BYTES = 1 << 17
 """On a connection, fewer bytes wait: the answers to one read. On a serial line this limits the
 answers to a client that does not wait for them."""
 
-# --- which fault is due ----------------------------------------------------------------------
-
 
 class _Counted:
     """A fault, and its count of requests."""
@@ -115,9 +113,6 @@ def _counted(fault: object, known: list[_Counted]) -> _Counted:
     return _Counted(fault)
 
 
-# --- its bytes -------------------------------------------------------------------------------
-
-
 class Fragment(NamedTuple):
     """Bytes to send, and the seconds to wait after the previous fragment."""
 
@@ -173,9 +168,6 @@ def _with_wrong_check(adu: bytes, framer: Framer) -> bytes:
     if isinstance(framer, AsciiFramer):  # two digits before CR and delimiter
         return adu[:-4] + b"%02X" % (int(adu[-4:-2], 16) ^ 0xFF) + adu[-2:]
     return adu[:4] + b"\0\0" + adu[6:]  # the length in the header
-
-
-# --- when they are sent ----------------------------------------------------------------------
 
 
 class FaultyAnswers:
@@ -247,9 +239,6 @@ class FaultyAnswers:
         if fragment.is_last and session.channel.hang_up():
             self.is_over = True
             self.close()
-
-
-# --- the server -----------------------------------------------------------------------------------
 
 
 if TYPE_CHECKING:

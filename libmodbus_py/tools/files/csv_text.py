@@ -151,8 +151,6 @@ def _written(rows: Iterable[Iterable[Any]], quoting: Literal[0, 2]) -> str:
     return text.getvalue()
 
 
-# --- cells ---------------------------------------------------------------------------
-
 _WITH_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+([eE][+-]?[0-9]+)?")
 _DECIMAL = re.compile(r"[+-]?([0-9]{1,40}(\.[0-9]{0,40})?|\.[0-9]{1,40})([eE][+-]?[0-9]{1,3})?")
 

@@ -45,7 +45,6 @@ FORMS: tuple[str, ...] = (".toml", ".csv", ".tsv", ".txt")
 
 FILE = Keys([Key("point", tables, "a table for each point: [[point]]", ())])
 
-
 POINT = keys_of(Point)
 """The keys of a point, in every file that describes points."""
 
@@ -109,9 +108,6 @@ def _add(contents: Contents, entry: MapEntry) -> None:
     else:
         contents.points[point.name] = point
         contents.entries[point.name] = entry
-
-
-# --- files ---------------------------------------------------------------------------------
 
 
 def load_map(path: str | PathLike[str], *, columns: Mapping[str, str] | None = None) -> RegisterMap:
@@ -259,26 +255,21 @@ def _columns(head: CsvRow, named: Mapping[str, str], ignored: list[str]) -> Colu
     place = FilePlace(line=head.line)
     cells = [" ".join(cell.split()) for cell in head.cells]
     by_heading = {plain(heading): kind for kind, heading in named.items()}
-    columns: Columns = {}
     for kind, heading in named.items():
         if plain(heading) not in map(plain, cells):
             raise MapError((), f"no column {heading}, which is named for {kind}", place=place)
+    kinds = {word: kind for word, kind in COLUMNS.items() if kind not in named} | by_heading
+    columns: Columns = {}
     # Headings that are the names of keys come before other words.
     headings = [(at, heading) for at, heading in enumerate(cells) if heading]
     for at, heading in sorted(headings, key=lambda each: plain(each[1]) not in READERS):
-        word = plain(heading)
-        if word in by_heading:
-            columns[by_heading[word]] = at, heading
-            continue
-        if instead := AMBIGUOUS.get(word):
+        found = kinds.get(plain(heading))
+        if found is None and (instead := AMBIGUOUS.get(plain(heading))):
             reason = f"column {heading} means this or that: call it {instead}"
             raise MapError((), reason, place=place)
-        found = COLUMNS.get(word)
-        if found is None or found in named:
-            ignored.append(heading)
-        elif found not in columns:
+        if found is not None and found not in columns:
             columns[found] = at, heading
-        elif found == "description" or plain(columns[found][1]) in READERS:
+        elif found in (None, "description") or plain(columns[found][1]) in READERS:
             ignored.append(heading)
         else:
             reason = f"columns {columns[found][1]} and {heading} both hold the {found}"
@@ -421,8 +412,6 @@ READERS: dict[str, Callable[[str], Any]] = {
 }
 """Kind of a column -> the reader that returns the argument of `Point`, or raises WrongValue."""
 
-
-# --- a valid map that may not be what its author meant ---------------------------------------
 
 # Table -> how references to it begin (PI-MBUS-300): a 5-digit one is an address, too.
 _REFERENCES = {"holding_registers": range(40001, 50000), "input_registers": range(30001, 40000)}

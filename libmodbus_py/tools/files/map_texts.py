@@ -233,9 +233,6 @@ def _property(point: Point, attribute: str) -> str:
     )
 
 
-# --- types ----------------------------------------------------------------------------------
-
-
 def _kind(point: Point) -> str:
     """Return the type of the value of a point."""
     kind = _kind_of_one(point)
@@ -263,9 +260,6 @@ def _kind_of_one(point: Point) -> str:
     if str(point.type).startswith("bits"):
         return "list[bool]"
     return "datetime" if point.read.kind.is_time else "Any"
-
-
-# --- texts ----------------------------------------------------------------------------------
 
 
 def _about(point: Point) -> str:

@@ -107,9 +107,6 @@ def keys_of(make: Callable[..., Any], **checks: Check) -> Keys:
     )
 
 
-# --- checks ----------------------------------------------------------------------------
-
-
 def whole(low: int, high: int) -> Check:
     """Return a check for integers in a range."""
     return lambda path, value: integer(path, value, low, high)
@@ -226,9 +223,6 @@ def _in_units(text: str, units: dict[str, int]) -> float:
     """Return an amount in its smallest unit; nan if it is none."""
     found = _AMOUNT.fullmatch(text)
     return float(found[1]) * units.get(found[2], math.nan) if found else math.nan
-
-
-# --- roles: [roles.NAME], with the arguments of Allow ---------------------------------------------
 
 
 def roles(path: Path, given: object) -> Rules:

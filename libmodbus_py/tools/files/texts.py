@@ -73,8 +73,6 @@ class FileError(WrongValue):
         return f"{place}: {super().__str__()}" if place else super().__str__()
 
 
-# --- texts ----------------------------------------------------------------------------------------
-
 Content = TypeVar("Content")
 
 
@@ -123,9 +121,6 @@ def load_file(
     except (TypeError, ValueError) as error:
         mistake = placed(error, ())
         raise kind.of(mistake, FilePlace(fspath(path), line_of(text, mistake.path))) from None
-
-
-# --- reading again, while a program uses the former content --------------------------------
 
 
 def reread(load: Callable[[], Content], use: Callable[[Content], str]) -> str:

@@ -55,9 +55,6 @@ __all__ = [
 Clock = Callable[[], float]
 
 
-# --- keys --------------------------------------------------------------------------------------
-
-
 def _unit_id(path: Path, value: object) -> int:
     number = integer(path, value, 0, 255)
     if 247 < number < 255:
@@ -159,9 +156,6 @@ FILE = Keys(
 )
 
 
-# --- files -------------------------------------------------------------------------------------
-
-
 class DeviceFileError(FileError):
     """
     A device file is wrong; the message names file, line and key, and what is allowed.
@@ -258,9 +252,6 @@ def _simulation(content: dict[str, Any], maps: Maps, clock: Clock) -> Simulation
     if not devices:
         raise WrongValue("unit", "must not be empty")
     return Simulation(devices, {unit: each for unit, each in faults.items() if each}, maps.files)
-
-
-# --- one unit --------------------------------------------------------------------------------
 
 
 def _device(

@@ -198,9 +198,6 @@ def _mapped_points(path: Path, unit: Mapping[str, Any], maps: Maps) -> Iterator[
         yield SimulatedPoint(where, point, values.get(name), behaviour, source, is_mapped=True)
 
 
-# --- points that share cells ------------------------------------------------------------------
-
-
 def _check_overlaps(points: Iterable[SimulatedPoint]) -> None:
     """
     Raise WrongValue for points that share cells or records, except for those of maps that do not

@@ -74,8 +74,6 @@ class SimulatedDevice(Device):
             if each.file:
                 yield RuledCells(each.area, each.span, each.point.access, each.point)
 
-    # --- values by name ------------------------------------------------------------------------
-
     def __getitem__(self, name: str) -> Any:
         point = known_point(self.points, name)
         with self.mapping:
@@ -118,8 +116,6 @@ class SimulatedDevice(Device):
                 raise WrongValue.about(point.name, "never moves by itself")
             self._refresh(point)
             self._clockwork.hold(point.table, point.cells, is_on=is_on)
-
-    # --- values kept over a restart, and in another device of the same unit ---------------------
 
     def set_first_values(self) -> None:
         """Set the values that the device file gives; errors have the path of their key."""

@@ -104,21 +104,6 @@ def test_the_transaction_before_0_is_65535() -> None:
     assert fragment.data[:2] == b"\xff\xff"
 
 
-def test_answers_keep_their_order(stage: Stage) -> None:
-    faults = [
-        Fault("delay", every=7, seconds=0.01),
-        Fault("trickle", every=11, seconds=0.001),
-    ]
-    with serving(stage, "tcp", {1: faults}) as url, stage.talk(url) as connection:
-        numbers = range(500)
-        connection.sendall(b"".join(adu(b"\x03\0\0\0\x01", number) for number in numbers[:250]))
-        answers = b"".join(adu(b"\x03\x02\x02\x2b", number) for number in numbers)
-        received = connection.receive(500)
-        connection.sendall(b"".join(adu(b"\x03\0\0\0\x01", number) for number in numbers[250:]))
-        received += connection.receive(len(answers) - 500)
-        assert received == answers
-
-
 def blocks(client: Talker, requests: bytes) -> bool:
     """Send more than the network keeps; return whether the server stops to read it."""
     client.settimeout(60)

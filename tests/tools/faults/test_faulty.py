@@ -107,14 +107,6 @@ def test_on_serial_lines_what_nobody_answers_is_not_counted(stage: Stage) -> Non
             client.read_holding_registers(0, 1)
 
 
-def test_a_broadcast_is_not_counted_where_one_device_answers_every_unit(stage: Stage) -> None:
-    device = made_device()
-    faults: dict[int | None, list[Fault]] = {None: [Fault("exception", code=6, every=2)]}
-    with serving(stage, "rtu", faults, units=device) as url, client_of(url) as client:
-        client.for_unit(0).write_register(0, 7)
-        assert client.read_holding_registers(0, 1) == [7]
-
-
 def test_a_device_in_listen_only_mode_stays_silent(stage: Stage) -> None:
     with (
         serving(stage, "rtu", {None: [Fault("exception", code=6, function=3)]}) as url,
@@ -123,14 +115,6 @@ def test_a_device_in_listen_only_mode_stays_silent(stage: Stage) -> None:
         client.diagnostics(pdu.SubFunction.FORCE_LISTEN_ONLY)
         with pytest.raises(ModbusTimeoutError):
             client.read_holding_registers(0, 1)
-
-
-def test_wrong_transactions_never_happen_where_there_are_none(stage: Stage) -> None:
-    with (
-        serving(stage, "rtu+tcp", {None: [Fault("wrong_transaction")]}) as url,
-        client_of(url) as client,
-    ):
-        assert client.read_holding_registers(0, 1) == [555]
 
 
 def test_a_refused_write_is_not_executed_and_all_others_are(stage: Stage) -> None:

@@ -89,6 +89,27 @@ TABLES = [
             Point("c", I, 0, type="uint32"),
         ],
     ),
+    (  # what raw values mean; a word of SunSpec, of whose accumulators 0 is missing
+        "name,table,address,type,missing,scale_from,plausible maximum,states,bits,bit,byte,"
+        "Never falls\n"
+        "v,holding,0,int16,sunspec,v_sf,500,,,,,\n"
+        "v_sf,holding,1,sunssf,0x8000,,,,,,,\n"
+        'state,holding,2,,255; 65535,,,"{""0"": ""off"", ""16"": ""a;b""}",,,,\n'
+        "flags,holding,3,,,,,,0 = door; 4..7 = mode,,,\n"
+        "mode,holding,4,,,,,,,4..7,,true\n"
+        "high,holding,5,,,,,,,,high,\n"
+        "total,holding,6,acc32,sunspec,,,,,,,\n",
+        [
+            Point("v", H, 0, type="int16", missing="sunspec", scale_from="v_sf",
+                  plausible_maximum=500),
+            Point("v_sf", H, 1, type="int16", missing=0x8000),
+            Point("state", H, 2, missing=[255, 65535], states={0: "off", 16: "a;b"}),
+            Point("flags", H, 3, bits={0: "door", "4..7": "mode"}),
+            Point("mode", H, 4, bit="4..7", never_falls=True),
+            Point("high", H, 5, byte="high"),
+            Point("total", H, 6, type="uint32", missing=0),
+        ],
+    ),
 ]  # fmt: skip
 
 

@@ -6,95 +6,21 @@ that was meant; and amounts with units.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from libmodbus_py import Point, load
-from libmodbus_py.protocol.mistakes import Mistake, path_text
+from libmodbus_py import load
 from libmodbus_py.protocol.mistakes import Path as KeyPath
 from libmodbus_py.services.fleet import files as fleet_files
 from libmodbus_py.tools.files.csv_text import CELLS
 from libmodbus_py.tools.files.map_file import POINT, READERS
 from libmodbus_py.tools.files.schema import (
     REQUIRED,
-    Key,
-    Keys,
-    bytes_or_text,
-    flag,
     in_bytes,
     in_seconds,
-    one_of,
-    table,
-    tables,
-    text,
-    whole,
 )
 from libmodbus_py.tools.files.texts import compared, line_of, reread
 from tests.support.cases import each_case
-
-INNER = Keys([Key("must", whole(0, 9), default=REQUIRED), Key("may", flag)])
-
-OUTER = Keys(
-    [
-        Key("number", whole(1, 5)),
-        Key("flag", flag),
-        Key("text", text(3)),
-        Key("word", one_of("a", "b")),
-        Key("data", bytes_or_text(1, 2)),
-        Key("table", table),
-        Key("tables", tables),
-        Key("inner", INNER.read),
-        Key("point", POINT.read),
-    ]
-)
-
-PLACE = {"table": "coils", "address": 1}
-
-
-@each_case(
-    ("given", "message"),
-    [
-        ({"numbr": 1}, "numbr: no such key; allowed are number, flag, text, word, data, table,"),
-        ({"a b": 1}, "'a b': no such key; allowed are"),
-        ({"number": 6}, "number must be in 1..5, not 6"),
-        ({"number": "6"}, "number must be an integer in 1..5, not str"),
-        ({"flag": 1}, "flag must be true or false, not 1"),
-        ({"text": "long"}, "text must have 0..3 characters, not 4"),
-        ({"text": 1}, "text must be text, not 1"),
-        ({"word": "c"}, "word must be one of a, b, not 'c'"),
-        ({"data": ""}, "data must have 1..2 bytes, not 0"),
-        ({"data": [1, 256]}, "data[1] must be in 0..255, not 256"),
-        ({"data": "\u00fc"}, "data must be ASCII text or a list of bytes, not '\u00fc'"),
-        ({"table": []}, "table must be a table, not []"),
-        ({"tables": {}}, "tables must be a list of tables: [["),
-        ({"tables": [{}, 3]}, "tables[1] must be a table, not 3"),
-        ({"inner": 3}, "inner must be a table, not 3"),
-        ({"inner": {}}, "inner.must is missing"),
-        ({"inner": {"must": 1, "may": 2}}, "inner.may must be true or false, not 2"),
-        ({"point": {"name": "a"}}, "point.table is missing"),
-        ({"point": {"name": "a", **PLACE, "x": 1}}, "point.x: no such key; allowed are name, "),
-        ({"point": {"name": "", **PLACE}}, "point.name must have 1..100 characters, not 0"),
-        ({"point": {"name": "a", **PLACE, "units": 1}}, "point.units must be a string, not int"),
-        ({"point": {"name": "a", **PLACE, "scale": 2}}, "point.scale must be 1 for coils, which"),
-    ],
-)
-def test_a_mistake_has_the_path_of_its_key(given: dict[str, Any], message: str) -> None:
-    with pytest.raises(Mistake) as raised:
-        OUTER.read((), given)
-    assert str(raised.value).startswith(message)
-    with pytest.raises(Mistake) as raised:
-        OUTER.read(("unit", 3), given)
-    assert str(raised.value).startswith(f"unit[3].{message}")
-    assert raised.value.path[:2] == ("unit", 3)
-    assert str(raised.value) == (
-        f"{path_text(raised.value.path)}{raised.value.between}{raised.value.reason}"
-    )
-
-
-def test_right_values_are_what_they_stand_for() -> None:
-    given = {"number": 5, "data": [1, 2], "inner": {"must": 0}, "point": {"name": "a", **PLACE}}
-    assert OUTER.read((), given) == {**given, "data": b"\1\2", "point": Point("a", "coils", 1)}
 
 
 def test_keys_of_a_class_are_its_arguments_with_their_defaults() -> None:

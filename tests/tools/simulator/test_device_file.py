@@ -101,16 +101,9 @@ def test_units_are_told_apart_and_faults_are_collected() -> None:
     assert isinstance(devices, dict)
     assert {number: device.exception_status for number, device in devices.items()} == {247: 1, 0: 2}
     assert faults == {None: [Fault("no_answer", every=9)], 247: [Fault("delay", seconds=2)]}
-
-
-def test_the_faults_of_a_unit_without_id_are_for_every_unit() -> None:
-    _, faults = parse("""
-        [[unit]]
-        [[unit.fault]]
-        kind = "no_answer"
-        [[fault]]
-        kind = "wrong_unit"
-    """)
+    _, faults = parse(
+        "fault = [{ kind = 'wrong_unit' }]\n[[unit]]\nfault = [{ kind = 'no_answer' }]"
+    )
     assert faults == {None: [Fault("wrong_unit"), Fault("no_answer")]}
 
 
@@ -267,13 +260,6 @@ def test_no_rule_allows_nothing(text: str) -> None:
     text = text + UNITS
     for device in devices(text).values():
         assert code(device, READ, None) == code(device, READ, "Viewer") == 1
-
-
-def test_what_does_not_exist_is_not_told_to_who_may_not_read_it() -> None:
-    text = UNITS + '[roles.Viewer]\nread = ["holding_registers"]\n'
-    device = devices(text)[1]
-    assert code(device, pdu.ReadHoldingRegisters(200, 1), "Viewer") == 2
-    assert code(device, pdu.ReadHoldingRegisters(200, 1), None) == 1
 
 
 def test_files_and_queues() -> None:

@@ -5,22 +5,17 @@ The examples of device files keep what their comments promise, and have every ke
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields
 from inspect import signature
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from libmodbus_py import (
     Context,
-    FrameError,
     IllegalDataAddress,
-    InvalidResponse,
-    ModbusTimeoutError,
     Point,
     pdu,
     values,
@@ -93,28 +88,6 @@ def test_the_example_refuses_what_its_comments_say(plant: str) -> None:
                 ask()
 
 
-def test_the_values_of_the_example_move(plant: str) -> None:
-    with Context.from_url(plant, unit=1, timeout=5) as boiler:
-        boiler.write_coils(0, [False, True])
-        assert boiler.read_discrete_inputs(1, 2) == [False, True]
-        boiler.write_coils(0, [True, False])
-        assert boiler.read_discrete_inputs(1, 2) == [True, False]
-        deadline = time.monotonic() + 10
-        seen: tuple[set[Any], ...] = (set(), set(), set(), set())
-        while time.monotonic() < deadline and any(len(each) < 2 for each in seen):
-            seen[0].update(boiler.read_discrete_inputs(0, 1))
-            seen[1].update(boiler.read_values("input_registers", 0, "uint32"))
-            seen[2].update(boiler.read_values("input_registers", 2, "float32"))
-            seen[3].add(tuple(boiler.read_input_registers(4, 3)))
-            time.sleep(0.05)
-        assert seen[0] == {False, True}
-        assert len(seen[1] & set(range(10, 30))) >= 2
-        assert len(seen[2]) >= 2
-        assert all(60 <= value <= 80 for value in seen[2])
-        assert len(seen[3]) >= 2
-        assert all(900 <= value <= 1100 for values in seen[3] for value in values)
-
-
 def test_the_counter_of_the_example_counts_as_its_comment_says() -> None:
     clock = Clock()
     devices, _ = load(PLANT, clock=clock)
@@ -124,28 +97,6 @@ def test_the_counter_of_the_example_counts_as_its_comment_says() -> None:
         found += values.value_type("uint32").decode_many(inputs(devices[1], 0, 2))
         clock.now += 0.5
     assert found == [10, 13, 16, 19, 22, 25, 28, 11]
-
-
-FAULTS: list[tuple[Callable[[Context], object], type[Exception]]] = [
-    (lambda client: client.read_discrete_inputs(0, 1), ModbusTimeoutError),
-    (lambda client: client.read_input_registers(0, 1), FrameError),
-    (lambda client: client.write_coil(0, True), ModbusTimeoutError),
-    (lambda client: client.write_register(0, 1), InvalidResponse),
-    (lambda client: client.write_coils(0, [True]), ModbusTimeoutError),
-    (lambda client: client.write_registers(0, [1, 2]), ModbusTimeoutError),
-]
-
-
-@pytest.mark.parametrize(("ask", "error"), FAULTS, ids=range(len(FAULTS)))
-def test_the_faults_of_the_example(
-    plant: str, ask: Callable[[Context], object], error: type[Exception]
-) -> None:
-    with Context.from_url(plant, unit=2, timeout=0.3, native=False) as client:
-        with pytest.raises(error):
-            ask(client)
-        # A trickle is not over yet on that connection; the next request waits for it.
-        client.timeout = 5
-        assert client.for_unit(1).read_holding_registers(100, 3) == [555, 0, 100]
 
 
 def test_the_examples_have_every_key() -> None:

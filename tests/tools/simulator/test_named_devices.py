@@ -104,24 +104,12 @@ def test_a_device_knows_its_names_and_points() -> None:
         id = 1
         name = "Boiler"
         description = "in the cellar"
-        [[unit.holding_registers]]
-        address = 7
-        name = "flow"
-        description = "of the heating"
-        units = "°C"
-        scale = 0.1
-        values = [55.5, 45]
-        [[unit.holding_registers]]
-        address = 100
-        type = "float32"
-        order = "CDAB"
-        access = "read"
-        [[unit.discrete_inputs]]
-        address = 3
-        count = 4
-        [[unit.input_registers]]
-        address = 0
-        counter = {}
+        holding_registers = [
+            { address = 7, name = "flow", units = "°C", scale = 0.1, values = [55.5, 45] },
+            { address = 100, type = "float32", order = "CDAB", access = "read" },
+        ]
+        discrete_inputs = [{ address = 3, count = 4 }]
+        input_registers = [{ address = 0, counter = {} }]
         [[unit]]
         id = 2
     """).devices

@@ -29,33 +29,17 @@ from tests.tools.simulator.simulated_units import Clock
 PLAIN = """
 [[unit]]
 id = 1
-[[unit.holding_registers]]
-address = 0
-values = [1, 2]
-[[unit.holding_registers]]
-address = 10
-type = "int32"
-value = 5
-[[unit.coils]]
-address = 0
-[[unit.file]]
-number = 4
-record = 0
-values = [7, 8]
-[[unit.fifo]]
-address = 3
-values = [1, 2]
-[[unit.input_registers]]
-address = 0
-counter = { interval = 1 }
-[[unit.input_registers]]
-address = 1
-random_walk = { low = 0, high = 60000, step = 500 }
+holding_registers = [{ address = 0, values = [1, 2] }, { address = 10, type = "int32", value = 5 }]
+coils = [{ address = 0 }]
+file = [{ number = 4, record = 0, values = [7, 8] }]
+fifo = [{ address = 3, values = [1, 2] }]
+input_registers = [
+    { address = 0, counter = { interval = 1 } },
+    { address = 1, random_walk = { low = 0, high = 60000, step = 500 } },
+]
 [[unit]]
 id = 2
-[[unit.holding_registers]]
-address = 0
-value = 3
+holding_registers = [{ address = 0, value = 3 }]
 """
 
 
@@ -114,9 +98,9 @@ def test_values_that_clients_wrote_stay_in_ranges_that_stay() -> None:
     [
         ("values = [1, 2]", "values = [1, 3]", [1, 3, 0, 55]),
         ("values = [1, 2]", "values = [1, 2, 3]", [1, 2, 0, 55]),
-        ('"int32"\nvalue = 5', '"int32"\nvalue = 6', [11, 12, 0, 6]),
-        ('"int32"\nvalue = 5', '"uint32"\nvalue = 5', [11, 12, 0, 5]),
-        ('"int32"\nvalue = 5', '"int32"\nscale = 0.5\nvalue = 2.5', [11, 12, 0, 5]),
+        ('"int32", value = 5', '"int32", value = 6', [11, 12, 0, 6]),
+        ('"int32", value = 5', '"uint32", value = 5', [11, 12, 0, 5]),
+        ('"int32", value = 5', '"int32", scale = 0.5, value = 2.5', [11, 12, 0, 5]),
     ],
 )
 def test_what_the_file_says_otherwise_is_as_it_says(old: str, new: str, found: list[int]) -> None:

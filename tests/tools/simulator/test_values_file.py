@@ -8,7 +8,6 @@ import errno
 import json
 import os
 import signal
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -24,24 +23,15 @@ PLANT = """
 [[unit]]
 id = 1
 map = "map.csv"
-[unit.values]
-setpoint = 20
-[[unit.holding_registers]]
-address = 100
-count = 600
-value = 7
-[[unit.holding_registers]]
-address = 900
-counter = { interval = 1 }
-[[unit.file]]
-number = 4
-record = 3
-values = [1, 2, 3]
+values = { setpoint = 20 }
+holding_registers = [
+    { address = 100, count = 600, value = 7 },
+    { address = 900, counter = { interval = 1 } },
+]
+file = [{ number = 4, record = 3, values = [1, 2, 3] }]
 [[unit]]
 id = 2
-[[unit.coils]]
-address = 0
-count = 8
+coils = [{ address = 0, count = 8 }]
 """
 
 MAP = "name,table,address,type,scale\nsetpoint,holding,0,uint16,0.1\nlimit,holding,1,uint32,1\n"
@@ -128,7 +118,7 @@ OTHERS = [
     (("count = 600", "count = 601"), r"units.1.points.holding_registers_100 must be .*601"),
     (("number = 4", "number = 5"), "units.1.files.4.4: the device lacks file 4 4..4"),
     (("record = 3", "record = 5"), "units.1.files.4.4: the device lacks file 4 4..4"),
-    (('map = "map.csv"\n[unit.values]\nsetpoint = 20', ""), "units.1.points.setpoint: .* no such"),
+    (('map = "map.csv"\nvalues = { setpoint = 20 }', ""), "units.1.points.setpoint: .* no such"),
 ]
 
 
@@ -295,22 +285,3 @@ def test_a_folder_that_takes_no_files(
         assert units[2].answer(pdu.ReadCoils(1, 1).encode()) == b"\1\1\1"
     file.close()
     assert told[1:] == [f"{folder / 'state'}: values are kept again"]
-
-
-@each_case(
-    ("make", "message"),
-    [
-        (lambda path: path.mkdir(), "state: not a regular file"),
-        (lambda path: os.mkfifo(path), "state: not a regular file"),
-        (lambda path: path.symlink_to(path.parent / "none" / "state"), "state: No such file"),
-        (lambda path: path.write_text("[unit]\n"), "state: line 1, column 2: not JSON"),
-        (lambda path: path.write_bytes(b"\x80"), "state: not UTF-8 at byte 0"),
-    ],
-)
-def test_what_cannot_be_such_a_file_is_refused(
-    make: Callable[[Path], object], message: str, folder: Path
-) -> None:
-    path = Path(tempfile.mkdtemp(dir=folder)) / "state"
-    make(path)
-    with pytest.raises(ValueError, match=message):
-        ValuesFile(str(path), lambda: plant(folder), tell=pytest.fail)
