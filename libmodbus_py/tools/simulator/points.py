@@ -222,6 +222,6 @@ def _check_overlaps(points: Iterable[SimulatedPoint]) -> None:
 
 
 def _bits(each: SimulatedPoint) -> int:
-    """Return the bits of a point in its registers; 0 if it has whole registers, or moves."""
-    is_part = each.point.is_part and each.behaviour is None and not each.file
-    return each.point.meaning.mask if is_part else 0
+    """Return the bits of a point in its registers; 0 if it cannot share them."""
+    is_whole = each.file or each.is_mapped or each.behaviour or not each.point.is_part
+    return 0 if is_whole else each.point.meaning.mask
