@@ -10,6 +10,7 @@ import os
 import threading
 import time
 from collections import deque
+from collections.abc import Iterator
 from functools import partial
 from typing import Self
 
@@ -34,9 +35,6 @@ Source = SerialSource | Tap
 
 # Seconds after which a quiet line is checked for requests without a response.
 IDLE = 1.0
-
-# Connections, live or in a capture, that are followed at once.
-MAX_SEPARATORS = 256
 
 
 class Listener:
@@ -69,10 +67,10 @@ class Listener:
         pause: float = 0.0,
     ) -> None:
         self.url: str = url
-        self._pause = pause
         self.summary: Summary = Summary()
         self.capture_error: OSError | None = None
         self._framing: LineFraming = framing
+        self._pause = pause
         self._reader = source if isinstance(source, CaptureReader) else None
         self._source = None if isinstance(source, CaptureReader) else source
         self._writer = writer
@@ -122,19 +120,20 @@ class Listener:
             if each is not None:
                 each.close()
 
-    def _enter(self) -> bool:
-        """Begin to wait; return False if the listener is closed."""
+    @contextlib.contextmanager
+    def _iterating(self) -> Iterator[None]:
+        """Keep everything open while a thread or task waits, and others from waiting."""
         with self._lock:
             if self._is_busy:
                 raise RuntimeError("another thread or task is listening already")
-            self._is_busy = not self._is_closed
-            return self._is_busy
-
-    def _leave(self) -> None:
-        with self._lock:
-            self._is_busy = False
-            if self._is_closed:
-                self._free()
+            self._is_busy = True
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._is_busy = False
+                if self._is_closed:
+                    self._free()
 
     # --- iterating ------------------------------------------------------------------------
 
@@ -143,13 +142,8 @@ class Listener:
 
     def __next__(self) -> Transaction:
         found = None
-        if self._enter():
-            try:
-                found = run(self._next(), self._waker)
-            except Woken:
-                pass
-            finally:
-                self._leave()
+        with self._iterating(), contextlib.suppress(Woken):
+            found = run(self._next(), self._waker)
         if found is None:
             raise StopIteration
         return found
@@ -158,21 +152,19 @@ class Listener:
         return self
 
     async def __anext__(self) -> Transaction:
-        found = None
-        if self._enter():
-            try:
-                # There is no other wait in a flood or a capture, but other tasks must run, too.
-                await asyncio.sleep(0)
-                found = await run_async(self._next())
-            finally:
-                self._leave()
+        with self._iterating():
+            # There is no other wait in a flood or a capture, but other tasks must run, too.
+            await asyncio.sleep(0)
+            found = await run_async(self._next())
         if found is None:
             raise StopAsyncIteration
         return found
 
     def rest(self) -> list[Transaction]:
         """Return the transactions that were not iterated; pending requests count as unanswered."""
-        return [*self._ready, *self._noted(self._end_all())]
+        self._end_all()
+        rest, self._ready = list(self._ready), deque()
+        return rest
 
     def _next(self) -> Steps[Transaction | None]:
         while not self._ready and not self._is_closed:
@@ -194,7 +186,7 @@ class Listener:
             self._tick_after = IDLE
             now = self._clock()
             for each in self._separators.values():
-                self._ready += self._noted(each.tick(now))
+                self._add(each.tick(now))
             return
         try:
             pieces = source.receive()
@@ -202,47 +194,40 @@ class Listener:
             self._outage.begin(error)
             self._poller.unregister(source.descriptor)
             source.close()
-            self._ready += self._noted(self._end_all())
+            self._end_all()
             return
         for piece in pieces:
-            self._ready += self._noted(self._feed(piece))
+            self._feed(piece)
 
     def _reopening(self, source: Source) -> Steps[None]:
         yield Ready(self._poller.fileno(), READ, time.monotonic() + REOPEN_AFTER)
-        if self._is_closed:
-            return
-        if self._outage.try_to_end(source.open):
+        if not self._is_closed and self._outage.try_to_end(source.open):
             self._poller.register(source.descriptor, READ)
 
     # --- traffic ---------------------------------------------------------------------------
 
-    def _feed(self, piece: TimedBytes) -> list[Transaction]:
-        if not piece.data:
-            gone = self._separators.pop(piece.link, None)
-            return gone.end() if gone is not None else []
-        separator, done = self._separator(piece.link)
-        self._tick_after = min(separator.quiet, IDLE)
-        return done + separator.feed(piece.data, piece.at, piece.sender)
+    def _feed(self, piece: TimedBytes) -> None:
+        if piece.data:
+            separator = self._separator(piece.link)
+            self._tick_after = min(separator.quiet, IDLE)
+            self._add(separator.feed(piece.data, piece.at, piece.sender))
+        elif piece.link in self._separators:
+            self._add(self._separators.pop(piece.link).end())
 
     def _read_on(self, reader: CaptureReader) -> bool:
+        """Read a frame; at the end of the capture, return True if there are transactions left."""
         recorded = next(reader.recorded, None)
         if recorded is None:
-            self._ready += self._noted(self._end_all())
+            self._end_all()
             return bool(self._ready)
-        separator, done = self._separator(recorded.link)
-        self._ready += self._noted(done + separator.take(recorded.found))
+        self._add(self._separator(recorded.link).take(recorded.found))
         return True
 
-    def _separator(self, link: int) -> tuple[Separator, list[Transaction]]:
-        """Return the separator of a connection, and transactions that end if there are too many."""
-        made = self._separators.get(link)
-        if made is not None:
-            return made, []
-        done: list[Transaction] = []
-        if len(self._separators) >= MAX_SEPARATORS:
-            done = self._separators.pop(next(iter(self._separators))).end()
-        self._separators[link] = Separator(self._framing, partial(self._record, link), self._pause)
-        return self._separators[link], done
+    def _separator(self, link: int) -> Separator:
+        if link not in self._separators:
+            on_heard = partial(self._record, link)
+            self._separators[link] = Separator(self._framing, on_heard, self._pause)
+        return self._separators[link]
 
     def _record(self, link: int, heard: Heard) -> None:
         """Write to the capture; if that fails, end the capture, but continue to listen."""
@@ -254,14 +239,15 @@ class Listener:
             self.capture_error = of_system(error)
             logger.warning("%s: %s; the capture ends here", error.filename, error.strerror)
 
-    def _end_all(self) -> list[Transaction]:
+    def _end_all(self) -> None:
         separators, self._separators = self._separators, {}
-        return [done for each in separators.values() for done in each.end()]
+        for each in separators.values():
+            self._add(each.end())
 
-    def _noted(self, done: list[Transaction]) -> list[Transaction]:
+    def _add(self, done: list[Transaction]) -> None:
         for each in done:
             self.summary.note(each)
-        return done
+        self._ready += done
 
 
 class Clock:
@@ -309,47 +295,33 @@ def listen(
         CaptureError: `url` is not a valid capture.
     """
     clock = Clock()
-    source: Source | CaptureReader
     framing: LineFraming = "rtu"
     pause = 0.0
-    if isinstance(url, str) and url.endswith(".pcapng") and "://" not in url:
-        if between is not None:
-            raise ValueError("between cannot be given with a capture")
-        name, source = url, CaptureReader(url)
-    else:
-        if isinstance(url, str) and os.path.isfile(url):
-            raise ValueError(f"{url}: the name of a capture must end with .pcapng")
-        endpoint = parse_to_listen(url)
-        source, endpoint = _source(
-            endpoint, None if between is None else parse_to_listen(between), clock
-        )
-        name, framing = str(endpoint), "ascii" if endpoint.framing == "ascii" else "rtu"
-        pause = endpoint.pause
-    try:
+    with contextlib.ExitStack() as opened:
+        source: Source | CaptureReader
+        if isinstance(url, str) and url.endswith(".pcapng") and "://" not in url:
+            if between is not None:
+                raise ValueError("between cannot be given with a capture")
+            name, source = url, CaptureReader(url)
+        else:
+            if isinstance(url, str) and os.path.isfile(url):
+                raise ValueError(f"{url}: the name of a capture must end with .pcapng")
+            endpoint = parse_to_listen(url)
+            source = _source(endpoint, None if between is None else parse_to_listen(between), clock)
+            name = str(source.endpoint if isinstance(source, Tap) else endpoint)
+            framing, pause = "ascii" if endpoint.framing == "ascii" else "rtu", endpoint.pause
+        opened.callback(source.close)
         writer = None if capture is None else CaptureWriter(capture, name)
-    except BaseException:
-        source.close()
-        raise
-    try:
-        return Listener(name, framing, source, writer, clock, pause)
-    except OSError as error:  # no descriptor is left
-        source.close()
         if writer is not None:
-            writer.close()
-        raise ModbusConnectionError(
-            f"cannot listen to {name}: {error.strerror}", errno=error.errno
-        ) from error
-
-
-def _source(endpoint: Endpoint, target: Endpoint | None, clock: Clock) -> tuple[Source, Endpoint]:
-    """Open the source; return it and the endpoint with its port."""
-    _check(endpoint, target)
-    if target is not None:
-        tap = Tap(endpoint, target, clock)
-        return tap, tap.endpoint
-    port = SerialSource(endpoint, clock)
-    port.open()
-    return port, endpoint
+            opened.callback(writer.close)
+        try:
+            listener = Listener(name, framing, source, writer, clock, pause)
+        except OSError as error:  # no descriptor is left
+            raise ModbusConnectionError(
+                f"cannot listen to {name}: {error.strerror}", errno=error.errno
+            ) from error
+        opened.pop_all()
+        return listener
 
 
 IN_TLS = (
@@ -358,16 +330,18 @@ IN_TLS = (
 )
 
 
-def _check(endpoint: Endpoint, target: Endpoint | None) -> None:
-    """Raise ValueError if the endpoint cannot be listened to."""
+def _source(endpoint: Endpoint, target: Endpoint | None, clock: Clock) -> Source:
+    """Open the source; raise ValueError if it is not possible to listen to it."""
     for each in filter(None, (endpoint, target)):
         if each.is_secure:
             raise ValueError(f"{each}: {IN_TLS}")
     if endpoint.is_serial:
         if target is not None:
             raise ValueError("between needs rtu+tcp or ascii+tcp; a serial port is only read")
-        return
-    if endpoint.is_datagram or endpoint.is_secure or endpoint.framing not in ("rtu", "ascii"):
+        port = SerialSource(endpoint, clock)
+        port.open()
+        return port
+    if endpoint.is_datagram or endpoint.framing not in ("rtu", "ascii"):
         raise ValueError(
             f"{endpoint}: the scheme must be rtu, ascii, or rtu+tcp or ascii+tcp with between"
         )
@@ -377,5 +351,4 @@ def _check(endpoint: Endpoint, target: Endpoint | None) -> None:
         raise ValueError(
             f"{target}: the scheme must be {endpoint.scheme}, because bytes are passed on unchanged"
         )
-    if target.port == 0:
-        raise ValueError(f"{target}: the port of the device is missing")
+    return Tap(endpoint, target, clock)

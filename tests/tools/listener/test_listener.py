@@ -478,7 +478,6 @@ class TestArguments:
             ("tcp://127.0.0.1:1502", "tcp://127.0.0.1:1503", "the scheme must be rtu, ascii"),
             ("rtu+tcp://127.0.0.1:0", None, "between is missing"),
             ("rtu+tcp://127.0.0.1:0", "ascii+tcp://127.0.0.1:1", "the scheme must be rtu.tcp"),
-            ("rtu+tcp://127.0.0.1:0", "rtu+tcp://127.0.0.1:0", "the port of the device"),
             ("rtu:///dev/ttyUSB0", "rtu+tcp://127.0.0.1:1", "a serial port is only read"),
             ("rtu:///dev/ttyUSB0?timeout=1", None, "timeout is for clients"),
             ("rtu:///dev/ttyUSB0?baudrate=0", None, "baudrate must be in 1..4000000"),
