@@ -42,7 +42,6 @@ CLIENT = bytes([10, 0, 1, 0])
 
 # The longest block that is read: longer than any written by this package or saved by Wireshark.
 MAX_BLOCK = 1 << 20
-MAX_INTERFACES = 256
 
 
 class CaptureError(ValueError):
@@ -58,14 +57,13 @@ def _block(kind: int, body: bytes) -> bytes:
     return struct.pack("<II", kind, size) + body + struct.pack("<I", size)
 
 
-def _tag(kind: int, value: bytes) -> bytes:
-    value = _padded(value)
+def _tag(kind: int, value: bytes | int) -> bytes:
+    value = struct.pack(">I", value) if isinstance(value, int) else _padded(value)
     return struct.pack(">HH", kind, len(value)) + value
 
 
 def _ports(source: int, target: int) -> bytes:
-    values = ((_PORT_TYPE, _TCP), (_SRC_PORT, source), (_DST_PORT, target))
-    return b"".join(_tag(kind, struct.pack(">I", value)) for kind, value in values)
+    return _tag(_PORT_TYPE, _TCP) + _tag(_SRC_PORT, source) + _tag(_DST_PORT, target)
 
 
 def _opened(path: str) -> io.FileIO:
@@ -80,10 +78,9 @@ def _opened(path: str) -> io.FileIO:
 
 class CaptureWriter:
     """
-    Writes a capture, each frame at once.
+    Writes a capture to a new file, a pipe or a device, each frame at once.
 
     Args:
-        path: a new file, or a pipe or device that exists.
         name: the name of its interface, such as a URL.
 
     Raises:
@@ -111,45 +108,30 @@ class CaptureWriter:
         self._file.close()
 
     def write(self, heard: Heard, link: int = 0) -> None:
-        """
-        Write a frame or damaged bytes.
-
-        Args:
-            heard: a frame that was named, or damaged bytes.
-            link: the number of the connection, if there are several.
-
-        Raises:
-            OSError: the disk is full, or the file is closed.
-        """
+        """Write a frame or damaged bytes of a connection; raise OSError if the disk is full."""
         port = FIRST_CLIENT_PORT + link % (65536 - FIRST_CLIENT_PORT)
         if heard.frame is None:
             # The sender is unknown: both ports are those of the client.
-            tags = _tag(_DISSECTOR, b"mbrtu") + _ports(port, port)
-            data = tags + bytes(4) + heard.data
+            data = _tag(_DISSECTOR, b"mbrtu") + _ports(port, port) + bytes(4) + heard.data
         else:
-            data = self._exported(heard, heard.frame, port)
+            data = self._exported(heard.frame, port, is_request=heard.part == "request")
         time = max(round(heard.ended * 1_000_000), 0)
         head = struct.pack("<IIIII", 0, time >> 32, time & 0xFFFFFFFF, len(data), len(data))
         self._write(_block(_PACKET, head + _padded(data)))
 
-    def _exported(self, heard: Heard, frame: Frame, port: int) -> bytes:
+    def _exported(self, frame: Frame, port: int, *, is_request: bool) -> bytes:
         # Responses carry the number of the last request to their unit.
         key = port, frame.unit
-        if heard.part == "request" or key not in self._ids:
+        if is_request or key not in self._ids:
             self._last_id = self._last_id % 0xFFFF + 1
             self._ids[key] = self._last_id
         client, unit = (CLIENT, port), (bytes([10, 0, 0, frame.unit]), MODBUS_PORT)
-        source, target = (client, unit) if heard.part == "request" else (unit, client)
-        head = (
-            _tag(_DISSECTOR, b"mbtcp")
-            + _tag(_IPV4_SRC, source[0])
-            + _tag(_IPV4_DST, target[0])
-            + _ports(source[1], target[1])
-            + bytes(4)
-        )
+        source, target = (client, unit) if is_request else (unit, client)
+        head = _tag(_DISSECTOR, b"mbtcp") + _tag(_IPV4_SRC, source[0]) + _tag(_IPV4_DST, target[0])
+        adu = mbap(self._ids[key], frame.unit, frame.pdu)
         if len(self._ids) > 4096:  # connections that are closed
             self._ids.clear()
-        return head + mbap(self._ids.get(key, self._last_id), frame.unit, frame.pdu)
+        return head + _ports(source[1], target[1]) + bytes(4) + adu
 
     def _write(self, data: bytes) -> None:
         rest = data
@@ -157,14 +139,11 @@ class CaptureWriter:
             while rest:  # a pipe may take less
                 rest = rest[self._file.write(rest) or 0 :]
         except OSError as error:
-            self._take_back(len(data) - len(rest))
+            # What is left is valid without a part of a block; a pipe cannot be cut.
+            if rest != data:
+                with contextlib.suppress(OSError):
+                    self._file.truncate(self._file.tell() - len(data) + len(rest))
             raise OSError(error.errno, error.strerror, self._path) from error
-
-    def _take_back(self, count: int) -> None:
-        """Remove a part of a block from the end of the file, so that the rest can be read."""
-        with contextlib.suppress(OSError):  # the file is a pipe, or the disk was removed
-            if count:
-                self._file.truncate(self._file.tell() - count)
 
 
 class Recorded(NamedTuple):
@@ -178,9 +157,6 @@ class CaptureReader:
     """
     Reads a file of `CaptureWriter`, even if Wireshark has saved it again.
 
-    Args:
-        path: the file.
-
     Attributes:
         recorded: an iterator of `Recorded`; raises CaptureError where the file is not a valid
             capture of this package, or ends inside a block.
@@ -193,18 +169,16 @@ class CaptureReader:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = os.fspath(path)
         self._file: BinaryIO = open(path, "rb")  # noqa: SIM115  # closed by close()
-        self._order = "<"
         self._at = 0
-        self._units: list[float] = []  # of each interface: the seconds of one tick
+        self._ticks: list[float] = []  # seconds of a tick of each interface
+        self.recorded: Iterator[Recorded] = self._read()
         try:
             kind, body = self._next_block() or (0, b"")
-            if kind != _SECTION:
+            if kind != _SECTION or body[:4] != struct.pack("<I", _BYTE_ORDER):
                 raise self._error("no pcapng file")
         except BaseException:
             self.close()
             raise
-        self._begin(body)
-        self.recorded: Iterator[Recorded] = self._read()
 
     def close(self) -> None:
         """Close the file; any number of times."""
@@ -213,27 +187,25 @@ class CaptureReader:
     def _read(self) -> Iterator[Recorded]:
         while (block := self._next_block()) is not None:
             kind, body = block
-            if kind == _SECTION:
-                self._begin(body)
-            elif kind == _INTERFACE:
-                self._add_interface(body)
-            elif kind == _PACKET:
-                yield self._packet(body)
+            try:
+                if kind == _SECTION:  # of a capture that was appended
+                    self._ticks.clear()
+                elif kind == _INTERFACE:
+                    self._ticks.append(self._tick(body))
+                elif kind == _PACKET:
+                    yield self._packet(body)
+            except (struct.error, IndexError):
+                raise self._error("a block that ends too early") from None
 
     def _next_block(self) -> tuple[int, bytes] | None:
         start = self._at
         head = self._exactly(8, may_end=True)
         if not head:
             return None
-        if head[:4] == struct.pack("<I", _SECTION):
-            order = self._exactly(4)
-            self._order = "<" if order == struct.pack("<I", _BYTE_ORDER) else ">"
-        else:
-            order = b""
-        kind, size = struct.unpack(self._order + "II", head)
-        if not 12 + len(order) <= size <= MAX_BLOCK or size % 4:
-            raise self._error(f"a block of {size} bytes", start)
-        body = order + self._exactly(size - 12 - len(order))
+        kind, size = struct.unpack("<II", head)
+        if not 12 <= size <= MAX_BLOCK or size % 4:
+            raise self._error(f"no pcapng file: a block of {size} bytes", start)
+        body = self._exactly(size - 12)
         if self._exactly(4) != head[4:]:
             raise self._error("a block whose two lengths differ", start)
         return kind, body
@@ -245,66 +217,45 @@ class CaptureReader:
         self._at += size
         return data
 
-    def _begin(self, body: bytes) -> None:
-        if body[:4] != struct.pack(self._order + "I", _BYTE_ORDER):
-            raise self._error("no pcapng file")
-        self._units.clear()
-
-    def _add_interface(self, body: bytes) -> None:
-        link_type = int.from_bytes(body[:2], "little" if self._order == "<" else "big")
+    def _tick(self, body: bytes) -> float:
+        """Return the seconds of a tick of an interface."""
+        (link_type,) = struct.unpack_from("<H", body)
         if link_type != UPPER_PDU:
             raise self._error(f"packets of link type {link_type}, not {UPPER_PDU}")
-        if len(self._units) == MAX_INTERFACES:
-            raise self._error(f"more than {MAX_INTERFACES} interfaces")
-        resolution = dict(self._pairs(body[8:], self._order)).get(_IF_TSRESOL, b"\x06")[:1]
-        if not resolution or resolution[0] > 12:
+        exponent = dict(_pairs(body[8:], "<")).get(_IF_TSRESOL, b"\x06")[0]
+        if exponent > 12:
             raise self._error("the unit of times is not a power of ten")
-        self._units.append(10.0 ** -resolution[0])
-
-    def _pairs(self, data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
-        """Yield the options of a block, or the tags of a packet; number 0 ends them."""
-        at = 0
-        while at < len(data):
-            if len(data) < at + 4:
-                raise self._error("an option without a length")
-            kind, size = struct.unpack_from(order + "HH", data, at)
-            at += 4
-            value, end = data[at : at + size], at + size
-            if len(value) != size:
-                raise self._error("an option longer than its block")
-            at = end + -end % 4
-            if kind == 0:
-                value = data[at:]
-                at = len(data)
-            yield kind, value
+        return 10.0**-exponent
 
     def _packet(self, body: bytes) -> Recorded:
-        if len(body) < 20:
-            raise self._error("a packet without a header")
-        interface, high, low, size, _ = struct.unpack_from(self._order + "IIIII", body)
-        if interface >= len(self._units):
-            raise self._error(f"a packet of interface {interface}, which does not exist")
-        data = body[20 : 20 + size]
-        if len(data) != size:
-            raise self._error("a packet longer than its block")
-        at = (high << 32 | low) * self._units[interface]
-        tags = dict(self._pairs(data, ">"))
-        dissector = tags.get(_DISSECTOR, b"").rstrip(b"\0")
+        interface, high, low, size, _ = struct.unpack_from("<IIIII", body)
+        at = (high << 32 | low) * self._ticks[interface]
+        tags = dict(_pairs(body[20 : 20 + size], ">"))
+        dissector, data = tags.get(_DISSECTOR, b"").rstrip(b"\0"), tags.get(0, b"")
         source, target = (int.from_bytes(tags.get(kind, b"")) for kind in (_SRC_PORT, _DST_PORT))
         asks = target == MODBUS_PORT
         link = interface << 16 | (source if asks else target) & 0xFFFF
         if dissector == b"mbrtu":
-            return Recorded(link, Damage(at, at, tags.get(0, b"")))
+            return Recorded(link, Damage(at, at, data))
         if dissector != b"mbtcp":
             raise self._error("a packet that is for neither mbtcp nor mbrtu")
-        frame = self._frame(tags.get(0, b""))
-        return Recorded(link, Candidate(at, at, frame, asks, not asks))
-
-    def _frame(self, adu: bytes) -> Frame:
-        if not is_one_frame(adu):
+        if not is_one_frame(data):
             raise self._error("a packet that is not a frame of Modbus/TCP")
-        return Frame(adu[6], adu[7:])
+        return Recorded(link, Candidate(at, at, Frame(data[6], data[7:]), asks, not asks))
 
     def _error(self, what: str, at: int | None = None) -> CaptureError:
         where = self._at if at is None else at
         return CaptureError(f"{self._path}: byte {where}: {what}")
+
+
+def _pairs(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
+    """Yield the options of a block, or the tags of a packet; number 0 is the rest behind them."""
+    at = 0
+    while at < len(data):
+        kind, size = struct.unpack_from(order + "HH", data, at)
+        start = at + 4
+        at = start + size + -size % 4
+        if kind == 0:
+            yield kind, data[start:]
+            return
+        yield kind, data[start : start + size]

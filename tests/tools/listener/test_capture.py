@@ -94,29 +94,30 @@ class TestReader:
         assert {each.kind for each in three} == {each.kind for each in alone}
 
     def test_what_wireshark_saves_again(self, tmp_path: Path) -> None:
-        """With the other byte order, nanoseconds, and blocks of its own."""
-        options = struct.pack(">HHB3xHH", 9, 1, 9, 0, 0)
+        """With nanoseconds, and blocks of its own."""
+        options = struct.pack("<HHB3xHH", 9, 1, 9, 0, 0)
         blocks = [
-            (0x0A0D0D0A, struct.pack(">IHHq", 0x1A2B3C4D, 1, 0, -1)),
-            (1, struct.pack(">HHI", 252, 0, 0) + options),
+            (0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)),
+            (1, struct.pack("<HHI", 252, 0, 0) + options),
             (5, bytes(20)),
         ]
-        for at, part, pdu in ((1, 0, "03 00 00 00 01"), (2, 1, "03 02 00 07")):
-            ports = (50000, 502) if part == 0 else (502, 50000)
+        for at, ports, pdu in ((1, (50000, 502), "0300000001"), (2, (502, 50000), "03020007")):
             tags = struct.pack(">HH8s", 12, 8, b"mbtcp")
             for kind, value in ((24, 2), (25, ports[0]), (26, ports[1])):
                 tags += struct.pack(">HHI", kind, 4, value)
             body = bytes.fromhex(pdu)
             data = tags + bytes(4) + struct.pack(">HHHB", 1, 0, len(body) + 1, 5) + body
-            head = struct.pack(">IIIII", 0, *divmod(at * 10**9, 1 << 32), len(data), len(data))
+            head = struct.pack("<IIIII", 0, *divmod(at * 10**9, 1 << 32), len(data), len(data))
             blocks.append((6, head + data + bytes(-len(data) % 4)))
         file = tmp_path / "x.pcapng"
-        with file.open("wb") as out:
-            for kind, body in blocks:
-                size = struct.pack(">I", 12 + len(body))
-                out.write(struct.pack(">I", kind) + size + body + size)
+        for kind, body in blocks:
+            size = struct.pack("<I", 12 + len(body))
+            with file.open("ab") as out:
+                out.write(struct.pack("<I", kind) + size + body + size)
         (done,) = read(file)
         assert (done.time, done.unit, done.response, done.duration) == (1.0, 5, [7], 1.0)
+        file.write_bytes(2 * file.read_bytes())
+        assert len(read(file)) == 2
 
     @each_case(
         ("change", "what"),
