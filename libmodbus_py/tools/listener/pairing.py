@@ -9,7 +9,7 @@ first decides which of these are requests).
   id (0 on lines) to which it can be decoded as a response.
 * A request ends earlier requests with the same transaction id: on a line all of them, because the
   client has stopped waiting. A response that arrives afterwards is late.
-* Bytes that are not a frame belong to the request that is due, unless its response follows.
+* Bytes that are not a frame belong to the last open request, unless its response follows.
 """
 
 from __future__ import annotations
@@ -40,12 +40,6 @@ TIMEOUT = 5.0
 # A response belongs to no request that was sent more seconds before it.
 LATEST = 60.0
 
-# Seconds within which a server receives requests that a client sent without waiting.
-TOGETHER = 0.001
-
-# Seconds within which the rest of what a server sends follows a spoiled response.
-SETTLED = 0.5
-
 # The most open requests, and the most requests with late responses, that are remembered.
 MOST = 256
 
@@ -69,19 +63,12 @@ class Spoiled(NamedTuple):
 
 @dataclass(eq=False, slots=True)
 class OpenRequest:
-    """
-    A request that may still be answered.
-
-    Attributes:
-        burst: a number that is equal for requests that a client sent without waiting.
-        repeats: how often it had been sent before without a response.
-    """
+    """A request that may still be answered, and how often it had been sent before without one."""
 
     began: float
     ended: float
     frame: Frame
     request: Request[Any]
-    burst: int
     repeats: int
     spoiled: Spoiled | None = None
 
@@ -91,9 +78,13 @@ class OpenRequest:
         is_same = mine.unit == frame.unit and mine.transaction == frame.transaction
         return is_same and mine.pdu[0] == frame.pdu[0] & 0x7F
 
-    def outcome(self, frame: Frame) -> Ending | None:
-        """Decode the response to this request; None if it belongs to another one."""
-        return answered(self.request, frame.pdu) if self.is_for(frame) else None
+    def outcome(self, frame: Frame) -> Ending:
+        """Decode a response to this request; it is "unasked" if it belongs to another one."""
+        return answered(self.request, frame.pdu) if self.is_for(frame) else Ending("unasked")
+
+    def fits(self, frame: Frame) -> bool:
+        """Return True for a valid response to this request."""
+        return self.outcome(frame).kind in ("answered", "exception")
 
 
 class Pairing:
@@ -103,7 +94,7 @@ class Pairing:
     Args:
         is_line: True if unit 0 is a broadcast, as with RTU and ASCII frames.
         is_server: True for the frames that a server received and sent. No frame is missing then:
-            requests may have arrived together, and every frame that was sent answers one of them.
+            every frame that was sent answers a request.
         timeout: seconds after which a request counts as unanswered.
     """
 
@@ -116,28 +107,25 @@ class Pairing:
         self._timeout = timeout
         self._open: list[OpenRequest] = []
         self._late: dict[tuple[int, int], OpenRequest] = {}  # by unit and transaction id
-        self._burst = 0
-        self._asked_at = 0.0
 
     @property
     def due(self) -> OpenRequest | None:
-        """The request that is answered next: the first one in the last burst."""
-        return next((each for each in self._open if each.burst == self._open[-1].burst), None)
+        """The last open request; on a line there is only one, because clients wait."""
+        return self._open[-1] if self._open else None
 
     def given_up(self, unit: int) -> OpenRequest | None:
         """Return the last request to a unit of a line whose response may still arrive."""
         return self._late.get((unit, 0))
 
-    # --- traffic ---------------------------------------------------------------------------
-
     def ask(self, began: float, ended: float, frame: Frame) -> None:
         """Take a request; its function code is in 1..127."""
-        if not (self._is_server and began - self._asked_at <= TOGETHER):
-            self._burst += 1
-        self._asked_at = ended
-        repeats = self._end_earlier(frame) if self._open else 0
+        repeats = 0
+        for each in self._open.copy():
+            if each.frame.transaction == frame.transaction or each.spoiled is not None:
+                repeats = each.repeats + 1 if each.frame == frame else repeats
+                self._give_up(each)
         request = decoded(frame.pdu) or RawRequest.decode(frame.pdu)
-        asked = OpenRequest(began, ended, frame, request, self._burst, repeats)
+        asked = OpenRequest(began, ended, frame, request, repeats)
         if (self._is_line and frame.unit == 0) or not request.expects_response:
             self._end(asked, Ending("broadcast"))
             return
@@ -150,7 +138,10 @@ class Pairing:
         if not frame.pdu[0] & 0x7F:
             self.misuse(began, ended, frame)
             return None
-        asked, outcome = self._answered(frame)
+        outcomes = [(each, each.outcome(frame)) for each in self._open]
+        invalid = [pair for pair in outcomes if pair[1].kind == "invalid"]
+        valid = [pair for pair in outcomes if pair[1].kind in ("answered", "exception")]
+        asked, outcome = [*valid, *invalid, (None, Ending("unasked"))][0]
         if (asked is None or outcome.kind == "invalid") and self._end_late(began, ended, frame):
             return None
         if asked is None:
@@ -188,8 +179,8 @@ class Pairing:
 
     def tick(self, at: float) -> None:
         """End the requests that have been open for too long at this time."""
-        if self._open:
-            for each in [each for each in self._open if self._is_over(each, at)]:
+        for each in self._open.copy():
+            if at - each.ended > self._timeout:
                 self._give_up(each)
 
     def end(self) -> None:
@@ -201,26 +192,13 @@ class Pairing:
         """Return True if no earlier request can be answered any more."""
         return not self._open and all(at - each.ended > LATEST for each in self._late.values())
 
-    # --- finding the request --------------------------------------------------------------
-
-    def _answered(self, frame: Frame) -> tuple[OpenRequest | None, Ending]:
-        """Return the request that a response answers, and how; preferably not as invalid."""
-        found: tuple[OpenRequest | None, Ending] = None, Ending("unasked")
-        for each in self._open:
-            outcome = each.outcome(frame)
-            if outcome is not None and outcome.kind != "invalid":
-                return each, outcome
-            if outcome is not None and found[0] is None:
-                found = each, outcome
-        return found
-
     def _end_late(self, began: float, ended: float, frame: Frame) -> bool:
         """Return True if a response belongs to a request that was given up."""
         late = self._late.get(_key(frame))
         if late is None or began - late.ended >= LATEST:
             return False
         outcome = late.outcome(frame)
-        if outcome is None or outcome.kind == "invalid":
+        if outcome.kind not in ("answered", "exception"):
             return False
         del self._late[_key(frame)]
         self._end(late, outcome._replace(kind="late"), ended)
@@ -240,23 +218,6 @@ class Pairing:
         if asked.spoiled is not None:
             self.done.append(asked.spoiled.alone)
         asked.spoiled = Spoiled(ended, outcome or Ending(alone.kind, None, alone.error), alone)
-
-    # --- ending a request -----------------------------------------------------------------
-
-    def _end_earlier(self, frame: Frame) -> int:
-        """End the requests that a new one replaces; return the number of earlier attempts."""
-        repeats = 0
-        for each in self._open.copy():
-            is_same = each.frame.transaction == frame.transaction or each.spoiled is not None
-            if each.burst != self._burst and is_same:
-                repeats = each.repeats + 1 if each.frame == frame else repeats
-                self._give_up(each)
-        return repeats
-
-    def _is_over(self, asked: OpenRequest, at: float) -> bool:
-        if self._is_server and asked.spoiled is not None and at - asked.spoiled.ended > SETTLED:
-            return True
-        return at - asked.ended > self._timeout
 
     def _give_up(self, asked: OpenRequest) -> None:
         self._open.remove(asked)

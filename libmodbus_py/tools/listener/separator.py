@@ -20,7 +20,7 @@ From the bytes of one line or connection to transactions, without clocks or port
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Iterator
 from math import sqrt
 from typing import Literal, NamedTuple
@@ -32,7 +32,7 @@ from ...protocol.pdu import Diagnostics
 from ...protocol.rtu import RtuCutter, may_be
 from ...protocol.scan import ALLOWANCE
 from .pairing import OpenRequest, Pairing
-from .transaction import Heard, OnHeard, Part, Transaction, answered, decoded
+from .transaction import Heard, OnHeard, Part, Transaction, decoded
 
 __all__ = ["Candidate", "Damage", "Direction", "LineFraming", "Separator"]
 
@@ -181,147 +181,20 @@ class _AsciiHearing:
 
 
 class _LearntTimes:
-    """The last response times of each unit, and times until clients sent the next request."""
+    """The last response times of units, and times until clients sent the next request instead."""
 
     def __init__(self) -> None:
-        self._answers: dict[int, deque[float]] = {}
-        self._timeout: deque[float] = deque(maxlen=16)
-
-    def note_answer(self, unit: int, seconds: float) -> None:
-        self._answers.setdefault(unit, deque(maxlen=32)).append(seconds)
-
-    def note_next_request(self, seconds: float) -> None:
-        """Take the seconds between a request without a response and the next request."""
-        self._timeout.append(seconds)
+        self.answers: defaultdict[int, deque[float]] = defaultdict(lambda: deque(maxlen=32))
+        self.timeouts: deque[float] = deque(maxlen=16)
 
     def limit(self, unit: int) -> float:
         """Return the seconds after a request up to which equal bytes are its response."""
-        slowest = max(self._answers.get(unit, ()), default=0.0)
+        slowest = max(self.answers.get(unit, ()), default=0.0)
         # One of the shortest times, because clients may pause before the next request; but not the
         # shortest, because a frame that is merged into a damaged one looks like a request.
-        known = sorted(self._timeout)
+        known = sorted(self.timeouts)
         timeout = known[len(known) // 4] if len(known) >= 4 else USUAL_TIMEOUT
         return sqrt(max(slowest, min(SHORTEST_ANSWER, timeout / 4)) * timeout)
-
-
-class _Naming:
-    """
-    Decides which frames are requests and which are responses, and pairs them.
-
-    `on_heard` is called with each frame as soon as this is decided, and with damaged bytes.
-    """
-
-    def __init__(self, on_heard: OnHeard) -> None:
-        self.pairing: Pairing = Pairing()
-        self._on_heard = on_heard
-        self._times = _LearntTimes()
-        self._is_certain = True  # the open request cannot be a response
-        self._held: Heard | None = None  # a request that may turn out to be a response
-
-    def take(self, found: Candidate | Damage) -> None:
-        """Take the next frame or damage."""
-        began, ended = found.began, found.ended
-        self.pairing.tick(began)
-        if isinstance(found, Damage):
-            self._note(Heard(began, ended, "damage", None, found.data))
-            self.pairing.damage(*found)
-        elif not _has_function(found):
-            part: Part = "response" if found.may_answer else "request"
-            self._note(Heard(began, ended, part, found.frame))
-            self.pairing.misuse(began, ended, found.frame)
-        elif self._is_request(found):
-            self._take_request(found)
-        else:
-            self._note(Heard(began, ended, "response", found.frame))
-            self._take_response(found)
-
-    def tick(self, at: float) -> None:
-        """Note that nothing more was received until this time."""
-        self.pairing.tick(at)
-        self._release()
-
-    def end(self) -> None:
-        """Note that nothing more will be received."""
-        self.pairing.end()
-        self._release()
-
-    def _release(self) -> None:
-        """Release the held request: after it is given up, it cannot turn out to be a response."""
-        if self.pairing.due is None:
-            self._note(None)
-
-    def _note(self, heard: Heard | None) -> None:
-        """Call `on_heard` in the order of the line: first with the request that was held."""
-        held, self._held = self._held, None
-        for each in (held, heard):
-            if each is not None:
-                self._on_heard(each)
-
-    def _is_request(self, found: Candidate) -> bool:
-        if found.may_ask != found.may_answer:
-            return found.may_ask
-        asked = self.pairing.due
-        asks = found.may_ask and decoded(found.frame.pdu) is not None
-        answers = found.may_answer and _fits(asked, found)
-        if asks and answers and asked is not None:
-            return self._is_repeated(asked, found)
-        if asks:
-            return not self._is_late_echo(found)
-        return not answers and not (asked is not None and asked.is_for(found.frame))
-
-    def _is_repeated(self, asked: OpenRequest, found: Candidate) -> bool:
-        """Return True if a frame that could be both arrived too late for a response."""
-        spoiled = asked.spoiled
-        if spoiled is not None and found.began - spoiled.ended > GLUED:
-            return True  # the damaged bytes were the response
-        return not self._is_soon(asked, found.began)
-
-    def _is_late_echo(self, found: Candidate) -> bool:
-        """Return True for the response to an earlier request while another one is awaited."""
-        asked, late = self.pairing.due, self.pairing.given_up(found.frame.unit)
-        if asked is None or asked.spoiled is not None or not _fits(late, found):
-            return False
-        return found.began - asked.ended <= self._times.limit(found.frame.unit)
-
-    def _is_soon(self, asked: OpenRequest, at: float) -> bool:
-        return at - asked.ended <= self._times.limit(asked.frame.unit)
-
-    def _take_request(self, found: Candidate) -> None:
-        before, began = self.pairing.due, found.began
-        if before is not None and before.spoiled is None:
-            if not self._is_certain and self._is_soon(before, began):  # it was a response
-                self._held = self._held and self._held._replace(part="response")
-                self.pairing.withdraw(before)
-            elif self._is_certain and not found.may_answer:
-                # Times are not learnt from guesses, because they decide the next guess.
-                self._times.note_next_request(began - before.ended)
-        heard = Heard(began, found.ended, "request", found.frame)
-        self._note(None if found.may_answer else heard)
-        self._held = heard if found.may_answer else None
-        self._is_certain = not found.may_answer
-        self.pairing.ask(began, found.ended, found.frame)
-        self._release()
-
-    def _take_response(self, found: Candidate) -> None:
-        asked = self.pairing.due
-        outcome = self.pairing.answer(found.began, found.ended, found.frame)
-        if asked is not None and outcome is not None and outcome.kind != "invalid":
-            self._times.note_answer(found.frame.unit, max(found.began - asked.ended, 0.0))
-
-
-def _fits(asked: OpenRequest | None, found: Candidate) -> bool:
-    if asked is None or asked.frame.unit != found.frame.unit:
-        return False
-    return answered(asked.request, found.frame.pdu).kind != "invalid"
-
-
-def _has_function(found: Candidate) -> bool:
-    """Return True if the function code is valid (application protocol, 4.1)."""
-    code = found.frame.pdu[0]
-    return 0 < code < 0x80 or (code > 0x80 and found.may_answer)
-
-
-# --- transactions ---------------------------------------------------------------------------------
 
 
 class Separator:
@@ -354,7 +227,11 @@ class Separator:
         checked_callback("on_heard", on_heard)
         self._framing = framing
         self._pause = pause
-        self._naming = _Naming(on_heard)
+        self._on_heard = on_heard
+        self._pairing = Pairing()
+        self._times = _LearntTimes()
+        self._is_certain = True  # the open request cannot be a response
+        self._held: Heard | None = None  # a request that may turn out to be a response
         self._hearings: dict[Direction | None, _RtuHearing | _AsciiHearing] = {}
         self._last: dict[Direction | None, float] = {}
         self._is_quiet: set[Direction | None] = set()
@@ -379,7 +256,8 @@ class Separator:
     def tick(self, at: float) -> list[Transaction]:
         """Note that no more bytes arrived until this time; otherwise like `feed`."""
         self._wait(at)
-        self._naming.tick(at)
+        self._pairing.tick(at)
+        self._release()
         return self._given()
 
     def end(self) -> list[Transaction]:
@@ -387,12 +265,13 @@ class Separator:
         for direction, hearing in self._hearings.items():
             self._take(direction, hearing.silence(is_over=True))
         self._last.clear()
-        self._naming.end()
+        self._pairing.end()
+        self._release()
         return self._given()
 
     def take(self, found: Candidate | Damage) -> list[Transaction]:
         """Take a frame or damaged bytes that were separated before; otherwise like `feed`."""
-        self._naming.take(found)
+        self._name(found)
         return self._given()
 
     def _wait(self, at: float) -> None:
@@ -409,12 +288,12 @@ class Separator:
         asks = direction == "client"
         for each in found:
             if direction is None or isinstance(each, Damage):
-                self._naming.take(each)
+                self._name(each)
             else:
-                self._naming.take(each._replace(may_ask=asks, may_answer=not asks))
+                self._name(each._replace(may_ask=asks, may_answer=not asks))
 
     def _given(self) -> list[Transaction]:
-        done, self._naming.pairing.done = self._naming.pairing.done, []
+        done, self._pairing.done = self._pairing.done, []
         for each in done:
             if isinstance(each.request, Diagnostics) and each.kind == "answered":
                 for hearing in self._hearings.values():
@@ -430,3 +309,88 @@ class Separator:
             else:
                 self._hearings[direction] = _RtuHearing(self._pause, direction)
         return self._hearings[direction]
+
+    # --- requests or responses -------------------------------------------------------------
+
+    def _name(self, found: Candidate | Damage) -> None:
+        """Decide what the next frame is, and pair it."""
+        began, ended = found.began, found.ended
+        self._pairing.tick(began)
+        if isinstance(found, Damage):
+            self._note(Heard(began, ended, "damage", None, found.data))
+            self._pairing.damage(*found)
+        elif not _has_function(found):
+            part: Part = "response" if found.may_answer else "request"
+            self._note(Heard(began, ended, part, found.frame))
+            self._pairing.misuse(began, ended, found.frame)
+        elif self._is_request(found):
+            self._take_request(found)
+        else:
+            self._note(Heard(began, ended, "response", found.frame))
+            asked = self._pairing.due
+            outcome = self._pairing.answer(began, ended, found.frame)
+            if asked is not None and outcome is not None and outcome.kind != "invalid":
+                self._times.answers[found.frame.unit].append(max(began - asked.ended, 0.0))
+
+    def _release(self) -> None:
+        """Release the held request: after it is given up, it cannot turn out to be a response."""
+        if self._pairing.due is None:
+            self._note(None)
+
+    def _note(self, heard: Heard | None) -> None:
+        """Call `on_heard` in the order of the line: first with the request that was held."""
+        held, self._held = self._held, None
+        for each in (held, heard):
+            if each is not None:
+                self._on_heard(each)
+
+    def _is_request(self, found: Candidate) -> bool:
+        if found.may_ask != found.may_answer:
+            return found.may_ask
+        asked = self._pairing.due
+        asks = found.may_ask and decoded(found.frame.pdu) is not None
+        answers = found.may_answer and asked is not None and asked.fits(found.frame)
+        if asks and answers and asked is not None:
+            return self._is_repeated(asked, found)
+        if asks:
+            return not self._is_late_echo(found)
+        return not answers and not (asked is not None and asked.is_for(found.frame))
+
+    def _is_repeated(self, asked: OpenRequest, found: Candidate) -> bool:
+        """Return True if a frame that could be both arrived too late for a response."""
+        spoiled = asked.spoiled
+        if spoiled is not None and found.began - spoiled.ended > GLUED:
+            return True  # the damaged bytes were the response
+        return not self._is_soon(asked, found.began)
+
+    def _is_late_echo(self, found: Candidate) -> bool:
+        """Return True for the response to an earlier request while another one is awaited."""
+        asked, late = self._pairing.due, self._pairing.given_up(found.frame.unit)
+        if asked is None or asked.spoiled or late is None or not late.fits(found.frame):
+            return False
+        return found.began - asked.ended <= self._times.limit(found.frame.unit)
+
+    def _is_soon(self, asked: OpenRequest, at: float) -> bool:
+        return at - asked.ended <= self._times.limit(asked.frame.unit)
+
+    def _take_request(self, found: Candidate) -> None:
+        before, began = self._pairing.due, found.began
+        if before is not None and before.spoiled is None:
+            if not self._is_certain and self._is_soon(before, began):  # it was a response
+                self._held = self._held and self._held._replace(part="response")
+                self._pairing.withdraw(before)
+            elif self._is_certain and not found.may_answer:
+                # Times are not learnt from guesses, because they decide the next guess.
+                self._times.timeouts.append(began - before.ended)
+        heard = Heard(began, found.ended, "request", found.frame)
+        self._note(None if found.may_answer else heard)
+        self._held = heard if found.may_answer else None
+        self._is_certain = not found.may_answer
+        self._pairing.ask(began, found.ended, found.frame)
+        self._release()
+
+
+def _has_function(found: Candidate) -> bool:
+    """Return True if the function code is valid (application protocol, 4.1)."""
+    code = found.frame.pdu[0]
+    return 0 < code < 0x80 or (code > 0x80 and found.may_answer)

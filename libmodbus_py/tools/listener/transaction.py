@@ -15,32 +15,21 @@ from ...protocol.pdu import RawRequest, Request, decode_request
 
 # fmt: off
 __all__ = [
-    "KINDS", "Ending", "Heard", "Kind", "OnHeard", "Part", "Summary", "Transaction", "answered",
+    "Ending", "Heard", "Kind", "OnHeard", "Part", "Summary", "Transaction", "answered",
     "damage_alone", "decoded", "misused", "unasked",
 ]
 # fmt: on
 
 Kind = Literal[
-    "answered",
-    "exception",
-    "invalid",
-    "late",
-    "unanswered",
-    "broadcast",
-    "damaged",
-    "unasked",
+    "answered",  # the response fits the request
+    "exception",  # the unit answered with an exception
+    "invalid",  # the response does not fit the request, or a frame has no valid function code
+    "late",  # the response came after the request had been reported as unanswered
+    "unanswered",  # no response came before the next request, or for several seconds
+    "broadcast",  # a request that no unit answers: one to unit 0, or one that demands silence
+    "damaged",  # bytes that are not a frame, instead of a response or without a request
+    "unasked",  # a response without a known request, or a second one
 ]
-
-KINDS: dict[Kind, str] = {
-    "answered": "the response fits the request",
-    "exception": "the unit answered with an exception",
-    "invalid": "the response does not fit the request, or a frame has no valid function code",
-    "late": "the response came after the request had been reported as unanswered",
-    "unanswered": "no response came before the next request, or for several seconds",
-    "broadcast": "a request that no unit answers: one to unit 0, or one that demands silence",
-    "damaged": "bytes that are not a frame, instead of a response or without a request",
-    "unasked": "a response without a known request, or a second one",
-}
 
 Part = Literal["request", "response", "damage"]
 
@@ -65,7 +54,7 @@ class Transaction:
 
     Attributes:
         time: the time of its first byte, in seconds since the epoch.
-        kind: how it ended: one of `KINDS`.
+        kind: how it ended: one of `Kind`.
         unit: 0..255; None for damaged bytes alone.
         function: the function code, 1..127, or None.
         request: the request object, which is a `RawRequest` if a server would refuse to decode

@@ -20,14 +20,14 @@ from http.server import BaseHTTPRequestHandler
 from importlib import resources
 from ipaddress import ip_address
 from typing import Any
-from urllib.parse import parse_qs, parse_qsl, urlsplit
+from urllib.parse import parse_qsl, urlsplit
 
 from ...ports.hosts import is_loopback, split_host_and_port
 from ...protocol.json_text import json_text
 from ..faults.server import Server
 from ..timed_server import TimedServer
 from .server_source import ServerSource
-from .streams import Action, FullError, PageSource, Streams
+from .streams import Action, PageSource, Refused, Streams
 from .table_source import TableSource
 
 __all__ = ["Page", "live_page", "table_page"]
@@ -49,17 +49,16 @@ class _PageGuard:
         names = (host, *addresses, *(["localhost"] if is_here else []))
         self._names = {each.lower() for each in names}
 
-    def refusal(self, query: str, headers: Message, *, is_change: bool) -> str:
-        """Return the reason to refuse a request; an empty string if it is allowed."""
+    def check(self, token: str, headers: Message, *, is_change: bool) -> None:
+        """Raise `Refused` if a request is not allowed."""
         host, origin = headers.get("Host", ""), headers.get("Origin")
         if len(headers.get_all("Host", [])) != 1 or not self._is_own(host):
-            return "the Host header is not the address of this page"
+            raise Refused(403, "the Host header is not the address of this page")
         if (is_change and origin is None) or origin not in (None, f"http://{host}"):
-            return "the Origin header is not the address of this page"
-        given = [*_tokens(query), *self._kept(headers)]
+            raise Refused(403, "the Origin header is not the address of this page")
+        given = [token, *self._kept(headers)]
         if not any(hmac.compare_digest(each.encode(), self.token.encode()) for each in given):
-            return "the token is missing or wrong: open the URL that was printed"
-        return ""
+            raise Refused(403, "the token is missing or wrong: open the URL that was printed")
 
     def _is_own(self, host: str) -> bool:
         try:
@@ -85,13 +84,6 @@ class _PageGuard:
                 name, _, value = each.strip().partition("=")
                 if name == self._cookie:
                     yield value
-
-
-def _tokens(query: str) -> list[str]:
-    try:
-        return parse_qs(query, max_num_fields=MOST_FIELDS).get("token", [])
-    except ValueError:  # there are more fields
-        return []
 
 
 # --- the checks of requests -----------------------------------------------------------------------
@@ -139,14 +131,6 @@ class _WebServer(TimedServer):
         self.url: str = f"{self.place}/?token={self.guard.token}"
 
 
-class Refused(Exception):
-    """A request that is answered with this status and text."""
-
-    def __init__(self, status: int, text: str) -> None:
-        super().__init__(text)
-        self.status = status
-
-
 class Handler(BaseHTTPRequestHandler):
     """The single request of a connection."""
 
@@ -169,34 +153,32 @@ class Handler(BaseHTTPRequestHandler):
             self.send_header(name, value)
         super().end_headers()
 
-    def _answer(self, answer: Callable[[str, str], None]) -> None:
+    def _answer(self, answer: Callable[[str, dict[str, str]], None]) -> None:
         try:
             try:
                 parts = urlsplit(self.path)
+                fields = dict(parse_qsl(parts.query, max_num_fields=MOST_FIELDS))
             except ValueError:
-                raise Refused(400, "the path is invalid") from None
-            is_change = self.command != "GET"
-            why = self.server.guard.refusal(parts.query, self.headers, is_change=is_change)
-            if why:
-                raise Refused(403, why)
-            answer(parts.path, parts.query)
+                raise Refused(400, "the path is invalid, or has too many fields") from None
+            token, is_change = fields.get("token", ""), self.command != "GET"
+            self.server.guard.check(token, self.headers, is_change=is_change)
+            answer(parts.path, fields)
         except Refused as refusal:
             self._send_json({"error": str(refusal)}, refusal.status)
 
-    def _get(self, path: str, query: str) -> None:
+    def _get(self, path: str, fields: dict[str, str]) -> None:
         download = self.server.downloads.get(path)
         if path == "/events":
             self._stream()
         elif download is not None:
-            text = download(_fields(query))
-            self._send("text/csv; charset=utf-8", text.encode(errors="replace"))
+            self._send("text/csv; charset=utf-8", download(fields).encode(errors="replace"))
         elif path in FILES:
             name, kind = FILES[path]
             self._send(kind, FOLDER.joinpath(name).read_bytes(), with_cookie=path == "/")
         else:
             raise Refused(404, "not found")
 
-    def _post(self, path: str, query: str) -> None:
+    def _post(self, path: str, _: dict[str, str]) -> None:
         action = self.server.actions.get(path)
         if action is None:
             raise Refused(404, "not found")
@@ -239,23 +221,13 @@ class Handler(BaseHTTPRequestHandler):
         self._send("application/json", json_text(found).encode(), status)
 
     def _stream(self) -> None:
-        try:
-            with self.server.streams.opened(self.connection) as messages:
-                self.server.keep(self.connection)
-                self.send_response(200)
-                self.send_header("Content-Type", "text/event-stream; charset=utf-8")
-                self.end_headers()
-                for message in messages:
-                    self.wfile.write(message.encode())
-        except FullError as error:
-            raise Refused(503, str(error)) from None
-
-
-def _fields(query: str) -> dict[str, str]:
-    try:
-        return dict(parse_qsl(query, max_num_fields=MOST_FIELDS))
-    except ValueError:
-        raise Refused(400, "the query has too many fields") from None
+        with self.server.streams.opened(self.connection) as messages:
+            self.server.keep(self.connection)
+            self.send_response(200)
+            self.send_header("Content-Type", "text/event-stream; charset=utf-8")
+            self.end_headers()
+            for message in messages:
+                self.wfile.write(message.encode())
 
 
 # --- pages while a block runs ---------------------------------------------------------------------

@@ -20,7 +20,7 @@ from ..faults.fault import KINDS, OPTIONAL, Fault
 from ..faults.server import Server
 from ..simulator.simulated import SimulatedDevice
 from .log import Log
-from .samples import Samples, charted
+from .samples import charted
 from .streams import Action, Download, Tables
 from .units import SAMPLED, ShownUnit, cell_rows, point_rows, shown_of
 
@@ -31,9 +31,6 @@ MOST_TEXT = 2000
 
 # Faults of a server to which pages can add others.
 MOST_FAULTS = 200
-
-# Points whose samples are kept.
-MOST_SAMPLED = 5000
 
 # Seconds of the longest chart.
 MOST_SECONDS = 86_400.0
@@ -130,7 +127,6 @@ class ServerSource:
         self._server = server
         self._shown = shown_of(server)
         self.log: Log = Log(lambda: self._shown)
-        self._samples: dict[tuple[int | None, str], Samples] = {}
         self.downloads: Mapping[str, Download] = {"/log.csv": self.log.download}
         self.actions: Mapping[str, Action] = {
             "/value": self._set,
@@ -183,19 +179,10 @@ class ServerSource:
         if unit is None:
             return {}
         if what == "points":
-            rows = point_rows(unit, first, stop, self._samples_of)
+            rows = point_rows(unit, first, stop)
         else:
             rows = cell_rows(unit, what, first, stop)
         return {f"{_name(number)}/{what}": rows}
-
-    def _samples_of(self, unit: ShownUnit, point: Point) -> Samples:
-        """Return the samples of a point; those of points not shown for longest make room."""
-        key = unit.number, point.name
-        samples = self._samples.pop(key, None) or Samples(SAMPLED)
-        while len(self._samples) >= MOST_SAMPLED:
-            self._samples.pop(next(iter(self._samples)))
-        self._samples[key] = samples
-        return samples
 
     # --- actions -------------------------------------------------------------------------------
 
@@ -204,9 +191,9 @@ class ServerSource:
         if not isinstance(row, list) or len(row) != 2 or not isinstance(row[1], str):
             raise ValueError("row must be a unit and a name")
         unit = self._unit({"unit": row[0]})
-        samples = self._samples.get((unit.number, row[1]))
+        samples = unit.samples.get(row[1])
         units = [each.units for each in unit.points if each.name == row[1]]
-        if samples is None or not units:
+        if samples is None:
             raise ValueError("this value no longer exists")
         now = time.time()
         since = now - number("seconds", given["seconds"], 1, MOST_SECONDS)

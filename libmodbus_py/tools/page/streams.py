@@ -27,7 +27,7 @@ from ...protocol.json_text import COMPACT_JSON
 from ...protocol.logs import HarmlessLogger
 from ...system import Flag
 
-__all__ = ["Action", "Download", "FullError", "PageSource", "Streams", "Tables", "difference"]
+__all__ = ["Action", "Download", "PageSource", "Refused", "Streams", "Tables", "difference"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -95,8 +95,12 @@ def difference(before: Tables, after: Tables) -> dict[str, Any]:
     return found | dict.fromkeys(before.keys() - after.keys())
 
 
-class FullError(Exception):
-    """`MOST_STREAMS` pages are open."""
+class Refused(Exception):
+    """A request that is answered with this status of HTTP and text."""
+
+    def __init__(self, status: int, text: str) -> None:
+        super().__init__(text)
+        self.status = status
 
 
 class _OpenPage:
@@ -120,17 +124,12 @@ class Streams:
     @contextlib.contextmanager
     def opened(self, connection: socket.socket) -> Iterator[Iterator[str]]:
         """
-        Open one more page while the block runs.
-
-        Returns:
-            The messages to the page, which end when the browser closes the connection.
-
-        Raises:
-            FullError: `MOST_STREAMS` pages are open already.
+        Open one more page while the block runs; return the messages to it, which end when the
+        browser closes the connection. Raise `Refused` if there are `MOST_STREAMS` already.
         """
         with self._lock:
             if len(self._pages) >= MOST_STREAMS:
-                raise FullError(f"{MOST_STREAMS} pages are open, which is the maximum")
+                raise Refused(503, f"{MOST_STREAMS} pages are open, which is the maximum")
             page = _OpenPage()
             self._pages[page.head["stream"]] = page
         try:

@@ -8,7 +8,7 @@ device refuses, because clients may not read them, the page shows the cells as t
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -22,7 +22,7 @@ from ...protocol.tables import TABLES
 from ...server.units import SERVER_ITSELF
 from ..faults.server import Server
 from ..simulator.simulated import SimulatedDevice
-from .samples import Samples
+from .samples import Samples, samples_of_each
 from .text import point_text
 
 __all__ = ["SAMPLED", "ShownServer", "ShownUnit", "cell_rows", "point_rows", "shown_of"]
@@ -51,6 +51,7 @@ class ShownUnit:
         self.number: int | None = number
         self.device: Device = device
         self.points: tuple[Point, ...] = tuple(device.points.values())
+        self.samples: dict[str, Samples] = {}
         self._computed: dict[tuple[str, range], list[range]] = {}
         self._until = 0.0
         self._has_failed = False
@@ -156,20 +157,18 @@ def shown_of(server: Server) -> ShownServer:
 
 # --- rows -----------------------------------------------------------------------------------------
 
-SamplesOf = Callable[[ShownUnit, Point], Samples]
 
-
-def point_rows(unit: ShownUnit, first: int, stop: int, samples_of: SamplesOf) -> dict[int, Any]:
+def point_rows(unit: ShownUnit, first: int, stop: int) -> dict[int, Any]:
     """
     Return rows of points: text, True if the point moves, False if held, and its sparkline.
 
     The value of each point is added to its samples once a second.
     """
-    now, rows = time.time(), {}
+    now, most, rows = time.time(), samples_of_each(len(unit.points)), {}
     points = unit.points[first : min(stop, first + MOST_POINTS)]
     for at, point in enumerate(points, first):
         value, text = unit.value_and_text(point)
-        samples = samples_of(unit, point)
+        samples = unit.samples.setdefault(point.name, Samples(SAMPLED, most))
         if not 0 <= now - samples.newest < SAMPLED:
             samples.add(now, value)
         rows[at] = [text, unit.movement(point), samples.spark()]

@@ -10,12 +10,13 @@ from __future__ import annotations
 import random
 import tracemalloc
 from collections.abc import Iterable, Sequence
+from typing import get_args
 
 import pytest
 
 from libmodbus_py import pdu
 from libmodbus_py.listen import Separator, Transaction
-from libmodbus_py.tools.listener.transaction import KINDS, Heard
+from libmodbus_py.tools.listener.transaction import Heard, Kind
 from tests.support.cases import each_case
 from tests.support.talk import ascii_frame, rtu
 from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES
@@ -153,7 +154,7 @@ class TestOneTransaction:
         assert done.response == b"\xcc"
 
     def test_every_kind_says_what_it_is(self) -> None:
-        for kind in KINDS:
+        for kind in get_args(Kind):
             assert str(Transaction(0.0, kind))
 
 

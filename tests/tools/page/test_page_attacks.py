@@ -136,7 +136,7 @@ def test_odd_cookies_of_others_lock_nobody_out() -> None:
 def test_too_many_fields_are_refused_and_answered() -> None:
     with shown() as (_, _, visitor):
         path = "/?" + "&".join(f"a={at}" for at in range(20))
-        assert visitor.ask("GET", path, Cookie=None)[0] == 403
+        assert visitor.ask("GET", path, Cookie=None)[0] == 400
         assert visitor.ask("GET", f"/log.csv{path[1:]}")[0] == 400
 
 
