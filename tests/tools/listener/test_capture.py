@@ -21,14 +21,12 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Context, Device, Mapping, Server
-from libmodbus_py.listen import CaptureError, Listener, Transaction, listen
-from libmodbus_py.tools.listener.capture import CaptureReader, CaptureWriter
+from libmodbus_py.listen import CaptureError, Transaction, listen
+from libmodbus_py.tools.listener.capture import CaptureWriter
 from libmodbus_py.tools.listener.transaction import Heard
 from tests.support.cases import each_case
 from tests.support.commands import Started
-from tests.support.talk import rtu
 from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES
-from tests.tools.listener.shared_line import SharedLine
 
 DECODED = Path(__file__).with_name("decoded.pcapng")
 
@@ -159,12 +157,6 @@ class TestReader:
             except CaptureError as error:
                 assert "\n" not in str(error)  # noqa: PT017  # either is right
 
-    def test_a_file_that_is_refused_is_closed(self, tmp_path: Path) -> None:
-        file = tmp_path / "x.pcapng"
-        file.write_bytes(b"nothing")
-        with pytest.raises(CaptureError):
-            CaptureReader(file)
-
     def test_others_have_their_turn_in_a_loop(self) -> None:
         async def read_all() -> tuple[int, int]:
             turns = count = 0
@@ -217,9 +209,6 @@ class TestReader:
 # --- a disk that becomes full while traffic is recorded -------------------------------------------
 
 
-ASKED = rtu("01 03 00 00 00 01") + rtu("01 03 02 00 07")
-
-
 @pytest.fixture
 def target() -> Iterator[str]:
     with Server(Device(Mapping(holding_registers={0: [7]}))).background(
@@ -228,56 +217,23 @@ def target() -> Iterator[str]:
         yield running.urls[0]
 
 
-def fill_disk(line: Listener) -> None:
-    """Let the open capture be written to /dev/full from now on."""
-    assert line._writer is not None
-    full = os.open("/dev/full", os.O_WRONLY)
-    os.dup2(full, line._writer._file.fileno())
-    os.close(full)
-
-
-def check_end(line: Listener, path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    assert line.capture_error is not None
-    assert line.capture_error.filename == str(path)
-    told = [each.getMessage() for each in caplog.records if "ends here" in each.message]
-    assert told == [f"{path}: No space left on device; the capture ends here"]
-
-
 def test_a_tap_goes_on(target: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = tmp_path / "x.pcapng"
     with (
         listen("rtu+tcp://127.0.0.1:0", between=target, capture=path) as line,
         Context.from_url(line.url, unit=1) as client,
     ):
-        fill_disk(line)
+        assert line._writer is not None
+        full = os.open("/dev/full", os.O_WRONLY)
+        os.dup2(full, line._writer._file.fileno())
+        os.close(full)
         for _ in range(3):
             assert client.read_holding_registers(0, 1) == [7]
             assert next(line).response == [7]
-        check_end(line, path, caplog)
-
-
-def test_listening_on_a_line_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    path = tmp_path / "x.pcapng"
-    with (
-        SharedLine("listener") as bus,
-        listen(f"rtu://{bus.paths['listener']}", capture=path) as line,
-    ):
-        fill_disk(line)
-        for _ in range(3):
-            bus.say(ASKED)
-            assert next(line).response == [7]
-        check_end(line, path, caplog)
-
-
-def test_reading_a_capture_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    read = Path(__file__).parent / "decoded.pcapng"
-    with listen(str(read)) as line:
-        wanted = list(map(str, line))
-    path = tmp_path / "x.pcapng"
-    with listen(str(read), capture=path) as line:
-        fill_disk(line)
-        assert list(map(str, line)) == wanted
-        check_end(line, path, caplog)
+        assert line.capture_error is not None
+        assert line.capture_error.filename == str(path)
+    told = [each.getMessage() for each in caplog.records if "ends here" in each.message]
+    assert told == [f"{path}: No space left on device; the capture ends here"]
 
 
 @pytest.mark.parametrize("size", range(330, 420, 15))

@@ -17,8 +17,6 @@ from libmodbus_py.tools import timed_server
 from libmodbus_py.tools.listener import sources
 from libmodbus_py.tools.listener.separator import LineFraming, Separator
 from tests.server.test_server import BODIES, MADE
-from tests.support.cases import each_case
-from tests.support.commands import run
 from tests.support.peers import dead, until
 from tests.support.talk import rtu
 
@@ -133,33 +131,6 @@ def test_a_forked_child_that_closes_its_copy_ends_neither(tapped: Tapped) -> Non
     assert os.waitpid(child, 0)[1] == 0
     assert passes(ends)
     assert passes(tapped.connected())
-
-
-# --- listeners and TLS ----------------------------------------------------------------------------
-
-
-SECURE = "tls://127.0.0.1:802"
-
-PLACES = [
-    (SECURE, None),
-    (SECURE, "tls://192.0.2.10"),
-    ("rtu+tcp://127.0.0.1:0", "tls://192.0.2.10"),
-    ("rtu:///dev/ttyUSB0", "tls://192.0.2.10"),
-]
-
-
-@each_case(("url", "between"), PLACES)
-def test_tls_is_refused_with_what_shows_it(url: str, between: str | None) -> None:
-    with pytest.raises(ValueError, match="cannot see into TLS; a gateway") as raised:
-        listen(url, between=between)
-    assert str(raised.value).startswith("tls://")
-
-
-def test_the_command_and_its_help_say_so() -> None:
-    done = run("listen", SECURE)
-    assert (done.code, done.out) == (2, "")
-    assert "listening cannot see into TLS; a gateway" in done.err
-    assert "Traffic in TLS cannot be read; libmodbus-py gateway -v" in run("listen", "--help").out
 
 
 # --- what a listener makes of frames that only silence ends, with others right behind them --------
