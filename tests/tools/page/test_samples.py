@@ -46,13 +46,10 @@ def test_what_is_no_number_is_a_gap(value: Any) -> None:
     assert (samples.low, samples.high) == (1, 3)
 
 
-def test_bits_are_drawn_as_0_and_1() -> None:
-    assert made(True, False, True).spark() == [20, 0, 20]
-
-
 def test_a_sparkline_has_the_last_samples_in_20_levels() -> None:
     assert made(*range(80), most=70).spark() == [at * 20 // 59 for at in range(60)]
     assert made(*range(13), most=4).spark() == [0, 6, 13, 20]
+    assert made(True, False, True).spark() == [20, 0, 20]
     assert made(5, 5, None).spark() == [10, 10, -1]
     assert made(None, None).spark() == []
     assert made(-1e308, 1e308).spark() == [10, 10]  # the span is not a number
@@ -64,13 +61,6 @@ def test_samples_that_are_too_close_replace_each_other_but_a_gap_hides_no_number
         samples.add(time, value)
     assert samples.pairs() == [(1.0, 9), (2.0, 4)]
     assert (samples.low, samples.high) == (4, 9)
-
-
-def test_a_clock_that_was_set_back_leaves_them_in_order() -> None:
-    samples = Samples()
-    for time, value in [(50.0, 1), (60.0, 2), (10.0, 3), (11.0, 4)]:
-        samples.add(time, value)
-    assert [time for time, _ in samples.pairs()] == [10, 11, 50, 60]
 
 
 @each_case(
@@ -91,11 +81,21 @@ def test_a_time_without_samples_is_a_gap(every: float | None, values: list[float
     assert [each for _, each in with_gaps([*given], every)] == values
 
 
-def test_a_gap_is_one_sample_however_long_it_is() -> None:
-    samples = Samples(1.0)
-    for time, value in [(1.0, 1), (2.0, None), (900.0, None), (5000.0, 2)]:
+@each_case(
+    ("every", "given"),
+    [
+        (
+            None,
+            [(10, 3), (11, 4), (50, 1), (60, 2)],
+        ),  # in the order of time: the clock was set back
+        (1.0, [(1, 1), (2, None), (900, None), (5000, 2)]),  # a gap is one sample
+    ],
+)
+def test_samples_are_those_that_were_added(every: float | None, given: list[Any]) -> None:
+    samples = Samples(every)
+    for time, value in given if every else [*given[2:], *given[:2]]:
         samples.add(time, value)
-    assert samples.pairs() == [(1.0, 1), (2.0, None), (900.0, None), (5000.0, 2)]
+    assert samples.pairs() == given
 
 
 # --- numbers made of counters ---------------------------------------------------------------------
@@ -132,14 +132,8 @@ def test_a_number_is_what_changed_in_the_seconds_since_the_last_sample() -> None
         counters.go_on(seconds, requests)
     assert counters.numbers() == [(1001.0, 50.0), (1003.0, 25.0), (1006.0, 0.0)]
     assert counters.history.spark(LINE, "rate") == [20, 10, 0]
-
-
-def test_a_time_without_requests_and_pages_is_a_gap() -> None:
-    counters = Counters()
-    counters.history.sample()
-    counters.go_on(1, 5)
-    counters.go_on(100, 50)
-    assert counters.numbers() == [(1001.0, 5.0), (1001.4, None), (1101.0, 0.5)]
+    counters.go_on(94, 47)  # there were neither requests nor pages
+    assert counters.numbers()[-2:] == [(1006.4, None), (1100.0, 0.5)]
 
 
 def test_numbers_over_time_are_those_of_the_time_between() -> None:
