@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import random
 import tracemalloc
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import get_args
 
 import pytest
@@ -354,23 +354,6 @@ class TestAscii:
             Separator("tcp")  # type: ignore[arg-type]
 
 
-def test_frames_by_chance_inside_frames_without_a_length() -> None:
-    """A prefix of this frame has a fitting CRC; what follows it is not a frame."""
-    body = find_chance()
-    data = rtu(body)
-    assert named([(0.0, data + data), (1.0, b"")]) == [
-        ("request", data[1:-2]),
-        ("response", data[1:-2]),
-    ]
-
-
-def find_chance() -> str:
-    """Diagnostics with six bytes, the last of which make the CRC of what precedes them fit."""
-    start = "01 08 00 00 97 67"
-    prefix = rtu(start)
-    return start + prefix[-2:].hex() + "11 22"
-
-
 def test_scripts_of_any_size_give_the_same() -> None:
     """However the bytes are cut, and whenever they are seen, they mean the same."""
     writes = rtu("02 10 00 01 00 01 02 00 05") + rtu("02 10 00 01 00 01")
@@ -380,15 +363,3 @@ def test_scripts_of_any_size_give_the_same() -> None:
     for size in range(1, 20):
         pieces = [(0.0, data[at : at + size]) for at in range(0, len(data), size)]
         assert named(pieces) == whole
-
-
-def test_more_bytes_than_one_piece_are_cut_anywhere() -> None:
-    choose = random.Random(11)
-    pairs: Sequence[tuple[bytes, bytes]] = pairs_of("rtu")
-    data = b"".join(question + answer for question, answer in pairs * 20)
-    pieces: list[Piece] = []
-    while data:
-        size = choose.randint(1, 300)
-        pieces.append((0.0, data[:size]))
-        data = data[size:]
-    assert len(listen(pieces)) == 20 * len(pairs)
