@@ -15,7 +15,7 @@ import io
 import os
 import struct
 from collections.abc import Iterator
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 from ...protocol.framing import Frame, is_one_frame, mbap
 from .separator import Candidate, Damage
@@ -77,16 +77,7 @@ def _opened(path: str) -> io.FileIO:
 
 
 class CaptureWriter:
-    """
-    Writes a capture to a new file, a pipe or a device, each frame at once.
-
-    Args:
-        name: the name of its interface, such as a URL.
-
-    Raises:
-        ValueError: the file exists.
-        OSError: the file cannot be written.
-    """
+    """Writes a capture to a new file, a pipe or a device, each frame at once."""
 
     def __init__(self, path: str | os.PathLike[str], name: str) -> None:
         self._path = os.fspath(path)
@@ -146,24 +137,10 @@ class CaptureWriter:
             raise OSError(error.errno, error.strerror, self._path) from error
 
 
-class Recorded(NamedTuple):
-    """A frame or damaged bytes; `link` is different for each connection and interface."""
-
-    link: int
-    found: Candidate | Damage
-
-
 class CaptureReader:
     """
-    Reads a file of `CaptureWriter`, even if Wireshark has saved it again.
-
-    Attributes:
-        recorded: an iterator of `Recorded`; raises CaptureError where the file is not a valid
-            capture of this package, or ends inside a block.
-
-    Raises:
-        OSError: the file cannot be read.
-        CaptureError: the file does not begin like a pcapng file.
+    Reads a file of `CaptureWriter`, even if Wireshark has saved it again; `recorded` yields what
+    each connection said, and raises CaptureError where the file is not valid.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -171,7 +148,7 @@ class CaptureReader:
         self._file: BinaryIO = open(path, "rb")  # noqa: SIM115  # closed by close()
         self._at = 0
         self._ticks: list[float] = []  # seconds of a tick of each interface
-        self.recorded: Iterator[Recorded] = self._read()
+        self.recorded: Iterator[tuple[int, Candidate | Damage]] = self._read()
         try:
             kind, body = self._next_block() or (0, b"")
             if kind != _SECTION or body[:4] != struct.pack("<I", _BYTE_ORDER):
@@ -184,7 +161,7 @@ class CaptureReader:
         """Close the file; any number of times."""
         self._file.close()
 
-    def _read(self) -> Iterator[Recorded]:
+    def _read(self) -> Iterator[tuple[int, Candidate | Damage]]:
         while (block := self._next_block()) is not None:
             kind, body = block
             try:
@@ -227,7 +204,8 @@ class CaptureReader:
             raise self._error("the unit of times is not a power of ten")
         return 10.0**-exponent
 
-    def _packet(self, body: bytes) -> Recorded:
+    def _packet(self, body: bytes) -> tuple[int, Candidate | Damage]:
+        """Return the number of the connection, and what it said."""
         interface, high, low, size, _ = struct.unpack_from("<IIIII", body)
         at = (high << 32 | low) * self._ticks[interface]
         tags = dict(_pairs(body[20 : 20 + size], ">"))
@@ -236,12 +214,12 @@ class CaptureReader:
         asks = target == MODBUS_PORT
         link = interface << 16 | (source if asks else target) & 0xFFFF
         if dissector == b"mbrtu":
-            return Recorded(link, Damage(at, at, data))
+            return link, Damage(at, at, data)
         if dissector != b"mbtcp":
             raise self._error("a packet that is for neither mbtcp nor mbrtu")
         if not is_one_frame(data):
             raise self._error("a packet that is not a frame of Modbus/TCP")
-        return Recorded(link, Candidate(at, at, Frame(data[6], data[7:]), asks, not asks))
+        return link, Candidate(at, at, Frame(data[6], data[7:]), asks, not asks)
 
     def _error(self, what: str, at: int | None = None) -> CaptureError:
         where = self._at if at is None else at

@@ -88,8 +88,6 @@ class Listener:
         self._outage = Outage(logger, url)
         self._tick_after: float = IDLE
 
-    # --- opening and closing --------------------------------------------------------------
-
     def __enter__(self) -> Self:
         return self
 
@@ -134,8 +132,6 @@ class Listener:
                 self._is_busy = False
                 if self._is_closed:
                     self._free()
-
-    # --- iterating ------------------------------------------------------------------------
 
     def __iter__(self) -> Self:
         return self
@@ -204,8 +200,6 @@ class Listener:
         if not self._is_closed and self._outage.try_to_end(source.open):
             self._poller.register(source.descriptor, READ)
 
-    # --- traffic ---------------------------------------------------------------------------
-
     def _feed(self, piece: TimedBytes) -> None:
         if piece.data:
             separator = self._separator(piece.link)
@@ -216,12 +210,11 @@ class Listener:
 
     def _read_on(self, reader: CaptureReader) -> bool:
         """Read a frame; at the end of the capture, return True if there are transactions left."""
-        recorded = next(reader.recorded, None)
-        if recorded is None:
-            self._end_all()
-            return bool(self._ready)
-        self._add(self._separator(recorded.link).take(recorded.found))
-        return True
+        for link, found in reader.recorded:
+            self._add(self._separator(link).take(found))
+            return True
+        self._end_all()
+        return bool(self._ready)
 
     def _separator(self, link: int) -> Separator:
         if link not in self._separators:

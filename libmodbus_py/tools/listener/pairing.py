@@ -49,11 +49,8 @@ MOST_CONNECTIONS = 1000
 
 class Spoiled(NamedTuple):
     """
-    What was received instead of a response, up to a time.
-
-    Attributes:
-        outcome: the outcome of the request if its response does not follow.
-        alone: the separate transaction that is reported if the response does follow.
+    What was received instead of a response, up to a time: the outcome of the request unless its
+    response follows, and the separate transaction that is reported if it does.
     """
 
     ended: float
@@ -91,11 +88,8 @@ class Pairing:
     """
     The open requests of one connection or line; the caller empties `done`.
 
-    Args:
-        is_line: True if unit 0 is a broadcast, as with RTU and ASCII frames.
-        is_server: True for the frames that a server received and sent. No frame is missing then:
-            every frame that was sent answers a request.
-        timeout: seconds after which a request counts as unanswered.
+    On a line unit 0 is a broadcast. No frame is missing of those that a server received and sent:
+    then every frame that was sent answers a request.
     """
 
     def __init__(
@@ -261,13 +255,7 @@ class Exchange(NamedTuple):
 
 
 class TracePairing:
-    """
-    Pairs the requests and responses of all connections in one trace; the caller empties `done`.
-
-    Args:
-        is_server: True for the trace of a server, False for that of a client.
-        timeout: seconds after which a request counts as unanswered.
-    """
+    """Pairs the frames of all connections in the trace of a server or a client, as `Pairing`."""
 
     def __init__(self, *, is_server: bool = True, timeout: float = TIMEOUT) -> None:
         self.done: list[Exchange] = []

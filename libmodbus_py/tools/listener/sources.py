@@ -55,13 +55,8 @@ PIECE_COST = 100
 
 class TimedBytes(NamedTuple):
     """
-    Bytes that were received together.
-
-    Attributes:
-        link: the number of the connection; 0 on a serial line.
-        sender: None on a serial line, where it is not known.
-        at: the time at which they arrived, in seconds.
-        data: empty at the end of a connection.
+    Bytes that a connection received together, none at its end; a serial line is link 0, and its
+    sender is not known.
     """
 
     link: int
@@ -91,21 +86,10 @@ class SerialSource:
 
 class Tap(TimedServer):
     """
-    A source of the bytes between clients and a device.
+    A source of the bytes between clients of an endpoint and a device.
 
-    A connection beyond the most ends the one that has been idle longest.
-
-    Args:
-        endpoint: the address for clients; port 0 for a free one.
-        target: the address of the device.
-        clock: returns the time of each piece, in seconds.
-
-    Attributes:
-        descriptor: readable when there are bytes to receive.
-        endpoint: the address for clients, with its port.
-
-    Raises:
-        ModbusConnectionError: the endpoint cannot be opened, with errno.
+    A connection beyond the most ends the one that has been idle longest. `descriptor` is readable
+    when there are bytes. Raises ModbusConnectionError if the endpoint cannot be opened.
     """
 
     daemon_threads = True  # `close` does not wait for connections that are being established
@@ -149,8 +133,6 @@ class Tap(TimedServer):
             self._stack.close()
         else:
             self.server_close()
-
-    # --- in threads -------------------------------------------------------------------------
 
     def follow(self, client: socket.socket) -> None:
         """Connect to the device, and pass bytes on, until both sides have ended, or are idle."""

@@ -184,14 +184,7 @@ class AnswerTimes:
 
 @dataclass
 class UnitSummary:
-    """
-    The traffic of one unit.
-
-    Attributes:
-        functions: ``{function code: number of requests}``.
-        errors: ``{error: number}``; the error is a kind of transaction or "exception N".
-        repeats: the number of requests that were repetitions.
-    """
+    """The traffic of one unit; an error is a kind of transaction or "exception N"."""
 
     transactions: int = 0
     functions: Counter[int] = field(default_factory=Counter)

@@ -50,9 +50,7 @@ DONE = ("answered", "broadcast", "late", "invalid")
 
 GOOD = ("answered", "broadcast")
 
-HEAD = (
-    *("time", "client", "unit", "function", "request", "points", "response", "kind", "seconds"),
-)
+HEAD = ("time", "client", "unit", "function", "request", "points", "response", "kind", "seconds")
 
 # Characters with which formulas of spreadsheets begin.
 FORMULAS = ("=", "+", "-", "@", "\t", "\r")
@@ -75,12 +73,7 @@ class LogRow(NamedTuple):
 
 
 class Log:
-    """
-    Collects the trace of a server, in the server's loop, and returns rows, in any thread.
-
-    Args:
-        shown: returns the units that the server has now.
-    """
+    """Collects the trace of a server, in the server's loop, and returns rows, in any thread."""
 
     def __init__(self, shown: Callable[[], ShownServer]) -> None:
         self._shown = shown
@@ -140,11 +133,8 @@ class Log:
 
     def download(self, query: Mapping[str, str]) -> str:
         """
-        Return the remembered rows as CSV.
-
-        Args:
-            query: "unit" selects the rows of a unit, "writes": "1" writes, and "errors": "1" failed
-                requests; with both, either.
+        Return the remembered rows as CSV; of a "unit", and only "writes" or "errors", if the query
+        says so.
         """
         unit = query.get("unit", "")
         wanted = query.get("writes") == "1", query.get("errors") == "1"
@@ -156,7 +146,11 @@ class Log:
         return csv_rows([HEAD, *(map(_cell, row) for row in rows)])
 
     def _row(self, exchange: Exchange) -> LogRow:
-        peer, each = exchange
+        (peer, each), named = exchange, ""
+        if each.request is not None and each.unit is not None and each.kind in DONE:
+            shown = self._shown()
+            for number in shown.units_of(each.unit, is_line=False)[:1]:
+                named = named_cells(shown.units[number], each.request, each.response)
         return LogRow(
             next(self._row_numbers),
             each.time,
@@ -167,18 +161,9 @@ class Log:
             cell_text(each.outcome(_listed)),
             each.kind,
             each.duration,
-            self._named(exchange),
+            named,
             each.function in WRITES,
         )
-
-    def _named(self, exchange: Exchange) -> str:
-        """Return the points of a transaction with their values; "" if the server lacks its unit."""
-        each, shown = exchange.transaction, self._shown()
-        if each.request is None or each.unit is None or each.kind not in DONE:
-            return ""
-        for number in shown.units_of(each.unit, is_line=False):
-            return named_cells(shown.units[number], each.request, each.response)
-        return ""
 
 
 def _is_wanted(row: LogRow, writes: bool, errors: bool) -> bool:
@@ -230,10 +215,7 @@ def _listed(values: Any) -> str:
 def named_cells(unit: ShownUnit, request: Request[Any], response: Any) -> str:
     """
     Return the points that a request reads or writes as a whole, with their values, such as
-    "voltage 230.1 V, pump on".
-
-    Args:
-        response: the result of the request; None unless the response contains values.
+    "voltage 230.1 V, pump on"; the response is None unless it contains values.
     """
     accesses = touched(request, mapping=unit.device.mapping)
     ranges = [(each, each.values) for each in accesses.writes]

@@ -37,10 +37,6 @@ SHORTEST = 0.4
 # Intervals without a sample that are a gap; a poll may be late, or left out once.
 GAP = 3
 
-NUMBERS = (float, int, bool)
-
-GREATEST = sys.float_info.max
-
 Pairs = list[tuple[float, "float | None"]]
 """Time and number of samples; None for a gap."""
 
@@ -51,8 +47,8 @@ def samples_of_each(count: int) -> int:
 
 
 def _is_number(value: object) -> bool:
-    """Return True for a finite number."""
-    return type(value) in NUMBERS and -GREATEST <= value <= GREATEST  # type: ignore[operator]
+    most = sys.float_info.max
+    return type(value) in (float, int, bool) and -most <= value <= most  # type: ignore[operator]
 
 
 def _is_gap(passed: float, every: float | None) -> bool:
@@ -61,15 +57,8 @@ def _is_gap(passed: float, every: float | None) -> bool:
 
 class Samples:
     """
-    The last samples of one value; a value that is not a number, or is missing, is a gap.
-
-    Args:
-        every: seconds between two samples; None if a number is valid until the next one.
-        most: the most samples that are kept, at least 2.
-
-    Attributes:
-        newest: the time of the last sample.
-        low, high: the lowest and the highest number since the first sample; None if there is none.
+    The last samples of one value, and the lowest and highest number since the first; the seconds
+    between two are None if a number is valid until the next one.
     """
 
     __slots__ = ("_most", "_numbers", "every", "high", "low", "newest")
@@ -81,9 +70,6 @@ class Samples:
         self.high: float | None = None
         self._most = most
         self._numbers = array("d")  # time and number of each: others read it in one step
-
-    def __len__(self) -> int:
-        return len(self._numbers) // 2
 
     def add(self, time: float, value: Any) -> None:
         """Keep a sample; a value that is not a finite number is a gap."""
@@ -172,13 +158,7 @@ Name = tuple[str, str]
 
 
 class Counts(NamedTuple):
-    """
-    Counters of a row.
-
-    Attributes:
-        seconds: the time of all responses together.
-        waiting: requests that wait now; None if none can.
-    """
+    """Counters of a row: its responses took so many seconds; `waiting` is None if none can."""
 
     requests: int
     answers: int = 0
@@ -198,11 +178,8 @@ class RowHistory:
     Samples the counters of rows, at most once a second. Safe from any thread.
 
     A number is that of the time since the previous sample. While there are no requests, and no page
-    is open, there is no sample: the chart has a gap.
-
-    Args:
-        counts: returns the name of each row, as in its first cell, and its counters.
-        clock: returns seconds since the epoch.
+    is open, there is no sample: the chart has a gap. `counts` returns the name of each row, as in
+    its first cell, and its counters.
     """
 
     def __init__(

@@ -184,8 +184,6 @@ class ServerSource:
             rows = cell_rows(unit, what, first, stop)
         return {f"{_name(number)}/{what}": rows}
 
-    # --- actions -------------------------------------------------------------------------------
-
     def _history(self, given: Given) -> dict[str, Any]:
         row = given["row"]
         if not isinstance(row, list) or len(row) != 2 or not isinstance(row[1], str):

@@ -57,29 +57,22 @@ Download = Callable[[Mapping[str, str]], str]
 
 class PageSource(Protocol):
     """
-    The things that all open pages of one address show.
-
-    Attributes:
-        script: the script of the page that shows these tables.
-        actions: the functions that answer requests of pages, by path; called in any thread.
-        downloads: the functions that make files to download, by path; called in any thread.
+    The things that all open pages of one address show with a script; any thread calls the actions,
+    which answer requests, and makes downloads, each by its path. One thread at a time asks for the
+    tables that all pages show, and for those of a view, if it still exists.
     """
 
     script: str
     actions: Mapping[str, Action]
     downloads: Mapping[str, Download]
 
-    def common(self) -> Tables:
-        """Return the tables that all pages show; one thread at a time calls it."""
-        ...
-
     def view(self, given: Mapping[str, Any]) -> Hashable:
         """Return the view that a request names; raise as an `Action` if there is no such view."""
         ...
 
-    def viewed(self, view: Any) -> Tables:
-        """Return the tables of a view, none if it no longer exists; called as `common`."""
-        ...
+    def common(self) -> Tables: ...
+
+    def viewed(self, view: Any) -> Tables: ...
 
 
 def difference(before: Tables, after: Tables) -> dict[str, Any]:
@@ -123,10 +116,7 @@ class Streams:
 
     @contextlib.contextmanager
     def opened(self, connection: socket.socket) -> Iterator[Iterator[str]]:
-        """
-        Open one more page while the block runs; return the messages to it, which end when the
-        browser closes the connection. Raise `Refused` if there are `MOST_STREAMS` already.
-        """
+        """Return the messages to one more page, which end when the browser closes it."""
         with self._lock:
             if len(self._pages) >= MOST_STREAMS:
                 raise Refused(503, f"{MOST_STREAMS} pages are open, which is the maximum")

@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, Protocol
 
 from ...protocol.checks import integer, number
@@ -49,14 +50,12 @@ View = tuple[str, bool, int, int]
 
 class Column(NamedTuple):
     """
-    A column of the table.
+    A column of the table, which narrow screens, such as those of telephones, leave out if it is
+    wide.
 
-    Attributes:
-        kind: how its cells are shown: "row" names the row by a group, a name and perhaps more;
-            "state" is a word, a reason, and since when; "value" is a text and its units; "age" and
-            the time of a state are seconds since the epoch, or 0; "spark" are the levels of a
-            sparkline, which opens a chart; None for no chart.
-        is_wide: True if narrow screens, such as those of telephones, leave the column out.
+    Cells of the kind "row" name the row by a group, a name and perhaps more; of "state" are a word,
+    a reason, and since when; of "value" a text and its units; of "spark" the levels of a sparkline,
+    which opens a chart, or None. An age and the time of a state are seconds since the epoch, or 0.
     """
 
     title: str
@@ -84,6 +83,9 @@ class Shown(Protocol):
         kind: the kind of the page in one word, such as "fleet".
         log: the log that is shown beside the table; None for no log.
         older: finds samples of values that are not in memory any more; None without a journal.
+        status: returns a sentence for the head, and True if it names a problem.
+        figures: returns the numbers at a glance, by their names.
+        series: returns the numbers of a row, by the texts of its first cell; None if it is gone.
     """
 
     kind: str
@@ -92,21 +94,13 @@ class Shown(Protocol):
     log: Log | None
     older: Older | None
 
-    def status(self) -> tuple[str, bool]:
-        """Return a sentence for the head of the page, and True if it names a problem."""
-        ...
+    def status(self) -> tuple[str, bool]: ...
 
-    def figures(self) -> Mapping[str, float]:
-        """Return the numbers at a glance, by their names."""
-        ...
+    def figures(self) -> Mapping[str, float]: ...
 
-    def rows(self) -> Sequence[PageRow]:
-        """Return the rows in order."""
-        ...
+    def rows(self) -> Sequence[PageRow]: ...
 
-    def series(self, name: tuple[str, str], column: str) -> Series | None:
-        """Return the numbers of a row, by the texts of its first cell; None if it is gone."""
-        ...
+    def series(self, name: tuple[str, str], column: str) -> Series | None: ...
 
 
 class TableSource:
@@ -152,11 +146,8 @@ class TableSource:
 
     def _history(self, given: Mapping[str, Any]) -> dict[str, Any]:
         name, column = given["row"], given["column"]
-        if (
-            not isinstance(name, list)
-            or len(name) != 2
-            or not all(isinstance(each, str) for each in [*name, column])
-        ):
+        texts = [*name, column] if isinstance(name, list) else []
+        if len(texts) != 3 or not all(isinstance(each, str) for each in texts):
             raise ValueError("row must be a list of two strings, and column a string")
         series = self._shown.series((name[0], name[1]), column)
         if series is None:
@@ -213,21 +204,14 @@ class ShownPoint(NamedTuple):
     every: float | None
 
 
+@dataclass(slots=True)
 class ValueRow:
-    """
-    See `PageRow`: the last value of a point.
+    """See `PageRow`: a reading is time, device, name, value, unit, quality, reason, and more."""
 
-    Attributes:
-        reading: time, device, name, value, unit, quality, reason, and perhaps more; None at first.
-    """
-
-    __slots__ = ("device", "point", "reading", "samples")
-
-    def __init__(self, point: ShownPoint, device: GroupRow, samples: Samples) -> None:
-        self.point: ShownPoint = point
-        self.device: GroupRow = device
-        self.reading: tuple[Any, ...] | None = None
-        self.samples: Samples = samples
+    point: ShownPoint
+    device: GroupRow
+    samples: Samples
+    reading: tuple[Any, ...] | None = None
 
     @property
     def words(self) -> str:
@@ -258,12 +242,7 @@ class ValueRow:
 
 
 class Values:
-    """
-    The rows of devices and their values, in order. Any thread may call `put`.
-
-    Args:
-        device_row: returns the row of a device, by its name.
-    """
+    """The rows of devices, made by their names, and of their values. Any thread may `put`."""
 
     def __init__(self, device_row: Callable[[str], GroupRow]) -> None:
         self._device_row = device_row
@@ -288,9 +267,8 @@ class Values:
 
     def put(self, readings: Iterable[tuple[Any, ...]]) -> None:
         """Take readings, each with the fields of `ValueRow.reading`."""
-        values = self._values
         for each in readings:
-            value = values.get((each[1], each[2]))
+            value = self._values.get((each[1], each[2]))
             if value is not None:
                 value.reading = each
                 value.samples.add(each[0], each[3])

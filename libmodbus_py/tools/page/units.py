@@ -159,11 +159,7 @@ def shown_of(server: Server) -> ShownServer:
 
 
 def point_rows(unit: ShownUnit, first: int, stop: int) -> dict[int, Any]:
-    """
-    Return rows of points: text, True if the point moves, False if held, and its sparkline.
-
-    The value of each point is added to its samples once a second.
-    """
+    """Return rows of points: text, movement and sparkline, for a sample of each once a second."""
     now, most, rows = time.time(), samples_of_each(len(unit.points)), {}
     points = unit.points[first : min(stop, first + MOST_POINTS)]
     for at, point in enumerate(points, first):

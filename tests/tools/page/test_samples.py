@@ -29,7 +29,7 @@ def test_the_latest_samples_are_kept_and_the_extremes_of_all() -> None:
     samples = made(50, *range(30), most=4)
     assert samples.pairs() == [(127, 26), (128, 27), (129, 28), (130, 29)]
     assert samples.pairs(since=128) == [(129, 28), (130, 29)]
-    assert (samples.low, samples.high, len(samples)) == (0, 50, 4)
+    assert (samples.low, samples.high, len(samples.pairs())) == (0, 50, 4)
     samples.resize(2)
     samples.add(131, 7)
     assert samples.pairs() == [(130, 29), (131, 7)]
