@@ -35,11 +35,9 @@ def raw(visitor: Visitor, data: bytes, *, ends: bool = False) -> bytes:
     return received
 
 
-def descriptors() -> int:
-    return len(os.listdir("/proc/self/fd"))
-
-
 # --- who may ask ----------------------------------------------------------------------------------
+
+CHANGE = {"unit": 1, "point": 1, "name": "level", "text": "9"}
 
 STRANGERS: dict[str, dict[str, str | None]] = {
     "no token": {"Cookie": None},
@@ -69,42 +67,24 @@ def test_strangers_get_nothing(stranger: str) -> None:
         before = server.devices[1].mapping.holding_registers[2]
         for path in PATHS:
             method = "POST" if path == "/value" else "GET"
-            body = {"unit": 1, "point": 1, "name": "level", "text": "9"}
-            status, headers, data = visitor.ask(method, path, body, **given)
+            status, headers, data = visitor.ask(method, path, CHANGE, **given)
             assert (status, "Set-Cookie" in headers) == (403, False), (path, data)
             assert visitor.token.encode() not in data
         assert server.devices[1].mapping.holding_registers[2] == before
 
 
-def test_one_host_is_needed_and_an_origin_for_a_change() -> None:
-    with shown() as (_, _, visitor):
-        cookie = visitor.headers["Cookie"]
-        hosts = f"Host: {visitor.host}\r\nHost: evil"
-        answer = raw(visitor, f"GET / HTTP/1.1\r\n{hosts}\r\nCookie: {cookie}\r\n\r\n".encode())
-        assert answer.startswith(b"HTTP/1.0 403")
-        body = {"unit": 1, "point": 1, "name": "level", "text": "9"}
-        assert visitor.ask("POST", "/value", body, Origin=None)[0] == 403
-        assert visitor.ask("GET", "/scripts/page.js", Origin=None)[0] == 200
-
-
 def test_the_printed_address_gives_a_cookie_that_scripts_do_not_see() -> None:
     with shown() as (_, _, visitor):
-        path = f"/?token={visitor.token}"
+        path, own = f"/?token={visitor.token}", visitor.headers["Cookie"]
         status, headers, data = visitor.ask("GET", path, Cookie=None, Origin=None)
         assert status == 200
         assert b"<title>" in data
-        cookie = headers["Set-Cookie"]
-        assert cookie == f"{visitor.headers['Cookie']}; Path=/; HttpOnly; SameSite=Strict"
+        assert headers["Set-Cookie"] == f"{own}; Path=/; HttpOnly; SameSite=Strict"
         for wrong in ("/?token=", "/?token=a&token=b", "/?token=" + "a" * 5000, "/?token=%FF"):
             assert visitor.ask("GET", wrong, Cookie=None, Origin=None)[0] == 403
         localhost = f"localhost:{visitor.address[1]}"
         assert visitor.ask("GET", path, Cookie=None, Origin=None, Host=localhost)[0] == 200
-
-
-def test_odd_cookies_of_others_lock_nobody_out() -> None:
-    """Pages on all ports of a machine share them."""
-    with shown() as (_, _, visitor):
-        own = visitor.headers["Cookie"]
+        # Pages on all ports of a machine share their cookies.
         for odd in (
             'prefs={"a":1}',
             "a=b c",
@@ -115,12 +95,17 @@ def test_odd_cookies_of_others_lock_nobody_out() -> None:
         ):
             for cookies in (f"{odd}; {own}", f"{own}; {odd}"):
                 assert visitor.ask("GET", "/scripts/page.js", Cookie=cookies)[0] == 200, cookies
+        # One host is needed, and an origin for a change.
+        hosts = f"Host: {visitor.host}\r\nHost: evil"
+        answer = raw(visitor, f"GET / HTTP/1.1\r\n{hosts}\r\nCookie: {own}\r\n\r\n".encode())
+        assert answer.startswith(b"HTTP/1.0 403")
+        assert visitor.ask("POST", "/value", CHANGE, Origin=None)[0] == 403
 
 
 def test_what_a_browser_may_do_with_it() -> None:
     with shown() as (_, _, visitor):
         for path in ("/", "/scripts/page.js", "/page.css", "/icon.svg", "/nothing"):
-            _, headers, _ = visitor.ask("GET", path)
+            _, headers, data = visitor.ask("GET", path)
             policy = headers["Content-Security-Policy"]
             assert policy.startswith("default-src 'none'; script-src 'self'; style-src 'self';")
             assert "unsafe" not in policy
@@ -129,27 +114,23 @@ def test_what_a_browser_may_do_with_it() -> None:
             assert headers["Referrer-Policy"] == "no-referrer"
             assert headers["Cache-Control"] == "no-store"
             assert "Access-Control-Allow-Origin" not in headers
-        html = visitor.ask("GET", "/")[2].decode()
-    assert "style=" not in html
-    assert "onclick" not in html
-    assert "://" not in html  # nothing from elsewhere
+            if path == "/":  # nothing within, and nothing from elsewhere
+                assert [each for each in (b"style=", b"onclick", b"://") if each in data] == []
 
 
 # --- requests that are none -----------------------------------------------------------------------
 
+VIEW = {"stream": "x", "unit": 1, "what": "coils", "first": 0, "stop": 1}
+
 REQUESTS: list[tuple[str, str, Any, dict[str, str | None], int]] = [
     ("GET", "/log.csv?" + "&".join("a=1" for _ in range(20)), None, {}, 400),
     ("GET", "/../page.py", None, {}, 404),
-    ("GET", "/page.py", None, {}, 404),
     ("GET", "/%2e%2e/streams.py", None, {}, 404),
     ("GET", "//etc/passwd", None, {}, 404),
     ("GET", "http://evil.example/page.css", None, {}, 403),
     ("GET", "/value", None, {}, 404),
-    ("POST", "/", {}, {}, 404),
     ("POST", "/events", {}, {}, 404),
     ("PUT", "/value", {}, {}, 501),
-    ("DELETE", "/value", None, {}, 501),
-    ("OPTIONS", "/value", None, {}, 501),
     ("<script>", "/", None, {}, 501),
     ("POST", "/value", b"{", {}, 400),
     ("POST", "/value", b"[]", {}, 400),
@@ -159,28 +140,16 @@ REQUESTS: list[tuple[str, str, Any, dict[str, str | None], int]] = [
     ("POST", "/value", {}, {"Content-Type": "text/plain"}, 415),
     ("POST", "/value", {}, {"Content-Type": "application/x-www-form-urlencoded"}, 415),
     ("POST", "/value", None, {}, 411),
-    ("POST", "/value", b"", {"Content-Length": "many"}, 411),
     ("POST", "/value", b"", {"Content-Length": "-1"}, 411),
     ("POST", "/value", b"", {"Content-Length": "65537"}, 413),
     ("POST", "/value", b"", {"Content-Length": "9" * 30}, 413),
     ("POST", "/value", b"", {"Content-Length": "0", "Transfer-Encoding": "chunked"}, 411),
-    ("POST", "/view", {"stream": "x", "unit": 1, "what": "coils", "first": 0, "stop": 1}, {}, 400),
-    ("POST", "/view", {"stream": [], "unit": 1, "what": {}, "first": 0, "stop": 1}, {}, 400),
+    ("POST", "/view", VIEW, {}, 400),
+    ("POST", "/view", VIEW | {"stream": [], "what": {}}, {}, 400),
     ("POST", "/fault", {"number": 7, "on": True}, {}, 400),
     ("POST", "/fault", {"number": 1e9, "on": True}, {}, 400),
     ("POST", "/faults", {"unit": 1, "kind": {}}, {}, 400),
 ]
-
-
-def test_requests_that_cannot_be() -> None:
-    with shown() as (_, _, visitor):
-        found = [
-            visitor.ask(method, path, body, **headers)[0]
-            for method, path, body, headers, _ in REQUESTS
-        ]
-        assert visitor.ask("GET", "/")[0] == 200
-    assert found == [each[-1] for each in REQUESTS]
-
 
 BYTES = [
     b"\r\n\r\n",
@@ -195,8 +164,10 @@ BYTES = [
 ]
 
 
-def test_bytes_that_are_no_request() -> None:
+def test_requests_that_cannot_be_and_bytes_that_are_none() -> None:
     with shown() as (_, _, visitor):
+        for method, path, body, headers, status in REQUESTS:
+            assert visitor.ask(method, path, body, **headers)[0] == status, (path, body, headers)
         for data in BYTES:
             answer = raw(visitor, data, ends=True)
             assert b" 200 " not in answer[:20]
@@ -207,21 +178,16 @@ def test_bytes_that_are_no_request() -> None:
 # --- visitors who never end -----------------------------------------------------------------------
 
 
-def test_who_says_nothing_keeps_nobody_out() -> None:
-    """More of them than connections, and each trickles."""
+def test_who_says_nothing_keeps_nobody_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """More of them than connections; who trickles has gone in time, too."""
     with shown() as (_, _, visitor), ExitStack() as stack:
         before = threading.active_count()
-        lorises = []
         for _ in range(100):
             loris = stack.enter_context(socket.create_connection(visitor.address, 20))
             loris.sendall(b"GET / HTTP/1.1\r\nA:")
-            lorises.append(loris)
         assert visitor.ask("GET", "/")[0] == 200
         assert threading.active_count() - before <= 70
     until(lambda: threading.active_count() <= before)
-
-
-def test_who_trickles_has_gone_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("libmodbus_py.tools.page.page.LIMIT", 0.5)
     with shown() as (_, _, visitor), socket.create_connection(visitor.address, 20) as loris:
         until(lambda: _is_gone(loris))
@@ -245,15 +211,16 @@ def test_no_more_than_so_many_pages() -> None:
 
 
 def test_a_hundred_pages_that_go_leave_nothing() -> None:
+    threads = threading.active_count()
     with shown() as (_, _, visitor):
-        url = f"http://{visitor.host}/?token={visitor.token}"
-        before = 0
+        url, before = f"http://{visitor.host}/?token={visitor.token}", 0
         for number in range(100):
             until(lambda: _visited(url))
             if number in (0, 99):
                 until(lambda: not any("process_req" in each.name for each in threading.enumerate()))
-                before = before or descriptors()
-        until(lambda: descriptors() <= before)
+                before = before or len(os.listdir("/proc/self/fd"))
+        until(lambda: len(os.listdir("/proc/self/fd")) <= before)
+    until(lambda: threading.active_count() == threads)
 
 
 def _visited(url: str) -> bool:
@@ -270,10 +237,8 @@ def test_who_does_not_read_is_left_behind_and_told_everything_when_it_does() -> 
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         slow.settimeout(20)
         slow.connect(visitor.address)
-        head = (
-            f"GET /events HTTP/1.1\r\nHost: {visitor.host}\r\nCookie: {visitor.headers['Cookie']}"
-        )
-        slow.sendall(f"{head}\r\n\r\n".encode())
+        head = f"GET /events HTTP/1.1\r\nHost: {visitor.host}\r\nCookie: "
+        slow.sendall(f"{head}{visitor.headers['Cookie']}\r\n\r\n".encode())
         with visitor.watching():  # somebody else, who reads
             visitor.look(1, "holding_registers", 0, 20)
             registers = server.devices[1].mapping.holding_registers
@@ -289,9 +254,8 @@ def test_who_does_not_read_is_left_behind_and_told_everything_when_it_does() -> 
 
 def test_an_end_ends_everybody() -> None:
     """SIGTERM with open streams, from the command line."""
-    with Started(
-        "serve", "tcp://127.0.0.1:0", "--page", "127.0.0.1:0", environment=PAGE_TOKEN
-    ) as program:
+    arguments = ("serve", "tcp://127.0.0.1:0", "--page", "127.0.0.1:0")
+    with Started(*arguments, environment=PAGE_TOKEN) as program:
         assert program.stdout.readline().startswith("listening on tcp://127.0.0.1:")
         url = page_url(program.stdout.readline())
         visitor = Visitor(url)
