@@ -1,5 +1,5 @@
 """
-A headless Chromium of its own, driven by Selenium through Debian's chromedriver.
+A headless Chromium of its own, driven by Selenium through Debian's chromedriver, and who uses it.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ import socket
 import subprocess
 import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from tests.support import programs
+from tests.tools.page.watching import until
 
-__all__ = ["browser", "console", "missing", "resize"]
+__all__ = ["Person", "browser", "console", "missing", "resize"]
 
 PROGRAMS = {"chromium": "chromium", "chromedriver": "chromium-driver"}
 
@@ -60,8 +60,11 @@ def browser(width: int = 1200, height: int = 800) -> Iterator[Any]:
     options = webdriver.ChromeOptions()
     options.binary_location = programs.program("chromium")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    with _folder() as folder, _chromedriver(folder) as url:
-        for each in (*OPTIONS, f"--user-data-dir={folder / 'profile'}"):
+    with (
+        tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder,
+        _chromedriver(folder) as url,
+    ):
+        for each in (*OPTIONS, f"--user-data-dir={folder}/profile"):
             options.add_argument(each)
         connection = ChromeRemoteConnection(url, ignore_proxy=True)
         driver = webdriver.Remote(connection, options=options)
@@ -73,26 +76,12 @@ def browser(width: int = 1200, height: int = 800) -> Iterator[Any]:
 
 
 @contextlib.contextmanager
-def _folder() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
-        yield Path(name)
-
-
-@contextlib.contextmanager
-def _chromedriver(folder: Path) -> Iterator[str]:
-    """
-    Run chromedriver at a free port; gives its URL.
-
-    Selenium would talk to it as "localhost", a name that not every machine knows.
-
-    Args:
-        folder: what chromedriver and Chromium take for HOME and the folder of temporary files.
-    """
-    home = str(folder)
+def _chromedriver(folder: str) -> Iterator[str]:
+    """Run chromedriver at a free port, with a folder for HOME and temporary files."""
     environment = {
         **{name: value for name, value in os.environ.items() if not name.startswith("XDG_")},
-        "HOME": home,
-        "TMPDIR": home,
+        "HOME": folder,
+        "TMPDIR": folder,
     }
     command = [programs.program("chromedriver"), f"--port={_free_port()}"]
     with subprocess.Popen(
@@ -147,3 +136,57 @@ def console(driver: Any) -> list[dict[str, Any]]:
     """Return what pages wrote to the browser's console since this was last asked."""
     found: list[dict[str, Any]] = driver.execute("getLog", {"type": "browser"})["value"]
     return found
+
+
+class Person:
+    """Looks, clicks and types."""
+
+    def __init__(self, driver: Any) -> None:
+        self.driver = driver
+
+    def all(self, selector: str) -> list[Any]:
+        found: list[Any] = self.driver.find_elements("css selector", selector)
+        return found
+
+    def one(self, selector: str) -> Any:
+        return until(lambda: self.all(selector), 30)[0]
+
+    def text(self, selector: str) -> str:
+        """As it stands there, also where it is scrolled out of sight."""
+        found: str = self.driver.execute_script(
+            "return [...document.querySelectorAll(arguments[0])].map(e => e.textContent).join('|')",
+            selector,
+        )
+        return found
+
+    def attribute(self, selector: str, name: str) -> Any:
+        """In one step, for the element may be drawn again between finding and asking it."""
+        return self.driver.execute_script(
+            "return document.querySelector(arguments[0])?.getAttribute(arguments[1])",
+            selector,
+            name,
+        )
+
+    def sees(self, selector: str, text: str) -> None:
+        until(lambda: text in self.text(selector), 30)
+
+    def click(self, selector: str, text: str = "") -> None:
+        from selenium.common.exceptions import StaleElementReferenceException
+
+        def found() -> list[Any]:
+            return [each for each in self.all(selector) if text in each.text]
+
+        def is_done() -> bool:
+            try:
+                until(found, 30)[0].click()
+            except StaleElementReferenceException:  # it was drawn again in that moment
+                return False
+            return True
+
+        until(is_done, 30)
+
+    def types(self, *keys: str) -> None:
+        """To whatever has the focus."""
+        from selenium.webdriver import ActionChains
+
+        ActionChains(self.driver).send_keys(*keys).perform()

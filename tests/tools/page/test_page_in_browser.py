@@ -1,11 +1,15 @@
 """
-The page of a server as people use it: in Chromium, with a mouse, with a keyboard alone, in a narrow
-window, while a client talks to the server, and with values that move.
+Pages as people use them: in Chromium, with a mouse, with a keyboard alone, in a window as narrow as
+that of a telephone, with values that move, with names that are attacks, and a server that goes.
 """
 
 from __future__ import annotations
 
+import threading
+import time
+from collections.abc import Mapping as MappingABC
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -19,11 +23,13 @@ from libmodbus_py import (
     ServerDeviceBusy,
 )
 from libmodbus_py.page import live_page
+from libmodbus_py.tools.page.page import table_page
+from libmodbus_py.tools.page.table_source import TableSource
 from libmodbus_py.tools.simulator.device_file import load
-from tests.tools.page.browsers import browser, console, missing, resize
-from tests.tools.page.persons import Person
+from tests.tools.page.browsers import Person, browser, console, missing, resize
+from tests.tools.page.tables import HOSTILE, Plant
 from tests.tools.page.test_changes import PLANT
-from tests.tools.page.watching import made_server, until
+from tests.tools.page.watching import Visitor, made_server, until
 
 pytestmark = [
     pytest.mark.skipif(bool(missing()), reason=missing()),
@@ -207,3 +213,212 @@ def test_a_person_holds_a_value_and_reads_the_log(tmp_path: Path) -> None:
         until(lambda: len(person.all("#log li")) == 2)
         assert person.attribute("#save", "href") == "/log.csv?writes=1&errors=1"
         assert [each["message"] for each in console(driver)] == []
+
+
+# --- a page with a table --------------------------------------------------------------------------
+
+
+TOKEN = "Bookmarked-by_the-plant-2026"
+
+
+def plant_of(points: int, every: float | None = 5.0, **options: Any) -> Plant:
+    plant = Plant(**options)
+    plant.describe(*(("meter", f"p{at}") for at in range(points)), every=every)
+    return plant
+
+
+def moved(plant: Plant) -> None:
+    """Put values of the last five minutes; for half a minute nothing came, not even a failure."""
+    now = time.time()
+    for at in (*range(30), *range(36, 60)):
+        plant.put("meter", "p2", 100 + at % 10, now - 300 + at * 5)
+
+
+def test_a_person_looks_at_a_fleet() -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    plant = plant_of(3000)
+    moved(plant)
+    with table_page(TableSource(plant)) as page, browser() as driver:
+        person = Person(driver)
+        driver.get(page.url)
+        person.sees("#state", "connected")
+        person.sees("#status", "0 of 1 devices down")
+        person.sees("#title", "plant.toml")
+        until(lambda: driver.title == "plant.toml - fleet")
+        assert "token" not in driver.current_url
+
+        # A real table, of which only the visible rows exist.
+        person.sees("#rows tr[data-at='3'] .value", "109V")
+        assert person.attribute("#grid", "aria-rowcount") == "3002"
+        assert person.attribute("#heads th", "scope") == "col"
+        assert person.attribute("#rows tr[data-at] th", "scope") == "row"
+        assert person.text("#grid caption") == "Values"
+        assert len(person.all("#rows tr")) < 100
+        assert person.attribute("#rows tr[data-at='3'] svg path", "d").count("M") == 2  # the gap
+
+        # A value changes, and its device is down.
+        plant.put("meter", "p0", 21.5)
+        person.sees("#rows tr[data-at='1'] .value", "21.5")
+        plant.put("meter", "p0", None, quality="down", reason="ModbusTimeoutError")
+        plant.meters["meter"].reason = "no answer within 1 s"
+        plant.counts["down"] = 1
+        person.sees("#status.problem", "1 of 1 devices down")
+        until(lambda: driver.title == "1 down - plant.toml - fleet")
+        person.click("#problems")
+        until(lambda: person.attribute("#grid", "aria-rowcount") == "2")
+        person.sees("#rows .state", "no answer within 1 s")
+        person.click("#problems")
+
+        # The last rows, and those that were searched for.
+        person.sees("#rows tr[data-at='3'] .value", "109")
+        driver.execute_script("document.querySelector('#scroll').scrollTop = 1e9")
+        person.sees("#rows", "p2999")
+        person.one("#find").send_keys("p1234")
+        until(lambda: person.attribute("#grid", "aria-rowcount") == "2")
+        person.sees("#rows", "p1234")
+        person.one("#find").send_keys(Keys.CONTROL, "a", Keys.DELETE)
+        person.sees("#rows tr[data-at='3'] .value", "109")
+
+        # With the keyboard: along the rows, and to the chart.
+        driver.execute_script("document.querySelector('#rows [data-at=\"1\"] button').focus()")
+        person.types(Keys.ARROW_DOWN, Keys.ARROW_DOWN, Keys.ENTER)
+        person.sees("#charted", "meter  p2")
+        person.sees("#read", "lowest 100 V, highest 109 V")
+        path = until(lambda: person.attribute("#plot .line", "d"))
+        assert path.count("M") == 2  # the gap
+        driver.execute_script("document.querySelector('#plot').focus()")
+        person.types(Keys.ARROW_LEFT)
+        person.sees("#read", "109 V")
+        person.types(Keys.ESCAPE)
+        until(lambda: driver.execute_script("return document.querySelector('#chart').hidden"))
+        assert [each["message"] for each in console(driver)] == []
+
+
+class HeldSource(TableSource):
+    """Its first search is answered when it is let go: the next requests could overtake it."""
+
+    def __init__(self, plant: Plant) -> None:
+        super().__init__(plant)
+        self.searched: list[str] = []
+        self.go = threading.Event()
+
+    def view(self, given: MappingABC[str, Any]) -> Any:
+        if wanted := given["find"]:
+            self.searched.append(wanted)
+            if len(self.searched) == 1:
+                assert self.go.wait(60)
+        return super().view(given)
+
+
+def test_searches_do_not_overtake_each_other() -> None:
+    """The server would go on showing the view of the one that came last."""
+    source = HeldSource(plant_of(3000))
+    with table_page(source) as page, browser() as driver:
+        person = Person(driver)
+        driver.get(page.url)
+        person.sees("#rows", "p1")
+        person.one("#find").send_keys("p1234")
+        until(lambda: source.searched)
+        typed = driver.execute_script("return document.querySelector('#find').value")
+        assert typed == "p1234"
+        assert source.searched == ["p"]
+        source.go.set()
+        until(lambda: person.attribute("#grid", "aria-rowcount") == "2")
+        person.sees("#rows", "p1234")
+        assert source.searched == ["p", "p1234"]
+
+
+def test_hours_of_the_journal_and_values_that_come_when_they_change() -> None:
+    now = time.time()
+    hours = [(now - 20_000 + at * 100, float(at)) for at in range(150)]
+    plant = plant_of(3, every=None, older=lambda *given: hours)
+    moved(plant)
+    with table_page(TableSource(plant)) as page, browser() as driver:
+        person = Person(driver)
+        driver.get(page.url)
+        person.click("#rows tr[data-at='3'] button")
+        person.sees("#read", "lowest 100 V, highest 109 V")
+        path = until(lambda: person.attribute("#plot .line", "d"))
+        assert "L" not in path  # a line would show values that there were not
+        assert path.count("H") > path.count("V") > 40
+        right = float(driver.execute_script("return document.querySelector('#plot').clientWidth"))
+        assert float(path.rpartition("H")[2]) > right - 30  # the last value holds until now
+        person.click("#spans button", "6 h")
+        person.sees("#read", "lowest 0 V, highest 149 V")
+
+
+# The reasons that do not fit their rows, or the window.
+CUT = """
+const isCut = (each) => each.scrollHeight > each.parentElement.clientHeight + 1
+  || each.scrollWidth > each.clientWidth || each.getBoundingClientRect().right > innerWidth
+  || !each.offsetParent;
+const reasons = [...document.querySelectorAll("#rows .trouble .state")];
+return reasons.filter(isCut).map((each) => each.textContent);
+"""
+
+# How much the page and its table are wider than the window.
+WIDER = """
+const box = document.querySelector("#scroll");
+return [document.documentElement.scrollWidth > innerWidth, box.scrollWidth > box.clientWidth];
+"""
+
+
+@pytest.mark.parametrize("width", [360, 1280])
+def test_names_and_reasons_are_text_and_shown_as_a_whole(width: int) -> None:
+    plant = Plant(title="<script>document.title='hit'</script>")
+    given = [*HOSTILE, "n" * 1_000_000]
+    plant.describe(*((name, name) for name in given), ("meter", "p1"))
+    for name in given:
+        plant.put(name, name, name, quality="bad", reason=name)
+    plant.put("meter", "p1", None, reason="GatewayTargetFailedToRespond")
+    meter = plant.meters["meter"]
+    meter.reason = "cannot connect to tcp://192.0.2.10: Connection refused"
+    with table_page(TableSource(plant)) as page, browser() as driver:
+        person = Person(driver)
+        resize(driver, width, 740)
+        driver.get(page.url)
+        person.sees("#rows", HOSTILE[0])
+        person.sees("#rows", "__proto__")
+        person.click("#rows tr[data-at='1'] button")
+        person.sees("#plot", "no numbers in this period")
+        assert person.all("#values script, #values img") == []
+        assert driver.title == "<script>document.title='hit'</script> - fleet"
+        assert driver.execute_script("return ({}).polluted") is None
+        assert driver.execute_script(WIDER) == [False, False]
+
+        person.click("#close-chart")
+        person.one("#find").send_keys("meter")
+        person.sees("#rows tr.trouble .state", "192.0.2.10: Connection refused")
+        assert driver.execute_script(CUT) == []
+        person.click("#problems")  # there, rows have room for more words
+        meter.reason = f"cannot connect to {'a-long-name.' * 8}: Connection refused"
+        person.sees("#rows tr.trouble .state", "a-long-name.: Connection refused")
+        assert driver.execute_script(CUT) == []
+        meter.reason = ""
+        person.sees("#rows tr.trouble .state", "gateway target failed to respond")
+        assert driver.execute_script(CUT) == []
+        assert [each["message"] for each in console(driver)] == []
+
+
+def test_a_page_that_lost_its_server_is_grey_and_returns_by_itself() -> None:
+    with browser() as driver:
+        person = Person(driver)
+        with table_page(TableSource(plant_of(5)), token=TOKEN) as page:
+            port = Visitor(page.url).address[1]
+            driver.get(page.url)
+            person.sees("#rows", "p4")
+        person.sees("#state", "no connection to the server since")
+        assert "lost" in person.attribute("body", "class")
+        with table_page(TableSource(plant_of(2, title="another")), "127.0.0.1", port, TOKEN):
+            person.sees("#state", "connected")
+            until(lambda: driver.title == "another - fleet")
+            until(lambda: "p4" not in person.text("#rows"))
+            assert "lost" not in person.attribute("body", "class")
+        person.sees("#state", "no connection")
+        # Another program at this address, with the same bookmark, has another page.
+        with live_page(made_server(), "127.0.0.1", port, TOKEN):
+            person.sees("#units", "tank")
+        person.sees("#state", "no connection")
+        with live_page(made_server(), "127.0.0.1", port):
+            person.sees("#state", "new token")

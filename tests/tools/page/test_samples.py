@@ -107,27 +107,27 @@ LINE = "", "tcp://192.0.2.1"
 class Counters:
     """Counters of rows that a test changes, and a clock that it moves."""
 
-    def __init__(self) -> None:
+    def __init__(self, counts: Counts = Counts(0)) -> None:  # noqa: B008  # it does not change
         self.now = 1000.0
-        self.counts: dict[Name, int] = {LINE: 0}
-        self.history = RowHistory(
-            lambda: [(name, Counts(count)) for name, count in self.counts.items()],
-            lambda: self.now,
-        )
-
-    def go_on(self, seconds: float, requests: int, name: Name = LINE) -> None:
-        self.now += seconds
-        self.counts[name] += requests
+        self.counts: dict[Name, Counts] = {LINE: counts}
+        self.history = RowHistory(lambda: self.counts.items(), lambda: self.now)
         self.history.sample()
 
-    def numbers(self, name: Name = LINE) -> list[tuple[float, float | None]]:
-        series = self.history.series(name, "rate")
+    def go_on(self, seconds: float, requests: int, name: Name = LINE) -> None:
+        self.set(seconds, Counts(self.counts[name].requests + requests), name)
+
+    def set(self, seconds: float, counts: Counts, name: Name = LINE) -> None:
+        self.now += seconds
+        self.counts[name] = counts
+        self.history.sample()
+
+    def numbers(self, name: Name = LINE, column: str = "rate") -> list[tuple[float, float | None]]:
+        series = self.history.series(name, column)
         return [] if series is None else series.samples.pairs()
 
 
 def test_a_number_is_what_changed_in_the_seconds_since_the_last_sample() -> None:
     counters = Counters()
-    counters.history.sample()
     for seconds, requests in ((1.0, 50), (0.25, 10), (0.25, 10), (1.5, 30), (3.0, 0)):
         counters.go_on(seconds, requests)
     assert counters.numbers() == [(1001.0, 50.0), (1003.0, 25.0), (1006.0, 0.0)]
@@ -137,62 +137,43 @@ def test_a_number_is_what_changed_in_the_seconds_since_the_last_sample() -> None
 
 
 def test_numbers_over_time_are_those_of_the_time_between() -> None:
-    rows = [Counts(100, 90, 2.0, 5)]
-    clock = [10.0]
-    history = RowHistory(lambda: [(LINE, rows[-1])], lambda: clock[0])
-    history.sample()
-    for counts, passed in (
-        (Counts(130, 100, 2.2, 1), 3.0),
-        (Counts(131, 101, 2.2012345, 2), 3.0),
-        (Counts(131, 101, 2.2012345, None), 1.0),
-        (Counts(5, 1, 0.1, 0), 1.0),  # after a change of routes counters may begin again
+    counters = Counters(Counts(100, 90, 2.0, 5))
+    counters.set(3.0, Counts(130, 100, 2.2, 1))
+    counters.set(3.0, Counts(131, 101, 2.2012345, 2))
+    counters.set(1.0, Counts(131, 101, 2.2012345, None))
+    counters.set(1.0, Counts(5, 1, 0.1, 0))  # after a change of routes counters may begin again
+    for column, numbers in (
+        ("rate", [10.0, 0.33, 0, 0]),
+        ("time", [20.0, 1.23, None, None]),
+        ("queue", [1, 2, None, 0]),
     ):
-        rows.append(counts)
-        clock[0] += passed
-        history.sample()
-    found = {}
-    for column in ("rate", "time", "queue"):
-        series = history.series(LINE, column)
-        assert series is not None
-        found[column] = [number for _, number in series.samples.pairs()]
-    assert found == {
-        "rate": [10.0, 0.33, 0, 0],
-        "time": [20.0, 1.23, None, None],
-        "queue": [1, 2, None, 0],
-    }
+        assert [number for _, number in counters.numbers(LINE, column)] == numbers
 
 
 def test_rows_come_and_go() -> None:
     counters = Counters()
-    counters.history.sample()
-    counters.go_on(1, 5)
     other = "", "tcp://192.0.2.2"
-    counters.counts[other] = 1_000_000  # it counted before it was seen
-    counters.go_on(1, 5)
+    counters.set(1, Counts(1_000_000), other)  # it counted before it was seen
     counters.go_on(1, 7, other)
-    assert counters.numbers(other) == [(1003.0, 7.0)]
+    assert counters.numbers(other) == [(1002.0, 7.0)]
     del counters.counts[LINE]
-    counters.now += 1
-    counters.history.sample()
+    counters.go_on(1, 0, other)
     assert counters.history.series(LINE, "rate") is None
     assert counters.history.spark(LINE, "rate") == []
 
 
 def test_a_clock_that_is_set_back_makes_no_number_and_stops_none() -> None:
     counters = Counters()
-    counters.history.sample()
-    counters.go_on(1, 10)
-    counters.go_on(-3600, 10)
-    counters.go_on(1, 10)
+    for seconds in (1, -3600, 1):
+        counters.go_on(seconds, 10)
     assert sorted(number or 0 for _, number in counters.numbers()) == [10, 10]
 
 
 def test_threads_that_sample_at_once_count_nothing_twice() -> None:
     counters = Counters()
-    counters.history.sample()
     threads = [threading.Thread(target=counters.history.sample) for _ in range(8)]
     counters.now += 1
-    counters.counts[LINE] = 40
+    counters.counts[LINE] = Counts(40)
     for thread in threads:
         thread.start()
     for thread in threads:
