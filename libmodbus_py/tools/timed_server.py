@@ -91,7 +91,7 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
         super().server_close()
 
     def keep(self, request: socket.socket, limit: float | None = None) -> None:
-        """Give a connection another limit from now on; None for none: it is closed at the end."""
+        """Set the limit of a connection from now on; None for none: it is closed at the end."""
         with self._lock:
             self._open.pop(request, None)  # the oldest is the first
             self._open[request] = None if limit is None else time.monotonic() + limit

@@ -14,6 +14,7 @@ first decides which of these are requests).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -49,8 +50,8 @@ MOST_CONNECTIONS = 1000
 
 class Spoiled(NamedTuple):
     """
-    What was received instead of a response, up to a time: the outcome of the request unless its
-    response follows, and the separate transaction that is reported if it does.
+    The outcome of a request after other bytes than its response, up to a time; if the response does
+    follow, they are a transaction alone.
     """
 
     ended: float
@@ -172,15 +173,10 @@ class Pairing:
         self.done.append(unasked(asked.began, asked.frame))
 
     def tick(self, at: float) -> None:
-        """End the requests that have been open for too long at this time."""
+        """End the requests that have been open for too long at this time, all at infinity."""
         for each in self._open.copy():
-            if at - each.ended > self._timeout:
+            if at - each.ended > self._timeout or at == math.inf:
                 self._give_up(each)
-
-    def end(self) -> None:
-        """End all open requests, because nothing more will be received."""
-        for each in self._open.copy():
-            self._give_up(each)
 
     def is_idle(self, at: float) -> bool:
         """Return True if no earlier request can be answered any more."""
@@ -293,9 +289,7 @@ class TracePairing:
 
     def end(self) -> None:
         """End all open requests, because nothing more will be received."""
-        for (_, peer), pairing in self._connections.items():
-            pairing.end()
-            self._collect(peer, pairing)
+        self.tick(math.inf)
 
     def _pairing(self, traced: Traced) -> Pairing:
         key = traced.endpoint, traced.peer
@@ -305,7 +299,7 @@ class TracePairing:
             found = Pairing(is_line=is_line, is_server=self._is_server, timeout=self._timeout)
         while len(self._connections) >= MOST_CONNECTIONS:
             oldest = next(iter(self._connections))
-            self._connections[oldest].end()
+            self._connections[oldest].tick(math.inf)
             self._collect(oldest[1], self._connections.pop(oldest))
         self._connections[key] = found  # the latest is the last
         return found

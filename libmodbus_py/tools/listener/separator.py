@@ -19,10 +19,10 @@ From the bytes of one line or connection to transactions, without clocks or port
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from collections import defaultdict, deque
 from collections.abc import Iterator
-from math import sqrt
 from typing import Literal, NamedTuple
 
 from ...protocol.checks import checked_callback
@@ -192,7 +192,7 @@ class _LearntTimes:
         # shortest, because a frame that is merged into a damaged one looks like a request.
         known = sorted(self.timeouts)
         timeout = known[len(known) // 4] if len(known) >= 4 else USUAL_TIMEOUT
-        return sqrt(max(slowest, min(SHORTEST_ANSWER, timeout / 4)) * timeout)
+        return math.sqrt(max(slowest, min(SHORTEST_ANSWER, timeout / 4)) * timeout)
 
 
 class Separator:
@@ -263,7 +263,7 @@ class Separator:
         for direction, hearing in self._hearings.items():
             self._take(direction, hearing.silence(is_over=True))
         self._last.clear()
-        self._pairing.end()
+        self._pairing.tick(math.inf)
         self._release()
         return self._given()
 

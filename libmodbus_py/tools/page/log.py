@@ -45,10 +45,9 @@ _short.maxstring = _short.maxother = 80
 
 WRITES = frozenset(request.function for request, kind in ACCESSES.items() if kind.writes)
 
-# Kinds of transactions after which the device has the written values.
-DONE = ("answered", "broadcast", "late", "invalid")
-
+# Kinds of good transactions, and of those after which the device has the written values.
 GOOD = ("answered", "broadcast")
+DONE = (*GOOD, "late", "invalid")
 
 HEAD = ("time", "client", "unit", "function", "request", "points", "response", "kind", "seconds")
 
