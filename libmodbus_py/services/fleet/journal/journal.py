@@ -139,12 +139,7 @@ class Journal:
 
     async def open(self, outputs: Sequence[str]) -> list[JournalPlace]:
         """
-        Open the file, and return the place of each output.
-
-        An output without a place in the file begins with the next reading.
-
-        Args:
-            outputs: the names of the outputs.
+        Open the file, and return the place of each output; a new one begins with the next reading.
 
         Raises:
             JournalError: the file cannot be used; the message names it and the reason.
@@ -192,8 +187,6 @@ class Journal:
             logger.error("%s: %d readings are lost", self.path, lost)
         await self._thread.call(self._file.close)
 
-    # --- what a fleet calls -----------------------------------------------------------------
-
     @property
     def last(self) -> int:
         """The id of the last reading."""
@@ -222,8 +215,6 @@ class Journal:
             place.wake(len(added))
         self._wake.set()
         return added
-
-    # --- what places need -------------------------------------------------------------------
 
     def note(self) -> asyncio.Future[None]:
         """Begin to write the places; return a future that ends when they are, or cannot be."""
@@ -262,9 +253,11 @@ class Journal:
             try:
                 if self._damage is not None:
                     await self._replace(self._damage)
-                if asyncio.get_running_loop().time() >= self._force_at:
+                now = asyncio.get_running_loop().time()
+                if now >= self._force_at:  # before a write that may fail
+                    self._force_at = now + LONGEST_PAUSE_S  # again, if this fails
+                    await self._thread.call(self._file.force)
                     self._force_at = math.inf
-                    await self._thread.call(self._file.force)  # before a write that may fail
                 await self._write()
                 pauses.reset()
             except Exception as error:  # a defect, too, is tried again, and shown
@@ -295,8 +288,9 @@ class Journal:
                 noting.set_result(None)  # outputs do not wait for a disk that takes nothing
         self.statistics.bytes = written.size
         self.statistics.written += sum(len(each.readings) for each in self._batch)
+        if self._batch or noting is not None:
+            self._force_at = min(self._force_at, asyncio.get_running_loop().time() + FORCED_S)
         self._batch = []
-        self._force_at = min(self._force_at, asyncio.get_running_loop().time() + FORCED_S)
         if self.statistics.trouble:
             self.statistics.trouble = ""
             logger.warning("%s accepts readings again", self.path)

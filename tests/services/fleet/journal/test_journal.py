@@ -500,6 +500,24 @@ def test_what_was_written_is_forced_although_later_writes_fail(
     simulated_run(go())
 
 
+def test_a_journal_without_readings_leaves_the_disk_alone(
+    path: str, inline: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = Failing(monkeypatch, JournalFile, "write", None)
+    force = Failing(monkeypatch, JournalFile, "force", None)
+
+    async def go() -> None:
+        journal = Journal(path)
+        await journal.open([])
+        journal.put(readings("a", 1.0))
+        await asyncio.sleep(HOUR)
+        assert force.calls == 1
+        assert write.calls <= 4
+        await journal.close()
+
+    simulated_run(go())
+
+
 # --- the beginning and the end --------------------------------------------------------------
 
 
