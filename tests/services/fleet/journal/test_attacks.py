@@ -22,7 +22,7 @@ import pytest
 from fuzz.journal_trial import Found, KilledPolls, devices
 from fuzz.journal_trial import until as until_really
 from libmodbus_py import Fleet
-from libmodbus_py.fleet import Journal, JournalError, Reading
+from libmodbus_py.fleet import Journal, Reading
 from libmodbus_py.services.fleet.journal import journal as journal_module
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.outputs.pump import MOST_OF_JOURNAL
@@ -73,42 +73,6 @@ def test_a_program_may_be_killed_at_each_step_of_a_transaction(path: str, tmp_pa
         assert begun.places["a"] <= len(ids) < begun.first
         found.add((len(ids), begun.places["a"]))
     assert found == {(0, 0), (20, 0), (40, 20), (60, 40)}
-
-
-@pytest.mark.parametrize("step", ["INSERT", "COMMIT"])
-def test_a_disk_that_is_full_at_any_step_writes_nothing_and_all_later(path: str, step: str) -> None:
-    file = opened(path)
-    file.write(polls(1, 10), {"a": 2}, 0)
-    used = file._database
-
-    class Full:
-        """A connection that fails at a step."""
-
-        def __getattr__(self, name: str) -> Any:
-            return getattr(used, name)
-
-        def execute(self, query: str, *arguments: Any) -> Any:
-            if query.startswith(step):
-                raise sqlite3.OperationalError("database or disk is full")
-            assert used is not None
-            return used.execute(query, *arguments)
-
-        def executemany(self, query: str, *arguments: Any) -> Any:
-            if step == "INSERT":
-                raise sqlite3.OperationalError("database or disk is full")
-            assert used is not None
-            return used.executemany(query, *arguments)
-
-    file._database = Full()  # type: ignore[assignment]
-    for _ in range(2):
-        with pytest.raises(JournalError, match="full"):
-            file.write(polls(21, 10), {"a": 30}, 0)
-    file._database = used
-    assert asked(path, "SELECT confirmed FROM place") == [(2,)]
-    file.write(polls(21, 10), {"a": 30}, 0)
-    file.close()
-    assert in_journal(path) == [*range(1, 41)]
-    assert asked(path, "SELECT confirmed FROM place") == [(30,)]
 
 
 def test_a_disk_that_cannot_be_forced_is_reported_and_forced_again(
@@ -189,38 +153,6 @@ def test_a_defect_while_a_journal_closes_lets_others_use_the_file(
     assert fleet.statistics.journal.dropped > 0
     assert "readings are lost" in caplog.text
     run_for(path, 100, Broker())
-
-
-def test_ten_thousand_polls_that_wait_are_written_when_it_closes(path: str) -> None:
-    async def go() -> None:
-        journal = Journal(path)
-        [place] = await journal.open(["a"])
-        for at in range(10_000):
-            journal.put(readings("a", 100.0 + at, 10))
-        assert len(place) == 100_000
-        await journal.close()
-        assert journal.statistics.written == 100_000
-        assert journal.statistics.dropped == 0
-
-    asyncio.run(go())
-    assert asked(path, "SELECT count(*), total(readings) FROM poll") == [(10_000, 100_000)]
-
-
-def test_a_second_program_changes_nothing_of_the_first(path: str, inline: None) -> None:
-    broker, second = Broker(), Broker("second")
-
-    async def begin_another(fleet: Fleet) -> None:
-        async with Peer() as peer:
-            other = Fleet([meter("b", peer.url)], outputs=[second], journal=Journal(path))
-            with pytest.raises(JournalError, match="is used by another program"):
-                await other.run()
-            assert peer.requests == []
-        await asyncio.sleep(100)
-
-    run_for(path, 100, broker, change=begin_another)
-    assert broker.ids == in_journal(path)
-    assert second.ids == []
-    assert asked(path, "SELECT output FROM place") == [("broker",)]
 
 
 def test_a_clock_that_jumps_back_loses_and_repeats_nothing(

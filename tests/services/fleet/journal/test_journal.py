@@ -109,22 +109,6 @@ def test_a_broker_that_is_away_for_an_hour_misses_nothing(path: str, inline: Non
     assert (journal.dropped, journal.failures, journal.trouble) == (0, 0, "")
 
 
-def test_labels_of_devices_are_written_beside_their_readings(path: str, inline: None) -> None:
-    async def go() -> None:
-        async with Peer() as peer:
-            devices = [meter("a", peer.url, interval=10, labels={"site": "here"})]
-            async with Fleet(devices, journal=Journal(path)) as fleet:
-                await asyncio.sleep(25)
-                fleet.replace([meter("a", peer.url, interval=10, labels={"site": "there"})])
-                await asyncio.sleep(25)
-
-    simulated_run(go(), Network())
-    database = sqlite3.connect(path)
-    found = database.execute("SELECT DISTINCT device, labels FROM reading").fetchall()
-    database.close()
-    assert found == [("a", '{"site":"here"}'), ("a", '{"site":"there"}')]
-
-
 def test_an_output_goes_on_in_the_next_run(path: str, inline: None) -> None:
     away, present = Broker("north", is_away=True), Broker("south")
     run_for(path, 100, away, present)

@@ -188,13 +188,6 @@ def test_a_history_has_numbers_and_text(file: JournalFile, names: tuple[str, ...
     assert list(map(repr, found)) == ["1", "1", "'[1,null]'", "'{\"a\":false}'"]
 
 
-def test_a_unit_that_changes_in_a_run_holds_for_later_readings(file: JournalFile) -> None:
-    file.write(polls(1, 1), {}, 0)
-    file.write(list(numbered([each._replace(unit="mV") for each in readings()], 200)), {}, 0)
-    units = asked(file.path, "SELECT DISTINCT id < 200, unit FROM reading ORDER BY id")
-    assert units == [(1, "V"), (0, "mV")]
-
-
 def test_a_poll_that_cannot_be_written_delays_no_other(
     file: JournalFile, caplog: pytest.LogCaptureFixture
 ) -> None:

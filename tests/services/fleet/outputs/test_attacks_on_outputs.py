@@ -19,13 +19,9 @@ import pytest
 from libmodbus_py import Fleet, Server
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services import tasks
-from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.line_file import CsvOutput, JsonOutput, LineFile
-from libmodbus_py.services.fleet.outputs.mqtt_messages import Messages
 from libmodbus_py.services.fleet.outputs.output import OutputError
-from libmodbus_py.services.fleet.outputs.topics import Topic
 from tests.services.fleet.fleets import Peer, good, meter, polling, simulated, simulated_run, until
-from tests.services.fleet.outputs.http_server import Answer, Last, answered, serving
 from tests.support.commands import Started
 from tests.support.outputs import pumping
 
@@ -35,42 +31,6 @@ def poll(at: int, device: str = "a") -> list[Reading]:
 
 
 # --- servers --------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("answer", "trouble"),
-    [
-        (None, "disconnected"),  # it takes all, and closes at once
-        (answered("200 OK", b"hello"), "200"),
-        (answered("500 Oops"), "500"),
-        (answered("301 Moved", b"", "Location: http://127.0.0.1:1/"), "301"),
-        (Last(b"HTTP/1.1 20"), "disconnected"),
-        (Last(b"HTTP/1.1 204 No Content\r\nContent-Len"), "disconnected"),
-        (b"\0\1\2 garbage\r\n\r\n", "illegal"),
-    ],
-    ids=["closes", "200", "500", "301", "half-a-line", "half-a-header", "garbage"],
-)
-def test_readings_wait_for_a_server_however_it_answers(
-    monkeypatch: pytest.MonkeyPatch, answer: Answer, trouble: str
-) -> None:
-    monkeypatch.setattr(tasks, "FIRST_PAUSE_S", 0.001)
-    monkeypatch.setattr(tasks, "LONGEST_PAUSE_S", 0.01)
-
-    async def go() -> None:
-        async with serving() as server:
-            server.answers = [answer] * 10
-            async with pumping(Influx(url=server.url, database="plant")) as pump:
-                pump.buffer.put([*poll(1), *poll(2)])
-                await until(lambda: len(server.received) >= 3)
-                assert pump.statistics.dropped == 0
-                await until(lambda: pump.statistics.written == 4)
-                assert (pump.statistics.dropped, pump.statistics.trouble) == (0, "")
-                assert pump.statistics.failures >= 3
-            lines = b"".join(each.body for each in server.received[-2:])
-            assert b"y=1.0" in lines or b"y=1" in lines
-            assert b"y=2" in lines
-
-    asyncio.run(go())
 
 
 # --- files ----------------------------------------------------------------------------------
@@ -184,23 +144,6 @@ def test_an_output_that_fails_for_good_is_shown_to_a_program_that_only_reads(
 # --- labels, reloads ------------------------------------------------------------------------
 
 
-def test_a_clock_that_jumps_back_leaves_the_topic_of_a_label_that_changed() -> None:
-    """The readings that came last count, not those with the greatest time."""
-    topic = Topic("topic", "plant/{label.site}/{device}", ("device",))
-    messages = Messages(topic, is_of_points=False, is_retained=True, largest=10_000)
-
-    def published(readings: list[Reading]) -> list[str]:
-        topics = [topic for topic, _ in messages.of(readings)]
-        messages.keep()
-        return topics
-
-    first = [each._replace(labels={"site": "old"}) for each in poll(3600)]
-    later = [each._replace(labels={"site": "new"}) for each in poll(0)[:1]]
-    assert published(first) == ["plant/old/a"]
-    assert published(later) == ["plant/old/a", "plant/new/a"]
-    assert published(later) == ["plant/new/a"]
-
-
 @pytest.mark.parametrize("after", [[], ["b"], ["a"]], ids=["none", "another", "itself"])
 def test_an_answer_after_a_reload_is_of_nobody(after: list[str]) -> None:
     """A device is removed, replaced, or changed while it is asked: no reading of the former."""
@@ -284,48 +227,3 @@ def test_metrics_can_be_scraped_while_a_fleet_is_read_again() -> None:
                 assert await scraping > 5
 
     asyncio.run(go())
-
-
-def test_a_broker_that_confirms_twice_confirms_nothing_else() -> None:
-    """Each PUBACK comes twice: all readings are there, each once."""
-    published: list[bytes] = []
-
-    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        try:
-            while True:
-                kind = (await reader.readexactly(1))[0]
-                size = shift = 0
-                while True:
-                    byte = (await reader.readexactly(1))[0]
-                    size |= (byte & 127) << shift
-                    shift += 7
-                    if byte < 128:
-                        break
-                data = await reader.readexactly(size)
-                if kind >> 4 == 1:
-                    writer.write(b"\x20\x02\0\0")
-                elif kind >> 4 == 3:
-                    length = int.from_bytes(data[:2], "big")
-                    number = data[2 + length : 4 + length]
-                    published.append(data[4 + length :])
-                    writer.write(2 * (b"\x40\x02" + number))
-                elif kind >> 4 == 8:
-                    writer.write(b"\x90\x03" + data[:2] + b"\1")
-                elif kind >> 4 == 10:
-                    writer.write(b"\xb0\x02" + data[:2])
-        except asyncio.IncompleteReadError:
-            writer.close()
-
-    async def go() -> None:
-        mqtt = pytest.importorskip("libmodbus_py.services.fleet.outputs.mqtt")
-        pytest.importorskip("aiomqtt")
-        async with await asyncio.start_server(serve, "127.0.0.1", 0) as server:
-            url = f"mqtt://127.0.0.1:{server.sockets[0].getsockname()[1]}"
-            async with pumping(mqtt.Mqtt(url, qos=1, status="", topic="{device}")) as pump:
-                for at in range(300):
-                    pump.buffer.put(poll(at))
-                await until(lambda: pump.statistics.written == 600)
-                assert (pump.statistics.dropped, pump.statistics.failures) == (0, 0)
-
-    asyncio.run(go())
-    assert len(published) == len({*published}) == 300

@@ -16,7 +16,6 @@ from libmodbus_py.services.fleet.files import FleetFileError, load
 from libmodbus_py.services.fleet.outputs.line_file import CsvOutput, JsonOutput
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.output import Output
-from tests.services.fleet.fleets import meter, simulated_run
 from tests.support.cases import each_case
 from tests.support.commands import run
 
@@ -156,14 +155,6 @@ def test_one_output_given_twice_is_refused() -> None:
         Fleet([], outputs=[output, output])
 
 
-def test_two_outputs_of_a_program_with_one_name_are_counted_apart() -> None:
-    async def test() -> None:
-        async with Fleet([meter("a", "tcp://10.9.0.9")], outputs=[Plain(), Plain()]) as fleet:
-            assert list(fleet.statistics.outputs) == ["plain", "plain (2)"]
-
-    simulated_run(test())
-
-
 def test_the_path_of_a_file_has_no_character_0() -> None:
     with pytest.raises(ValueError, match="path must not contain the character 0"):
         JsonOutput("a\0b")
@@ -218,7 +209,7 @@ def test_a_file_with_a_password(tmp_path: Path) -> None:
         load(file)
 
 
-@pytest.mark.parametrize("source", ["fleet.toml", "devices.csv", "link"])
+@pytest.mark.parametrize("source", ["devices.csv", "link"])
 def test_on_the_command_line(tmp_path: Path, source: str) -> None:
     file = written(tmp_path)
     (tmp_path / "link").symlink_to("meter.csv")

@@ -147,24 +147,6 @@ def test_a_broker_that_dies_and_returns_loses_little_and_stops_nobody(
     assert "Traceback" not in caplog.text
 
 
-def test_a_broker_is_missed_though_nothing_is_to_be_told(broker: Broker) -> None:
-    """Nothing changes, so nothing is published; commands and "online" must be back all the same."""
-
-    async def go() -> None:
-        async with RealPeer() as peer:
-            output = Mqtt(broker.url, commands=True)
-            async with Fleet([meter("a", peer.url, on_change=True)], outputs=[output]) as fleet:
-                statistics = fleet.statistics.outputs[output.name]
-                await until(lambda: statistics.written == 3)
-                broker.kill()
-                await until(lambda: statistics.trouble)
-                await asyncio.to_thread(broker.start)
-                async with hearing(broker, "modbus/#") as heard:
-                    await until(lambda: "online" in heard_of(heard, "modbus/status"))
-
-    run(go())
-
-
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -196,20 +178,6 @@ def test_wrong_credentials_are_one_line(
     assert len([each for each in warned if said in each.getMessage()]) == 1
     assert "wrong" not in caplog.text
     assert "secret" not in caplog.text
-
-
-def test_nobody_there_is_one_line(caplog: pytest.LogCaptureFixture) -> None:
-    async def go() -> None:
-        async with RealPeer() as peer:
-            output = Mqtt("mqtt://127.0.0.1:1")
-            async with Fleet([meter("a", peer.url)], outputs=[output]) as fleet:
-                await until(lambda: fleet.statistics.outputs[output.name].failures)
-                await until(lambda: fleet.statistics.polls > 3)
-
-    run(go())
-    assert caplog.text.count("mqtt 127.0.0.1:1: ") == 1
-    assert "refused" in caplog.text
-    assert "Traceback" not in caplog.text
 
 
 def test_a_connection_that_says_nothing_stops_nobody(monkeypatch: pytest.MonkeyPatch) -> None:

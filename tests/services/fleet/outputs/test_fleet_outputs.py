@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import json
 import os
 import threading
 from collections.abc import Sequence
@@ -20,8 +19,7 @@ import pytest
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services import tasks
-from libmodbus_py.services.fleet.files import load
-from libmodbus_py.services.fleet.outputs.line_file import CsvOutput, JsonOutput
+from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from libmodbus_py.services.fleet.outputs.output import Output, OutputError
 from tests.services.fleet.fleets import LONGEST, Peer, RealPeer, meter, simulated_run, until
 
@@ -78,14 +76,6 @@ async def polled(
     return fleet
 
 
-def test_what_waits_is_given_at_the_end() -> None:
-    output = Odd()
-    fleet = simulated_run(polled(output, lambda fleet: fleet.statistics.polls > 5))
-    assert len(output.taken) == fleet.statistics.readings
-    assert (output.opened, output.closed) == (1, 1)
-    assert fleet.statistics.outputs["odd"].written == len(output.taken)
-
-
 def test_a_slow_output_loses_the_oldest_and_stops_nobody() -> None:
     output = Odd(1.5)
     fleet = simulated_run(polled(output, lambda fleet: fleet.statistics.polls > 30))
@@ -132,10 +122,6 @@ def test_what_ends_an_output(error: BaseException) -> None:
     simulated_run(go())
 
 
-def test_without_run_polling_goes_on_when_an_output_is_gone() -> None:
-    simulated_run(polled(Odd(OutputError("gone")), lambda fleet: fleet.statistics.polls > 10))
-
-
 def test_who_iterates_no_more_loses_the_oldest() -> None:
     async def go() -> None:
         async with Peer() as peer:
@@ -157,30 +143,6 @@ def test_who_iterates_no_more_loses_the_oldest() -> None:
 # --- files ------------------------------------------------------------------------------------
 
 
-def test_files_are_appended_to(tmp_path: Path) -> None:
-    rows, lines = tmp_path / "a.csv", tmp_path / "a.jsonl"
-
-    async def go() -> Fleet:
-        async with RealPeer() as peer:
-            outputs = [CsvOutput(str(rows)), JsonOutput(str(lines))]
-            fleet = Fleet([meter("a", peer.url, interval=60)], outputs=outputs)
-            await fleet.run(once=True)
-        return fleet
-
-    for _ in range(2):
-        fleet = run(go())
-        assert [each.written for each in fleet.statistics.outputs.values()] == [3, 3]
-    head, *body = rows.read_text().splitlines()
-    assert head == "time,device,name,value,unit,quality,reason"
-    assert [each.split(",")[1:4] for each in body] == [
-        *(["a", "voltage", "0.7"], ["a", "power", "7"], ["a", "setpoint", "7"]),
-    ] * 2
-    told = [json.loads(each) for each in lines.read_text().splitlines()]
-    assert [(each["name"], each["value"]) for each in told] == [
-        *(("voltage", 0.7), ("power", 7), ("setpoint", 7)),
-    ] * 2
-
-
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("path", ["/dev/full", "/nowhere/at/all", "/proc/version"])
 def test_a_file_that_cannot_be_written_stops_nobody(path: str, caplog: Any) -> None:
@@ -191,39 +153,6 @@ def test_a_file_that_cannot_be_written_stops_nobody(path: str, caplog: Any) -> N
     assert statistics.failures >= 1
     assert path in statistics.trouble
     assert caplog.text.count(f"json {path}: ") == 1
-
-
-@pytest.mark.usefixtures("quick")
-def test_a_file_that_is_full_ends_with_a_whole_line(tmp_path: Path) -> None:
-    """Written as far as it goes: the half line is taken back, and written when there is room."""
-    import resource
-
-    path = tmp_path / "a.jsonl"
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-
-    async def go() -> None:
-        async with RealPeer() as peer:
-            fleet = Fleet([meter("a", peer.url, interval=0.02)], outputs=[JsonOutput(str(path))])
-            async with fleet:
-                await until(path.exists)
-                resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
-                await until(lambda: fleet.statistics.outputs[f"json {path}"].failures > 1)
-                for line in path.read_text().splitlines():
-                    json.loads(line)
-                assert path.stat().st_size <= 1000
-                resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-                await until(lambda: path.stat().st_size > 3000)
-        assert all(json.loads(line) for line in path.read_text().splitlines())
-        assert len(path.read_text().splitlines()) == fleet.statistics.readings
-
-    import signal
-
-    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    try:
-        run(go())
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-        signal.signal(signal.SIGXFSZ, before)
 
 
 @pytest.mark.usefixtures("quick")
@@ -274,13 +203,3 @@ def test_outputs_are_told_the_labels_of_devices_and_those_of_one_name_are_told_a
                 assert outputs[0].labels == {"b": {"site": "there"}}
 
     simulated_run(scenario())
-
-
-def test_several_files_of_one_kind_get_the_same_readings(tmp_path: Path) -> None:
-    (tmp_path / "meter.csv").write_text("name,table,address\nvoltage,input,0\n")
-    (tmp_path / "fleet.toml").write_text(
-        '[[device]]\nname = "a"\nurl = "tcp://192.0.2.1"\nmap = "meter.csv"\n'
-        '[[output.csv]]\npath = "one.csv"\n[[output.csv]]\npath = "two.csv"\n'
-    )
-    names = [each.name for each in load(tmp_path / "fleet.toml").made_outputs()]
-    assert names == [f"csv {tmp_path / name}.csv" for name in ("one", "two")]

@@ -15,14 +15,12 @@ import pytest
 
 from libmodbus_py import Fleet, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig, FleetFileError, Reading
-from libmodbus_py.services import tasks
 from libmodbus_py.services.fleet.files import load
-from libmodbus_py.services.fleet.outputs import influx, pump
+from libmodbus_py.services.fleet.outputs import influx
 from libmodbus_py.services.fleet.outputs.influx import Influx, _shown
 from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.services.other_servers import SecretFile
 from tests.services.fleet.outputs.http_server import (
-    NO_CONTENT,
     Answer,
     HttpServer,
     Last,
@@ -189,41 +187,6 @@ def test_a_token_stands_in_no_fleet_file(tmp_path: Path) -> None:
     file.write_text(file.read_text().replace('token = "x"', 'token_file = "token"'))
     write_secret(tmp_path / "token", "x")
     assert load(file).made_outputs()[0].name == "influx 127.0.0.1:80"
-
-
-def test_a_poll_that_is_refused_is_dropped_and_others_are_written(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The server refuses one device; nothing of the other ones is lost."""
-    monkeypatch.setattr(tasks, "FIRST_PAUSE_S", 0.001)
-
-    async def go() -> None:
-        points = RegisterMap([Point("level", "holding_registers", 0)])
-        devices = [DeviceConfig(name, "tcp://127.0.0.1:9", points) for name in ("north", "south")]
-        async with serving() as server:
-            refuse_south(server)
-            output = Influx(url=server.url, database="plant")
-            writing = pump.Pump(output)
-            output.describe({each.name: each for each in devices})
-            writing.buffer.put([READING, READING._replace(device="south")])
-            writing.start()
-            writing.close(is_patient=True)
-            await writing.ended()
-            assert (writing.statistics.written, writing.statistics.dropped) == (1, 1)
-            assert b"device=north" in server.received[-2].body
-
-    def refuse_south(server: HttpServer) -> None:
-        class Answers(list[Answer]):
-            def __bool__(self) -> bool:
-                return True
-
-            def pop(self, at: Any = 0) -> Answer:
-                is_bad = b"device=south" in server.received[-1].body
-                return answered("400 Bad", b"partial write") if is_bad else NO_CONTENT
-
-        server.answers = Answers()
-
-    asyncio.run(go())
 
 
 def test_a_file_of_lines(tmp_path: Path) -> None:

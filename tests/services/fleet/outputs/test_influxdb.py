@@ -14,10 +14,9 @@ import pytest
 from libmodbus_py import Fleet, Point, RegisterMap, Server
 from libmodbus_py.fleet import DeviceConfig, Reading
 from libmodbus_py.services import tasks
-from libmodbus_py.services.fleet.outputs import pump
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.output import ReadingsRefused
-from tests.services.fleet.fleets import meter, simulated, until
+from tests.services.fleet.fleets import meter, simulated
 from tests.services.fleet.outputs.influxdb import Database
 from tests.support.programs import missing
 
@@ -121,23 +120,3 @@ def test_a_missing_database_is_tried_again(database: Database) -> None:
     database.ask("DROP DATABASE plant")
     with pytest.raises(OSError, match=r"404 .*not found"):
         write(database, reading("level", 1))
-
-
-def test_readings_wait_while_it_is_away(database: Database) -> None:
-    async def go() -> None:
-        output = Influx(url=database.url, database="plant")
-        writing = pump.Pump(output)
-        database.stop()
-        writing.start()
-        for number in range(1000):
-            writing.buffer.put([reading("level", number, 1_700_000_000.0 + number)])
-        await until(lambda: writing.statistics.failures)
-        await asyncio.to_thread(database.start)
-        await until(lambda: writing.statistics.written == 1000)
-        writing.close()
-        await writing.ended()
-        assert writing.statistics.dropped == 0
-
-    asyncio.run(go())
-    (row,) = database.ask("SELECT count(level), sum(level) FROM modbus")
-    assert (row["count"], row["sum"]) == (1000, sum(range(1000)))

@@ -13,13 +13,12 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Fleet, Point, RegisterMap, Server
+from libmodbus_py import Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig, Reading
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.line_file import CsvOutput, JsonOutput
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.workers.messages import _messages
-from tests.services.fleet.fleets import meter, simulated
 from tests.support.cases import each_case
 from tests.support.outputs import write
 
@@ -83,14 +82,6 @@ def test_a_message_of_mqtt_holds_them(payload: str) -> None:
     assert north["labels"] == ODD
     assert "labels" not in south
     assert "labels" not in other
-
-
-def test_a_message_of_nats_stays_within_its_size() -> None:
-    one = reading("north", {"site": "x" * 500})
-    many = [one._replace(name=f"p{number}") for number in range(100)]
-    messages = list(_messages(many, 2000))
-    assert max(len(data) for _, _, data in messages) <= 2000
-    assert sum(len(json.loads(data)["values"]) for _, _, data in messages) == 100
 
 
 KINDS: dict[str, Callable[[str], Any]] = {
@@ -159,15 +150,3 @@ def test_points_with_states_stay_text_when_their_device_is_removed(tmp_path: Pat
 def test_bad_columns_are_refused(labels: Any, told: str) -> None:
     with pytest.raises((TypeError, ValueError), match=told):
         CsvOutput(labels=labels)
-
-
-def test_fleets_pass_them_to_outputs(tmp_path: Path) -> None:
-    path = tmp_path / "lines"
-
-    async def go() -> None:
-        with Server({1: simulated()}).background("tcp://127.0.0.1:0") as served:
-            devices = [meter("north", served.urls[0], labels=ODD)]
-            await Fleet(devices, outputs=[JsonOutput(str(path))]).run(once=True)
-
-    asyncio.run(go())
-    assert {json.loads(line)["labels"]["line"] for line in path.read_text().splitlines()} == {"ü"}

@@ -6,13 +6,12 @@ from __future__ import annotations
 
 import json
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from libmodbus_py import Server
-from libmodbus_py.fleet import DeviceConfig, Journal, Reading
+from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.forms import object_text, poll_messages
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.pump import Pump
@@ -128,32 +127,6 @@ def test_polls_above_the_largest_message_are_several(broker: Broker) -> None:
     run(go())
 
 
-def test_labels_are_in_topics_and_messages_and_former_topics_are_taken_back(
-    broker: Broker,
-) -> None:
-    async def go() -> None:
-        async with Server({1: simulated()}).serving("tcp://127.0.0.1:0") as served:
-
-            def north(site: str) -> DeviceConfig:
-                return meter("north", served.urls[0], labels={"site": site})
-
-            output = Mqtt(broker.url, topic="plant/{label.site}/{device}", status="")
-            async with polling(north("Halle"), outputs=[output]) as (fleet, _):
-                async with hearing(broker, "plant/#") as heard:
-                    await until(lambda: heard_of(heard, "plant/Halle/north"))
-                    assert heard[0][1]["labels"] == {"site": "Halle"}
-                    fleet.replace([north("Hof")])
-                    await until(lambda: heard_of(heard, "plant/Hof/north"))
-                async with hearing(broker, "plant/Halle/#") as heard:
-                    await until(lambda: heard)
-                [(_, kept, _)] = heard
-                assert set(kept["values"]) == {"voltage", "power", "setpoint"}
-                assert {each["quality"] for each in kept["values"].values()} == {"offline"}
-                assert {each["value"] for each in kept["values"].values()} == {None}
-
-    run(go())
-
-
 def test_commands_go_by_the_name_of_the_point(broker: Broker) -> None:
     async def go() -> None:
         device = simulated()
@@ -171,34 +144,6 @@ def test_commands_go_by_the_name_of_the_point(broker: Broker) -> None:
                 [(topic, outcome, _)] = heard
                 assert (topic, outcome["ok"]) == ("plant/north/setpoint/set/result", True)
                 assert device.mapping.holding_registers[2] == 21
-
-    run(go())
-
-
-def test_a_broker_that_is_away_gets_what_was_journalled(broker: Broker, tmp_path: Path) -> None:
-    async def go() -> None:
-        async with Server({1: simulated()}).serving("tcp://127.0.0.1:0") as served:
-            output = Mqtt(broker.url, topic=TOPIC, qos=1)
-            journal = Journal(str(tmp_path / "fleet.db"))
-            north = meter("north", served.urls[0], interval=0.05)
-            async with polling(north, outputs=[output], journal=journal) as (fleet, readings):
-                counted = fleet.statistics.outputs[output.name]
-                await until(lambda: counted.written)
-                broker.kill()
-                await until(lambda: counted.trouble)
-                count = len(readings)
-                await until(lambda: len(readings) > count + 6)
-                broker.start()
-                async with hearing(broker, "plant/+") as heard:
-                    last_id = readings[-1].id
-                    await until(lambda: heard and last_id <= ids(heard)[-1])
-                first = ids(heard)[0]
-                wanted = [each.id for each in readings if first <= each.id <= last_id]
-                assert len(wanted) > 6
-                assert set(wanted) <= set(ids(heard))
-
-    def ids(heard: list[tuple[str, Any, bool]]) -> list[int]:
-        return [each["id"] for _, told, _ in heard for each in told["values"].values()]
 
     run(go())
 

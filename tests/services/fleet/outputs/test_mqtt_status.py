@@ -49,8 +49,9 @@ def test_values_that_do_not_change_are_there_again_after_a_restart(broker: Broke
             broker.kill()
             await until(lambda: counted.trouble)
             broker.start()
-            async with hearing(broker, "modbus/a/+") as heard:
-                await until(lambda: len(heard) >= 3)
+            async with hearing(broker, "modbus/#") as heard:
+                await until(lambda: len(heard) >= 4)
+                assert "online" in heard_of(heard, "modbus/status")
                 assert heard_of(heard, "modbus/a/voltage")[-1]["value"] == 230.5
             assert len(readings) == 3
 
@@ -135,6 +136,19 @@ def test_a_device_answers_while_a_point_of_it_is_read_or_refused(
         known.keep(changed, readings)
         found.append(changed["a"][1] if changed else None)
     assert found == states
+
+
+def test_a_device_with_another_label_has_another_topic() -> None:
+    states = DeviceStates(Topic("device_status", "states/{label.site}/{device}", ("device",)))
+    for site, sent in (
+        ("x", [("states/x/a", b"online")]),
+        ("x", []),
+        ("y", [("states/x/a", b"offline"), ("states/y/a", b"online")]),
+    ):
+        labelled = [reading("a", 1)._replace(labels={"site": site})]
+        changed = states.changed(labelled)
+        assert list(states.messages(changed)) == sent
+        states.keep(changed, labelled)
 
 
 def test_removed_devices_take_no_room() -> None:

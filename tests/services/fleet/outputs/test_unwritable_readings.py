@@ -10,17 +10,14 @@ import errno
 import json
 import ssl
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, cast
 
 import pytest
 
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import OutputStatistics, Reading
-from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.output import Output
 from libmodbus_py.services.fleet.outputs.pump import Pump
-from libmodbus_py.services.fleet.readings import Buffer
 from libmodbus_py.services.workers.messages import Stream
 from tests.services.fleet.fleets import Peer, meter, simulated_run, until
 from tests.simulation.engine import Engine
@@ -127,54 +124,6 @@ def test_a_poll_is_never_divided_by_the_buffer() -> None:
     assert sum(map(len, output.written)) == 3600
 
 
-def test_iterations_get_one_reading_at_a_time() -> None:
-    async def go() -> None:
-        buffer = Buffer()
-        buffer.put([reading("a", "one"), reading("a", "two")])
-        assert [len(await buffer.take(1)) for _ in range(2)] == [1, 1]
-
-    simulated_run(go())
-
-
-def sent(readings: Sequence[Reading], largest: int) -> list[dict[str, Any]]:
-    """Return what the stream has after these readings were written once, and again."""
-    network = Network()
-    engine = Engine(network)
-
-    async def main() -> None:
-        client = engine.client()
-        client.max_payload = largest
-        stream = Stream(cast(Any, client), {})
-        await stream.open()
-        for _ in range(2):  # the server knows each message, and keeps it once
-            await stream.write(readings)
-        await client.close()
-
-    network.run(main)
-    for _, _, data in engine.stream:
-        assert len(data) < largest
-    return [json.loads(data) for _, _, data in engine.stream]
-
-
-def test_a_large_poll_is_one_message_if_the_server_takes_it() -> None:
-    readings = [reading("a", f"{at}", at) for at in range(3000)]
-    (message,) = sent(readings, 1 << 20)
-    assert {name: each["value"] for name, each in message["values"].items()} == {
-        f"{at}": at for at in range(3000)
-    }
-    assert message.keys() == {"device", "values"}
-
-
-def test_a_poll_above_the_largest_message_says_which_part_each_is() -> None:
-    readings = [reading("kälte", f"höhe {at}", at) for at in range(100)]
-    messages = sent(readings, 2000)
-    assert len(messages) > 3
-    assert [each["part"] for each in messages] == [*range(1, len(messages) + 1)]
-    assert {each["parts"] for each in messages} == {len(messages)}
-    found = [name for each in messages for name in each["values"]]
-    assert found == [each.name for each in readings]
-
-
 def test_a_reading_above_the_largest_message_stops_no_other_device() -> None:
     network = Network()
     engine = Engine(network)
@@ -196,15 +145,6 @@ def test_a_reading_above_the_largest_message_stops_no_other_device() -> None:
 
 
 # --- one that fails is its own matter -----------------------------------------------------------
-
-
-def test_authorities_that_are_away_for_a_moment_end_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "ca.pem"
-    for content in (None, "nothing"):
-        if content:
-            path.write_text(content)
-        with pytest.raises(OSError, match=r"ca: "):
-            asyncio.run(Mqtt("mqtts://127.0.0.1:1", ca=str(path)).open())
 
 
 def test_other_outputs_get_everything() -> None:
