@@ -16,7 +16,7 @@ from libmodbus_py.services.fleet.outputs.pump import Pump
 from tests.services.fleet.fleets import simulated_run
 from tests.services.fleet.fleets import until as until_really
 from tests.services.fleet.outputs.brokers import Broker, run
-from tests.services.fleet.outputs.test_brokers_that_refuse import poll
+from tests.services.fleet.outputs.test_mqtt_status import text
 from tests.services.fleet.outputs.test_refused_readings import Distant, until
 from tests.support.outputs import pumping
 
@@ -34,7 +34,7 @@ def pumped(output: Distant, play: Callable[[Pump], Any]) -> Pump:
 
 
 def put(pump: Pump, devices: str, at: float) -> None:
-    pump.buffer.put([poll(device, 1, at) for device in devices])
+    pump.buffer.put([text(device, 1, at) for device in devices])
 
 
 def test_a_loss_after_a_refused_poll_drops_nothing() -> None:
@@ -122,7 +122,7 @@ def test_other_packages_log_no_errors_of_a_refused_message(
     async def go() -> None:
         async with pumping(Mqtt(broker.url)) as pump:
             pump.buffer.put(
-                [poll(*each) for each in (("a", 1, 0), ("b", "x" * 500, 0), ("c", 1, 0))]
+                [text(*each) for each in (("a", 1, 0), ("b", "x" * 500, 0), ("c", 1, 0))]
             )
             await until_really(lambda: pump.statistics.dropped and pump.statistics.written == 2)
 

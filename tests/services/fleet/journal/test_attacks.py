@@ -7,6 +7,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import os
 import random
 import shutil
 import signal
@@ -23,11 +24,14 @@ from fuzz.journal_trial import Found, KilledPolls, devices
 from fuzz.journal_trial import until as until_really
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import Journal, Reading
-from libmodbus_py.services.fleet.journal import journal as journal_module
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
+from libmodbus_py.services.fleet.journal.schema import (
+    JournalDamaged,
+    JournalError,
+)
 from libmodbus_py.services.fleet.outputs.pump import MOST_OF_JOURNAL
 from tests.services.fleet.fleets import Peer, meter, simulated_run, until
-from tests.services.fleet.journal.journals import polls, readings
+from tests.services.fleet.journal.journals import polls
 from tests.services.fleet.journal.test_journal import Broker, Failing, in_journal, run_for
 from tests.simulation.network import Network
 
@@ -229,32 +233,6 @@ def test_an_output_that_changes_the_list_it_is_given_loses_nothing(
     assert (broker.ids + again.ids) == in_journal(path)
 
 
-def test_readings_that_are_confirmed_after_the_end_are_sent_again_at_most(
-    path: str, inline: None
-) -> None:
-    """An output whose last write ends after the journal was closed."""
-
-    async def go() -> None:
-        journal = Journal(path)
-        [place] = await journal.open(["a"])
-        journal.put(readings())
-        batch = await place.take(10)
-        await journal.close()
-        begun = asyncio.get_running_loop().time()
-        await place.confirm(batch)
-        assert asyncio.get_running_loop().time() - begun <= 1.0
-        journal = Journal(path)
-        [place] = await journal.open(["a"])
-        assert await place.take(10) == batch
-        await place.confirm(batch)
-        await place.confirm(batch)
-        assert len(place) == 0
-        await journal.close()
-
-    simulated_run(go(), Network())
-    assert journal_module.LAST_WAIT_S > 1.0
-
-
 KILLS = 3
 
 
@@ -287,3 +265,79 @@ def test_a_poll_that_is_killed_loses_nothing_that_was_journalled(tmp_path: Path)
     assert found.lost == 0
     assert found.repeated <= KILLS * (MOST_OF_JOURNAL + 10)
     assert confirmed(polls) == journal[-1]
+
+
+def delete(path: str, *endings: str) -> None:
+    for each in endings:
+        os.unlink(f"{path}{each}")
+
+
+async def polled(broker: Broker, count: int) -> None:
+    """Wait until an output has received so many more polls, in simulated time."""
+    for _ in range(count):
+        before = len(broker.ids)
+        await until(lambda before=before: len(broker.ids) > before)  # type: ignore[misc]
+
+
+@pytest.mark.usefixtures("inline")
+@pytest.mark.parametrize("endings", [("", "-wal", "-shm"), ("", "-wal", "-shm", "-lock"), ("",)])
+def test_a_journal_that_was_deleted_is_replaced(
+    path: str, endings: tuple[str, ...], caplog: pytest.LogCaptureFixture
+) -> None:
+    broker, away = Broker(), Broker("away", is_away=True)
+
+    async def lose(fleet: Fleet) -> None:
+        delete(path, *endings)
+        await polled(broker, 10)
+        assert fleet.statistics.journal is not None
+        assert fleet.statistics.journal.trouble == ""
+        away.is_away = False
+        await until(lambda: fleet.statistics.outputs["away"].waiting == 0)
+
+    fleet = run_for(path, 100, broker, away, change=lose)
+    kept = in_journal(path)
+    assert kept == broker.ids[-len(kept) :]
+    assert 15 <= len(kept) < len(broker.ids)
+    # What was behind the last entry in memory is delivered, too.
+    assert away.ids == broker.ids
+    assert fleet.statistics.journal is not None
+    assert fleet.statistics.journal.dropped == 0
+    told = f"{path}: was deleted or replaced while it was in use; a new journal begins"
+    assert caplog.text.count(told) == 1
+
+
+@pytest.mark.usefixtures("inline")
+def test_another_file_in_its_place_is_kept(path: str, tmp_path: Path) -> None:
+    """Somebody has copied an older journal there, and has forgotten that the fleet runs."""
+    run_for(path, 100, Broker())
+    older = in_journal(path)
+    copy = tmp_path / "copy.db"
+    copy.write_bytes(Path(path).read_bytes())
+    broker = Broker()
+
+    async def restore(fleet: Fleet) -> None:
+        os.rename(copy, path)
+        await polled(broker, 10)
+
+    run_for(path, 100, broker, change=restore)
+    assert in_journal(f"{path}-damaged") == older
+    kept = in_journal(path)
+    assert kept == broker.ids[-len(kept) :] != []
+
+
+def test_the_journal_of_another_program_in_its_place_is_left_alone(path: str) -> None:
+    """All its files were deleted, and a second fleet was started."""
+    first, second = JournalFile(path, 1e9, 10**9), JournalFile(path, 1e9, 10**9)
+    with contextlib.closing(first), contextlib.closing(second):
+        first.open([])
+        first.write(polls(10**9, 3), {}, 0)
+        delete(path, "", "-wal", "-shm", "-lock")
+        second.open([])
+        second.write(polls(10**9, 3), {}, 0)
+        for _ in range(2):
+            with pytest.raises(JournalError, match="was deleted or replaced"):
+                first.write(polls(2 * 10**9, 3), {}, 0)
+        with pytest.raises(JournalError, match="is used by another program"):
+            first.replace(JournalDamaged("was deleted"), [])
+        second.write(polls(3 * 10**9, 3), {}, 0)
+        assert len(in_journal(path)) == 12

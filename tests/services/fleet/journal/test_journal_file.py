@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import os
 import sqlite3
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -166,6 +164,14 @@ def test_polls_of_the_points_that_have_changed_add_no_lists_of_points(
     read = [one for poll in file.read(0, 10_000) for one in poll.readings]
     assert len(read) == number - 1
     assert all(each.value in range(each.id - 11, each.id + 1) for each in read)
+
+
+def test_readings_keep_the_labels_of_their_time(file: JournalFile) -> None:
+    for at, site in enumerate(["x", "y", "x"]):
+        file.write(some(1 + at, "p0", site=site), {}, 0)
+    read = [each.readings[0].labels["site"] for each in file.read(0, 99)]
+    assert read == ["x", "y", "x"]
+    assert len(history(file.path, "a", "p0", 0, 9)) == 3
 
 
 def test_the_first_points_of_a_list_are_not_all_of_a_history(file: JournalFile) -> None:
@@ -328,39 +334,9 @@ def test_a_file_that_is_no_database_is_refused_and_not_changed(path: str) -> Non
     assert Path(path).read_text() == "time,device,name\n" * 100
 
 
-def test_a_second_program_is_refused_and_a_reader_is_not(path: str, file: JournalFile) -> None:
-    code = (
-        "import sys; from libmodbus_py.services.fleet.journal.journal_file import JournalFile\n"
-        "try: JournalFile(sys.argv[1], 1e9, 10**9).open([])\n"
-        "except Exception as error: print(error)"
-    )
-    program = [sys.executable, "-c", code, path]
-    found = subprocess.run(program, capture_output=True, text=True, check=True)
-    assert found.stdout == f"{path}: is used by another program\n"
-    assert asked(path, "SELECT count(*) FROM reading") == [(0,)]
-    file.write(polls(1, 1), {}, 0)
-    file.close()
-    opened(path).close()
-
-
 def test_a_folder_that_is_missing_is_named(tmp_path: Path) -> None:
     path = str(tmp_path / "none" / "fleet.db")
     assert refused(path) == "-lock: No such file or directory"
-
-
-def test_a_file_that_cannot_be_written_to_is_refused(path: str) -> None:
-    opened(path).close()
-    database = sqlite3.connect(path)
-    database.execute("PRAGMA journal_mode = DELETE")
-    database.close()
-    os.chmod(path, 0o444)
-    os.chmod(os.path.dirname(path), 0o555)
-    try:
-        if os.geteuid() == 0:
-            pytest.skip("root may write to each file")
-        assert "cannot be" in refused(path)
-    finally:
-        os.chmod(os.path.dirname(path), 0o755)
 
 
 def test_a_full_disk_leaves_all_as_it_was(file: JournalFile) -> None:
@@ -377,16 +353,6 @@ def test_a_full_disk_leaves_all_as_it_was(file: JournalFile) -> None:
     assert asked(file.path, "SELECT count(*) FROM poll") == [(5010,)]
 
 
-def test_a_device_whose_first_poll_was_not_written_has_its_names_later(file: JournalFile) -> None:
-    [[pages]] = file._used.execute("PRAGMA page_count")
-    file._used.execute(f"PRAGMA max_page_count = {pages}").fetchall()
-    with pytest.raises(JournalError, match=r"the disk is full$"):
-        file.write(polls(1, 5000), {}, 0)
-    file._used.execute("PRAGMA max_page_count = 1000000").fetchall()
-    file.write(polls(1, 1), {}, 0)
-    assert asked(file.path, "SELECT device, name FROM reading") == [("a", "p0"), ("a", "p1")]
-
-
 def test_each_damaged_file_keeps_a_name_of_its_own(path: str) -> None:
     for _ in range(3):
         file = opened(path)
@@ -394,19 +360,6 @@ def test_each_damaged_file_keeps_a_name_of_its_own(path: str) -> None:
         file.close()
     names = [f"{path}-damaged", f"{path}-damaged-2", f"{path}-damaged-3"]
     assert all(Path(name).exists() for name in names)
-
-
-def test_a_damaged_file_is_set_aside(path: str, file: JournalFile) -> None:
-    file.write(polls(1, 5000), {}, 0)
-    file.close()
-    whole = bytearray(Path(path).read_bytes())
-    whole[4096:] = os.urandom(len(whole) - 4096)
-    Path(path).write_bytes(whole)
-    with pytest.raises(JournalDamaged, match="is damaged") as error:
-        file.open(["a"])
-    file.replace(error.value, ["a"], 71)
-    assert Path(f"{path}-damaged").read_bytes() == whole
-    assert asked(path, "SELECT output, confirmed FROM place") == [("a", 70)]
 
 
 def test_a_damaged_row_is_left_out(file: JournalFile, caplog: pytest.LogCaptureFixture) -> None:
@@ -432,9 +385,3 @@ def test_a_history_is_read_while_the_journal_is_written(file: JournalFile) -> No
     assert history(file.path, "a", "p0", 299.0, 300.0) == []
     assert history(file.path, "a", "none", 0.0, 1000.0) == []
     assert len(history(file.path, "a", "p1", 0.0, 1000.0, most=9)) <= 9
-
-
-def test_a_history_without_a_journal_is_an_error(path: str) -> None:
-    with pytest.raises(JournalError, match="cannot be opened"):
-        history(path, "a", "p1", 0.0, 1.0)
-    assert not Path(path).exists()

@@ -114,9 +114,3 @@ def test_a_conflict_of_types_is_a_refusal(database: Database) -> None:
     write(database, reading("level", 1))
     with pytest.raises(ReadingsRefused, match=r"400 .*conflict"):
         write(database, reading("level", "text", 1_700_000_001.0))
-
-
-def test_a_missing_database_is_tried_again(database: Database) -> None:
-    database.ask("DROP DATABASE plant")
-    with pytest.raises(OSError, match=r"404 .*not found"):
-        write(database, reading("level", 1))

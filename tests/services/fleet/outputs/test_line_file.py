@@ -62,32 +62,24 @@ def values(kind: str, path: Path) -> list[str]:
 class TestOthers:
     """What others do to the file while it is open."""
 
-    def test_a_renamed_file_is_opened_anew(self, tmp_path: Path, kind: str) -> None:
-        path, old = tmp_path / "now", tmp_path / "old"
-        written(KINDS[kind](str(path)), reading(1), lambda: path.rename(old), reading(2))
-        assert values(kind, old) == ["1"]
-        assert values(kind, path) == ["2"]
-
-    def test_one_that_logrotate_created_is_used(self, tmp_path: Path, kind: str) -> None:
+    @pytest.mark.parametrize("way", ["renamed", "created", "deleted", "emptied"])
+    def test_the_next_reading_begins_a_file(self, tmp_path: Path, kind: str, way: str) -> None:
         path, old = tmp_path / "now", tmp_path / "old"
 
-        def rotate() -> None:
-            path.rename(old)
-            path.touch()
+        def change() -> None:
+            if way in ("renamed", "created"):
+                path.rename(old)
+            if way == "created":  # by logrotate
+                path.touch()
+            if way == "deleted":
+                path.unlink()
+            if way == "emptied":
+                os.truncate(path, 0)
 
-        written(KINDS[kind](str(path)), reading(1), rotate, reading(2), reading(3))
-        assert (values(kind, old), values(kind, path)) == (["1"], ["2", "3"])
-
-    def test_a_deleted_file_is_made_again(self, tmp_path: Path, kind: str) -> None:
-        path = tmp_path / "now"
-        written(KINDS[kind](str(path)), reading(1), path.unlink, reading(2))
-        assert values(kind, path) == ["2"]
-
-    def test_an_emptied_file_begins_anew(self, tmp_path: Path, kind: str) -> None:
-        path = tmp_path / "now"
-        empty = lambda: os.truncate(path, 0)  # noqa: E731
-        written(KINDS[kind](str(path)), reading(1), empty, reading(2))
-        assert values(kind, path) == ["2"]
+        written(KINDS[kind](str(path)), reading(1), change, reading(2), reading(3))
+        assert values(kind, path) == ["2", "3"]
+        if old.exists():
+            assert values(kind, old) == ["1"]
 
     def test_a_folder_that_is_away_is_an_error_for_now(self, tmp_path: Path, kind: str) -> None:
         folder = tmp_path / "folder"

@@ -5,7 +5,6 @@ Topics of MQTT without the name of a point: a message for each poll of a device.
 from __future__ import annotations
 
 import json
-import re
 from typing import Any
 
 import pytest
@@ -146,24 +145,3 @@ def test_commands_go_by_the_name_of_the_point(broker: Broker) -> None:
                 assert device.mapping.holding_registers[2] == 21
 
     run(go())
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"topic": "plant"}, "topic must hold {device} and {name} once"),
-        ({"topic": "x/{device}/{zone}"}, "topic must hold {device} once"),
-        ({"topic": "modbus/{device}"}, "status must not be the topic of a reading"),
-        ({"device_status": "plant/{device}"}, "device_status must not be the topic of a reading"),
-        ({"device_status": "plant/a/{device}/set"}, "must not be the topic of a reading"),
-        ({"max_message": 100, "retain": False}, "max_message must be in 1024.."),
-        ({"max_message": 9999}, "max_message needs a topic without {name}, and retain = false"),
-        (
-            {"max_message": 9999, "retain": False, "topic": "x/{device}/{name}"},
-            "max_message needs a topic without {name}, and retain = false",
-        ),
-    ],
-)
-def test_what_cannot_be_is_refused(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=re.escape(message)):
-        Mqtt(**{"url": "mqtt://192.0.2.1", "topic": TOPIC, **options})

@@ -167,18 +167,6 @@ def test_the_suspected_poll_may_fall_out_of_a_full_buffer() -> None:
     assert statistics.written >= 4
 
 
-def test_the_end_while_a_poll_is_suspected_takes_its_time_only() -> None:
-    async def go() -> OutputStatistics:
-        output = Distant("x")
-        async with pumping(output) as pump:
-            pump.buffer.put(polls("xa"))
-            await until(lambda: output.failed > 2)
-        return pump.statistics
-
-    statistics = simulated_run(go())
-    assert statistics.written + statistics.dropped == 4
-
-
 def test_a_subject_that_nats_denies_holds_up_no_others() -> None:
     """A publish that the server denies is never acknowledged."""
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import errno
 import json
-import ssl
 from collections.abc import Sequence
 from typing import Any, cast
 
@@ -145,27 +144,6 @@ def test_a_reading_above_the_largest_message_stops_no_other_device() -> None:
 
 
 # --- one that fails is its own matter -----------------------------------------------------------
-
-
-def test_other_outputs_get_everything() -> None:
-    class Failing(Picky):
-        name = "failing"
-
-        async def open(self) -> None:
-            raise ssl.SSLError("no")
-
-    async def go() -> Fleet:
-        async with Peer() as peer:
-            outputs = [Failing(), Picky()]
-            fleet = Fleet([meter("a", peer.url, interval=0.05)], outputs=outputs)
-            async with fleet:
-                await until(lambda: fleet.statistics.polls > 50)
-        return fleet
-
-    outputs = simulated_run(go()).statistics.outputs
-    assert outputs["picky"].dropped == 0
-    assert outputs["picky"].written > 50
-    assert outputs["failing"].failures > 1
 
 
 # --- once -------------------------------------------------------------------------------------
