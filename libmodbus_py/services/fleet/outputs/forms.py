@@ -23,7 +23,7 @@ __all__ = ["COLUMNS", "as_csv", "as_json", "object_text", "poll_messages"]
 COLUMNS: tuple[str, ...] = Reading._fields[:-2]
 """The columns of CSV: what a reading has, but for its id and its labels."""
 
-_encode = JSON.encode
+_json = JSON.encode
 
 _C1 = re.compile(r"[\x7f-\x9f]")
 
@@ -44,7 +44,7 @@ def as_json(readings: Iterable[Reading]) -> bytes:
         for each in readings
     )
     # The encoder escapes the other control characters.
-    return (_C1.sub(_escaped, text) if _C1.search(text) else text).encode()
+    return _C1.sub(lambda found: f"\\u{ord(found[0]):04x}", text).encode()
 
 
 def _fields(reading: Reading, with_labels: bool = True) -> str:
@@ -55,25 +55,19 @@ def _fields(reading: Reading, with_labels: bool = True) -> str:
         f' "quality": "{quality}"'
         + (f', "reason": {_quoted(reason)}' if reason else "")
         + (f', "id": {number}' if number else "")
-        + (f', "labels": {_encode(dict(labels))}}}' if labels and with_labels else "}")
+        + (f', "labels": {_json(dict(labels))}}}' if labels and with_labels else "}")
     )
-
-
-def _escaped(found: re.Match[str]) -> str:
-    return f"\\u{ord(found[0]):04x}"
 
 
 def _number(value: Any) -> str:
     if type(value) is int or (type(value) is float and isfinite(value)):
         return repr(value)
-    return _encode(plain(value))
+    return _json(plain(value))
 
 
 def _cell(value: Any) -> Any:
     """Return a value for CSV: numbers and text as they are, all else as in JSON."""
-    if isinstance(value, list | dict):
-        return json_text(plain(value))
-    return plain(value) if value is not None else None
+    return json_text(plain(value)) if isinstance(value, list | dict) else plain(value)
 
 
 def as_csv(readings: Iterable[Reading], labels: Sequence[str] = ()) -> bytes:
@@ -94,8 +88,6 @@ def as_csv(readings: Iterable[Reading], labels: Sequence[str] = ()) -> bytes:
 
 FRAME = 70
 """More than the bytes of the keys of a message, and of the numbers of parts."""
-
-_json = JSON.encode
 
 
 def poll_messages(readings: Sequence[Reading], largest: int) -> Iterator[tuple[list[str], bytes]]:

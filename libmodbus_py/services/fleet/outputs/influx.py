@@ -78,9 +78,9 @@ class Influx:
             for name, value in {**texts, "password": password, "token": token, "ca": ca}.items():
                 if value is not None:
                     raise WrongValue(name, "can only be used with url")
-            self._file = file = LineFile(
-                "-" if path is None else path, self._protocol.format, buffer
-            )
+            begin = f"{self._protocol.measurement},".encode()
+            form = Format("influx", self._protocol.lines, begin)
+            self._file = file = LineFile("-" if path is None else path, form, buffer)
             self.path: str = file.path
             self.name: str = file.name
             self.is_live: bool = file.is_live
@@ -238,14 +238,9 @@ class LineProtocol:
         if not _MEASUREMENT.fullmatch(measurement) or not measurement.isprintable():
             allowed = "1 to 200 printable characters without \\, the first neither _ nor #"
             raise WrongValue("measurement", f"must be {allowed}, not {measurement[:50]!r}")
-        self._measurement = re.sub("([, ])", r"\\\1", measurement)
+        self.measurement: str = re.sub("([, ])", r"\\\1", measurement)
         # Device -> its points whose values are text, also of devices that were removed.
         self._texts: dict[str, frozenset[str]] = {}
-
-    @property
-    def format(self) -> Format:
-        """The format of a file with these lines."""
-        return Format("influx", self.lines, f"{self._measurement},".encode())
 
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Set the devices of the readings, by their names."""
@@ -267,7 +262,7 @@ class LineProtocol:
         tags = {"device": device, **labels}
         # InfluxDB recommends tags in order; a tag without a value is not a tag.
         parts = [f"{_key(name)}={_spelled(tags[name])}" for name in sorted(tags) if tags[name]]
-        return ",".join((self._measurement, *parts))
+        return ",".join((self.measurement, *parts))
 
     def _fields(self, reading: Reading) -> Iterator[str]:
         name = reading.name

@@ -118,9 +118,7 @@ class Mqtt:
         self._labels: dict[str, Mapping[str, str]] = {}
         self._commands: Commands | None = None
         self._offline: Message | None = (self._status, OFFLINE) if self._status else None
-        self._connection = MqttConnection(
-            server, user=user, password=password, ca=ca, client_id=client_id, will=self._offline
-        )
+        self._connection = MqttConnection(server, user, password, ca, client_id, self._offline)
         # Connections in a row that were lost while last values were published again.
         self._losses = 0
 

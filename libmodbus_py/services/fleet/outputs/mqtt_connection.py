@@ -11,6 +11,7 @@ import re
 import socket
 import ssl
 from collections.abc import Callable, Coroutine, Iterator
+from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
@@ -48,6 +49,7 @@ TOGETHER = 100
 MOST_MESSAGES = 100
 
 
+@dataclass
 class MqttConnection:
     """
     A connection to a broker, which is opened again after each failure. The broker publishes `will`,
@@ -56,21 +58,16 @@ class MqttConnection:
     All methods raise ConnectionError if the connection is lost, or the broker refuses something.
     """
 
-    def __init__(
-        self,
-        server: ServerUrl,
-        *,
-        user: str | None,
-        password: str | SecretFile | None,
-        ca: str | None,
-        client_id: str | None,
-        will: Message | None,
-    ) -> None:
-        self._server = server
-        self._options = {"username": user, "identifier": client_id}
-        self._password = password
-        self._trust = Trust(ca, _Handshaking) if server.scheme == "mqtts" else None
-        self._will = will
+    server: ServerUrl
+    user: str | None
+    password: str | SecretFile | None
+    ca: str | None
+    client_id: str | None
+    will: Message | None
+
+    def __post_init__(self) -> None:
+        is_secure = self.server.scheme == "mqtts"
+        self._trust = Trust(self.ca, _Handshaking) if is_secure else None
         self._client: aiomqtt.Client | None = None
         self._listening: asyncio.Task[None] | None = None
         self._tasks: set[asyncio.Task[None]] = set()
@@ -82,11 +79,12 @@ class MqttConnection:
         except ImportError:
             raise OutputError(what_is_missing("MQTT", "mqtt")) from None
         client = aiomqtt.Client(
-            self._server.host,
-            self._server.port,
-            **self._options,  # type: ignore[arg-type]
-            password=await text_of(self._password),
-            will=aiomqtt.Will(*self._will, 1, True) if self._will else None,
+            self.server.host,
+            self.server.port,
+            username=self.user,
+            password=await text_of(self.password),
+            identifier=self.client_id,
+            will=aiomqtt.Will(*self.will, 1, True) if self.will else None,
             timeout=TIMEOUT_S,
             keepalive=KEEPALIVE_S,
             max_inflight_messages=TOGETHER,
