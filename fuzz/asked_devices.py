@@ -84,7 +84,7 @@ class Asked:
 
     def since(self, at: float) -> int:
         """How many devices were asked since."""
-        return sum(last >= at for last, _ in self._last.values())
+        return sum(last >= at for last, _ in [*self._last.values()])
 
     def places_since(self, at: float) -> int:
         """How many places were asked for any of their units since."""

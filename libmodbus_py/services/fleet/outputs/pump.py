@@ -189,7 +189,7 @@ class Pump:
             self._drop(batch, f"others were accepted and these were not, several times: {error}")
         else:
             self.buffer.put_back(batch)
-            self._losses += is_loss
+            self._losses += is_loss and bool(batch)
             if is_odd or (is_loss and polls > 1 and self._losses > 1):
                 self._single = polls
 
