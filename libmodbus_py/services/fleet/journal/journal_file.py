@@ -32,7 +32,7 @@ from .schema import (
     raised,
 )
 
-__all__ = ["Begun", "JournalFile", "Written"]
+__all__ = ["Begun", "JournalFile"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -89,7 +89,7 @@ class Begun(NamedTuple):
     waiting: dict[str, int]
 
 
-class Written(NamedTuple):
+class JournalState(NamedTuple):
     """The bytes of a journal; of each poll that was deleted, the first id and the readings."""
 
     size: int
@@ -264,13 +264,13 @@ class JournalFile:
 
     def write(
         self, polls: Sequence[JournalPoll], places: Mapping[str, int], confirmed: int
-    ) -> Written:
+    ) -> JournalState:
         """
         Write polls, and by output the last id that it confirmed, in one transaction or not at all,
         and delete what is too old. `confirmed` is the last id that all outputs confirmed.
         """
         with raised(self.path):
-            if _identity_of(self.path) != self._identity:  # nobody would find it
+            if _identity_of(self.path) != self._identity:  # its contents would be lost
                 raise JournalDamaged(f"{self.path}: was deleted or replaced while it was in use")
             with self._transaction():
                 rows = [row for poll in polls if (row := self._row(poll)) is not None]
@@ -350,7 +350,7 @@ class JournalFile:
 
     # --- deleting ---------------------------------------------------------------------------
 
-    def _delete(self, confirmed: int) -> Written:
+    def _delete(self, confirmed: int) -> JournalState:
         """Delete the oldest polls, if there are too many or they are too old."""
         [[page], [pages], [free]] = (
             self._used.execute(f"PRAGMA {name}").fetchone()
@@ -371,7 +371,7 @@ class JournalFile:
             # As a script, because `execute` ends after the first page.
             self._used.executescript(f"PRAGMA incremental_vacuum({FREED})")
         size = pages * page + _size_of(f"{self.path}-wal")
-        return Written(size, [(first, count) for first, count, _ in polls])
+        return JournalState(size, [(first, count) for first, count, _ in polls])
 
     def _oldest(self, most: int, last: int = 1 << 62) -> list[tuple[int, int, float]]:
         return self._used.execute(

@@ -8,14 +8,11 @@ from __future__ import annotations
 import asyncio
 from collections import OrderedDict
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from ....protocol.logs import HarmlessLogger
 from ..readings import Buffer, Reading
 from .schema import JournalPoll
-
-if TYPE_CHECKING:
-    from .journal import Journal
 
 __all__ = ["JournalPlace", "RecentPolls"]
 
@@ -29,6 +26,17 @@ NOTING_S = 1.0
 """Seconds after which an output that confirmed readings goes on although the disk is slow."""
 
 
+class _Journal(Protocol):
+    """The part of `Journal`, which imports this file, that a place uses."""
+
+    @property
+    def last(self) -> int: ...
+
+    async def after(self, number: int, most: int) -> tuple[list[JournalPoll], int]: ...
+
+    def note(self) -> asyncio.Future[None]: ...
+
+
 class JournalPlace(Buffer):
     """
     The readings of a journal behind the last one that an output has confirmed, `waiting` in number.
@@ -37,7 +45,7 @@ class JournalPlace(Buffer):
     the id of the last reading that the output has confirmed; it never falls.
     """
 
-    def __init__(self, name: str, journal: Journal, confirmed: int, waiting: int) -> None:
+    def __init__(self, name: str, journal: _Journal, confirmed: int, waiting: int) -> None:
         super().__init__()
         self.name: str = name
         self.confirmed: int = confirmed

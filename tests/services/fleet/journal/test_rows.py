@@ -7,11 +7,10 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Sequence
-from typing import cast
 
 import pytest
 
-from libmodbus_py.fleet import Journal, Reading
+from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.journal import place as recent
 from libmodbus_py.services.fleet.journal.place import JournalPlace, RecentPolls
 from libmodbus_py.services.fleet.journal.schema import (
@@ -165,7 +164,7 @@ class Shelf:
 
 
 def place_in(shelf: Shelf, confirmed: int, waiting: int) -> JournalPlace:
-    return JournalPlace("x", cast(Journal, shelf), confirmed, waiting)
+    return JournalPlace("x", shelf, confirmed, waiting)
 
 
 def test_an_output_goes_on_where_it_confirmed() -> None:
