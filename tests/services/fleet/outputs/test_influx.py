@@ -13,8 +13,7 @@ from urllib.parse import parse_qs
 
 import pytest
 
-from libmodbus_py import Fleet, Point, RegisterMap
-from libmodbus_py.fleet import DeviceConfig, FleetFileError, Reading
+from libmodbus_py.fleet import FleetFileError, Reading
 from libmodbus_py.services.fleet.files import load
 from libmodbus_py.services.fleet.outputs import influx
 from libmodbus_py.services.fleet.outputs.influx import Influx, _shown
@@ -193,21 +192,6 @@ def test_a_file_of_lines(tmp_path: Path) -> None:
     for _ in range(2):
         asyncio.run(outputs.write(Influx(str(tmp_path / "lines"), measurement="plant"), [READING]))
     assert (tmp_path / "lines").read_bytes() == 2 * LINE.replace(b"modbus", b"plant")
-
-
-def test_fleets_describe_their_devices(tmp_path: Path) -> None:
-    """Points with states are text, also those of devices that were added later."""
-
-    async def go() -> None:
-        points = RegisterMap([Point("level", "holding_registers", 0, states={1: "open"})])
-        output = Influx(str(tmp_path / "lines"))
-        first = DeviceConfig("a", "tcp://127.0.0.1:1", points, interval=60)
-        async with Fleet([first], outputs=[output]) as fleet:
-            fleet.add([DeviceConfig("b", "tcp://127.0.0.1:1", points)])
-            lines = output._protocol.lines([READING._replace(device="b", name="level", value=7)])
-        assert lines.startswith(b'modbus,device=b level="7" ')
-
-    asyncio.run(go())
 
 
 def test_without_httpx_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
