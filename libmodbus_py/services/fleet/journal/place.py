@@ -39,10 +39,8 @@ class _Journal(Protocol):
 
 class JournalPlace(Buffer):
     """
-    The readings of a journal behind the last one that an output has confirmed, `waiting` in number.
-
-    What was taken and not confirmed is taken again in the next run of the program. `confirmed` is
-    the id of the last reading that the output has confirmed; it never falls.
+    The readings of a journal behind the last one that an output has `confirmed`, an id that never
+    falls; what was taken and not confirmed is taken again in the next run.
     """
 
     def __init__(self, name: str, journal: _Journal, confirmed: int, waiting: int) -> None:
@@ -140,18 +138,14 @@ MOST_WAITING = 500_000
 
 
 class RecentPolls:
-    """
-    The newest polls of a run. Their ids follow each other without a gap.
-
-    `last` is the last id that was added, `taken` the last one that was taken for the file, or
-    dropped before it could be; `dropped` counts those.
-    """
+    """The newest polls of a run, whose ids follow each other without a gap."""
 
     def __init__(self, last: int) -> None:
         # The id of the first reading -> the poll.
         self._polls: OrderedDict[int, JournalPoll] = OrderedDict()
         self._size = 0
         self.last: int = last
+        # The last id that was taken for the file, or dropped before it could be.
         self.taken: int = last
         self.dropped: int = 0
 
@@ -175,10 +169,7 @@ class RecentPolls:
                 self.dropped += len(oldest.readings)
 
     def after(self, number: int, most: int) -> list[JournalPoll] | None:
-        """
-        Return about so many readings behind an id, in polls; None if the next poll is not in
-        memory.
-        """
+        """Return about so many readings behind an id; None if the next one is not in memory."""
         found: list[JournalPoll] = []
         count = 0
         if number < self.before:

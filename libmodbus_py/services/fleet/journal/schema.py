@@ -187,9 +187,8 @@ MARGIN = 10_000_000
 
 def first_id(now: float, last: int) -> int:
     """
-    Return the first id of a run in a journal with this last id, 0 if it is new.
-
-    It is the time in microseconds, so that a journal in place of a deleted one has greater ids.
+    Return the first id of a run behind a last id, 0 if there is none: the time in microseconds, so
+    that a journal in place of a deleted one has greater ids.
     """
     return max(int(now * 1e6), last + MARGIN if last else 1)
 

@@ -46,8 +46,7 @@ ACCEPTED_STATUS, REFUSED = 204, (400, 413, 422)
 
 class Influx:
     """
-    Writes readings in the line protocol of InfluxDB: one line for each poll of a device, with its
-    labels as tags and its points as fields. Telegraf and other databases read it, too.
+    Writes readings in the line protocol of InfluxDB, which Telegraf and other databases read, too.
 
     The arguments are the keys of fleet files: `path` for a file or "-", which is the default, or
     `url` of a server, with `database` for InfluxDB 1 and `bucket` for InfluxDB 2.
@@ -221,15 +220,11 @@ RESERVED = ("time", "_time", "_measurement", "_field", "_value", "_start", "_sto
 
 class LineProtocol:
     """
-    Writes a line for each poll of a device: the tags are the device and its labels, and each point
-    is a field.
+    Writes a line for each poll of a device, such as
+    ``modbus,device=north,site=Halle voltage=230.5,power=1200 1700000000000000000``.
 
-    ``modbus,device=north,site=Halle voltage=230.5,power=1200 1700000000000000000``
-
-    Numbers are floats, because a field has one type for good in InfluxDB. So a point with named
-    states is text, also where a number has no name.
-
-    Source: the line protocol of InfluxDB 1.x and 2.x.
+    A field has one type for good in InfluxDB: numbers are floats, and a point with named states is
+    text, also where a number has no name.
     """
 
     def __init__(self, measurement: object) -> None:

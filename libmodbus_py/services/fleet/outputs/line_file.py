@@ -31,10 +31,8 @@ CHUNK_BYTES = 1 << 20
 
 class Format(NamedTuple):
     """
-    A format of lines: a name, what makes lines of readings, and the first bytes of each file.
-
-    These are a header, which an empty file gets, or the beginning of each line. A line does not end
-    within a text that is enclosed by `quote`.
+    A format of lines. Each file begins with `begin`, the header or the beginning of each line; text
+    that is enclosed by `quote` may have several lines.
     """
 
     name: str

@@ -45,16 +45,9 @@ class Mqtt:
     """
     Publishes each reading to its own topic, or, if `topic` has no {name}, each poll of a device.
 
-    The topic `status` contains "online" while this output is connected, and "offline" otherwise,
-    which the broker publishes when the connection is lost (last will). Several workers have one
-    status: it is "online" while one of them is connected.
-
-    When the connection is established again, the last values are published again, because a broker
-    that was restarted may have lost them.
-
-    The arguments are the keys of fleet files. `max_message` is the most bytes of a message, 1024 or
-    more; a larger poll is several. It cannot be used with messages that the broker retains, one for
-    a topic.
+    The arguments are the keys of fleet files. The last values are published again after each
+    connection, because a broker that was restarted may have lost them. Several workers have one
+    `status`, which is "online" while one of them is connected.
     """
 
     def __init__(

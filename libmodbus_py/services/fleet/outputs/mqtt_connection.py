@@ -131,10 +131,7 @@ class MqttConnection:
     async def publish_all(
         self, messages: Iterator[Message], qos: int, *, retain: bool, unused: str
     ) -> None:
-        """
-        Publish messages; return when the broker has all, also with QoS 0. Nothing subscribes to
-        `unused`.
-        """
+        """Publish; return when the broker has all, also with QoS 0. `unused` is a free filter."""
         assert self._listening is not None
         task = self._begin(self._publish_all(messages, qos, retain, unused))
         try:

@@ -100,16 +100,13 @@ State = tuple[str, bool]
 
 
 class DeviceStates:
-    """
-    The devices that answer: at least one of their points was read, or refused, the last time.
-
-    `published` has their states at the broker, without those of removed devices.
-    """
+    """The devices that answer: one of their points was read, or refused, the last time."""
 
     def __init__(self, topic: Topic) -> None:
         self._topic = topic
         # Device -> its points that were answered the last time.
         self._answered: dict[str, set[str]] = {}
+        # Their states at the broker, without those of removed devices.
         self.published: dict[str, State] = {}
 
     def changed(self, readings: Sequence[Reading]) -> dict[str, State]:

@@ -31,10 +31,8 @@ class Levels:
 
     def read(self, level: str) -> str | None:
         """
-        Return the name of a level; None if `spell` returns no such level.
-
-        A broker compares levels, not names: if ``n%6Frth`` were taken for ``north``, a rule that
-        denies ``north`` would not hold.
+        Return the name of a level; None if `spell` returns no such level: if ``n%6Frth`` were taken
+        for ``north``, a rule of a broker that denies ``north`` would not hold.
         """
         if len(level) > 12 * _LONGEST:
             return None
