@@ -412,55 +412,36 @@ def test_an_output_gets_what_memory_has_dropped_when_it_is_in_the_file(
     assert len(found) == 20
 
 
-class Forced:
-    """
-    Takes half a second to force the disk, in simulated time.
-
-    Attributes:
-        written: the last id of each transaction, and `forced` that of each forced one, with times.
-    """
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.written: list[tuple[int, float]] = []
-        self.forced: list[tuple[int, float]] = []
-        write, forced, call = JournalFile.write, self.forced, Inline.call
-
-        def writing(file: Any, polls: Any, *others: Any) -> Any:
-            if polls:
-                self.written.append((polls[-1].last, asyncio.get_running_loop().time()))
-            return write(file, polls, *others)
-
-        async def slowly(thread: Any, function: Any, *arguments: Any) -> Any:
-            if getattr(function, "__name__", "") != "force":
-                return await call(thread, function, *arguments)
-            last, _ = self.written[-1]
-            await asyncio.sleep(0.5)
-            forced.append((last, asyncio.get_running_loop().time()))
-            return None
-
-        monkeypatch.setattr(JournalFile, "write", writing)
-        monkeypatch.setattr(Inline, "call", slowly)
-
-
 def test_each_poll_is_forced_onto_the_disk_although_none_follows(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    forced = Forced(monkeypatch)
+    calls: list[tuple[str, float]] = []
+    call = Inline.call
+
+    async def slowly(thread: Any, function: Any, *arguments: Any) -> Any:
+        if function.__name__ == "force":  # one poll comes while the disk is being forced
+            await asyncio.sleep(0.5)
+        if function.__name__ == "force" or arguments[:1] not in ((), ([],)):
+            calls.append((function.__name__, asyncio.get_running_loop().time()))
+        return await call(thread, function, *arguments)
+
+    monkeypatch.setattr(Inline, "call", slowly)
 
     async def go() -> None:
         journal = Journal(path)
         await journal.open([])
         for at in range(4):
             journal.put(readings("a", float(at)))
-            await asyncio.sleep(0.45)  # one comes while the disk is being forced
+            await asyncio.sleep(0.45)
         await asyncio.sleep(5)
         await journal.close()
 
     simulated_run(go())
-    assert len(forced.written) == 4
-    for last, written in forced.written:
-        at = min(time for number, time in forced.forced if number >= last)
-        assert at - written <= 0.5 + 0.5 + 0.01  # until it begins, and what the disk takes
+    written = [at for name, at in calls if name == "write"]
+    assert len(written) == 4
+    for each in written:
+        forced = min(at for name, at in calls if name == "force" and at > each)
+        assert forced - each <= 0.5 + 0.5 + 0.01  # until it begins, and what the disk takes
 
 
 def test_what_was_written_is_forced_although_later_writes_fail(
