@@ -17,7 +17,8 @@ from tests.services.fleet.fleets import simulated_run
 from tests.services.fleet.fleets import until as until_really
 from tests.services.fleet.outputs.brokers import Broker, run
 from tests.services.fleet.outputs.test_mqtt_status import text
-from tests.services.fleet.outputs.test_refused_readings import Distant, until
+from tests.services.fleet.outputs.test_unwritable_readings import Distant
+from tests.services.fleet.outputs.test_unwritable_readings import until_later as until
 from tests.support.outputs import pumping
 
 
