@@ -19,9 +19,6 @@ __all__ = ["JournalPlace", "RecentPolls"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-MOST_POLLS = 100
-"""Polls that `polls` returns: what a suspected poll is compared with."""
-
 NOTING_S = 1.0
 """Seconds after which an output that confirmed readings goes on although the disk is slow."""
 
@@ -111,10 +108,6 @@ class JournalPlace(Buffer):
     @property
     def _is_at_end(self) -> bool:
         return self._is_closed and self._fetched >= self._journal.last
-
-    async def polls(self, most: int) -> list[list[Reading]]:
-        """Return the readings of the first polls, which are not taken."""
-        return await super().polls(min(most, MOST_POLLS))
 
     async def _fetch(self, most: int) -> bool:
         self._filled.clear()

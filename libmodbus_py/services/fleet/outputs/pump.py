@@ -40,6 +40,9 @@ LONGEST_SILENCE_S = 1.0
 # Connections that end at a poll, each right after another one was accepted, before it is dropped.
 MOST_LOSSES = 3
 
+# The polls behind it that are tried in turn.
+MOST_OTHERS = 100
+
 
 class Pump:
     """Writes the readings that wait for an output, in a journal or in a buffer of its own."""
@@ -147,7 +150,7 @@ class Pump:
             self._suspect = None
         elif others:
             at = self._at % len(others)
-            self._at = at + 1  # if it is lost, too, the next time it is another
+            self._at = (at + 1) % MOST_OTHERS  # if it is lost, too, the next time it is another
             await self._output.write(others[at])
             self._at = at
             self._has_accepted = True
