@@ -92,7 +92,11 @@ class Mqtt:
         self._state_topic: Topic | None = None
         if plain_topic("device_status", device_status):
             self._state_topic = Topic("device_status", device_status, ("device",))
-            self._check_state_topic(self._state_topic)
+            point = self._point.template
+            others = [self._topic.template, self._status, f"{point}/set", f"{point}/set/result"]
+            if any(self._state_topic.can_be(each) for each in others):
+                reason = f"must not be another topic of this output: {device_status!r}"
+                raise WrongValue("device_status", reason)
         self._states = DeviceStates(self._state_topic) if self._state_topic else None
         self._retain = retain
         self._qos = integer("qos", qos, 0, 1)
@@ -114,16 +118,6 @@ class Mqtt:
         self._connection = MqttConnection(server, user, password, ca, client_id, self._offline)
         # Connections in a row that were lost while last values were published again.
         self._losses = 0
-
-    def _check_state_topic(self, states: Topic) -> None:
-        commands = [f"{self._point.template}{each}" for each in ("/set", "/set/result")]
-        for others, of in (
-            ([self._topic.template, *commands], "a reading"),
-            ([self._status], "the status"),
-        ):
-            if any(states.can_be(each) for each in others):
-                reason = f"must not be the topic of {of}: {states.template!r}"
-                raise WrongValue("device_status", reason)
 
     @property
     def identity(self) -> str:
