@@ -30,10 +30,9 @@ from libmodbus_py.protocol.framing import (
 )
 from libmodbus_py.security.role import RoleError, decode_role, encode_role, role_of
 from libmodbus_py.services.fleet import files as fleet_files
-from libmodbus_py.services.fleet.devices_csv import keys_in, opened
 from libmodbus_py.services.gateway import config as gateway_file
 from libmodbus_py.tools.files import map_file
-from libmodbus_py.tools.files.texts import FileError, read_toml
+from libmodbus_py.tools.files.texts import read_toml
 from libmodbus_py.tools.listener.separator import LineFraming, Separator
 from libmodbus_py.tools.listener.transaction import Heard
 
@@ -198,8 +197,8 @@ FILES: dict[str, Callable[[str], list[Exception]]] = {
 
 
 def _devices(text: str) -> list[dict[str, Any]]:
-    table = opened(text, fleet_files.DEVICE, FileError)
-    return [keys_in(table, row, fleet_files.DEVICE) for row in table.rows()]
+    table = fleet_files.table_of(text)
+    return [fleet_files.keys_in(table, row) for row in table.rows()]
 
 
 def _mistakes(read: Callable[[], object]) -> list[Exception]:

@@ -3,8 +3,7 @@ Polls many devices, each at its interval, and writes the readings to outputs.
 
 From the fleet file to the wire, and back::
 
-    files          fleet files in TOML
-      devices_csv  ... and devices in CSV, for thousands
+    files          fleet files in TOML, with devices in CSV for thousands
     config         the options of a device: DeviceConfig; also as JSON; and the table [engine]
     fleet          polls devices and passes readings to outputs: Fleet
       poller       one device: its polls and its state; and the connection that devices share

@@ -8,10 +8,11 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from functools import lru_cache, partial
 from typing import Any, Literal, get_args
+from weakref import WeakValueDictionary
 
 from ...client.options import CheckedOptions
 from ...maps.point import Point
@@ -41,6 +42,9 @@ __all__ = [
 # fmt: on
 
 LONGEST_NAME = 100
+
+MOST_PLANS = 64
+"""Plans for different sets of points of a kind of device that are kept."""
 
 OWN_LABELS = ("device", "name", "unit")
 """Labels of metrics that are not those of a device."""
@@ -75,6 +79,7 @@ class DeviceConfig:
     Attributes:
         endpoint: the connection, as parsed from the URL.
         connection_key: devices with the same key share a connection.
+        reads: the points that are read, and the requests for them.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range; the message begins with
@@ -98,6 +103,7 @@ class DeviceConfig:
     zone: str = ""
     endpoint: Endpoint = field(init=False, repr=False, compare=False)
     connection_key: str = field(init=False, repr=False, compare=False)
+    reads: Reads = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         change = partial(object.__setattr__, self)
@@ -114,15 +120,15 @@ class DeviceConfig:
             )
         if not isinstance(self.map, RegisterMap):
             raise WrongType("map", f"must be a RegisterMap, not {type(self.map).__name__}")
-        if next(_readable(self.map), None) is None:
+        points = [each for each in self.map.values() if each.access != "write"]
+        if not points:
             raise WrongValue.about("map", "the map has no point that can be read")
-        points = (each.name for each in _readable(self.map))
-        change("items", _names("items", self.items, "point", points))
-        groups = (each.group for each in _readable(self.map) if each.group)
+        change("items", _names("items", self.items, "point", (each.name for each in points)))
+        groups = (each.group for each in points if each.group)
         change("groups", _names("groups", self.groups, "group", groups))
         integer("gap", self.gap, 0, 2000)
         integer("max_registers", self.max_registers, 1, 125)
-        self.plan()
+        change("reads", _reads_of(self))
         seconds("interval", self.interval, SHORTEST_INTERVAL, LONGEST_INTERVAL)
         if self.timeout is not None:
             seconds("timeout", self.timeout)
@@ -144,35 +150,58 @@ class DeviceConfig:
     @property
     def names(self) -> tuple[str, ...]:
         """The names of the points that are read."""
-        if not self.groups:
-            return self.items or tuple(each.name for each in _readable(self.map))
-        of_groups = [name for group in self.groups for name in self.map.group(group)]
-        return tuple(dict.fromkeys([*self.items, *of_groups]))
+        return self.reads.names
 
-    def plan(self, names: Iterable[str] | None = None) -> PointPlan:
-        """
-        Return the requests of a poll.
 
-        Args:
-            names: of points; None for all that are read.
+class Reads:
+    """The points of a kind of device, and the requests for them; thousands of devices share one."""
 
-        Raises:
-            ValueError: a value has more registers than `max_registers`.
-        """
-        try:
-            wanted = self.names if names is None else names
-            return self.map.plan(wanted, gap=self.gap, max_registers=self.max_registers)
-        except ValueError as error:
-            raise WrongValue.about("max_registers", f"{error}") from None
+    __slots__ = ("__weakref__", "_limits", "_map", "_plans", "intervals", "names", "plan", "units")
+
+    def __init__(self, config: DeviceConfig) -> None:
+        points = [each for each in config.map.values() if each.access != "write"]
+        if config.items or config.groups:
+            of_groups = [each.name for each in points if each.group in config.groups]
+            names = dict.fromkeys([*config.items, *of_groups])
+            points = [config.map[name] for name in names]
+        self.names: tuple[str, ...] = tuple(each.name for each in points)
+        self.units: tuple[str, ...] = tuple(each.units for each in points)
+        self.intervals: tuple[float | None, ...] = tuple(each.interval for each in points)
+        self._map, self._limits = config.map, (config.gap, config.max_registers)
+        self._plans: dict[tuple[int, ...], PointPlan] = {}
+        self.plan: PointPlan = self._plan(self.names)
+
+    def plan_of(self, due: tuple[int, ...] | None) -> PointPlan:
+        """Return the requests that read the points with some indexes; None for all."""
+        if due is None:
+            return self.plan
+        if due not in self._plans:
+            if len(self._plans) == MOST_PLANS:
+                self._plans.clear()
+            self._plans[due] = self._plan([self.names[at] for at in due])
+        return self._plans[due]
+
+    def _plan(self, names: Sequence[str]) -> PointPlan:
+        gap, most = self._limits
+        with inside("max_registers"):
+            return self._map.plan(names, gap=gap, max_registers=most)
+
+
+_READS: WeakValueDictionary[tuple[Any, ...], Reads] = WeakValueDictionary()
+
+
+def _reads_of(config: DeviceConfig) -> Reads:
+    """Return what devices with the same map and the same points share, as long as one uses it."""
+    key = (id(config.map), config.items, config.groups, config.gap, config.max_registers)
+    reads = _READS.get(key)
+    if reads is None:
+        reads = _READS[key] = Reads(config)
+    return reads
 
 
 def label_name(key: str) -> str:
     """Return the name that a label has in Prometheus: other characters are written _ there."""
     return re.sub(r"^(?=\d)|\W", "_", key, flags=re.ASCII)
-
-
-def _readable(points: RegisterMap) -> Iterator[Point]:
-    return (each for each in points.values() if each.access != "write")
 
 
 def _names(key: str, given: object, kind: str, known: Iterable[str]) -> tuple[str, ...]:

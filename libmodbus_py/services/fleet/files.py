@@ -3,7 +3,9 @@ Fleet files: devices and outputs, described in TOML.
 
 ``examples/fleet.toml`` of the source tree has every key once, explained. In short::
 
-    devices                     a file of devices in CSV, see `devices_csv`
+    devices                     a file of devices in CSV: a row for each device; the headings are
+                                keys of [[device]], and labels.NAME; several items are separated by
+                                semicolons; for an empty cell the default is used
     [defaults]                  keys of devices, used where a device does not set them
     [[device]]                  as `DeviceConfig`; map is a file, columns are as for `load_map`;
                                 instead there may be [[device.point]] tables, with the keys of
@@ -20,6 +22,7 @@ from __future__ import annotations
 
 import os
 import re
+import reprlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -39,15 +42,12 @@ from ...protocol.mistakes import (
     path_text,
     placed,
 )
-from ...tools.files.csv_text import CsvRow, CsvText
+from ...tools.files.csv_text import CELLS, CsvRow, CsvText, number_in
 from ...tools.files.map_file import POINT, load_map
 from ...tools.files.schema import (
     REQUIRED,
-    Check,
     Key,
     Keys,
-    in_bytes,
-    in_seconds,
     keys_of,
     table,
     tables,
@@ -56,17 +56,19 @@ from ...tools.files.texts import FileError, FilePlace, line_of, load_file, read_
 from ...tools.simulator.example_files import map_file
 from ..other_servers import SecretFile
 from .config import ENGINE, DeviceConfig, misfits
-from .devices_csv import keys_in, opened, place_in
-from .journal.journal import KEEP_BOUNDS, SIZE_BOUNDS, Journal
+from .journal.journal import Journal
 from .outputs.output import KINDS, Output, file_at, made, output_keys, shared, used
 
-__all__ = ["DEVICE", "FILE", "FleetFile", "FleetFileError", "load"]
+__all__ = ["DEVICE", "FILE", "FleetFile", "FleetFileError", "keys_in", "load", "table_of"]
 
 # Keys whose values must not be written in the fleet file, which many can read.
 SECRET = ("password", "token")
 
 MOST_MISTAKES = 20
 """Mistakes in the devices of a file that are reported at once: about a page."""
+
+LABEL = "labels."
+"""Columns with labels begin with this in CSV."""
 
 _NAME = re.compile(r"\$\{(\w*)\}")
 
@@ -144,7 +146,7 @@ class _Origin(NamedTuple):
         mistake = placed(error, ())
         if self.text is None or self.row is None:
             return mistake.under(self.path)
-        found = FleetFileError.of(mistake, place_in(self.text, self.row, mistake.path))
+        found = FleetFileError.of(mistake, _place_in(self.text, self.row, mistake.path))
         return found.in_file(self.file).under(self.path)
 
 
@@ -197,13 +199,13 @@ class _Reader:
         with inside("devices"):
             content, note = read_table(path, FleetFileError)
         try:
-            text = opened(content, DEVICE, FleetFileError)
+            text = table_of(content)
             skipped = f"rows above the headings that are skipped: {text.skipped}"
             notes = [note, skipped if text.skipped else ""]
             self._notes += [f"{path}: {each}" for each in notes if each]
             for row in text.rows():
                 origin = _Origin(("devices",), str(path), text, row)
-                self._add(origin, partial(keys_in, text, row, DEVICE), path.parent)
+                self._add(origin, partial(keys_in, text, row), path.parent)
         except FleetFileError as error:
             self._mistakes.append(error.in_file(str(path)).under(("devices",)))
 
@@ -248,10 +250,21 @@ class _Reader:
     # --- journal and outputs ----------------------------------------------------------------
 
     def _journal(self, given: Mapping[str, Any]) -> dict[str, str]:
-        keys = {name: given[key] for key, name in JOURNAL.items() if key in given}
-        if keys and "path" not in keys:
-            raise WrongValue("journal", "is missing: the journal that keep and journal_size limit")
-        return {**keys, "path": str(self._folder / keys["path"])} if keys else {}
+        """Return the arguments of the journal, which is made to check them."""
+        names = {"keep": "keep", "journal_size": "size"}
+        keys = {name: given[key] for key, name in names.items() if key in given}
+        if "journal" not in given:
+            if keys:
+                raise WrongValue("journal", "is missing; keep and journal_size are about it")
+            return {}
+        keys["path"] = str(self._folder / given["journal"])
+        try:
+            Journal(**keys)
+        except Mistake as error:
+            raise error.renamed(
+                ("journal_size",) if error.path == ("size",) else error.path
+            ) from None
+        return keys
 
     def _outputs(self, given: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
         found = [
@@ -319,6 +332,51 @@ def _keys_of_table(given: dict[str, Any]) -> dict[str, Any]:
     return keys
 
 
+# --- devices in CSV ----------------------------------------------------------------------
+
+
+def table_of(text: str) -> CsvText:
+    """Return devices in CSV; raise a FleetFileError if it is none, or a heading is wrong."""
+    columns = [key.name for key in DEVICE.values() if key.kind in CELLS or key.name == "map"]
+
+    def is_column(heading: str) -> bool:
+        return heading in columns or heading.startswith(LABEL)
+
+    found = CsvText(text, is_column, FleetFileError, names_first=True)
+    headings = found.head.cells
+    for at, heading in enumerate(headings):
+        reason = ""
+        if heading and not is_column(heading):
+            allowed = ", ".join([*columns, f"{LABEL}NAME"])
+            reason = f"no such column: {reprlib.repr(heading)}; allowed are {allowed}"
+        elif heading and heading in headings[:at]:
+            reason = f"two columns {heading}"
+        if reason:
+            raise FleetFileError((), reason, place=FilePlace(line=found.head.line))
+    return found
+
+
+def keys_in(text: CsvText, row: CsvRow) -> dict[str, Any]:
+    """Return the keys of the device in a row; raise a WrongValue with the path of a key."""
+    found: dict[str, Any] = {}
+    for heading, cell in zip(text.head.cells, text.cells(row), strict=False):
+        if not (heading and cell):
+            continue
+        if heading.startswith(LABEL):
+            found.setdefault("labels", {})[heading.removeprefix(LABEL)] = cell
+            continue
+        with inside(heading):
+            read = CELLS.get(DEVICE[heading].kind, str)
+            found[heading] = read(text.number_cell(cell) if read is number_in else cell)
+    return found
+
+
+def _place_in(text: CsvText, row: CsvRow, path: Path) -> FilePlace:
+    """Return the line and the column of a key of the device in a row."""
+    heading = ".".join(map(str, path[:2])) if path[:1] == ("labels",) else str(*path[:1])
+    return FilePlace(line=row.line, column=heading if heading in text.head.cells else "")
+
+
 # --- the keys ----------------------------------------------------------------------------
 
 
@@ -326,16 +384,6 @@ def _file_name(path: Path, given: object) -> str:
     if not isinstance(given, str) or not given:
         raise WrongType(path, f"must be the name of a file, not {given!r}")
     return given
-
-
-def _amount(check: Callable[..., object], bounds: tuple[str, str]) -> Check:
-    """Return a check that leaves an amount such as "90 days" as it is."""
-
-    def checked(path: Path, given: object) -> object:
-        check(path, given, *bounds)
-        return given
-
-    return checked
 
 
 def _points(path: Path, given: object) -> RegisterMap:
@@ -380,15 +428,11 @@ TABLE = (DEVICE | Keys([COLUMNS, POINTS])).optional()
 
 DEFAULTS = (DEVICE.but("name") | Keys([COLUMNS])).optional()
 
-JOURNAL: dict[str, str] = {"journal": "path", "keep": "keep", "journal_size": "size"}
-"""Keys of the file -> arguments of `Journal`."""
-
 # fmt: off
 FILE = Keys([
     Key("journal", _file_name, "a file that keeps readings for outputs that are away"),
-    Key("keep", _amount(in_seconds, KEEP_BOUNDS),
-        "how long the journal keeps readings, such as 90 days"),
-    Key("journal_size", _amount(in_bytes, SIZE_BOUNDS), "the size of the journal, such as 2 GB"),
+    Key("keep", text="how long the journal keeps readings, such as 90 days"),
+    Key("journal_size", text="the size of the journal, such as 2 GB"),
     Key("devices", _file_name, "a file of devices in CSV"),
     Key("defaults", DEFAULTS.read, "defaults of the keys of devices"),
     Key("device", tables, "a table for each device: [[device]]"),

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-import weakref
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from hashlib import blake2b
 from os import PathLike
@@ -20,7 +19,7 @@ from .config import DeviceConfig, checked
 from .files import load
 from .journal.journal import Journal
 from .outputs.output import Output
-from .poller import DeviceState, FleetLine, MayAsk, Poller, Reads, offline
+from .poller import DeviceState, FleetLine, MayAsk, Poller, offline
 from .readings import MOST_KEPT, Buffer
 from .receivers import Receivers
 from .statistics import FleetStatistics
@@ -103,10 +102,6 @@ class Fleet:
         self._receivers = Receivers(outputs, journal, self.statistics)
         self._lines: dict[str, FleetLine] = {}
         self._pollers: dict[str, Poller] = {}
-        # What devices with the same map and the same points share, as long as one uses it.
-        self._reads: weakref.WeakValueDictionary[tuple[Any, ...], Reads] = (
-            weakref.WeakValueDictionary()
-        )
         self._closing: set[asyncio.Task[None]] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
         # True to poll each device once; the devices that are still to be polled then.
@@ -265,7 +260,7 @@ class Fleet:
 
     def _begin(self, device: DeviceConfig) -> None:
         assert self._loop is not None
-        poller = self._pollers[device.name] = Poller(device, self._reads_of(device))
+        poller = self._pollers[device.name] = Poller(device)
         self._line_of(device).pollers[device.name] = poller
         self.statistics.devices += 1
         now = self._loop.time()
@@ -304,13 +299,6 @@ class Fleet:
             )
         return self._lines[key]
 
-    def _reads_of(self, device: DeviceConfig) -> Reads:
-        key = (id(device.map), device.items, device.groups, device.gap, device.max_registers)
-        reads = self._reads.get(key)
-        if reads is None:
-            reads = self._reads[key] = Reads(device)
-        return reads
-
     # --- polls ----------------------------------------------------------------------------------
 
     def _poll_at(self, poller: Poller, at: float) -> None:
@@ -346,9 +334,6 @@ class Fleet:
         statistics.polls += 1
         statistics.failures += poller.misses > 0
         statistics.refusals += poller.is_refused
-        for each in poller.news:
-            logger.warning("%s: cannot be read: %s", poller.name, each)
-        poller.news.clear()
         if poller.state is not before:
             self._count(before, -1)
             self._count(poller.state, 1)
@@ -421,9 +406,4 @@ class Fleet:
             with inside(name):
                 wanted[name] = json_value(points[name], wanted[name])
         line = self._lines[poller.config.connection_key]
-        client = line.client_of(poller).for_unit(poller.unit)
-        if points.scale_sources(wanted) or any(points[name].is_part for name in wanted):
-            # More is asked than what is known before: a scale, or whether function 22 is there.
-            await client.write_map(points, wanted)
-        else:
-            await client.execute_many(points.writes(wanted), max_in_flight=1)
+        await line.client_of(poller).for_unit(poller.unit).write_map(points, wanted)

@@ -19,21 +19,20 @@ from ...client.asynchronous import AsyncClient
 from ...client.reconnecting import State
 from ...maps.holes import Holes, PartialAnswer, Unreadable, is_refusal, reading
 from ...maps.plan import unreadable_of
-from ...maps.point_plan import PointPlan
 from ...maps.watched import PointIntervals, Totals
 from ...protocol.errors import ModbusConnectionError, ModbusError
+from ...protocol.logs import HarmlessLogger
 from ..line import FairQueue, LineRequest, SharedLine, rest_after
-from .config import DeviceConfig
+from .config import DeviceConfig, Reads
 from .readings import Changes, Reading, classified, is_down
 from .statistics import FleetStatistics
 
-__all__ = ["DeviceState", "FleetLine", "MayAsk", "Poller", "Reads", "offline"]
+__all__ = ["DeviceState", "FleetLine", "MayAsk", "Poller", "offline"]
+
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 LONGEST_REST_S = 60.0
 """The time between two trials of a device that does not answer, unless its interval is longer."""
-
-MOST_PLANS = 64
-"""Plans for different sets of points of a kind of device that are kept."""
 
 MayAsk = Callable[[str], bool]
 
@@ -44,31 +43,6 @@ class DeviceState(Enum):
     NEW = "new"
     UP = "up"
     DOWN = "down"
-
-
-class Reads:
-    """The points and requests of a kind of device; thousands of devices share one object."""
-
-    __slots__ = ("__weakref__", "_config", "_plans", "intervals", "names", "plan", "units")
-
-    def __init__(self, config: DeviceConfig) -> None:
-        self.plan: PointPlan = config.plan()
-        self.names: tuple[str, ...] = config.names
-        points = [config.map[name] for name in self.names]
-        self.units: tuple[str, ...] = tuple(each.units for each in points)
-        self.intervals: tuple[float | None, ...] = tuple(each.interval for each in points)
-        self._config = config
-        self._plans: dict[tuple[int, ...], PointPlan] = {}
-
-    def plan_of(self, due: tuple[int, ...] | None) -> PointPlan:
-        """Return the requests that read the points with some indexes; None for all."""
-        if due is None:
-            return self.plan
-        if due not in self._plans:
-            if len(self._plans) == MOST_PLANS:
-                self._plans.clear()
-            self._plans[due] = self._config.plan([self.names[at] for at in due])
-        return self._plans[due]
 
 
 class Poller(LineRequest):
@@ -86,29 +60,26 @@ class Poller(LineRequest):
             before.
         since: since when the device is up or down, in seconds since the epoch; 0 if NEW.
         rest_until: when the next request may be sent to the device.
-        news: sentences about points that the device was found to refuse, until they are logged.
     """
 
     __slots__ = (
         *("_answers", "_changes", "_due", "_first", "_first_error", "_holes", "_is_answered"),
         *("_outcomes", "_pace", "_plan", "_requests", "_steps", "_time", "_totals"),
-        *("answered_at", "at", "config", "error", "name", "news", "reads", "rest_until"),
+        *("answered_at", "at", "config", "error", "name", "reads", "rest_until"),
         *("since", "state", "timer"),
     )
 
-    def __init__(self, config: DeviceConfig, reads: Reads) -> None:
+    def __init__(self, config: DeviceConfig) -> None:
         super().__init__(config.unit)
         self.config: DeviceConfig = config
         self.name: str = config.name
-        self.reads: Reads = reads
+        self.reads: Reads = config.reads
         self.at: float = 0.0
         self.timer: Any = None
         self.answered_at: float = 0.0
         self.rest_until: float = 0.0
-        self.news: list[str] = []
-        self._pace = (
-            PointIntervals(reads.intervals, config.interval) if any(reads.intervals) else None
-        )
+        own = self.reads.intervals
+        self._pace = PointIntervals(own, config.interval) if any(own) else None
         self._due: tuple[int, ...] | None = None
         self._holes = Holes()
         self._first = 0  # the index of the request of a plan that is asked first
@@ -192,7 +163,7 @@ class Poller(LineRequest):
 
     def _search(self) -> Sequence[Any]:
         """Begin to leave out what is refused; return the first requests."""
-        tell = self.news.append
+        tell = partial(logger.warning, "%s: cannot be read: %s", self.name)
         self._steps = reading(self._plan.blocks, self._holes, *self._time, tell=tell)
         return next(self._steps)
 

@@ -13,7 +13,7 @@ from ...client.asynchronous import AsyncClient
 from ...protocol.errors import ModbusError
 from ...protocol.framing import Frame, make_framer
 from .config import DeviceConfig, by_connection
-from .poller import Poller, Reads
+from .poller import Poller
 
 __all__ = ["Tried", "overloads", "trying"]
 
@@ -61,12 +61,12 @@ def _characters(device: DeviceConfig) -> dict[float, float]:
     framing = device.endpoint.framing
     framer = make_framer(framing, "client")
     silence = SILENCE if framing == "rtu" else 0.0
-    names: defaultdict[float, list[str]] = defaultdict(list)
-    for name in device.names:
-        names[device.map[name].interval or device.interval].append(name)
-    found = dict.fromkeys(names, 0.0)
-    for interval, some in names.items():
-        requests: Any = device.plan(some).requests
+    points: defaultdict[float, list[int]] = defaultdict(list)
+    for at, own in enumerate(device.reads.intervals):
+        points[own or device.interval].append(at)
+    found = dict.fromkeys(points, 0.0)
+    for interval, due in points.items():
+        requests: Any = device.reads.plan_of(tuple(due)).requests
         for each in requests:
             for pdu in (each.encode(), each.encode_response([0] * each.count)):
                 found[interval] += len(framer.encode(Frame(device.unit, pdu))) + silence
@@ -109,7 +109,7 @@ async def _try_line(
 
 async def _try(client: AsyncClient, device: DeviceConfig) -> Tried:
     now = asyncio.get_running_loop().time
-    start, poller = now(), Poller(device, Reads(device))
+    start, poller = now(), Poller(device)
     unit = client.for_unit(device.unit, timeout=device.timeout)
     poller.begin()
     while poller.request is not None:

@@ -15,7 +15,7 @@ from libmodbus_py import Device, Mapping, Point, RegisterMap, Server
 from libmodbus_py.fleet import DeviceConfig, Fleet, Reading
 from libmodbus_py.services.fleet.config import devices_from_json, devices_to_json
 from libmodbus_py.services.fleet.outputs.forms import as_json
-from libmodbus_py.services.fleet.poller import Poller, Reads
+from libmodbus_py.services.fleet.poller import Poller
 from libmodbus_py.services.fleet.readings import classified
 from tests.support.cases import each_case
 
@@ -46,7 +46,7 @@ class Polls:
     """A device that is polled, one answer after the other."""
 
     def __init__(self) -> None:
-        self._poller = Poller(DEVICE, Reads(DEVICE))
+        self._poller = Poller(DEVICE)
 
     def readings(self, *cells: int) -> list[Reading]:
         self._poller.begin()

@@ -17,7 +17,7 @@ from libmodbus_py import Fleet, ModbusTimeoutError, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.fleet.config import devices_from_json, devices_to_json
 from libmodbus_py.services.fleet.files import FleetFileError, load
-from libmodbus_py.services.fleet.poller import DeviceState, Poller, Reads
+from libmodbus_py.services.fleet.poller import DeviceState, Poller
 from libmodbus_py.services.fleet.trial import overloads
 from tests.services.fleet.fleets import while_polled
 from tests.simulation.network import Network
@@ -45,7 +45,7 @@ class Polled:
 
     def __init__(self, **options: Any) -> None:
         device = config(**options)
-        self.poller = Poller(device, Reads(device))
+        self.poller = Poller(device)
         self.cells = {0: 230, 10: 100, 20: 7, 21: 8}
         self.asked: list[int] = []
         self.now = 1000.0

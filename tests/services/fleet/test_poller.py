@@ -12,7 +12,7 @@ import pytest
 from libmodbus_py import IllegalDataAddress, ModbusTimeoutError, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.maps.point_plan import PointPlan
-from libmodbus_py.services.fleet.poller import DeviceState, Poller, Reads
+from libmodbus_py.services.fleet.poller import DeviceState, Poller
 
 NAMES = ("a", "b", "c")
 MAP = RegisterMap(
@@ -25,7 +25,7 @@ REFUSED = IllegalDataAddress()
 
 def poller_of(**options: Any) -> Poller:
     config = DeviceConfig("meter", "tcp://192.0.2.1", MAP, **options)
-    return Poller(config, Reads(config))
+    return Poller(config)
 
 
 @pytest.fixture
@@ -53,7 +53,6 @@ def test_a_new_device_has_no_state(poller: Poller) -> None:
     assert poller.submitted is None
     assert not poller.is_trial
     assert not poller.is_refused
-    assert not poller.news
     assert not poller.unreadable
     assert poller.withdrawn(1.0) == []
 
@@ -182,7 +181,7 @@ def test_ids_go_up_from_the_first(poller: Poller) -> None:
 def test_plans_for_sets_of_points_are_made_once_and_bounded() -> None:
     """Points with intervals of their own may be due together in thousands of sets."""
     points = RegisterMap(Point(f"p{at}", "holding_registers", at) for at in range(8))
-    reads = Reads(DeviceConfig("meter", "tcp://192.0.2.1", points))
+    reads = DeviceConfig("meter", "tcp://192.0.2.1", points).reads
     known: list[weakref.ref[PointPlan]] = []
     for number in range(1, 256):
         due = tuple(at for at in range(8) if number >> at & 1)
