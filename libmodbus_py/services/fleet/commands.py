@@ -30,7 +30,7 @@ LONGEST_BYTES = 4096
 
 
 class Wanted(NamedTuple):
-    """A command: the value, its id (repeated in the outcome), and why it is invalid, if it is."""
+    """A command: the value, its id, which the outcome repeats, and why it is invalid, if it is."""
 
     value: Any = None
     id: str | int | None = None
@@ -38,10 +38,7 @@ class Wanted(NamedTuple):
 
 
 def wanted_of(data: bytes) -> Wanted:
-    """
-    Read a command: a value in JSON (21.5, true, [1, 2], "text"), or an object with `value` and
-    optionally `id`.
-    """
+    """Read a command: a value in JSON, or an object with `value` and optionally `id`."""
     if len(data) > LONGEST_BYTES:
         return Wanted(problem=f"it must have at most {LONGEST_BYTES} bytes, not {len(data)}")
     try:
@@ -79,19 +76,15 @@ class Writing(Protocol):
 
 class Commands:
     """
-    Carries out writes and returns their outcomes: ``{"ok": true}``, or ``{"ok": false, "error":
-    "setpoint: value must be in 10..30, not 99"}``, with the time.
+    Carries out writes and returns their outcomes.
 
-    Values are checked before anything is sent. Writes to one device are carried out in the order in
-    which they came, each after the last attempt of the one before. More than 32 at once are
-    refused.
-
-    Attributes:
-        refusal: returns why commands to a device are refused; None if they are carried out here,
-            and "" if they are answered elsewhere.
+    Writes to one device are carried out in the order in which they came, each after the last
+    attempt of the one before.
     """
 
     def __init__(self, fleet: Writing) -> None:
+        # Returns why commands to a device are refused; None if they are carried out here, and "" if
+        # they are answered elsewhere.
         self.refusal: Callable[[str], str | None] = lambda device: None
         self._fleet = fleet
         self._count = 0
@@ -99,10 +92,7 @@ class Commands:
         self._turns: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
     async def answer(self, device: str, name: str, wanted: Wanted) -> dict[str, Any] | None:
-        """
-        Write a value, and return the outcome as an object for JSON; None if the command is
-        answered elsewhere.
-        """
+        """Write a value; return the outcome for JSON, None if the command is answered elsewhere."""
         problem = self._problem(device, name, wanted)
         if problem == "":
             problem = await self._in_turn(device, name, wanted)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from functools import lru_cache, partial
 from typing import Any, Literal, get_args
@@ -23,15 +23,7 @@ from ...ports.endpoint import Endpoint, parse
 from ...ports.port import make_port
 from ...protocol.checks import integer, number, seconds
 from ...protocol.json_text import json_text
-from ...protocol.mistakes import (
-    Mistake,
-    Path,
-    WrongType,
-    WrongValue,
-    inside,
-    item,
-    named_arguments,
-)
+from ...protocol.mistakes import Mistake, WrongType, WrongValue, inside, item, named_arguments
 from ...tools.files.schema import Key, Keys, flag, one_of, whole
 
 # fmt: off
@@ -226,7 +218,7 @@ def _table(key: str, given: object) -> Mapping[str, Any]:
     return given
 
 
-def _check_text(name: str | Path, value: object, least: int) -> None:
+def _check_text(name: str | tuple[str, ...], value: object, least: int) -> None:
     if not isinstance(value, str):
         raise WrongType(name, f"must be text, not {type(value).__name__}")
     if not least <= len(value) <= LONGEST_NAME or not value.isprintable():
@@ -254,35 +246,32 @@ def by_connection(devices: Iterable[DeviceConfig]) -> dict[str, list[DeviceConfi
     return found
 
 
-def misfits(
-    devices: Iterable[DeviceConfig], called: Callable[[int], str]
-) -> Iterator[tuple[int, Mistake]]:
+def misfits(devices: Iterable[DeviceConfig]) -> Iterator[tuple[int, Mistake]]:
     """
     Yield the index and the mistake of each device that does not fit to those before it: the same
-    name, or other options for the same host and port or serial port. `called` names a device.
+    name, or other options for the same host and port or serial port.
     """
-    names: dict[str, int] = {}
-    lines: dict[str, tuple[int, Endpoint]] = {}
+    names: set[str] = set()
+    lines: dict[str, DeviceConfig] = {}
     for at, device in enumerate(devices):
-        first = names.setdefault(device.name, at)
-        if first != at:
-            reason = f"{device.name!r} is also the name of {called(first)}"
+        if not isinstance(device, DeviceConfig):
+            raise TypeError(f"devices[{at}] must be a DeviceConfig, not {type(device).__name__}")
+        if device.name in names:
+            reason = f"{device.name!r} is also the name of another device"
             yield at, WrongValue.about("name", reason)
-        first, endpoint = lines.setdefault(device.connection_key, (at, device.endpoint))
-        # Equal URLs have mostly the same object, whose text need not be made then.
-        if endpoint is not device.endpoint and endpoint.url != device.endpoint.url:
-            reason = f"{called(first)} has other options for the same connection: {endpoint.url}"
+        names.add(device.name)
+        first = lines.setdefault(device.connection_key, device)
+        url = first.endpoint.url
+        # Equal URLs have mostly the same object, whose text need not be compared.
+        if first.endpoint is not device.endpoint and url != device.endpoint.url:
+            reason = f"{first.name!r} has other options for the same connection: {url}"
             yield at, WrongValue.about("url", reason)
 
 
 def checked(devices: Iterable[DeviceConfig]) -> list[DeviceConfig]:
     """Return the devices of one fleet as a list; raise the first of their `misfits`."""
     found = list(devices)
-    for at, device in enumerate(found):
-        if not isinstance(device, DeviceConfig):
-            reason = f"must be a DeviceConfig, not {type(device).__name__}"
-            raise WrongType(("devices", at), reason)
-    for at, mistake in misfits(found, "devices[{}]".format):
+    for at, mistake in misfits(found):
         raise mistake.under(("devices", at))
     return found
 

@@ -28,7 +28,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from os import PathLike
 from pathlib import Path as FilePath
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 from ...maps.point_plan import scale_mistakes
 from ...maps.register_map import RegisterMap
@@ -44,14 +44,7 @@ from ...protocol.mistakes import (
 )
 from ...tools.files.csv_text import CELLS, CsvRow, CsvText, number_in
 from ...tools.files.map_file import POINT, load_map
-from ...tools.files.schema import (
-    REQUIRED,
-    Key,
-    Keys,
-    keys_of,
-    table,
-    tables,
-)
+from ...tools.files.schema import REQUIRED, Key, Keys, keys_of, table, tables
 from ...tools.files.texts import FileError, FilePlace, line_of, load_file, read_table, read_toml
 from ...tools.simulator.example_files import map_file
 from ..other_servers import SecretFile
@@ -129,25 +122,11 @@ def load(path: str | PathLike[str]) -> FleetFile:
         raise
 
 
-class _Origin(NamedTuple):
-    """The place of a device: its table; or the key that names a CSV file, the file, and its row."""
-
-    path: Path
-    file: str = ""
-    text: CsvText | None = None
-    row: CsvRow | None = None
-
-    def __str__(self) -> str:
-        line = f": {self.file}, line {self.row.line}" if self.row else ""
-        return f"{path_text(self.path)}{line}"
-
-    def of(self, error: Exception) -> Mistake:
-        """Return an error about the device with its place in the file."""
-        mistake = placed(error, ())
-        if self.text is None or self.row is None:
-            return mistake.under(self.path)
-        found = FleetFileError.of(mistake, _place_in(self.text, self.row, mistake.path))
-        return found.in_file(self.file).under(self.path)
+def _of_row(path: FilePath, text: CsvText, row: CsvRow, error: Exception) -> Mistake:
+    """Return an error about a row of the file of devices with its place there."""
+    mistake = placed(error, ())
+    found = FleetFileError.of(mistake, _place_in(text, row, mistake.path))
+    return found.in_file(str(path)).under(("devices",))
 
 
 class _Reader:
@@ -162,7 +141,8 @@ class _Reader:
         self._notes: list[str] = []
         self._defaults: dict[str, Any] = {}
         self._devices: list[DeviceConfig] = []
-        self._origins: list[_Origin] = []
+        # For each device: returns an error about it with its place in the file.
+        self._places: list[Callable[[Exception], Mistake]] = []
         self._mistakes: list[Mistake] = []
 
     def parse(self, text: str) -> FleetFile:
@@ -171,11 +151,11 @@ class _Reader:
         given = FILE.read((), read_toml(text))
         self._defaults = given.get("defaults", {})
         for at, raw in enumerate(given.get("device", [])):
-            self._add(_Origin(("device", at)), partial(_keys_of_table, raw), self._folder)
+            place = partial(placed, around=("device", at))
+            self._add(place, partial(_keys_of_table, raw), self._folder)
         if "devices" in given:
             self._add_rows(self._folder / given["devices"])
-        for at, mistake in misfits(self._devices, lambda at: str(self._origins[at])):
-            self._mistakes.append(self._origins[at].of(mistake))
+        self._mistakes += (self._places[at](error) for at, error in misfits(self._devices))
         if self._mistakes:
             raise self._mistakes[0]
         if not self._devices:
@@ -204,22 +184,27 @@ class _Reader:
             notes = [note, skipped if text.skipped else ""]
             self._notes += [f"{path}: {each}" for each in notes if each]
             for row in text.rows():
-                origin = _Origin(("devices",), str(path), text, row)
-                self._add(origin, partial(keys_in, text, row), path.parent)
+                place = partial(_of_row, path, text, row)
+                self._add(place, partial(keys_in, text, row), path.parent)
         except FleetFileError as error:
             self._mistakes.append(error.in_file(str(path)).under(("devices",)))
 
-    def _add(self, origin: _Origin, keys: Callable[[], dict[str, Any]], folder: FilePath) -> None:
+    def _add(
+        self,
+        place: Callable[[Exception], Mistake],
+        keys: Callable[[], dict[str, Any]],
+        folder: FilePath,
+    ) -> None:
         """Add a device, or the mistake in it."""
         if len(self._mistakes) == MOST_MISTAKES:
             return
         try:
             device = self._device(keys(), folder)
         except (TypeError, ValueError) as error:
-            self._mistakes.append(origin.of(error))
+            self._mistakes.append(place(error))
         else:
             self._devices.append(device)
-            self._origins.append(origin)
+            self._places.append(place)
 
     def _device(self, given: dict[str, Any], folder: FilePath) -> DeviceConfig:
         """Return the device of some keys, with the defaults; labels are merged."""

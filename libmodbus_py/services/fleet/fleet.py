@@ -261,7 +261,12 @@ class Fleet:
     def _begin(self, device: DeviceConfig) -> None:
         assert self._loop is not None
         poller = self._pollers[device.name] = Poller(device)
-        self._line_of(device).pollers[device.name] = poller
+        key = device.connection_key
+        if key not in self._lines:
+            self._lines[key] = FleetLine(
+                device, self._may_ask, self.statistics, self._polled, self._poll_soon
+            )
+        self._lines[key].pollers[device.name] = poller
         self.statistics.devices += 1
         now = self._loop.time()
         interval = poller.interval
@@ -291,14 +296,6 @@ class Fleet:
         closing.add_done_callback(self._closing.discard)
         return line
 
-    def _line_of(self, device: DeviceConfig) -> FleetLine:
-        key = device.connection_key
-        if key not in self._lines:
-            self._lines[key] = FleetLine(
-                device, self._may_ask, self.statistics, self._polled, self._poll_soon
-            )
-        return self._lines[key]
-
     # --- polls ----------------------------------------------------------------------------------
 
     def _poll_at(self, poller: Poller, at: float) -> None:
@@ -318,42 +315,35 @@ class Fleet:
         self._lines[poller.config.connection_key].due(poller, planned)
 
     def _polled(self, poller: Poller, before: DeviceState | None) -> None:
+        """Report a poll that is over; `before` is None if nothing was sent."""
         if before is not None:
             now = time.time()
             self._count_poll(poller, before, now)
             self._receivers.put(poller.readings(now, self._receivers.next_id))
-            if poller.misses:
-                self._let_rest(poller)
+            assert self._loop is not None
+            until = self._loop.time() + poller.pause
+            if poller.misses and poller.at < until and not self._once:
+                self._poll_at(poller, next_time(poller.at, poller.interval, until)[0])
         self._unpolled.discard(poller.name)
         self._end_if_all_polled()
 
     def _count_poll(self, poller: Poller, before: DeviceState, now: float) -> None:
         statistics = self.statistics
-        if not poller.misses:
-            poller.answered_at = now
         statistics.polls += 1
         statistics.failures += poller.misses > 0
         statistics.refusals += poller.is_refused
+        if not poller.misses:
+            poller.answered_at = now
         if poller.state is not before:
             self._count(before, -1)
             self._count(poller.state, 1)
             poller.since = now
-            if poller.state is DeviceState.DOWN:
-                logger.info("%s is down: %s", poller.name, poller.error)
-            else:
-                logger.info("%s is up", poller.name)
+            why = f": {poller.error}" if poller.misses else ""
+            logger.info("%s is %s%s", poller.name, poller.state.value, why)
 
     def _count(self, state: DeviceState, by: int) -> None:
-        if state is DeviceState.UP:
-            self.statistics.up += by
-        elif state is DeviceState.DOWN:
-            self.statistics.down += by
-
-    def _let_rest(self, poller: Poller) -> None:
-        assert self._loop is not None
-        until = self._loop.time() + poller.pause
-        if not self._once and poller.at < until:
-            self._poll_at(poller, next_time(poller.at, poller.interval, until)[0])
+        self.statistics.up += by * (state is DeviceState.UP)
+        self.statistics.down += by * (state is DeviceState.DOWN)
 
     def _poll_soon(self, poller: Poller) -> None:
         """Poll a device at the next of its times, because it need not rest any more."""

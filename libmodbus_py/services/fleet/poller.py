@@ -38,7 +38,7 @@ MayAsk = Callable[[str], bool]
 
 
 class DeviceState(Enum):
-    """The state of a device."""
+    """NEW until the first poll of a device is over."""
 
     NEW = "new"
     UP = "up"
@@ -49,17 +49,9 @@ class Poller(LineRequest):
     """
     A device of a fleet: its current poll, its state, and what was reported of it.
 
-    Attributes:
-        request: of the current poll; None when no poll is under way.
-        state: NEW until its first poll is over.
-        error: the first error of the last poll, or that of a point that was left out; None if all
-            points were read.
-        at: when the device is polled next, or was polled last; set by its fleet, as is `timer`.
-        misses: polls in a row without an answer.
-        answered_at: when the last poll that was answered was over, in seconds since the epoch; 0
-            before.
-        since: since when the device is up or down, in seconds since the epoch; 0 if NEW.
-        rest_until: when the next request may be sent to the device.
+    `error` is the first of the last poll; None if all points were read. The fleet sets `timer` and
+    `at`, when the device is polled next; `answered_at` and `since`, in seconds since the epoch, are
+    when it was last answered and since when it is up or down; 0 before.
     """
 
     __slots__ = (
@@ -242,12 +234,8 @@ class FleetLine(SharedLine[Poller]):
     """
     Polls the devices of one connection in the order in which they are due.
 
-    A device that is down is tried when no other waits, one at a time; such a trial costs others no
-    more than one of their own answers takes.
-
-    Args:
-        on_polled: called after each poll with the state before it; None if it was not sent.
-        on_back: called with each device that was down because there was no connection.
+    `on_polled` is called after each poll with the state before it, None if it was not sent;
+    `on_back` with each device that was down because there was no connection.
     """
 
     def __init__(
@@ -309,7 +297,6 @@ class FleetLine(SharedLine[Poller]):
             self.ask(each, now)
 
     def _note_state(self, state: State, error: ModbusError | None) -> None:
-        if state is State.CONNECTED:
-            for each in self.pollers.values():
-                if isinstance(each.error, ModbusConnectionError):
-                    self._on_back(each)
+        for each in self.pollers.values() if state is State.CONNECTED else ():
+            if isinstance(each.error, ModbusConnectionError):
+                self._on_back(each)

@@ -92,11 +92,7 @@ def reason_of(error: Exception) -> str:
 
 
 def classified(value: Any) -> tuple[Any, Quality, str]:
-    """
-    Return value, quality and reason of a reading, for a value of a plan or the error in its place.
-
-    A value that is not finite is none: JSON has no word for it.
-    """
+    """Return value, quality and reason of a reading, for a value or the error in its place."""
     if isinstance(value, Exception):
         return None, "down" if is_down(value) else "bad", reason_of(value)
     if isinstance(value, float) and not math.isfinite(value):
@@ -119,11 +115,9 @@ def _lack(item: Any) -> str:
 
 class Changes:
     """
-    Picks the values of one device that are reported.
-
-    An error is reported once, when it begins; the first good value after it is reported always. A
-    good value is reported if it differs by more than the band of its point from the last one
-    reported; None is any change with `on_change`, and every value without.
+    Picks the values of one device that are reported: an error when it begins, the first good value
+    after it, and others that differ from the last one by more than the band of the point; without
+    a band, all.
     """
 
     __slots__ = ("_bands", "_has_errors", "_is_filtering", "_last", "_reasons")
@@ -131,8 +125,8 @@ class Changes:
     def __init__(self, on_change: bool, bands: Sequence[float | None]) -> None:
         self._bands = [0.0 if band is None and on_change else band for band in bands]
         self._is_filtering = any(band is not None for band in self._bands)
-        # What was reported last of each point: a good value, and the reason of an error; None for
-        # the reason before anything was reported.
+        # The good value that was reported last of each point, and the reason of its error since:
+        # None before anything was reported.
         self._last: list[Any] = [None] * len(bands)
         self._reasons: list[str | None] = [None] * len(bands)
         self._has_errors = True
@@ -180,13 +174,10 @@ MOST_KEPT = 100_000
 
 class Buffer(AsyncIterator[Reading]):
     """
-    A queue of up to `most` readings for one consumer, which may iterate over it. Adding readings
-    never blocks: the oldest are dropped beyond.
+    A queue of up to `most` readings for one consumer, which may iterate over it. The oldest are
+    dropped beyond; `dropped` counts these, and readings that can never be written.
 
     A place in a journal (`JournalPlace`) is a buffer that fetches readings from the journal.
-
-    Attributes:
-        dropped: number of readings that were lost, or can never be written.
     """
 
     def __init__(self, most: int = MOST_KEPT) -> None:

@@ -106,9 +106,7 @@ class Receivers:
             waiting.cancel()
 
     async def stop(self, closing: Collection[asyncio.Task[None]], *, is_patient: bool) -> None:
-        """
-        Let the outputs write what waits, only until a failure if patient, and close the journal.
-        """
+        """Let the outputs write what waits, until a failure if patient, and close the journal."""
         for buffer in self._iterated:
             buffer.close()
         for pump in self._pumps:

@@ -72,9 +72,7 @@ def _points(devices: Mapping[str, Poller]) -> Iterator[ShownPoint]:
 
 
 class ShownFleet:
-    """
-    A fleet with a `PageOutput`, for a page; `older` finds readings that are not in memory any more.
-    """
+    """A fleet with a `PageOutput`, for a page; `older` finds readings of its journal."""
 
     kind = "fleet"
     log: Log | None = None
@@ -110,17 +108,15 @@ class ShownFleet:
     def _destinations(self) -> list[DestinationRow]:
         """Return the outputs, but not the page and metrics of this program; and the journal."""
         found = self._fleet.statistics
-        rows = [
-            DestinationRow(
-                *("output", name, each.trouble, each.trouble_since),
-                (f"{each.waiting:,}", "waiting"),
-            )
-            for name, each in found.outputs.copy().items()
-            if name not in (PageOutput.name, LastValues.name)
-        ]
+        rows = []
+        for name, each in found.outputs.copy().items():
+            if name not in (PageOutput.name, LastValues.name):
+                waiting = [f"{each.waiting:,}", "waiting"]
+                row = DestinationRow("output", name, waiting, each.trouble, each.trouble_since)
+                rows.append(row)
         if found.journal is not None:
-            amount = (f"{found.journal.bytes / 1e6:.1f}", "MB")
-            rows.append(DestinationRow("", "journal", found.journal.trouble, 0, amount))
+            size = [f"{found.journal.bytes / 1e6:.1f}", "MB"]
+            rows.append(DestinationRow("", "journal", size, found.journal.trouble))
         return rows
 
     def series(self, name: tuple[str, str], column: str) -> Series | None:
@@ -132,9 +128,9 @@ class DestinationRow(NamedTuple):
 
     kind: str
     name: str
+    amount: list[str]
     trouble: str
-    trouble_since: float
-    amount: tuple[str, str]
+    since: float = 0
 
     @property
     def words(self) -> str:
@@ -145,9 +141,10 @@ class DestinationRow(NamedTuple):
         return bool(self.trouble)
 
     def cells(self) -> list[Any]:
-        since = round(self.trouble_since, 1) if self.trouble else 0
-        state = ["fails" if self.trouble else "works", cell_text(self.trouble), since]
-        return [[self.kind, cell_text(self.name)], state, [*self.amount], None, "", "", 0]
+        state = ["works", "", 0]
+        if self.trouble:
+            state = ["fails", cell_text(self.trouble), round(self.since, 1)]
+        return [[self.kind, cell_text(self.name)], state, self.amount, None, "", "", 0]
 
 
 class PollerRow:
@@ -199,10 +196,7 @@ MAX_TEXT_CHARACTERS = 60
 
 
 def fleet_lines(fleet: Fleet, kept: KeptReadings, title: str) -> list[tuple[str, bool]]:
-    """
-    Return the title, the devices that are down, since when and why, and the values; each line with
-    True if it is bold.
-    """
+    """Return the title, the devices that are down and the values, each with True if bold."""
     lines = []
     for poller in fleet.devices.values():
         if poller.state is DeviceState.DOWN:

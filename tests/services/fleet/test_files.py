@@ -243,11 +243,11 @@ SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
             7,
             "device[0].point[0].address must be in 0..65535",
         ),
-        (SIMPLE + SIMPLE, 6, "device[1].name: 'a' is also the name of device[0]"),
+        (SIMPLE + SIMPLE, 6, "device[1].name: 'a' is also the name of another"),
         (
             SIMPLE + SIMPLE.replace('"a"', '"b"').replace("//h", "//h?timeout=3"),
             7,
-            "device[1].url: device[0] has other options for the same connection: tcp://h:502",
+            "device[1].url: 'a' has other options for the same connection: tcp://h:502",
         ),
         ("[defaults]\nname = 'x'\n" + SIMPLE, 2, "defaults.name: no such key"),
         (
@@ -328,7 +328,7 @@ ROWS = "name,url,unit,map\na,tcp://h,1,meter.csv\n"
         (ROWS + "b,tcp://i,1,none.csv\n", "line 3, column map: map: cannot read"),
         (
             ROWS + "\n# x\na,tcp://i,1,meter.csv\n",
-            "line 5, column name: name: 'a' is also the name of devices: ",
+            "line 5, column name: name: 'a' is also the name of another device",
         ),
         (ROWS + "b,tcp://i,1,meter.csv,more\n", "line 3: 5 cells below 4 headings"),
         (ROWS + 'b,"tcp\n', "line 3: invalid CSV"),

@@ -315,7 +315,7 @@ def test_what_cannot_be_changes_nothing() -> None:
     async def go() -> None:
         async with Peer() as peer, polling(meter("a", peer.url)) as (fleet, _):
             for bad, text in (
-                (meter("a", peer.url, unit=5), "'a' is also the name of devices"),
+                (meter("a", peer.url, unit=5), "'a' is also the name of another"),
                 (
                     meter("b", f"{peer.url}?timeout=3", unit=5),
                     "has other options for",
