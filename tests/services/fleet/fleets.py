@@ -8,13 +8,16 @@ import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import asynccontextmanager, suppress
 from contextvars import ContextVar
+from functools import partial
 from typing import Any, Self, TypeVar
 
 from libmodbus_py import Device, Fleet, Mapping, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig, Reading
 from tests.simulation.network import Network
-from tests.simulation.sockets import MemorySocket
+from tests.simulation.scripted import Scripted, Write
+from tests.support.peers import mbap
 from tests.support.scripted import all_accepted
+from tests.support.talk import rtu
 
 METER = RegisterMap(
     [
@@ -114,27 +117,30 @@ class Peer:
 
     Args:
         answer: gives the bytes to send for a request, in its own time; None for nothing.
-
-    Attributes:
-        requests: all that came, and `times` when.
-        connections: all that were made.
     """
 
     def __init__(self, answer: Answer | None = None) -> None:
         self._answer = answer or good
-        self.requests: list[bytes] = []
-        self.times: list[float] = []
-        self.connections: list[Connection] = []
         self._tasks: set[asyncio.Task[None]] = set()
         self._network = NETWORK.get()
+
+    @property
+    def requests(self) -> list[bytes]:
+        return self._peer.requests
+
+    @property
+    def connections(self) -> list[Any]:
+        return self._peer.ends
 
     @property
     def units(self) -> list[int]:
         return [request[6] for request in self.requests]
 
     async def __aenter__(self) -> Self:
-        self.url: str = self._network.listen("tcp://10.9.0.1:0", self._accept)
-        self.port: int = int(self.url.rpartition(":")[2])
+        # What comes is noted while the loop waits, so that it must be woken.
+        wake = partial(asyncio.get_running_loop().call_soon_threadsafe, self._take)
+        self._peer = Scripted(self._network, "tcp://10.9.0.1:0", wake)
+        self.url: str = self._peer.url
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -145,78 +151,14 @@ class Peer:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
-    def _accept(self, end: MemorySocket, address: tuple[str, int]) -> None:
-        self.connections.append(Connection(end, self._take))
-
-    def _take(self, connection: Connection, request: bytes) -> None:
-        self.requests.append(request)
-        self.times.append(self._network.events.now)
-        task = asyncio.create_task(self._reply(request, connection))
+    def _take(self, request: bytes, write: Write) -> None:
+        task = asyncio.create_task(self._reply(request, write))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _reply(self, request: bytes, connection: Connection) -> None:
-        answer = await self._answer(request)
-        if answer is not None:
-            connection.write(answer)
-
-
-class Connection:
-    """A connection of a `Peer`, which cuts what comes into requests."""
-
-    def __init__(self, end: MemorySocket, take: Callable[[Connection, bytes], None]) -> None:
-        self._end = end
-        self._request_came = take
-        self._pending = bytearray()
-        self._unsent = bytearray()
-        self._loop = asyncio.get_running_loop()
-        self._loop.add_reader(end.fileno(), self._read)
-
-    def is_closing(self) -> bool:
-        return self._end.is_closed
-
-    def close(self) -> None:
-        if not self._end.is_closed:
-            self._loop.remove_reader(self._end.fileno())
-            self._loop.remove_writer(self._end.fileno())
-            self._end.close()
-
-    def write(self, data: bytes) -> None:
-        """Send bytes, as many at once as there is room for."""
-        self._unsent += data
-        self._send()
-
-    def _send(self) -> None:
-        try:
-            while self._unsent and not self._end.is_closed:
-                del self._unsent[: self._end.send(self._unsent)]
-        except BlockingIOError:
-            self._loop.add_writer(self._end.fileno(), self._send)
-            return
-        except OSError:
-            self.close()
-            return
-        if not self._end.is_closed:
-            self._loop.remove_writer(self._end.fileno())
-
-    def _read(self) -> None:
-        try:
-            data = self._end.recv(1 << 16)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if not data:
-            self.close()
-            return
-        self._pending += data
-        while len(self._pending) >= 6:
-            size = 6 + int.from_bytes(self._pending[4:6], "big")
-            if len(self._pending) < size:
-                break
-            request = bytes(self._pending[:size])
-            del self._pending[:size]
-            self._request_came(self, request)
+    async def _reply(self, request: bytes, write: Write) -> None:
+        if (answer := await self._answer(request)) is not None:
+            write(answer)
 
 
 class RealPeer:
@@ -269,3 +211,84 @@ async def good(request: bytes) -> bytes:
     count = int.from_bytes(request[10:12], "big")
     body = bytes([request[6], 3, 2 * count]) + b"\0\7" * count
     return request[:4] + len(body).to_bytes(2, "big") + body
+
+
+# Two requests: the points are too far apart for one.
+MAP = RegisterMap([Point("near", "holding_registers", 0), Point("far", "holding_registers", 9)])
+ONE = RegisterMap([Point("near", "holding_registers", 0)])
+
+
+class Plant:
+    """
+    A fleet, and units whose registers hold their addresses, in simulated time.
+
+    Attributes:
+        asked: time, unit and address of each request.
+        silent: units that give no answer; `mute`: addresses that no unit answers.
+        refusing: units that refuse everything; `missing`: unit -> addresses that it refuses.
+        damaging: units whose answers have wrong check bytes.
+        delay: of each answer, in seconds; `delays`: of units of their own.
+    """
+
+    def __init__(self, url: str = "rtu:///dev/line", options: str = "?timeout=0.5") -> None:
+        self.network = Network(1)
+        self.asked: list[tuple[float, int, int]] = []
+        self.silent: set[int] = set()
+        self.mute: set[int] = set()
+        self.refusing: set[int] = set()
+        self.missing: dict[int, set[int]] = {}
+        self.damaging: set[int] = set()
+        self.delay = 0.02
+        self.delays: dict[int, float] = {}
+        self.peer = Scripted(self.network, url, self._answer)
+        self.url = self.peer.url + options
+        self.fleet: Fleet
+        self.readings: list[Reading] = []
+
+    def _answer(self, request: bytes, write: Write) -> None:
+        has_ids = self.url.startswith("tcp")
+        unit, body = (request[6], request[7:]) if has_ids else (request[0], request[1:-2])
+        address, count = (int.from_bytes(body[at : at + 2], "big") for at in (1, 3))
+        self.asked.append((self.now, unit, address))
+        cells = range(address, address + count)
+        if unit in self.silent or not self.mute.isdisjoint(cells):
+            return
+        pdu = bytes([3, 2 * count]) + b"".join(cell.to_bytes(2, "big") for cell in cells)
+        if unit in self.refusing or not self.missing.get(unit, set()).isdisjoint(cells):
+            pdu = b"\x83\x02"
+        answer = mbap(request, pdu) if has_ids else rtu(bytes([unit, *pdu]).hex())
+        if unit in self.damaging:
+            answer = answer[:-1] + bytes([answer[-1] ^ 1])
+        write(answer, self.delays.get(unit, self.delay))
+
+    @property
+    def now(self) -> float:
+        return self.network.events.now
+
+    def device(self, unit: int, points: RegisterMap = ONE, **options: Any) -> DeviceConfig:
+        given = {"interval": 1.0, "unit": unit, **options}
+        return DeviceConfig(f"device {unit}", self.url, points, **given)
+
+    def run(
+        self,
+        main: Callable[[], Awaitable[None]],
+        *devices: DeviceConfig,
+        may_ask: Callable[[str], bool] | None = None,
+    ) -> None:
+        async def whole() -> None:
+            self.fleet = Fleet(devices, may_ask=may_ask)
+            await while_polled(self.fleet, main, self.readings.append)
+
+        self.network.run(whole)
+
+    def units(self, since: float = 0.0) -> list[int]:
+        return [unit for at, unit, _ in self.asked if at >= since]
+
+    def times(self, unit: int) -> list[float]:
+        return [at for at, each, _ in self.asked if each == unit]
+
+    def taken(self, unit: int = 1) -> int:
+        """Return the number of requests to a unit since the last call, and forget them."""
+        count = len(self.times(unit))
+        self.asked = [each for each in self.asked if each[1] != unit]
+        return count

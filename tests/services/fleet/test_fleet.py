@@ -260,7 +260,7 @@ def test_replacing_touches_only_what_changed() -> None:
                 assert set(fleet.devices) == {"a", "b", "d"}
                 await until(lambda: 3 in one.units and three.requests)
                 assert len(one.connections) == 1
-                await until(lambda: two.connections[0].is_closing())
+                await until(lambda: two.connections[0].is_closed)
                 two.requests.clear()
                 one.requests.clear()
                 await until(lambda: len(one.requests) > 10)
@@ -281,7 +281,7 @@ def test_a_line_with_other_options_is_made_anew() -> None:
                 url = f"{peer.url}?timeout=2"
                 fleet.replace([meter("a", url), meter("b", url, unit=2)])
                 await until(lambda: len(peer.connections) == 2 and fleet.statistics.up == 2)
-                await until(lambda: peer.connections[0].is_closing())
+                await until(lambda: peer.connections[0].is_closed)
                 assert fleet.statistics.devices == 2
 
     simulated_run(go())

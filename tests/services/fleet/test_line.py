@@ -5,98 +5,17 @@ Devices that share a line, in simulated time: whose poll is next, and what a sil
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
 from itertools import pairwise
-from typing import Any
 
 import pytest
 
 from libmodbus_py import Fleet, Point, RegisterMap
-from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services import line as shared_line
 from libmodbus_py.services.fleet.fleet import first_time
 from libmodbus_py.services.fleet.poller import DeviceState
-from tests.services.fleet.fleets import while_polled
-from tests.simulation.network import Network
-from tests.simulation.scripted import Scripted, Write
+from tests.services.fleet.fleets import MAP, Plant
+from tests.simulation.scripted import Write
 from tests.support.talk import rtu
-
-# Two requests: the points are too far apart for one.
-MAP = RegisterMap([Point("near", "holding_registers", 0), Point("far", "holding_registers", 9)])
-ONE = RegisterMap([Point("near", "holding_registers", 0)])
-
-TIMEOUT = 0.5
-
-
-class Plant:
-    """
-    A fleet on a line with units that answer each request after `delay`, if at all.
-
-    Attributes:
-        asked: time, unit and address of each request.
-        silent: units that give no answer.
-        mute: addresses that no unit answers.
-        damaging: units whose answers have wrong check bytes.
-    """
-
-    def __init__(self, url: str = "rtu:///dev/line", options: str = "?timeout=0.5") -> None:
-        self.network = Network(1)
-        self.asked: list[tuple[float, int, int]] = []
-        self.silent: set[int] = set()
-        self.mute: set[int] = set()
-        self.refusing: set[int] = set()
-        self.damaging: set[int] = set()
-        self.delay = 0.02
-        self.delays: dict[int, float] = {}
-        self.peer = Scripted(self.network, url, self._answer)
-        self.url = self.peer.url + options
-        self.fleet: Fleet
-        self.readings: list[Any] = []
-
-    def _answer(self, request: bytes, write: Write) -> None:
-        has_ids = self.url.startswith("tcp")
-        unit, body = (request[6], request[7:]) if has_ids else (request[0], request[1:-2])
-        address = int.from_bytes(body[1:3], "big")
-        self.asked.append((self.now, unit, address))
-        if unit in self.silent or address in self.mute:
-            return
-        pdu = b"\x03\x02\x00" + bytes([unit])
-        if unit in self.refusing:
-            pdu = b"\x83\x02"
-        answer = rtu(bytes([unit, *pdu]).hex())
-        if has_ids:
-            answer = request[:4] + (len(pdu) + 1).to_bytes(2, "big") + bytes([unit]) + pdu
-        if unit in self.damaging:
-            answer = answer[:-1] + bytes([answer[-1] ^ 1])
-        write(answer, self.delays.get(unit, self.delay))
-
-    @property
-    def now(self) -> float:
-        return self.network.events.now
-
-    def device(self, unit: int, points: RegisterMap = ONE, **options: Any) -> DeviceConfig:
-        given = {"interval": 1.0, "unit": unit, **options}
-        return DeviceConfig(f"device {unit}", self.url, points, **given)
-
-    def run(
-        self,
-        main: Callable[[], Awaitable[None]],
-        *devices: DeviceConfig,
-        may_ask: Callable[[str], bool] | None = None,
-    ) -> None:
-        async def whole() -> None:
-            self.fleet = Fleet(devices, may_ask=may_ask)
-            await while_polled(
-                self.fleet, main, lambda reading: self.readings.append((self.now, reading))
-            )
-
-        self.network.run(whole)
-
-    def units(self, since: float = 0.0) -> list[int]:
-        return [unit for at, unit, _ in self.asked if at >= since]
-
-    def times(self, unit: int) -> list[float]:
-        return [at for at, each, _ in self.asked if each == unit]
 
 
 def gaps(times: list[float]) -> list[float]:
@@ -247,7 +166,7 @@ class TestSilentDevices:
             statistics = plant.fleet.statistics
             assert (statistics.up, statistics.down) == (0, 1)
             assert statistics.failures == statistics.polls
-            assert {reading.quality for _, reading in plant.readings} == {"down"}
+            assert {reading.quality for reading in plant.readings} == {"down"}
             plant.silent.clear()
             await asyncio.sleep(65)
             assert poller.state is DeviceState.UP
@@ -346,7 +265,7 @@ class TestSilentDevices:
             plant.silent.add(1)
             await asyncio.sleep(1.9)
             assert [address for *_, address in plant.asked] == [0]
-            assert [reading.quality for _, reading in plant.readings] == ["down", "down"]
+            assert [reading.quality for reading in plant.readings] == ["down", "down"]
 
         plant.run(main, plant.device(1, MAP))
 
@@ -567,5 +486,5 @@ def test_a_late_answer_to_a_line_whose_options_changed_is_no_answer_over_the_nex
             await asyncio.sleep(1.01)
 
     plant.run(main, plant.device(1, interval=0.01))
-    values = {(each.name, each.value) for _, each in plant.readings if each.value is not None}
+    values = {(each.name, each.value) for each in plant.readings if each.value is not None}
     assert values == {("near", 0), ("far", 9)}
