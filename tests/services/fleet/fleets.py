@@ -8,7 +8,7 @@ import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import asynccontextmanager, suppress
 from contextvars import ContextVar
-from functools import partial
+from functools import partial, wraps
 from typing import Any, Self, TypeVar
 
 from libmodbus_py import Device, Fleet, Mapping, Point, RegisterMap
@@ -94,6 +94,16 @@ def simulated_run(test: Coroutine[Any, Any, Result], network: Network | None = N
         return await asyncio.wait_for(test, LONGEST_SIMULATED)
 
     return network.run(main)
+
+
+def in_simulated_time(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
+    """Decorate a test that runs in simulated time."""
+
+    @wraps(test)
+    def run(*arguments: Any, **fixtures: Any) -> None:
+        simulated_run(test(*arguments, **fixtures))
+
+    return run
 
 
 def stand_still(seconds: float) -> None:

@@ -10,18 +10,17 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Fleet, Server
+from libmodbus_py import Fleet
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet import fleet as fleets
-from libmodbus_py.services.fleet.trial import overloads, trying
 from tests.services.fleet.fleets import (
     NETWORK,
     Peer,
     RealPeer,
     good,
+    in_simulated_time,
     meter,
     polling,
-    simulated,
     simulated_run,
     until,
 )
@@ -62,73 +61,66 @@ async def never(request: bytes) -> None:
     [flooding, doubled, garbage, of_another, short, late, never],
     ids=lambda f: f.__name__,
 )
-def test_a_device_of_bad_manners_costs_others_nothing(manners: Any) -> None:
-    async def go() -> None:
-        async with Peer(manners) as bad, Peer() as well:
-            devices = [
-                meter("bad", f"{bad.url}?timeout=0.1&max_pause=0.1"),
-                *(meter(f"good {unit}", well.url, unit=unit) for unit in range(1, 6)),
-            ]
-            async with polling(*devices) as (fleet, readings):
-                await until(lambda: len(bad.requests) >= 3 and len(well.requests) >= 25)
-                # Nothing wrong is taken for a value.
-                values = {each[2:6] for each in readings if each.quality == "good"}
-                assert values == {
-                    ("voltage", 0.7, "V", "good"),
-                    ("power", 7, "W", "good"),
-                    ("setpoint", 7, "C", "good"),
-                }
-                assert all(
-                    each.state.value == "up" and each.misses == 0
-                    for each in fleet.devices.values()
-                    if each.name != "bad"
-                )
-
-    simulated_run(go())
+@in_simulated_time
+async def test_a_device_of_bad_manners_costs_others_nothing(manners: Any) -> None:
+    async with Peer(manners) as bad, Peer() as well:
+        devices = [
+            meter("bad", f"{bad.url}?timeout=0.1&max_pause=0.1"),
+            *(meter(f"good {unit}", well.url, unit=unit) for unit in range(1, 6)),
+        ]
+        async with polling(*devices) as (fleet, readings):
+            await until(lambda: len(bad.requests) >= 3 and len(well.requests) >= 25)
+            # Nothing wrong is taken for a value.
+            values = {each[2:6] for each in readings if each.quality == "good"}
+            assert values == {
+                ("voltage", 0.7, "V", "good"),
+                ("power", 7, "W", "good"),
+                ("setpoint", 7, "C", "good"),
+            }
+            assert all(
+                each.state.value == "up" and each.misses == 0
+                for each in fleet.devices.values()
+                if each.name != "bad"
+            )
 
 
-def test_a_clock_that_is_set_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def go() -> None:
-        network = NETWORK.get()
-        now = network.time_of_day
-        async with Peer() as peer:
-            devices = [meter(f"{unit}", peer.url, unit=unit) for unit in range(1, 6)]
-            async with polling(*devices) as (fleet, readings):
-                await until(lambda: fleet.statistics.polls > 10)
-                for shift in (-1e6, 1e6):
-                    monkeypatch.setattr(fleets.time, "time", lambda shift=shift: now() + shift)
-                    before = fleet.statistics.polls
-                    await asyncio.sleep(1.0)
-                    assert 49 <= fleet.statistics.polls - before <= 51
-                    assert 0 <= now() + shift - readings[-1].time < 0.1
-            assert fleet.statistics.skipped == 0
-
-    simulated_run(go())
+@in_simulated_time
+async def test_a_clock_that_is_set_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    network = NETWORK.get()
+    now = network.time_of_day
+    async with Peer() as peer:
+        devices = [meter(f"{unit}", peer.url, unit=unit) for unit in range(1, 6)]
+        async with polling(*devices) as (fleet, readings):
+            await until(lambda: fleet.statistics.polls > 10)
+            for shift in (-1e6, 1e6):
+                monkeypatch.setattr(fleets.time, "time", lambda shift=shift: now() + shift)
+                before = fleet.statistics.polls
+                await asyncio.sleep(1.0)
+                assert 49 <= fleet.statistics.polls - before <= 51
+                assert 0 <= now() + shift - readings[-1].time < 0.1
+        assert fleet.statistics.skipped == 0
 
 
 @pytest.mark.parametrize("turns", [*range(0, 30, 3), 60, 100])
-def test_run_may_be_cancelled_at_any_time(turns: int) -> None:
+@in_simulated_time
+async def test_run_may_be_cancelled_at_any_time(turns: int) -> None:
     """After so many turns of the loop: nothing is left, neither tasks nor connections."""
-
-    async def go() -> None:
-        async with Peer() as peer:
-            devices = [meter(f"{unit}", peer.url, unit=unit, interval=0.01) for unit in range(1, 9)]
-            before = asyncio.all_tasks()
-            fleet = Fleet([*devices, meter("gone", "tcp://127.0.0.1:1")])
-            running = asyncio.create_task(fleet.run())
-            for _ in range(turns):
-                await asyncio.sleep(0)
-            running.cancel()
-            with pytest.raises(asyncio.CancelledError):
-                await running
-            count = len(peer.requests)
-            await asyncio.sleep(0.05)
-            assert len(peer.requests) <= count + 8  # what was on its way
-            assert asyncio.all_tasks() - before - peer._tasks == set()
-            async with fleet:  # it can be run again
-                await until(lambda: fleet.statistics.up == 8)
-
-    simulated_run(go())
+    async with Peer() as peer:
+        devices = [meter(f"{unit}", peer.url, unit=unit, interval=0.01) for unit in range(1, 9)]
+        before = asyncio.all_tasks()
+        fleet = Fleet([*devices, meter("gone", "tcp://127.0.0.1:1")])
+        running = asyncio.create_task(fleet.run())
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        running.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await running
+        count = len(peer.requests)
+        await asyncio.sleep(0.05)
+        assert len(peer.requests) <= count + 8  # what was on its way
+        assert asyncio.all_tasks() - before - peer._tasks == set()
+        async with fleet:  # it can be run again
+            await until(lambda: fleet.statistics.up == 8)
 
 
 def test_a_fork_leaves_the_parent_alone() -> None:
@@ -149,31 +141,28 @@ def test_a_fork_leaves_the_parent_alone() -> None:
     asyncio.run(asyncio.wait_for(go(), 60))
 
 
-def test_an_output_that_adds_and_removes_devices_while_it_is_told() -> None:
+@in_simulated_time
+async def test_an_output_that_adds_and_removes_devices_while_it_is_told() -> None:
     """Whoever sees a reading may change the fleet at once."""
+    async with Peer() as one, Peer() as two:
+        fleet = Fleet([meter("a", one.url)])
 
-    async def go() -> None:
-        async with Peer() as one, Peer() as two:
-            fleet = Fleet([meter("a", one.url)])
+        class Changing:
+            name = "changing"
 
-            class Changing:
-                name = "changing"
+            async def open(self) -> None: ...
 
-                async def open(self) -> None: ...
+            async def write(self, readings: list[Reading]) -> None:
+                if readings:
+                    url = two.url if readings[0].device == "a" else one.url
+                    fleet.replace([meter("b" if url == two.url else "a", url)])
 
-                async def write(self, readings: list[Reading]) -> None:
-                    if readings:
-                        url = two.url if readings[0].device == "a" else one.url
-                        fleet.replace([meter("b" if url == two.url else "a", url)])
+            async def close(self) -> None: ...
 
-                async def close(self) -> None: ...
-
-            fleet._receivers.outputs.append(Changing())
-            async with fleet:
-                await until(lambda: len(one.connections) > 5 and len(two.connections) > 5)
-            assert len(fleet.devices) == 0
-
-    simulated_run(go())
+        fleet._receivers.outputs.append(Changing())
+        async with fleet:
+            await until(lambda: len(one.connections) > 5 and len(two.connections) > 5)
+        assert len(fleet.devices) == 0
 
 
 def test_memory_for_a_device_is_small() -> None:
@@ -197,51 +186,3 @@ def test_memory_for_a_device_is_small() -> None:
 
 
 # --- before anything is polled ---------------------------------------------------------------
-
-
-def test_each_is_tried_once() -> None:
-    async def go() -> None:
-        async with (
-            Server({1: simulated()}).serving("tcp://127.0.0.1:0") as running,
-            Peer(never) as silent,
-        ):
-            devices = [
-                meter("good", running.urls[0]),
-                meter("dead", f"{silent.url}?timeout=0.1"),
-                meter("dead too", f"{silent.url}?timeout=0.1", unit=2),
-                meter("gone", "tcp://127.0.0.1:1"),
-            ]
-            found = {each.device.name: each async for each in trying(devices)}
-            assert found["good"].problem == ""
-            assert found["good"].requests == 1
-            assert "no answer within 0.1 s" in found["dead"].problem
-            assert "refused" in found["gone"].problem
-            assert len(found) == 4
-
-    simulated_run(go())
-
-
-@pytest.mark.parametrize(
-    ("url", "interval", "expected"),
-    [
-        # Of a frame of 8 bytes, one of 5 + 6, and 7 characters of silence, 11 bits each.
-        ("rtu:///dev/x?baudrate=9600&parity=E", 0.05, ""),
-        ("rtu:///dev/x?baudrate=9600&parity=E", 0.02, "at 9600: 0.0298 s of requests each 0.02 s"),
-        # 2 * (unit, PDU, LRC) + 3: 17 and 2 * 10 + 3 characters of 10 bits.
-        ("ascii:///dev/x?baudrate=9600&parity=E", 0.05, ""),
-        ("ascii:///dev/x?baudrate=9600&parity=E", 0.04, "at 9600: 0.0417 s of requests each 0.04"),
-        ("tcp://127.0.0.1", 0.01, ""),
-    ],
-)
-def test_lines_that_cannot_keep_their_intervals(url: str, interval: float, expected: str) -> None:
-    found = overloads([meter("a", url, interval=interval)])
-    assert [expected in str(each) for each in found] == [True] * bool(expected)
-
-
-def test_all_of_a_line_count_each_at_its_interval() -> None:
-    url = "rtu:///dev/x?baudrate=9600&parity=E"
-    devices = [meter("fast", url, interval=0.1), meter("slow", url, unit=2, interval=0.2)]
-    assert overloads(devices) == []
-    more = [meter(f"{unit}", url, unit=unit, interval=0.2) for unit in range(3, 9)]
-    (found,) = overloads([*devices, *more])
-    assert found == "line rtu:///dev/x at 9600: 0.134 s of requests each 0.1 s"

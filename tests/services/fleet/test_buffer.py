@@ -8,8 +8,11 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 
+import pytest
+
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.readings import Buffer
+from tests.services.fleet.fleets import in_simulated_time
 
 
 def poll(time: float, count: int = 1, device: str = "meter") -> list[Reading]:
@@ -24,97 +27,107 @@ async def taken(buffer: Buffer, most: int) -> list[tuple[float, str]]:
     return told(await buffer.take_polls(most, 0.0))
 
 
-def test_polls_are_taken_whole() -> None:
-    async def go() -> None:
-        buffer = Buffer()
-        for each in (poll(1.0, 3), poll(2.0, 2), poll(2.0, 1, "other"), poll(3.0, 1)):
-            buffer.put(each)
-        assert await taken(buffer, 1) == told(poll(1.0, 3))
-        assert await taken(buffer, 2) == told(poll(2.0, 2))
-        assert await taken(buffer, 2) == told([*poll(2.0, 1), *poll(3.0, 1)])
-        assert await taken(buffer, 2) == []
-
-    asyncio.run(go())
+@in_simulated_time
+async def test_polls_are_taken_whole() -> None:
+    buffer = Buffer()
+    for each in (poll(1.0, 3), poll(2.0, 2), poll(2.0, 1, "other"), poll(3.0, 1)):
+        buffer.put(each)
+    assert await taken(buffer, 1) == told(poll(1.0, 3))
+    assert await taken(buffer, 2) == told(poll(2.0, 2))
+    assert await taken(buffer, 2) == told([*poll(2.0, 1), *poll(3.0, 1)])
+    assert await taken(buffer, 2) == []
 
 
-def test_readings_that_are_put_back_come_first_and_in_their_order() -> None:
-    async def go() -> None:
-        buffer = Buffer()
-        buffer.put([*poll(1.0, 2), *poll(2.0, 2)])
-        first = await buffer.take(3)
-        buffer.put_back(first)
-        assert told(await buffer.take(9)) == told([*poll(1.0, 2), *poll(2.0, 2)])
-        assert buffer.dropped == 0
-
-    asyncio.run(go())
+@in_simulated_time
+async def test_readings_that_are_put_back_come_first_and_in_their_order() -> None:
+    buffer = Buffer()
+    buffer.put([*poll(1.0, 2), *poll(2.0, 2)])
+    first = await buffer.take(3)
+    buffer.put_back(first)
+    assert told(await buffer.take(9)) == told([*poll(1.0, 2), *poll(2.0, 2)])
+    assert buffer.dropped == 0
 
 
-def test_readings_that_are_put_back_end_the_wait_of_an_output() -> None:
-    async def go() -> None:
-        buffer = Buffer()
-        buffer.put(poll(1.0))
-        first = await buffer.take(1)
-        waiting = asyncio.create_task(buffer.take(1))
-        await asyncio.sleep(0)
-        buffer.put_back(first)
-        assert await asyncio.wait_for(waiting, 1) == first
-
-    asyncio.run(go())
+@in_simulated_time
+async def test_readings_that_are_put_back_end_the_wait_of_an_output() -> None:
+    buffer = Buffer()
+    buffer.put(poll(1.0))
+    first = await buffer.take(1)
+    waiting = asyncio.create_task(buffer.take(1))
+    await asyncio.sleep(0)
+    buffer.put_back(first)
+    assert await asyncio.wait_for(waiting, 1) == first
 
 
-def test_of_what_is_put_back_the_newest_have_room() -> None:
-    async def go() -> None:
-        buffer = Buffer(3)
-        buffer.put(poll(1.0, 3))
-        first = await buffer.take(3)
-        buffer.put(poll(2.0, 3))
-        buffer.put_back(first)
-        assert (len(buffer), buffer.dropped) == (3, 3)
-        assert told(await buffer.take(2)) == told(poll(2.0, 2))
-        buffer.put_back(first)
-        assert buffer.dropped == 4
-        assert told(await buffer.take(9)) == [(1.0, "p1"), (1.0, "p2"), (2.0, "p2")]
-
-    asyncio.run(go())
+@in_simulated_time
+async def test_of_what_is_put_back_the_newest_have_room() -> None:
+    buffer = Buffer(3)
+    buffer.put(poll(1.0, 3))
+    first = await buffer.take(3)
+    buffer.put(poll(2.0, 3))
+    buffer.put_back(first)
+    assert (len(buffer), buffer.dropped) == (3, 3)
+    assert told(await buffer.take(2)) == told(poll(2.0, 2))
+    buffer.put_back(first)
+    assert buffer.dropped == 4
+    assert told(await buffer.take(9)) == [(1.0, "p1"), (1.0, "p2"), (2.0, "p2")]
 
 
-def test_polls_that_are_looked_at_stay() -> None:
-    async def go() -> None:
-        buffer = Buffer()
-        buffer.put([*poll(1.0, 2), *poll(2.0, 1), *poll(3.0, 1)])
-        assert [told(each) for each in await buffer.polls(2)] == [
-            told(poll(1.0, 2)),
-            told(poll(2.0, 1)),
-        ]
-        assert await buffer.polls(0) == []
-        assert len(buffer) == 4
-
-    asyncio.run(go())
+@in_simulated_time
+async def test_polls_that_are_looked_at_stay() -> None:
+    buffer = Buffer()
+    buffer.put([*poll(1.0, 2), *poll(2.0, 1), *poll(3.0, 1)])
+    assert [told(each) for each in await buffer.polls(2)] == [
+        told(poll(1.0, 2)),
+        told(poll(2.0, 1)),
+    ]
+    assert await buffer.polls(0) == []
+    assert len(buffer) == 4
 
 
-def test_a_closed_buffer_takes_nothing_and_gives_what_it_has() -> None:
-    async def go() -> None:
-        buffer = Buffer()
-        buffer.put(poll(1.0, 2))
-        assert not buffer.is_over
-        buffer.close()
-        assert not buffer.is_over
-        buffer.put(poll(2.0))
-        assert (len(buffer), buffer.dropped) == (2, 0)
-        assert told(await buffer.take(9)) == told(poll(1.0, 2))
-        assert buffer.is_over
-        assert await buffer.take(9) == []
-
-    asyncio.run(go())
+@in_simulated_time
+async def test_a_closed_buffer_takes_nothing_and_gives_what_it_has() -> None:
+    buffer = Buffer()
+    buffer.put(poll(1.0, 2))
+    assert not buffer.is_over
+    buffer.close()
+    assert not buffer.is_over
+    buffer.put(poll(2.0))
+    assert (len(buffer), buffer.dropped) == (2, 0)
+    assert told(await buffer.take(9)) == told(poll(1.0, 2))
+    assert buffer.is_over
+    assert await buffer.take(9) == []
 
 
-def test_a_buffer_that_is_given_up_has_lost_the_rest() -> None:
-    async def go() -> None:
-        buffer = Buffer()
-        buffer.put(poll(1.0, 2))
-        buffer.drop(poll(0.0, 3))
-        buffer.give_up()
-        assert (len(buffer), buffer.dropped) == (0, 5)
-        assert buffer.is_over
+@in_simulated_time
+async def test_a_buffer_that_is_given_up_has_lost_the_rest() -> None:
+    buffer = Buffer()
+    buffer.put(poll(1.0, 2))
+    buffer.drop(poll(0.0, 3))
+    buffer.give_up()
+    assert (len(buffer), buffer.dropped) == (0, 5)
+    assert buffer.is_over
 
-    asyncio.run(go())
+
+@in_simulated_time
+async def test_who_waits_is_woken() -> None:
+    buffer = Buffer(3)
+    assert await buffer.take(1, 0.01) == []
+    waiting = asyncio.create_task(buffer.take(5))
+    await asyncio.sleep(0)
+    buffer.put(poll(1.0))
+    assert await waiting == poll(1.0)
+    waiting = asyncio.create_task(buffer.take(5))
+    await asyncio.sleep(0)
+    buffer.close()
+    assert await waiting == []
+
+
+def test_a_buffer_has_a_size_that_is_promised() -> None:
+    buffer = Buffer()
+    buffer.put(poll(1.0) * 100_001)
+    assert (len(buffer), buffer.dropped) == (100_000, 1)
+    assert len(Buffer(1)) == len(Buffer(10_000_000)) == 0
+    for most in (0, 10_000_001):
+        with pytest.raises(ValueError, match=r"buffer must be in 1\.\.10000000"):
+            Buffer(most)

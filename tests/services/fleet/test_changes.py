@@ -4,7 +4,6 @@ Which values are told, what they are called, and which wait for an output.
 
 from __future__ import annotations
 
-import asyncio
 import math
 from datetime import UTC, datetime
 from typing import Any
@@ -18,11 +17,10 @@ from libmodbus_py import (
     InvalidResponse,
     ModbusConnectionError,
     ModbusTimeoutError,
-    NoValue,
 )
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.forms import as_csv, as_json
-from libmodbus_py.services.fleet.readings import Buffer, Changes, classified, is_down
+from libmodbus_py.services.fleet.readings import Changes, classified, is_down
 
 NAN = math.nan
 
@@ -118,53 +116,3 @@ def test_readings_as_text() -> None:
         '1970-01-01T00:00:00.000Z,c,bits,"{""door"": true, ""mode"": 5}",,good,',
         "1970-01-01T00:00:00.000Z,c,at,2026-07-01T12:00:00+00:00,,good,",
     ]
-
-
-# --- what waits ----------------------------------------------------------------------------
-
-
-def readings(*numbers: int) -> list[Reading]:
-    return [Reading(0.0, "device", "name", number, "", "good") for number in numbers]
-
-
-def test_the_oldest_are_dropped_and_counted() -> None:
-    async def go() -> None:
-        buffer = Buffer(3)
-        buffer.put(readings(1, 2))
-        buffer.put(readings(3, 4))
-        assert (len(buffer), buffer.dropped) == (3, 1)
-        buffer.put(readings(*range(10, 20)))
-        assert (len(buffer), buffer.dropped) == (3, 11)
-        assert await buffer.take(2) == readings(17, 18)
-        # Room for one alone: what is put back is older than what is there.
-        buffer.put(readings(20))
-        buffer.put_back(readings(17, 18))
-        assert (len(buffer), buffer.dropped) == (3, 12)
-        assert await buffer.take(9) == readings(18, 19, 20)
-
-    asyncio.run(go())
-
-
-def test_who_waits_is_woken() -> None:
-    async def go() -> None:
-        buffer = Buffer(3)
-        assert await buffer.take(1, 0.01) == []
-        waiting = asyncio.create_task(buffer.take(5))
-        await asyncio.sleep(0)
-        buffer.put(readings(1))
-        assert await waiting == readings(1)
-        waiting = asyncio.create_task(buffer.take(5))
-        await asyncio.sleep(0)
-        buffer.close()
-        assert await waiting == []
-        buffer.put(readings(1))
-        assert buffer.is_over
-
-    asyncio.run(go())
-
-
-def test_a_value_that_json_cannot_tell_is_none_with_a_reason() -> None:
-    assert classified(math.inf) == classified(-math.inf) == (None, "bad", "Infinite")
-    assert classified(NAN) == (None, "bad", "Missing")
-    assert classified(NoValue("v", "Implausible", "is 5")) == (None, "bad", "Implausible")
-    assert classified(230.5) == (230.5, "good", "")

@@ -9,15 +9,13 @@ import json
 from datetime import UTC, datetime
 from typing import Any
 
-import pytest
-
 from libmodbus_py import Device, Point, RegisterMap, Server
 from libmodbus_py.fleet import DeviceConfig, Fleet
 from libmodbus_py.services.fleet.commands import Commands, Wanted, wanted_of
 from libmodbus_py.services.fleet.outputs.forms import as_json
 from libmodbus_py.services.fleet.readings import Reading
 from libmodbus_py.services.fleet.statistics import FleetStatistics
-from tests.services.fleet.fleets import Peer, good, meter, polling, simulated_run
+from tests.services.fleet.fleets import Peer, good, in_simulated_time, meter, polling
 from tests.support.cases import each, each_case
 
 H = "holding_registers"
@@ -115,12 +113,6 @@ def test_a_name_that_occurs_twice_is_refused(data: bytes) -> None:
     assert problem.endswith(": occurs twice in its JSON")
 
 
-@pytest.mark.parametrize("data", [b'{"value": {"door": 1, "mode": 1}, "id": 1}'])
-def test_names_that_occur_once_are_taken(data: bytes) -> None:
-    wanted = wanted_of(data)
-    assert (wanted.problem, wanted.value, wanted.id) == ("", {"door": 1, "mode": 1}, 1)
-
-
 class Devices:
     """Devices whose writes end when they may; `gone` are those that were removed meanwhile."""
 
@@ -138,51 +130,48 @@ class Devices:
         await self.may_end.setdefault(device, asyncio.Event()).wait()
 
 
-def test_a_command_waits_for_the_one_before_and_for_no_other_device() -> None:
-    async def main() -> None:
-        devices = Devices()
-        commands = Commands(devices)
+@in_simulated_time
+async def test_a_command_waits_for_the_one_before_and_for_no_other_device() -> None:
+    devices = Devices()
+    commands = Commands(devices)
 
-        async def write(device: str, point: str, value: int) -> Any:
-            return await commands.answer(device, point, Wanted(value))
+    async def write(device: str, point: str, value: int) -> Any:
+        return await commands.answer(device, point, Wanted(value))
 
-        tasks = [
-            asyncio.create_task(write(*each))
-            for each in (("pump", "level", 1), ("pump", "limit", 2), ("fan", "level", 3))
-        ]
-        for _ in range(10):
-            await asyncio.sleep(0)
-        assert devices.begun == [("pump", ("level", 1)), ("fan", ("level", 3))]
-        devices.may_end["pump"].set()
-        devices.may_end["fan"].set()
-        await asyncio.gather(*tasks)
-        assert devices.begun[2] == ("pump", ("limit", 2))
-        assert (tasks[1].result() or {})["ok"]
-
-    asyncio.run(main())
-
-
-def test_a_command_that_waited_is_refused_if_its_device_is_gone_then() -> None:
-    async def main() -> None:
-        devices = Devices()
-        commands = Commands(devices)
-        tasks = [
-            asyncio.create_task(commands.answer("pump", "level", Wanted(value))) for value in (1, 2)
-        ]
+    tasks = [
+        asyncio.create_task(write(*each))
+        for each in (("pump", "level", 1), ("pump", "limit", 2), ("fan", "level", 3))
+    ]
+    for _ in range(10):
         await asyncio.sleep(0)
-        devices.gone.add("pump")
-        devices.may_end["pump"].set()
-        outcomes = await asyncio.gather(*tasks)
-        assert [each and each.get("error") for each in outcomes] == [
-            None,
-            "there is no device 'pump'",
-        ]
-        assert len(devices.begun) == 1
-
-    asyncio.run(main())
+    assert devices.begun == [("pump", ("level", 1)), ("fan", ("level", 3))]
+    devices.may_end["pump"].set()
+    devices.may_end["fan"].set()
+    await asyncio.gather(*tasks)
+    assert devices.begun[2] == ("pump", ("limit", 2))
+    assert (tasks[1].result() or {})["ok"]
 
 
-def test_a_write_that_is_repeated_is_not_overtaken_by_the_next() -> None:
+@in_simulated_time
+async def test_a_command_that_waited_is_refused_if_its_device_is_gone_then() -> None:
+    devices = Devices()
+    commands = Commands(devices)
+    tasks = [
+        asyncio.create_task(commands.answer("pump", "level", Wanted(value))) for value in (1, 2)
+    ]
+    await asyncio.sleep(0)
+    devices.gone.add("pump")
+    devices.may_end["pump"].set()
+    outcomes = await asyncio.gather(*tasks)
+    assert [each and each.get("error") for each in outcomes] == [
+        None,
+        "there is no device 'pump'",
+    ]
+    assert len(devices.begun) == 1
+
+
+@in_simulated_time
+async def test_a_write_that_is_repeated_is_not_overtaken_by_the_next() -> None:
     """The first attempt gets no answer: the device must hear 20, 20 and then 25."""
     written: list[int] = []
 
@@ -193,40 +182,35 @@ def test_a_write_that_is_repeated_is_not_overtaken_by_the_next() -> None:
                 return None
         return await good(request)
 
-    async def go() -> None:
-        async with Peer(forgetful) as peer:
-            url = f"{peer.url}?timeout=0.5&retries=1&max_in_flight=4"
-            async with polling(meter("north", url, interval=60)) as (fleet, _):
-                outcomes = await asyncio.gather(
-                    fleet.commands.answer("north", "setpoint", Wanted(20)),
-                    fleet.commands.answer("north", "setpoint", Wanted(25)),
-                )
-                assert [each and each["ok"] for each in outcomes] == [True, True]
-        assert written == [20, 20, 25]
-
-    simulated_run(go())
+    async with Peer(forgetful) as peer:
+        url = f"{peer.url}?timeout=0.5&retries=1&max_in_flight=4"
+        async with polling(meter("north", url, interval=60)) as (fleet, _):
+            outcomes = await asyncio.gather(
+                fleet.commands.answer("north", "setpoint", Wanted(20)),
+                fleet.commands.answer("north", "setpoint", Wanted(25)),
+            )
+            assert [each and each["ok"] for each in outcomes] == [True, True]
+    assert written == [20, 20, 25]
 
 
-def test_commands_beyond_those_that_may_wait_are_refused_until_others_end() -> None:
-    async def main() -> None:
-        devices = Devices()
-        commands = Commands(devices)
+@in_simulated_time
+async def test_commands_beyond_those_that_may_wait_are_refused_until_others_end() -> None:
+    devices = Devices()
+    commands = Commands(devices)
 
-        async def write(device: str) -> str:
-            outcome = await commands.answer(device, "level", Wanted(1))
-            assert outcome is not None
-            return str(outcome.get("error", "written"))
+    async def write(device: str) -> str:
+        outcome = await commands.answer(device, "level", Wanted(1))
+        assert outcome is not None
+        return str(outcome.get("error", "written"))
 
-        waiting = [asyncio.create_task(write(f"pump {at}")) for at in range(100)]
-        refused = await next(asyncio.as_completed(waiting))
-        assert refused == f"{len(devices.begun)} writes are already under way"
-        assert 1 < len(devices.begun) < 100
-        for may_end in devices.may_end.values():
-            may_end.set()
-        ends = await asyncio.gather(*waiting)
-        assert ends.count("written") == len(devices.begun)
-        assert await write("pump 0") == "written"
-        assert devices.statistics.commands == len(devices.begun)
-        assert devices.statistics.refused_commands == ends.count(refused)
-
-    asyncio.run(main())
+    waiting = [asyncio.create_task(write(f"pump {at}")) for at in range(100)]
+    refused = await next(asyncio.as_completed(waiting))
+    assert refused == f"{len(devices.begun)} writes are already under way"
+    assert 1 < len(devices.begun) < 100
+    for may_end in devices.may_end.values():
+        may_end.set()
+    ends = await asyncio.gather(*waiting)
+    assert ends.count("written") == len(devices.begun)
+    assert await write("pump 0") == "written"
+    assert devices.statistics.commands == len(devices.begun)
+    assert devices.statistics.refused_commands == ends.count(refused)

@@ -11,30 +11,15 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Fleet, Point, RegisterMap
-from libmodbus_py.fleet import DeviceConfig, Reading
+from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.services.fleet.config import ENGINE
 from libmodbus_py.services.fleet.files import FleetFileError, load
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from libmodbus_py.services.fleet.readings import Buffer
 from libmodbus_py.services.workers.records import FleetSettings
-from libmodbus_py.tools.files.csv_text import CELLS
 from tests.services.fleet.fleets import meter
 from tests.support.cases import each_case
 from tests.support.commands import run
-
-
-@pytest.mark.parametrize("most", [1, 10_000_000])
-def test_a_buffer_takes_from_one_to_ten_million_readings(most: int) -> None:
-    assert len(Buffer(most)) == 0
-
-
-def test_a_buffer_holds_a_hundred_thousand_readings_unless_it_is_told_otherwise() -> None:
-    buffer, one = Buffer(), [Reading(0.0, "meter", "power", 1, "W", "good")]
-    buffer.put(one * 100_000)
-    assert (len(buffer), buffer.dropped) == (100_000, 0)
-    buffer.put(one)
-    assert (len(buffer), buffer.dropped) == (100_000, 1)
 
 
 @each_case(("key", "low", "high"), [("gap", 0, 2000), ("max_registers", 1, 125)])
@@ -50,12 +35,6 @@ def test_the_ends_of_the_range_of_a_key_are_within(key: str, low: int, high: int
             DeviceConfig("meter", "tcp://192.0.2.1", points, **options)
 
 
-@pytest.mark.parametrize("most", [0, 10_000_001])
-def test_a_buffer_of_another_size_is_refused(most: int) -> None:
-    with pytest.raises(ValueError, match=r"buffer must be in 1\.\.10000000"):
-        Buffer(most)
-
-
 def test_an_unknown_item_is_answered_with_eight_names() -> None:
     many = RegisterMap([Point(f"p{at}", "holding_registers", at) for at in range(9)])
     listed = "it has p0, p1, p2, p3, p4, p5, p6, p7, \\.\\.\\.$"
@@ -63,13 +42,6 @@ def test_an_unknown_item_is_answered_with_eight_names() -> None:
         DeviceConfig("pump", "tcp://192.0.2.1", many, items=("level",))
     given_twice = DeviceConfig("pump", "tcp://192.0.2.1", many, items=("p1", "p0", "p1"))
     assert given_twice.items == ("p1", "p0")
-
-
-def test_whole_numbers_in_a_table_have_twenty_digits_at_most() -> None:
-    assert CELLS["int"]("9" * 20) == 10**20 - 1
-    for text in ("9" * 21, "-1", "1.5", "", "\u0661"):
-        with pytest.raises(ValueError, match="must be a whole number"):
-            CELLS["int"](text)
 
 
 # --- topics -------------------------------------------------------------------------------------
@@ -90,17 +62,6 @@ def test_whole_numbers_in_a_table_have_twenty_digits_at_most() -> None:
 def test_topics_of_two_points_differ(topic: str, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         Mqtt("mqtt://127.0.0.1", topic=topic)
-
-
-@each_case("topic", ["{device}/{name}", "x/{name}/y/{device}", "x-{device}/{name}-y"])
-def test_other_topics_are_taken(topic: str) -> None:
-    Mqtt("mqtt://127.0.0.1", topic=topic, status="poller")
-
-
-def test_the_status_is_not_the_topic_of_a_reading() -> None:
-    with pytest.raises(ValueError, match=r"status must not be the topic of a reading"):
-        Mqtt("mqtt://127.0.0.1", topic="modbus/{device}/{name}", status="modbus/a/status")
-    Mqtt("mqtt://127.0.0.1", topic="modbus/{device}/{name}", status="modbus/status")
 
 
 # --- labels -------------------------------------------------------------------------------------
@@ -201,11 +162,6 @@ def test_all_of_them(tmp_path: Path) -> None:
     )
     made = FleetSettings(**load(path).engine)
     assert made == FleetSettings(0.5, "continue", True, 60.0, 1 << 16)
-
-
-@each_case("lease", [0.5, 60])
-def test_the_shortest_and_the_longest_lease(lease: float) -> None:
-    assert settings({"lease": lease}).lease == lease
 
 
 @each_case(

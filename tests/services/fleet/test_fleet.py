@@ -25,10 +25,10 @@ from tests.services.fleet.fleets import (
     NETWORK,
     Peer,
     good,
+    in_simulated_time,
     meter,
     polling,
     simulated,
-    simulated_run,
     stand_still,
     until,
 )
@@ -36,84 +36,60 @@ from tests.services.fleet.fleets import (
 # --- what is read ------------------------------------------------------------------------
 
 
-def test_readings_are_named_scaled_and_timed() -> None:
-    async def go() -> None:
-        time_of_day = NETWORK.get().time_of_day
-        before = time_of_day()
-        async with (
-            Server({1: simulated(2305), 2: simulated(100)}).serving("tcp://127.0.0.1:0") as running,
-            polling(
-                meter("a", running.urls[0]), meter("b", running.urls[0], unit=2, items=("voltage",))
-            ) as (fleet, readings),
-        ):
-            await until(lambda: len(readings) > 20)
-            a = [each for each in readings if each.device == "a"]
-            assert [each[2:7] for each in a[:3]] == [
-                ("voltage", 230.5, "V", "good", ""),
-                ("power", -1, "W", "good", ""),
-                ("setpoint", 20, "C", "good", ""),
-            ]
-            assert {each[2:4] for each in readings if each.device == "b"} == {("voltage", 10.0)}
-            assert all(before <= each.time <= time_of_day() for each in readings)
-            assert (fleet.statistics.devices, fleet.statistics.up) == (2, 2)
-            assert fleet.statistics.readings >= len(readings)
-        assert [each.state for each in fleet.devices.values()] == []
-
-    simulated_run(go())
+@in_simulated_time
+async def test_readings_are_named_scaled_and_timed() -> None:
+    time_of_day = NETWORK.get().time_of_day
+    before = time_of_day()
+    async with (
+        Server({1: simulated(2305), 2: simulated(100)}).serving("tcp://127.0.0.1:0") as running,
+        polling(
+            meter("a", running.urls[0]), meter("b", running.urls[0], unit=2, items=("voltage",))
+        ) as (fleet, readings),
+    ):
+        await until(lambda: len(readings) > 20)
+        a = [each for each in readings if each.device == "a"]
+        assert [each[2:7] for each in a[:3]] == [
+            ("voltage", 230.5, "V", "good", ""),
+            ("power", -1, "W", "good", ""),
+            ("setpoint", 20, "C", "good", ""),
+        ]
+        assert {each[2:4] for each in readings if each.device == "b"} == {("voltage", 10.0)}
+        assert all(before <= each.time <= time_of_day() for each in readings)
+        assert (fleet.statistics.devices, fleet.statistics.up) == (2, 2)
+        assert fleet.statistics.readings >= len(readings)
+    assert [each.state for each in fleet.devices.values()] == []
 
 
-def test_units_of_a_place_share_a_connection() -> None:
-    async def go() -> None:
-        async with Peer() as one, Peer() as other:
-            devices = [meter(f"one {unit}", one.url, unit=unit) for unit in range(1, 21)]
-            async with polling(*devices, meter("other", other.url)):
-                await until(lambda: set(one.units) == set(range(1, 21)) and other.requests)
-                assert len(one.connections) == len(other.connections) == 1
-
-    simulated_run(go())
+@in_simulated_time
+async def test_units_of_a_place_share_a_connection() -> None:
+    async with Peer() as one, Peer() as other:
+        devices = [meter(f"one {unit}", one.url, unit=unit) for unit in range(1, 21)]
+        async with polling(*devices, meter("other", other.url)):
+            await until(lambda: set(one.units) == set(range(1, 21)) and other.requests)
+            assert len(one.connections) == len(other.connections) == 1
 
 
-def test_what_a_device_refuses_is_bad_and_the_rest_good() -> None:
+@in_simulated_time
+async def test_what_a_device_refuses_is_bad_and_the_rest_good() -> None:
     holes = RegisterMap([Point("there", "holding_registers", 0), Point("not", "coils", 9)])
 
-    async def go() -> None:
-        device = Device(Mapping(holding_registers=1))
-        async with (
-            Server({1: device}).serving("tcp://127.0.0.1:0") as running,
-            polling(meter("a", running.urls[0], map=holes)) as (fleet, readings),
-        ):
-            await until(lambda: fleet.statistics.polls > 5 and len(readings) > 5)
-            assert [each[2:7] for each in readings if each.name == "not"] == [
-                ("not", None, "", "bad", "IllegalDataAddress")
-            ]
-            assert {each[2:7] for each in readings if each.name == "there"} == {
-                ("there", 0, "", "good", "")
-            }
-            device_now = fleet.devices["a"]
-            assert device_now.state is DeviceState.UP
-            assert isinstance(device_now.error, IllegalDataAddress)
-            assert fleet.statistics.refusals > 4
-            assert fleet.statistics.failures == 0
-
-    simulated_run(go())
-
-
-def test_registers_that_hold_no_such_value_are_bad_alone() -> None:
-    clock = RegisterMap(
-        [Point("clock", "holding_registers", 0, type="bcd16"), Point("x", "holding_registers", 1)]
-    )
-
-    async def go() -> None:
-        device = Device(Mapping(holding_registers={0: [0xF000, 5]}))
-        async with (
-            Server({1: device}).serving("tcp://127.0.0.1:0") as running,
-            polling(meter("a", running.urls[0], map=clock)) as (_, readings),
-        ):
-            await until(lambda: len(readings) > 2)
-            assert readings[0][2:7] == ("clock", None, "", "bad", "ValueError")
-            assert readings[1][2:7] == ("x", 5, "", "good", "")
-
-    simulated_run(go())
+    device = Device(Mapping(holding_registers=1))
+    async with (
+        Server({1: device}).serving("tcp://127.0.0.1:0") as running,
+        polling(meter("a", running.urls[0], map=holes)) as (fleet, readings),
+    ):
+        await until(lambda: fleet.statistics.polls > 5 and len(readings) > 5)
+        assert [each[2:7] for each in readings if each.name == "not"] == [
+            ("not", None, "", "bad", "IllegalDataAddress")
+        ]
+        assert {each[2:7] for each in readings if each.name == "there"} == {
+            ("there", 0, "", "good", "")
+        }
+        device_now = fleet.devices["a"]
+        assert device_now.state is DeviceState.UP
+        assert isinstance(device_now.error, IllegalDataAddress)
+        assert fleet.statistics.refusals > 4
+        assert fleet.statistics.failures == 0
 
 
 # --- who is down ---------------------------------------------------------------------------
@@ -123,25 +99,23 @@ async def even(request: bytes) -> bytes | None:
     return await good(request) if request[6] % 2 == 0 else None
 
 
-def test_fifty_dead_units_on_a_gateway_cost_the_others_nothing() -> None:
-    async def go() -> None:
-        async with Peer(even) as peer:
-            url = f"{peer.url}?timeout=0.3"
-            devices = [meter(f"{unit}", url, unit=unit, interval=0.2) for unit in range(1, 101)]
-            async with polling(*devices) as (fleet, readings):
-                await until(lambda: fleet.statistics.down == 50 and fleet.statistics.up == 50)
-                peer.requests.clear()
-                alive = range(2, 101, 2)
-                await until(lambda: min(map(Counter(peer.units).__getitem__, alive)) >= 6)
-                # A timeout for each try of the dead at each interval would be as many for them.
-                dead = [unit for unit in peer.units if unit % 2]
-                assert len(dead) < len(peer.units) / 3
-            # Each point that is down was told once.
-            down = Counter((each.device, each.name) for each in readings if each.quality == "down")
-            of_the_dead = [count for (unit, _), count in down.items() if int(unit) % 2]
-            assert of_the_dead == [1] * 150
-
-    simulated_run(go())
+@in_simulated_time
+async def test_fifty_dead_units_on_a_gateway_cost_the_others_nothing() -> None:
+    async with Peer(even) as peer:
+        url = f"{peer.url}?timeout=0.3"
+        devices = [meter(f"{unit}", url, unit=unit, interval=0.2) for unit in range(1, 101)]
+        async with polling(*devices) as (fleet, readings):
+            await until(lambda: fleet.statistics.down == 50 and fleet.statistics.up == 50)
+            peer.requests.clear()
+            alive = range(2, 101, 2)
+            await until(lambda: min(map(Counter(peer.units).__getitem__, alive)) >= 6)
+            # A timeout for each try of the dead at each interval would be as many for them.
+            dead = [unit for unit in peer.units if unit % 2]
+            assert len(dead) < len(peer.units) / 3
+        # Each point that is down was told once.
+        down = Counter((each.device, each.name) for each in readings if each.quality == "down")
+        of_the_dead = [count for (unit, _), count in down.items() if int(unit) % 2]
+        assert of_the_dead == [1] * 150
 
 
 def test_real_connections_are_polled() -> None:
@@ -175,212 +149,170 @@ def test_real_connections_are_polled() -> None:
 # --- what is late --------------------------------------------------------------------------
 
 
-def test_a_loop_that_stood_still_skips_and_counts() -> None:
-    async def go() -> None:
-        async with Peer() as peer:
-            devices = [meter(f"{unit}", peer.url, unit=unit) for unit in range(1, 11)]
-            async with polling(*devices) as (fleet, _):
-                await until(lambda: fleet.statistics.polls >= 10)
-                before, polls = fleet.statistics.skipped, fleet.statistics.polls
-                stand_still(1.0)
-                await until(lambda: fleet.statistics.polls >= polls + 10)
-                # Ten devices each missed nine or ten, and are polled once for all of them.
-                assert 60 <= fleet.statistics.skipped - before <= 200
-                assert fleet.statistics.take_worst() > 0.5
-
-    simulated_run(go())
+@in_simulated_time
+async def test_a_loop_that_stood_still_skips_and_counts() -> None:
+    async with Peer() as peer:
+        devices = [meter(f"{unit}", peer.url, unit=unit) for unit in range(1, 11)]
+        async with polling(*devices) as (fleet, _):
+            await until(lambda: fleet.statistics.polls >= 10)
+            before, polls = fleet.statistics.skipped, fleet.statistics.polls
+            stand_still(1.0)
+            await until(lambda: fleet.statistics.polls >= polls + 10)
+            # Ten devices each missed nine or ten, and are polled once for all of them.
+            assert 60 <= fleet.statistics.skipped - before <= 200
+            assert fleet.statistics.take_worst() > 0.5
 
 
-def test_timeouts_are_those_of_each_device() -> None:
+@in_simulated_time
+async def test_timeouts_are_those_of_each_device() -> None:
     async def never(request: bytes) -> None:
         return None
 
-    async def go() -> None:
-        async with Peer(never) as peer:
-            fast = meter("fast", f"{peer.url}?timeout=5&max_in_flight=2", unit=1, timeout=0.05)
-            slow = meter("slow", f"{peer.url}?timeout=5&max_in_flight=2", unit=2)
-            async with polling(fast, slow) as (fleet, _):
-                await until(lambda: fleet.devices["fast"].misses >= 2)
-                assert fleet.devices["slow"].misses == 0
-
-    simulated_run(go())
+    async with Peer(never) as peer:
+        fast = meter("fast", f"{peer.url}?timeout=5&max_in_flight=2", unit=1, timeout=0.05)
+        slow = meter("slow", f"{peer.url}?timeout=5&max_in_flight=2", unit=2)
+        async with polling(fast, slow) as (fleet, _):
+            await until(lambda: fleet.devices["fast"].misses >= 2)
+            assert fleet.devices["slow"].misses == 0
 
 
 # --- once ----------------------------------------------------------------------------------
 
 
-def test_once_polls_each_once_and_ends() -> None:
-    async def go() -> None:
-        async with Peer(even) as peer:
-            url = f"{peer.url}?timeout=0.1&max_in_flight=16"
-            fleet = Fleet(meter(f"{unit}", url, unit=unit, interval=60) for unit in range(1, 11))
-            kept = fleet.readings()
-            await fleet.run(once=True)
-            assert sorted(peer.units) == list(range(1, 11))
-            assert fleet.statistics.polls == 10
-            assert fleet.statistics.failures == 5
-            told = [each async for each in kept]
-            assert Counter(each.quality for each in told) == {"good": 15, "down": 15}
-            await Fleet().run(once=True)
-
-    simulated_run(go())
+@in_simulated_time
+async def test_once_polls_each_once_and_ends() -> None:
+    async with Peer(even) as peer:
+        url = f"{peer.url}?timeout=0.1&max_in_flight=16"
+        fleet = Fleet(meter(f"{unit}", url, unit=unit, interval=60) for unit in range(1, 11))
+        kept = fleet.readings()
+        await fleet.run(once=True)
+        assert sorted(peer.units) == list(range(1, 11))
+        assert fleet.statistics.polls == 10
+        assert fleet.statistics.failures == 5
+        told = [each async for each in kept]
+        assert Counter(each.quality for each in told) == {"good": 15, "down": 15}
+        await Fleet().run(once=True)
 
 
 @pytest.mark.parametrize("is_replaced", [False, True])
-def test_once_ends_if_what_was_not_polled_yet_is_removed(is_replaced: bool) -> None:
-    async def go() -> None:
-        async with Peer(even) as peer:
-            silent = meter("silent", f"{peer.url}?timeout=50", unit=1)
-            good = meter("good", f"{peer.url}?timeout=50", unit=2)
-            fleet = Fleet([silent, good])
-            polling = asyncio.create_task(fleet.run(once=True))
-            await until(lambda: {1, 2} <= set(peer.units))
-            fleet.replace([replace(good, name="other")] if is_replaced else [good])
-            async with asyncio.timeout(40):
-                await polling
-            assert peer.units.count(2) == 1 + is_replaced
-
-    simulated_run(go())
+@in_simulated_time
+async def test_once_ends_if_what_was_not_polled_yet_is_removed(is_replaced: bool) -> None:
+    async with Peer(even) as peer:
+        silent = meter("silent", f"{peer.url}?timeout=50", unit=1)
+        good = meter("good", f"{peer.url}?timeout=50", unit=2)
+        fleet = Fleet([silent, good])
+        polling = asyncio.create_task(fleet.run(once=True))
+        await until(lambda: {1, 2} <= set(peer.units))
+        fleet.replace([replace(good, name="other")] if is_replaced else [good])
+        async with asyncio.timeout(40):
+            await polling
+        assert peer.units.count(2) == 1 + is_replaced
 
 
 # --- devices that come and go -------------------------------------------------------------
 
 
-def test_replacing_touches_only_what_changed() -> None:
-    async def go() -> None:
-        async with Peer() as one, Peer() as two, Peer() as three:
-            a, b = meter("a", one.url, unit=1), meter("b", one.url, unit=2)
-            c = meter("c", two.url)
-            async with polling(a, b, c) as (fleet, _):
-                await until(lambda: fleet.statistics.up == 3)
-                same = fleet.devices["a"]
-                changed = meter("b", one.url, unit=3)
-                fleet.replace([a, changed, meter("d", three.url)])
-                assert fleet.devices["a"] is same
-                assert set(fleet.devices) == {"a", "b", "d"}
-                await until(lambda: 3 in one.units and three.requests)
-                assert len(one.connections) == 1
-                await until(lambda: two.connections[0].is_closed)
-                two.requests.clear()
-                one.requests.clear()
-                await until(lambda: len(one.requests) > 10)
-                assert 2 not in one.units
-                assert two.requests == []
-                assert fleet.statistics.devices == 3
-                await until(lambda: fleet.statistics.up == 3)
-
-    simulated_run(go())
+@in_simulated_time
+async def test_replacing_touches_only_what_changed() -> None:
+    async with Peer() as one, Peer() as two, Peer() as three:
+        a, b = meter("a", one.url, unit=1), meter("b", one.url, unit=2)
+        c = meter("c", two.url)
+        async with polling(a, b, c) as (fleet, _):
+            await until(lambda: fleet.statistics.up == 3)
+            same = fleet.devices["a"]
+            changed = meter("b", one.url, unit=3)
+            fleet.replace([a, changed, meter("d", three.url)])
+            assert fleet.devices["a"] is same
+            assert set(fleet.devices) == {"a", "b", "d"}
+            await until(lambda: 3 in one.units and three.requests)
+            assert len(one.connections) == 1
+            await until(lambda: two.connections[0].is_closed)
+            two.requests.clear()
+            one.requests.clear()
+            await until(lambda: len(one.requests) > 10)
+            assert 2 not in one.units
+            assert two.requests == []
+            assert fleet.statistics.devices == 3
+            await until(lambda: fleet.statistics.up == 3)
 
 
-def test_a_line_with_other_options_is_made_anew() -> None:
-    async def go() -> None:
-        async with Peer() as peer:
-            a, b = meter("a", peer.url), meter("b", peer.url, unit=2)
-            async with polling(a, b) as (fleet, _):
-                await until(lambda: fleet.statistics.up == 2)
-                url = f"{peer.url}?timeout=2"
-                fleet.replace([meter("a", url), meter("b", url, unit=2)])
-                await until(lambda: len(peer.connections) == 2 and fleet.statistics.up == 2)
-                await until(lambda: peer.connections[0].is_closed)
-                assert fleet.statistics.devices == 2
-
-    simulated_run(go())
+@in_simulated_time
+async def test_a_line_with_other_options_is_made_anew() -> None:
+    async with Peer() as peer:
+        a, b = meter("a", peer.url), meter("b", peer.url, unit=2)
+        async with polling(a, b) as (fleet, _):
+            await until(lambda: fleet.statistics.up == 2)
+            url = f"{peer.url}?timeout=2"
+            fleet.replace([meter("a", url), meter("b", url, unit=2)])
+            await until(lambda: len(peer.connections) == 2 and fleet.statistics.up == 2)
+            await until(lambda: peer.connections[0].is_closed)
+            assert fleet.statistics.devices == 2
 
 
-def test_when_remove_returns_nothing_is_sent() -> None:
-    async def go() -> None:
-        async def slow(request: bytes) -> bytes:
-            await asyncio.sleep(0.02)
-            return await good(request)
-
-        async with Peer(slow) as one, Peer() as other:
-            devices = [meter(f"{unit}", one.url, unit=unit, interval=0.02) for unit in range(1, 40)]
-            async with polling(*devices, meter("other", other.url)) as (fleet, _):
-                await until(lambda: len(one.requests) > 100)
-                fleet.remove(devices[0].connection_key)
-                await asyncio.sleep(0)  # what was sent already is read
-                await asyncio.sleep(0.05)
-                count = len(one.requests)
-                others = len(other.requests)
-                await until(lambda: len(other.requests) > others + 3)
-                assert len(one.requests) == count
-                assert set(fleet.devices) == {"other"}
-                fleet.add(devices[:2])
-                await until(lambda: len(one.requests) > count + 4)
-
-    simulated_run(go())
-
-
-def test_what_cannot_be_changes_nothing() -> None:
-    async def go() -> None:
-        async with Peer() as peer, polling(meter("a", peer.url)) as (fleet, _):
-            for bad, text in (
-                (meter("a", peer.url, unit=5), "'a' is also the name of another"),
-                (
-                    meter("b", f"{peer.url}?timeout=3", unit=5),
-                    "has other options for",
-                ),
-            ):
-                with pytest.raises(ValueError, match=text):
-                    fleet.add([bad])
-            with pytest.raises(TypeError, match=r"devices\[0\] must be a DeviceConfig, not str"):
-                fleet.replace(["a"])  # type: ignore[list-item]
-            assert set(fleet.devices) == {"a"}
-            with pytest.raises(RuntimeError, match="already polling"):
-                await fleet.run()
-            await until(lambda: fleet.statistics.up == 1)
-
-    simulated_run(go())
+@in_simulated_time
+async def test_what_cannot_be_changes_nothing() -> None:
+    async with Peer() as peer, polling(meter("a", peer.url)) as (fleet, _):
+        for bad, text in (
+            (meter("a", peer.url, unit=5), "'a' is also the name of another"),
+            (
+                meter("b", f"{peer.url}?timeout=3", unit=5),
+                "has other options for",
+            ),
+        ):
+            with pytest.raises(ValueError, match=text):
+                fleet.add([bad])
+        with pytest.raises(TypeError, match=r"devices\[0\] must be a DeviceConfig, not str"):
+            fleet.replace(["a"])  # type: ignore[list-item]
+        assert set(fleet.devices) == {"a"}
+        with pytest.raises(RuntimeError, match="already polling"):
+            await fleet.run()
+        await until(lambda: fleet.statistics.up == 1)
 
 
 # --- may_ask -----------------------------------------------------------------------------
 
 
-def test_what_may_not_be_asked_is_neither_sent_nor_told() -> None:
-    async def go() -> None:
-        allowed: set[str] = set()
-        async with Peer() as one, Peer() as two:
-            devices = [meter("one", one.url), meter("two", two.url)]
-            keys = [each.connection_key for each in devices]
-            async with polling(*devices, may_ask=lambda key: key in allowed) as (fleet, readings):
-                await until(lambda: fleet.statistics.held >= 4)
-                assert one.connections == two.connections == readings == []
-                allowed.add(keys[0])
-                await until(lambda: len(readings) > 6)
-                assert {each.device for each in readings} == {"one"}
-                assert two.connections == []
-                allowed.clear()
-                await asyncio.sleep(0.05)
-                count, held = len(one.requests), fleet.statistics.held
-                await until(lambda: fleet.statistics.held >= held + 6)
-                assert len(one.requests) == count
-                # It is not the device that is down: nobody asked it.
-                assert fleet.statistics.down == 0
-                assert {each.quality for each in readings} == {"good"}
-
-    simulated_run(go())
+@in_simulated_time
+async def test_what_may_not_be_asked_is_neither_sent_nor_told() -> None:
+    allowed: set[str] = set()
+    async with Peer() as one, Peer() as two:
+        devices = [meter("one", one.url), meter("two", two.url)]
+        keys = [each.connection_key for each in devices]
+        async with polling(*devices, may_ask=lambda key: key in allowed) as (fleet, readings):
+            await until(lambda: fleet.statistics.held >= 4)
+            assert one.connections == two.connections == readings == []
+            allowed.add(keys[0])
+            await until(lambda: len(readings) > 6)
+            assert {each.device for each in readings} == {"one"}
+            assert two.connections == []
+            allowed.clear()
+            await asyncio.sleep(0.05)
+            count, held = len(one.requests), fleet.statistics.held
+            await until(lambda: fleet.statistics.held >= held + 6)
+            assert len(one.requests) == count
+            # It is not the device that is down: nobody asked it.
+            assert fleet.statistics.down == 0
+            assert {each.quality for each in readings} == {"good"}
 
 
 # --- writes ------------------------------------------------------------------------------
 
 
-def test_writes_by_name() -> None:
-    async def go() -> None:
-        device = simulated()
-        async with (
-            Server({1: device}).serving("tcp://127.0.0.1:0") as running,
-            polling(meter("a", running.urls[0])) as (fleet, readings),
-        ):
-            await fleet.write("a", {"setpoint": 25})
-            assert device.mapping.holding_registers[2] == 25
-            await until(lambda: readings and readings[-1].value == 25)
-            for bad, text in (({"setpoint": 31}, "10..30"), ({"voltage": 1}, "access is read")):
-                with pytest.raises(ValueError, match=text):
-                    await fleet.write("a", bad)
-            with pytest.raises(ValueError, match="no point 'nothing'"):
-                await fleet.write("a", {"nothing": 1})
-            with pytest.raises(KeyError):
-                await fleet.write("b", {"setpoint": 25})
-            assert device.mapping.holding_registers[2] == 25
-
-    simulated_run(go())
+@in_simulated_time
+async def test_writes_by_name() -> None:
+    device = simulated()
+    async with (
+        Server({1: device}).serving("tcp://127.0.0.1:0") as running,
+        polling(meter("a", running.urls[0])) as (fleet, readings),
+    ):
+        await fleet.write("a", {"setpoint": 25})
+        assert device.mapping.holding_registers[2] == 25
+        await until(lambda: readings and readings[-1].value == 25)
+        for bad, text in (({"setpoint": 31}, "10..30"), ({"voltage": 1}, "access is read")):
+            with pytest.raises(ValueError, match=text):
+                await fleet.write("a", bad)
+        with pytest.raises(ValueError, match="no point 'nothing'"):
+            await fleet.write("a", {"nothing": 1})
+        with pytest.raises(KeyError):
+            await fleet.write("b", {"setpoint": 25})
+        assert device.mapping.holding_registers[2] == 25

@@ -125,32 +125,6 @@ def test_a_damaged_answer_holds_its_device_for_a_timeout_and_no_other() -> None:
     plant.run(main, plant.device(1, MAP), plant.device(2, interval=0.1))
 
 
-def test_a_device_that_is_alone_is_asked_again_after_a_damaged_answer() -> None:
-    plant = Plant(options="?timeout=2")
-
-    async def main() -> None:
-        plant.damaging.add(1)
-        await asyncio.sleep(25)
-        assert len(plant.times(1)) >= 3
-        assert 2.0 <= gaps(plant.times(1))[0] < 2.2
-
-    plant.run(main, plant.device(1, MAP, interval=10.0))
-
-
-def test_a_poll_whose_time_comes_before_the_last_is_over_is_skipped() -> None:
-    plant = Plant()
-
-    async def main() -> None:
-        plant.delay = 0.25
-        await asyncio.sleep(10)
-        statistics = plant.fleet.statistics
-        assert statistics.polls < 40
-        assert statistics.skipped > 50
-        assert statistics.polls + statistics.skipped == pytest.approx(100, abs=3)
-
-    plant.run(main, plant.device(1, interval=0.1))
-
-
 class TestSilentDevices:
     def test_one_that_is_silent_rests_longer_each_time(self) -> None:
         plant = Plant()
@@ -258,31 +232,6 @@ class TestSilentDevices:
 
         plant.run(main, plant.device(9, MAP), plant.device(1, interval=0.1))
 
-    def test_silence_at_the_beginning_ends_a_poll(self) -> None:
-        plant = Plant()
-
-        async def main() -> None:
-            plant.silent.add(1)
-            await asyncio.sleep(1.9)
-            assert [address for *_, address in plant.asked] == [0]
-            assert [reading.quality for reading in plant.readings] == ["down", "down"]
-
-        plant.run(main, plant.device(1, MAP))
-
-    def test_a_refusal_is_an_answer(self) -> None:
-        plant = Plant()
-
-        async def main() -> None:
-            plant.refusing.add(1)
-            await asyncio.sleep(10)
-            statistics = plant.fleet.statistics
-            assert statistics.refusals == statistics.polls
-            assert (statistics.up, statistics.failures) == (1, 0)
-            # Both points are asked for once, and from then on one of them.
-            assert len(plant.asked) == statistics.polls + 1
-
-        plant.run(main, plant.device(1, MAP))
-
 
 class TestChanges:
     def test_devices_may_change_before_they_are_polled(self) -> None:
@@ -297,21 +246,6 @@ class TestChanges:
             assert set(plant.units()) == {2, 3}
 
         plant.network.run(main)
-
-    def test_a_device_that_is_removed_is_asked_no_more(self) -> None:
-        plant = Plant()
-        one, two = plant.device(1), plant.device(2)
-
-        async def main() -> None:
-            await asyncio.sleep(5)
-            plant.fleet.replace([two])
-            removed = plant.now
-            await asyncio.sleep(5)
-            assert set(plant.units(removed)) == {2}
-            assert plant.fleet.statistics.devices == plant.fleet.statistics.up == 1
-            assert list(plant.fleet.devices) == ["device 2"]
-
-        plant.run(main, one, two)
 
     def test_one_that_waits_or_is_in_flight_can_be_removed(self) -> None:
         plant = Plant()
@@ -348,21 +282,6 @@ class TestChanges:
             assert plant.fleet.statistics.down == 0
 
         plant.run(main, silent, good)
-
-    def test_one_that_rests_between_its_requests_can_be_removed(self) -> None:
-        plant = Plant()
-        resting, other = plant.device(1, MAP, spacing=0.5), plant.device(2)
-
-        async def main() -> None:
-            while not plant.times(1):
-                await asyncio.sleep(0.01)
-            await asyncio.sleep(0.2)
-            plant.fleet.replace([other])
-            await asyncio.sleep(5)
-            assert len(plant.times(1)) == 1
-            assert len(plant.times(2)) >= 4
-
-        plant.run(main, resting, other)
 
     def test_a_silent_device_rests_on_when_the_connection_is_another(self) -> None:
         plant = Plant("tcp://10.0.0.1", "?timeout=0.5")
@@ -416,32 +335,6 @@ class TestChanges:
 
 
 class TestLease:
-    def test_what_may_not_be_asked_is_held_and_counted(self) -> None:
-        plant = Plant()
-        keys: list[str] = []
-        allowed = [False]
-
-        def may_ask(key: str) -> bool:
-            keys.append(key)
-            return allowed[0]
-
-        async def main() -> None:
-            await asyncio.sleep(5)
-            statistics = plant.fleet.statistics
-            assert plant.asked == []
-            assert statistics.held >= 4
-            assert (statistics.polls, statistics.down) == (0, 0)
-            assert plant.readings == []
-            assert set(keys) == {"serial:/dev/line"}
-            held = statistics.held
-            allowed[0] = True
-            await asyncio.sleep(5)
-            assert len(plant.asked) >= 4
-            assert statistics.held == held
-            assert statistics.up == 1
-
-        plant.run(main, plant.device(1), may_ask=may_ask)
-
     def test_a_poll_that_is_held_does_not_keep_others_from_their_turn(self) -> None:
         plant = Plant()
 

@@ -17,7 +17,6 @@ from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.fleet.config import devices_from_json, devices_to_json
 from libmodbus_py.services.fleet.files import FleetFileError, load
 from libmodbus_py.services.fleet.poller import DeviceState, Poller
-from libmodbus_py.services.fleet.trial import overloads
 from tests.services.fleet.fleets import Plant
 from tests.support.cases import each_case
 
@@ -135,16 +134,6 @@ def test_fleet_files_select_groups(tmp_path: Path) -> None:
     )
     with pytest.raises(FleetFileError, match=reason):
         load(tmp_path / "fleet.toml")
-
-
-def test_a_line_is_loaded_by_what_is_due() -> None:
-    points = [Point(f"p{at}", H, 2 * at, interval=60) for at in range(50)]
-    url = "rtu:///dev/ttyUSB0?baudrate=9600"
-    slow = DeviceConfig("a", url, RegisterMap(points), interval=1)
-    assert overloads([slow]) == []
-    fast = DeviceConfig("a", url, RegisterMap([Point(f"p{at}", H, 2 * at) for at in range(50)]),
-                        interval=1)  # fmt: skip
-    assert len(overloads([fast])) == 1
 
 
 TWENTY = [Point(f"p{at}", H, at) for at in range(20)]

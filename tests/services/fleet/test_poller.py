@@ -44,19 +44,6 @@ def poll(poller: Poller, *outcomes: Any, now: float = 0.0) -> list[int]:
     return asked
 
 
-def test_a_new_device_has_no_state(poller: Poller) -> None:
-    assert poller.state is DeviceState.NEW
-    assert (poller.misses, poller.since, poller.answered_at, poller.at) == (0, 0.0, 0.0, 0.0)
-    assert (poller.asked_at, poller.rest_until, poller.waits_since) == (0.0, 0.0, 0.0)
-    assert poller.error is None
-    assert poller.request is None
-    assert poller.submitted is None
-    assert not poller.is_trial
-    assert not poller.is_refused
-    assert not poller.unreadable
-    assert poller.withdrawn(1.0) == []
-
-
 def test_all_requests_are_asked_in_their_order(poller: Poller) -> None:
     assert poll(poller, [1], [2], [3]) == [0, 500, 1000]
     assert poller.state is DeviceState.UP
@@ -137,12 +124,6 @@ def test_it_rests_by_its_interval_doubled_up_to_a_minute() -> None:
     poll(poller, SILENT)
     poll(poller, SILENT)
     assert poller.pause == 300.0
-
-
-def test_spacing_is_counted_from_the_end_of_a_poll() -> None:
-    poller = poller_of(spacing=0.5)
-    poll(poller, [1], [2], [3], now=7.0)
-    assert poller.rest_until == 7.5
 
 
 def test_readings_are_taken_back_but_for_points_that_are_still_read(poller: Poller) -> None:

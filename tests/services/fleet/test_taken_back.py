@@ -11,7 +11,14 @@ from collections.abc import Sequence
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.statistics import LastValues
-from tests.services.fleet.fleets import Peer, good, meter, polling, simulated_run, until
+from tests.services.fleet.fleets import (
+    Peer,
+    good,
+    in_simulated_time,
+    meter,
+    polling,
+    until,
+)
 
 OFFLINE = [("voltage", None, "V"), ("power", None, "W"), ("setpoint", None, "C")]
 
@@ -24,100 +31,87 @@ def offline(readings: Sequence[Reading], device: str) -> list[tuple[str, object,
     return [(each.name, each.value, each.unit) for each in own[first:]]
 
 
-def test_what_is_removed_is_reported_once_more() -> None:
-    async def go() -> None:
-        async with Peer() as peer:
-            devices = [meter(name, peer.url, unit=unit) for unit, name in enumerate("ab", 1)]
-            async with polling(*devices) as (fleet, readings):
-                await until(lambda: fleet.statistics.up == 2)
-                fleet.replace(devices[:1])
-                before = fleet.statistics.polls
-                await until(lambda: fleet.statistics.polls > before + 3)
-                assert offline(readings, "b") == OFFLINE
-                assert offline(readings, "a") == []
-                fleet.remove(devices[0].connection_key)
-                await until(lambda: offline(readings, "a") == OFFLINE)
-
-    simulated_run(go())
+@in_simulated_time
+async def test_what_is_removed_is_reported_once_more() -> None:
+    async with Peer() as peer:
+        devices = [meter(name, peer.url, unit=unit) for unit, name in enumerate("ab", 1)]
+        async with polling(*devices) as (fleet, readings):
+            await until(lambda: fleet.statistics.up == 2)
+            fleet.replace(devices[:1])
+            before = fleet.statistics.polls
+            await until(lambda: fleet.statistics.polls > before + 3)
+            assert offline(readings, "b") == OFFLINE
+            assert offline(readings, "a") == []
+            fleet.remove(devices[0].connection_key)
+            await until(lambda: offline(readings, "a") == OFFLINE)
 
 
-def test_of_a_device_that_stays_only_points_that_are_gone_are_taken_back() -> None:
-    async def go() -> None:
-        async with Peer() as peer, polling(meter("a", peer.url)) as (fleet, readings):
-            await until(lambda: fleet.statistics.up)
-            fleet.replace([meter("a", peer.url, items=("power",), interval=0.2)])
-            polls = fleet.statistics.polls
-            await until(lambda: fleet.statistics.polls > polls + 1)
-            gone = [each.name for each in readings if each.quality == "offline"]
-            assert gone == ["voltage", "setpoint"]
-            assert readings[-1][2:6] == ("power", 7, "W", "good")
-
-    simulated_run(go())
+@in_simulated_time
+async def test_of_a_device_that_stays_only_points_that_are_gone_are_taken_back() -> None:
+    async with Peer() as peer, polling(meter("a", peer.url)) as (fleet, readings):
+        await until(lambda: fleet.statistics.up)
+        fleet.replace([meter("a", peer.url, items=("power",), interval=0.2)])
+        polls = fleet.statistics.polls
+        await until(lambda: fleet.statistics.polls > polls + 1)
+        gone = [each.name for each in readings if each.quality == "offline"]
+        assert gone == ["voltage", "setpoint"]
+        assert readings[-1][2:6] == ("power", 7, "W", "good")
 
 
-def test_what_was_never_reported_is_not_taken_back() -> None:
+@in_simulated_time
+async def test_what_was_never_reported_is_not_taken_back() -> None:
     async def never(request: bytes) -> None:
         await asyncio.Event().wait()
 
-    async def go() -> None:
-        async with Peer(never) as peer:
-            async with polling(meter("a", f"{peer.url}?timeout=60")) as (fleet, readings):
-                await until(lambda: peer.requests)
-                fleet.replace([])
-            assert readings == []
-
-    simulated_run(go())
+    async with Peer(never) as peer:
+        async with polling(meter("a", f"{peer.url}?timeout=60")) as (fleet, readings):
+            await until(lambda: peer.requests)
+            fleet.replace([])
+        assert readings == []
 
 
-def test_what_another_fleet_polls_from_now_on_is_not_taken_back() -> None:
-    async def go() -> None:
-        async with Peer() as peer:
-            device = meter("a", peer.url)
-            async with polling(device) as (fleet, readings):
-                await until(lambda: fleet.statistics.up)
-                fleet.replace([], passed_on={device.connection_key})
-            assert {each.quality for each in readings} == {"good"}
-
-    simulated_run(go())
+@in_simulated_time
+async def test_what_another_fleet_polls_from_now_on_is_not_taken_back() -> None:
+    async with Peer() as peer:
+        device = meter("a", peer.url)
+        async with polling(device) as (fleet, readings):
+            await until(lambda: fleet.statistics.up)
+            fleet.replace([], passed_on={device.connection_key})
+        assert {each.quality for each in readings} == {"good"}
 
 
-def test_values_that_were_taken_back_are_reported_again_though_they_did_not_change() -> None:
+@in_simulated_time
+async def test_values_that_were_taken_back_are_reported_again_though_they_did_not_change() -> None:
     may_ask = True
 
-    async def go() -> None:
-        nonlocal may_ask
-        async with Peer() as peer:
-            device = meter("a", peer.url, on_change=True)
-            async with polling(device, may_ask=lambda key: may_ask) as (fleet, readings):
-                await until(lambda: fleet.statistics.up)
-                may_ask = False
-                fleet.take_back()
-                fleet.take_back()
-                assert fleet.statistics.up == 0
-                held = fleet.statistics.held
-                await until(lambda: fleet.statistics.held > held + 3)
-                assert offline(readings, "a") == OFFLINE
-                may_ask = True
-                await until(lambda: len(readings) == 9)
-                assert fleet.statistics.up == 1
-                assert [each.quality for each in readings[6:]] == 3 * ["good"]
-
-    simulated_run(go())
+    async with Peer() as peer:
+        device = meter("a", peer.url, on_change=True)
+        async with polling(device, may_ask=lambda key: may_ask) as (fleet, readings):
+            await until(lambda: fleet.statistics.up)
+            may_ask = False
+            fleet.take_back()
+            fleet.take_back()
+            assert fleet.statistics.up == 0
+            held = fleet.statistics.held
+            await until(lambda: fleet.statistics.held > held + 3)
+            assert offline(readings, "a") == OFFLINE
+            may_ask = True
+            await until(lambda: len(readings) == 9)
+            assert fleet.statistics.up == 1
+            assert [each.quality for each in readings[6:]] == 3 * ["good"]
 
 
-def test_metrics_forget_what_is_not_polled_any_more() -> None:
-    async def go() -> None:
-        async with Peer(good) as peer:
-            devices = [meter(name, peer.url, unit=unit) for unit, name in enumerate("ab", 1)]
-            values = LastValues()
-            async with Fleet(devices, outputs=[values]) as fleet:
-                await until(lambda: len(values.statistics.by_name) == 6)
-                fleet.replace([devices[0]])
-                assert {device for device, _ in values.statistics.by_name} == {"a"}
-                # A reading that waited for this output meanwhile.
-                await values.write([Reading(0.0, "b", "voltage", 230.5, "V", "good")])
-                assert {device for device, _ in values.statistics.by_name} == {"a"}
-                fleet.replace([meter("a", peer.url, items=("power",))])
-                await until(lambda: set(values.statistics.by_name) == {("a", "power")})
-
-    simulated_run(go())
+@in_simulated_time
+async def test_metrics_forget_what_is_not_polled_any_more() -> None:
+    async with Peer(good) as peer:
+        devices = [meter(name, peer.url, unit=unit) for unit, name in enumerate("ab", 1)]
+        values = LastValues()
+        async with Fleet(devices, outputs=[values]) as fleet:
+            await until(lambda: len(values.statistics.by_name) == 6)
+            fleet.replace([devices[0]])
+            assert {device for device, _ in values.statistics.by_name} == {"a"}
+            # A reading that waited for this output meanwhile.
+            await values.write([Reading(0.0, "b", "voltage", 230.5, "V", "good")])
+            assert {device for device, _ in values.statistics.by_name} == {"a"}
+            fleet.replace([meter("a", peer.url, items=("power",))])
+            await until(lambda: set(values.statistics.by_name) == {("a", "power")})

@@ -11,32 +11,32 @@ import pytest
 from libmodbus_py import Device, Mapping, Point, RegisterMap, Server
 from libmodbus_py.maps.point_plan import PointPlan
 from libmodbus_py.services.fleet.trial import Tried, overloads, trying
-from tests.services.fleet.fleets import Peer, good, meter, simulated_run
+from tests.services.fleet.fleets import Peer, good, in_simulated_time, meter, simulated_run
+from tests.support.cases import each_case
 
 
 async def tried(*devices: object) -> dict[str, Tried]:
     return {each.device.name: each async for each in trying(devices)}  # type: ignore[arg-type]
 
 
-def test_the_time_of_each_poll_is_told() -> None:
+@in_simulated_time
+async def test_the_time_of_each_poll_is_told() -> None:
     async def slow(request: bytes) -> bytes:
         await asyncio.sleep(2 if request[6] == 1 else 3)
         return await good(request)
 
-    async def go() -> None:
-        async with Peer(slow) as peer:
-            first, second = (
-                meter(name, peer.url, unit=unit, timeout=9) for unit, name in ((1, "a"), (2, "b"))
-            )
-            found = await tried(first, second)
-        assert found["a"].seconds == pytest.approx(2, abs=0.01)
-        assert found["b"].seconds == pytest.approx(3, abs=0.01)
-        assert {each.problem for each in found.values()} == {""}
-
-    simulated_run(go())
+    async with Peer(slow) as peer:
+        first, second = (
+            meter(name, peer.url, unit=unit, timeout=9) for unit, name in ((1, "a"), (2, "b"))
+        )
+        found = await tried(first, second)
+    assert found["a"].seconds == pytest.approx(2, abs=0.01)
+    assert found["b"].seconds == pytest.approx(3, abs=0.01)
+    assert {each.problem for each in found.values()} == {""}
 
 
-def test_a_device_has_one_request_at_a_time() -> None:
+@in_simulated_time
+async def test_a_device_has_one_request_at_a_time() -> None:
     asked: set[bytes] = set()
     most = 0
 
@@ -48,54 +48,47 @@ def test_a_device_has_one_request_at_a_time() -> None:
         asked.remove(request)
         return await good(request)
 
-    async def go() -> None:
-        points = [Point(f"p{place}", "holding_registers", place) for place in (0, 500, 1000)]
-        async with Peer(slow) as peer:
-            found = await tried(meter("a", peer.url, map=RegisterMap(points)))
-        assert (found["a"].requests, found["a"].problem, most) == (3, "", 1)
-
-    simulated_run(go())
+    points = [Point(f"p{place}", "holding_registers", place) for place in (0, 500, 1000)]
+    async with Peer(slow) as peer:
+        found = await tried(meter("a", peer.url, map=RegisterMap(points)))
+    assert (found["a"].requests, found["a"].problem, most) == (3, "", 1)
 
 
-def test_the_first_of_the_values_that_cannot_be_is_told() -> None:
+@in_simulated_time
+async def test_the_first_of_the_values_that_cannot_be_is_told() -> None:
     points = [Point(f"p{number}", "holding_registers", number, type="bcd16") for number in range(3)]
     device = Device(Mapping(holding_registers={0: [0x1234, 0x0A00, 0x00B0]}))
 
-    async def go() -> None:
-        async with Server({1: device}).serving("tcp://127.0.0.1:0") as running:
-            url = running.urls[0]
-            found = await tried(
-                meter("both", url, map=RegisterMap(points)),
-                meter("last", url, map=RegisterMap(points[::2])),
-                meter("none", url, map=RegisterMap(points[:1])),
-            )
-        wrong = "registers[0:1] hold no bcd16: {} has digits other than 0..9"
-        assert found["both"].problem == f"p1: {wrong.format('0A00')}"
-        assert found["last"].problem == f"p2: {wrong.format('00B0')}"
-        assert found["none"].problem == ""
-
-    simulated_run(go())
+    async with Server({1: device}).serving("tcp://127.0.0.1:0") as running:
+        url = running.urls[0]
+        found = await tried(
+            meter("both", url, map=RegisterMap(points)),
+            meter("last", url, map=RegisterMap(points[::2])),
+            meter("none", url, map=RegisterMap(points[:1])),
+        )
+    wrong = "registers[0:1] hold no bcd16: {} has digits other than 0..9"
+    assert found["both"].problem == f"p1: {wrong.format('0A00')}"
+    assert found["last"].problem == f"p2: {wrong.format('00B0')}"
+    assert found["none"].problem == ""
 
 
-def test_who_looks_at_the_first_result_only_leaves_nothing_behind() -> None:
+@in_simulated_time
+async def test_who_looks_at_the_first_result_only_leaves_nothing_behind() -> None:
     async def silent(request: bytes) -> None:
         return None
 
-    async def go() -> None:
-        async with (
-            Server({1: Device(Mapping(holding_registers=3))}).serving("tcp://127.0.0.1:0") as good,
-            Peer(silent) as peer,
-        ):
-            trial = trying([meter("good", good.urls[0]), meter("dead", peer.url, timeout=60)])
-            first = await anext(trial)
-            assert first.device.name == "good"
-            begun = asyncio.get_running_loop().time()
-            await trial.aclose()
-            assert asyncio.get_running_loop().time() == begun
-            assert peer.requests
-            assert not [task for task in asyncio.all_tasks() if "_try_line" in repr(task)]
-
-    simulated_run(go())
+    async with (
+        Server({1: Device(Mapping(holding_registers=3))}).serving("tcp://127.0.0.1:0") as good,
+        Peer(silent) as peer,
+    ):
+        trial = trying([meter("good", good.urls[0]), meter("dead", peer.url, timeout=60)])
+        first = await anext(trial)
+        assert first.device.name == "good"
+        begun = asyncio.get_running_loop().time()
+        await trial.aclose()
+        assert asyncio.get_running_loop().time() == begun
+        assert peer.requests
+        assert not [task for task in asyncio.all_tasks() if "_try_line" in repr(task)]
 
 
 def test_a_defect_ends_the_trial(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -117,9 +110,54 @@ def test_a_defect_ends_the_trial(monkeypatch: pytest.MonkeyPatch) -> None:
     simulated_run(go())
 
 
-def test_a_line_may_be_busy_all_the_time() -> None:
-    """The shortest interval that a line can keep is that of its requests and responses."""
-    url = "ascii:///dev/x?baudrate=9600&parity=E"
-    needed = (17 + 2 * 10 + 3) * 10 / 9600
-    assert overloads([meter("a", url, interval=needed + 1e-9)]) == []
-    assert overloads([meter("a", url, interval=needed * 0.999)]) != []
+@in_simulated_time
+async def test_devices_that_do_not_answer_are_told_with_the_reason() -> None:
+    async def silent(request: bytes) -> None:
+        return None
+
+    async with Peer() as peer, Peer(silent) as dead:
+        found = await tried(
+            meter("good", peer.url),
+            meter("dead", f"{dead.url}?timeout=0.1"),
+            meter("dead too", f"{dead.url}?timeout=0.1", unit=2),
+            meter("gone", "tcp://127.0.0.1:1"),
+        )
+    assert (found["good"].problem, found["good"].requests) == ("", 1)
+    assert "no answer within 0.1 s" in found["dead"].problem
+    assert "refused" in found["gone"].problem
+    assert len(found) == 4
+
+
+# Of RTU: a frame of 8 bytes, one of 5 + 6, and 7 characters of silence, 11 bits each. Of ASCII:
+# 2 * (unit, PDU, LRC) + 3, which are 17 and 2 * 10 + 3 characters of 10 bits.
+RTU, ASCII = "rtu:///dev/x?baudrate=9600&parity=E", "ascii:///dev/x?baudrate=9600&parity=E"
+ASCII_S = (17 + 2 * 10 + 3) * 10 / 9600
+
+
+@each_case(
+    ("url", "intervals", "said"),
+    [
+        (RTU, [0.05], ""),
+        (RTU, [0.02], "line rtu:///dev/x at 9600: 0.0298 s of requests each 0.02 s"),
+        (ASCII, [ASCII_S + 1e-9], ""),
+        (ASCII, [0.04], "line ascii:///dev/x at 9600: 0.0417 s of requests each 0.04 s"),
+        ("tcp://127.0.0.1", [0.01], ""),
+        # All devices of a line count, each at its interval.
+        (RTU, [0.1, 0.2], ""),
+        (RTU, [0.1, *[0.2] * 7], "line rtu:///dev/x at 9600: 0.134 s of requests each 0.1 s"),
+    ],
+)
+def test_lines_that_cannot_keep_their_intervals(
+    url: str, intervals: list[float], said: str
+) -> None:
+    devices = [
+        meter(f"{unit}", url, unit=unit, interval=each) for unit, each in enumerate(intervals, 1)
+    ]
+    assert overloads(devices) == ([said] if said else [])
+
+
+def test_a_line_is_loaded_by_what_is_due() -> None:
+    url = "rtu:///dev/ttyUSB0?baudrate=9600"
+    for own, count in ((60, 0), (None, 1)):
+        points = [Point(f"p{at}", "holding_registers", 2 * at, interval=own) for at in range(50)]
+        assert len(overloads([meter("a", url, map=RegisterMap(points), interval=1)])) == count
