@@ -15,9 +15,7 @@ from libmodbus_py import Device, Fleet, Mapping, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig, Reading
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
-from tests.support.peers import mbap
 from tests.support.scripted import all_accepted
-from tests.support.talk import rtu
 
 METER = RegisterMap(
     [
@@ -46,22 +44,6 @@ def meter(name: str, url: str, **keys: Any) -> DeviceConfig:
 
 def simulated(voltage: int = 2305) -> Device:
     return Device(Mapping(holding_registers={0: [voltage, 0xFFFF, 20]}))
-
-
-async def while_polled(
-    fleet: Fleet, main: Callable[[], Awaitable[None]], note: Callable[[Reading], object]
-) -> None:
-    """Run a test while a fleet polls, and note each of its readings until it has ended."""
-
-    async def collect() -> None:
-        async for reading in fleet.readings():
-            note(reading)
-
-    collecting = asyncio.create_task(collect())
-    await asyncio.sleep(0)
-    async with fleet:
-        await main()
-    await collecting
 
 
 @asynccontextmanager
@@ -221,84 +203,3 @@ async def good(request: bytes) -> bytes:
     count = int.from_bytes(request[10:12], "big")
     body = bytes([request[6], 3, 2 * count]) + b"\0\7" * count
     return request[:4] + len(body).to_bytes(2, "big") + body
-
-
-# Two requests: the points are too far apart for one.
-MAP = RegisterMap([Point("near", "holding_registers", 0), Point("far", "holding_registers", 9)])
-ONE = RegisterMap([Point("near", "holding_registers", 0)])
-
-
-class Plant:
-    """
-    A fleet, and units whose registers hold their addresses, in simulated time.
-
-    Attributes:
-        asked: time, unit and address of each request.
-        silent: units that give no answer; `mute`: addresses that no unit answers.
-        refusing: units that refuse everything; `missing`: unit -> addresses that it refuses.
-        damaging: units whose answers have wrong check bytes.
-        delay: of each answer, in seconds; `delays`: of units of their own.
-    """
-
-    def __init__(self, url: str = "rtu:///dev/line", options: str = "?timeout=0.5") -> None:
-        self.network = Network(1)
-        self.asked: list[tuple[float, int, int]] = []
-        self.silent: set[int] = set()
-        self.mute: set[int] = set()
-        self.refusing: set[int] = set()
-        self.missing: dict[int, set[int]] = {}
-        self.damaging: set[int] = set()
-        self.delay = 0.02
-        self.delays: dict[int, float] = {}
-        self.peer = Scripted(self.network, url, self._answer)
-        self.url = self.peer.url + options
-        self.fleet: Fleet
-        self.readings: list[Reading] = []
-
-    def _answer(self, request: bytes, write: Write) -> None:
-        has_ids = self.url.startswith("tcp")
-        unit, body = (request[6], request[7:]) if has_ids else (request[0], request[1:-2])
-        address, count = (int.from_bytes(body[at : at + 2], "big") for at in (1, 3))
-        self.asked.append((self.now, unit, address))
-        cells = range(address, address + count)
-        if unit in self.silent or not self.mute.isdisjoint(cells):
-            return
-        pdu = bytes([3, 2 * count]) + b"".join(cell.to_bytes(2, "big") for cell in cells)
-        if unit in self.refusing or not self.missing.get(unit, set()).isdisjoint(cells):
-            pdu = b"\x83\x02"
-        answer = mbap(request, pdu) if has_ids else rtu(bytes([unit, *pdu]).hex())
-        if unit in self.damaging:
-            answer = answer[:-1] + bytes([answer[-1] ^ 1])
-        write(answer, self.delays.get(unit, self.delay))
-
-    @property
-    def now(self) -> float:
-        return self.network.events.now
-
-    def device(self, unit: int, points: RegisterMap = ONE, **options: Any) -> DeviceConfig:
-        given = {"interval": 1.0, "unit": unit, **options}
-        return DeviceConfig(f"device {unit}", self.url, points, **given)
-
-    def run(
-        self,
-        main: Callable[[], Awaitable[None]],
-        *devices: DeviceConfig,
-        may_ask: Callable[[str], bool] | None = None,
-    ) -> None:
-        async def whole() -> None:
-            self.fleet = Fleet(devices, may_ask=may_ask)
-            await while_polled(self.fleet, main, self.readings.append)
-
-        self.network.run(whole)
-
-    def units(self, since: float = 0.0) -> list[int]:
-        return [unit for at, unit, _ in self.asked if at >= since]
-
-    def times(self, unit: int) -> list[float]:
-        return [at for at, each, _ in self.asked if each == unit]
-
-    def taken(self, unit: int = 1) -> int:
-        """Return the number of requests to a unit since the last call, and forget them."""
-        count = len(self.times(unit))
-        self.asked = [each for each in self.asked if each[1] != unit]
-        return count

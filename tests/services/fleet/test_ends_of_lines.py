@@ -11,7 +11,7 @@ import pytest
 
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import DeviceConfig
-from tests.services.fleet.fleets import MAP, Plant
+from tests.simulation.plants import MAP, Plant
 
 AFTERWARDS = 10.0
 """Simulated seconds in which nobody must be asked."""

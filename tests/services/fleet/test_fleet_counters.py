@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py.services.fleet.statistics import LATENESS_BOUNDS, FleetStatistics
-from tests.services.fleet.fleets import MAP, Plant
+from tests.simulation.plants import MAP, Plant
 
 # Simulated seconds: of a device's polls unless given, and between two looks at what is so.
 INTERVAL, LOOK = 1.0, 0.001

@@ -13,7 +13,7 @@ from libmodbus_py import Fleet, Point, RegisterMap
 from libmodbus_py.services import line as shared_line
 from libmodbus_py.services.fleet.fleet import first_time
 from libmodbus_py.services.fleet.poller import DeviceState
-from tests.services.fleet.fleets import MAP, Plant
+from tests.simulation.plants import MAP, Plant
 from tests.simulation.scripted import Write
 from tests.support.talk import rtu
 

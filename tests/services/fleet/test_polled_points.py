@@ -17,7 +17,7 @@ from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.fleet.config import devices_from_json, devices_to_json
 from libmodbus_py.services.fleet.files import FleetFileError, load
 from libmodbus_py.services.fleet.poller import DeviceState, Poller
-from tests.services.fleet.fleets import Plant
+from tests.simulation.plants import Plant
 from tests.support.cases import each_case
 
 H: Literal["holding_registers"] = "holding_registers"

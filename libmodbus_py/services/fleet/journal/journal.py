@@ -33,7 +33,7 @@ from .journal_reader import HistoricalValue, history
 from .place import JournalPlace, RecentPolls
 from .schema import JournalDamaged, JournalError, JournalPoll, numbered
 
-__all__ = ["KEEP_BOUNDS", "SIZE_BOUNDS", "Journal"]
+__all__ = ["Journal"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
