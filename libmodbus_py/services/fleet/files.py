@@ -23,7 +23,7 @@ from __future__ import annotations
 import os
 import re
 import reprlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from os import PathLike
@@ -62,6 +62,8 @@ MOST_MISTAKES = 20
 
 LABEL = "labels."
 """Columns with labels begin with this in CSV."""
+
+_Place = Callable[[Exception], Mistake]
 
 _NAME = re.compile(r"\$\{(\w*)\}")
 
@@ -141,8 +143,6 @@ class _Reader:
         self._notes: list[str] = []
         self._defaults: dict[str, Any] = {}
         self._devices: list[DeviceConfig] = []
-        # For each device: returns an error about it with its place in the file.
-        self._places: list[Callable[[Exception], Mistake]] = []
         self._mistakes: list[Mistake] = []
 
     def parse(self, text: str) -> FleetFile:
@@ -150,12 +150,17 @@ class _Reader:
         self._text = text
         given = FILE.read((), read_toml(text))
         self._defaults = given.get("defaults", {})
-        for at, raw in enumerate(given.get("device", [])):
-            place = partial(placed, around=("device", at))
-            self._add(place, partial(_keys_of_table, raw), self._folder)
-        if "devices" in given:
-            self._add_rows(self._folder / given["devices"])
-        self._mistakes += (self._places[at](error) for at, error in misfits(self._devices))
+        # For each device: returns an error about it with its place in the file.
+        places: list[_Place] = []
+        for place, keys, folder in self._described(given):
+            try:
+                self._devices.append(self._device(keys(), folder))
+                places.append(place)
+            except (TypeError, ValueError) as error:
+                self._mistakes.append(place(error))
+                if len(self._mistakes) == MOST_MISTAKES:
+                    break
+        self._mistakes += (places[at](error) for at, error in misfits(self._devices))
         if self._mistakes:
             raise self._mistakes[0]
         if not self._devices:
@@ -174,7 +179,16 @@ class _Reader:
 
     # --- devices ----------------------------------------------------------------------------
 
-    def _add_rows(self, path: FilePath) -> None:
+    def _described(
+        self, given: Mapping[str, Any]
+    ) -> Iterator[tuple[_Place, Callable[[], dict[str, Any]], FilePath]]:
+        """Yield for each device what places its errors and returns its keys, and its folder."""
+        for at, raw in enumerate(given.get("device", [])):
+            place = partial(placed, around=("device", at))
+            yield place, partial(_keys_of_table, raw), self._folder
+        if "devices" not in given:
+            return
+        path = self._folder / given["devices"]
         self._sources.add(file_at(str(path)))
         with inside("devices"):
             content, note = read_table(path, FleetFileError)
@@ -184,27 +198,9 @@ class _Reader:
             notes = [note, skipped if text.skipped else ""]
             self._notes += [f"{path}: {each}" for each in notes if each]
             for row in text.rows():
-                place = partial(_of_row, path, text, row)
-                self._add(place, partial(keys_in, text, row), path.parent)
+                yield partial(_of_row, path, text, row), partial(keys_in, text, row), path.parent
         except FleetFileError as error:
             self._mistakes.append(error.in_file(str(path)).under(("devices",)))
-
-    def _add(
-        self,
-        place: Callable[[Exception], Mistake],
-        keys: Callable[[], dict[str, Any]],
-        folder: FilePath,
-    ) -> None:
-        """Add a device, or the mistake in it."""
-        if len(self._mistakes) == MOST_MISTAKES:
-            return
-        try:
-            device = self._device(keys(), folder)
-        except (TypeError, ValueError) as error:
-            self._mistakes.append(place(error))
-        else:
-            self._devices.append(device)
-            self._places.append(place)
 
     def _device(self, given: dict[str, Any], folder: FilePath) -> DeviceConfig:
         """Return the device of some keys, with the defaults; labels are merged."""
@@ -238,26 +234,33 @@ class _Reader:
         """Return the arguments of the journal, which is made to check them."""
         names = {"keep": "keep", "journal_size": "size"}
         keys = {name: given[key] for key, name in names.items() if key in given}
-        if "journal" not in given:
-            if keys:
-                raise WrongValue("journal", "is missing; keep and journal_size are about it")
-            return {}
-        keys["path"] = str(self._folder / given["journal"])
+        if "journal" in given:
+            keys["path"] = str(self._folder / given["journal"])
+        elif keys:
+            raise WrongValue("journal", "is missing; keep and journal_size are about it")
         try:
-            Journal(**keys)
+            if keys:
+                Journal(**keys)
         except Mistake as error:
-            raise error.renamed(
-                ("journal_size",) if error.path == ("size",) else error.path
-            ) from None
+            path = ("journal_size",) if error.path == ("size",) else error.path
+            raise error.renamed(path) from None
         return keys
 
     def _outputs(self, given: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
-        found = [
-            (path, kind, *self._output(path, kind, raw))
-            for kind, described in given.items()
-            for path, raw in described
-        ]
-        places, trial = [each[0] for each in found], [each[3] for each in found]
+        """Return the kind and the arguments of each output, which is made to check them."""
+        outputs, places, trial = [], [], list[Output]()
+        for kind, described in given.items():
+            for path, raw in described:
+                with inside(*path):
+                    keys = {key: _filled(key, each) for key, each in self._secrets(raw).items()}
+                    if isinstance(keys.get("path"), str) and keys["path"] != "-":
+                        keys["path"] = str(self._folder / keys["path"])
+                    output = made(kind, keys)
+                    if (describe := getattr(output, "describe", None)) is not None:
+                        describe({each.name: each for each in self._devices})
+                outputs.append((kind, keys))
+                places.append(path)
+                trial.append(output)
         if (both := shared(trial)) is not None:
             first, second, what = both
             reason = f"uses {what}, as {path_text(places[first])} does"
@@ -265,20 +268,7 @@ class _Reader:
         for place, output in zip(places, trial, strict=True):
             if (source := used(output, self._sources)) is not None:
                 raise WrongValue.about(place, f"uses {source}, which the fleet is read from")
-        return [(kind, keys) for _, kind, keys, _ in found]
-
-    def _output(
-        self, path: Path, kind: str, given: Mapping[str, Any]
-    ) -> tuple[dict[str, Any], Output]:
-        """Return the keys of an output, and an output that was made to check them."""
-        with inside(*path):
-            keys = {key: _filled(key, value) for key, value in self._secrets(given).items()}
-            if isinstance(keys.get("path"), str) and keys["path"] != "-":
-                keys["path"] = str(self._folder / keys["path"])
-            output = made(kind, keys)
-            if (describe := getattr(output, "describe", None)) is not None:
-                describe({each.name: each for each in self._devices})
-            return keys, output
+        return outputs
 
     def _secrets(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Return the keys of an output with the contents of files; refuse secrets in the text."""
