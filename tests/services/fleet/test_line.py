@@ -14,8 +14,6 @@ from libmodbus_py.services import line as shared_line
 from libmodbus_py.services.fleet.fleet import first_time
 from libmodbus_py.services.fleet.poller import DeviceState
 from tests.simulation.plants import MAP, Plant
-from tests.simulation.scripted import Write
-from tests.support.talk import rtu
 
 
 def gaps(times: list[float]) -> list[float]:
@@ -359,24 +357,17 @@ class TestLease:
 
 def test_a_late_answer_to_a_line_whose_options_changed_is_no_answer_over_the_next() -> None:
     """A fleet file was read again while a request was out, and a point was added to the map."""
-
-    class Telling(Plant):
-        def _answer(self, request: bytes, write: Write) -> None:
-            write(rtu(f"01 03 02 {request[2:4].hex()}"), 0.3 if request[3] == 0 else 0.05)
-
-    plant = Telling()
+    plant = Plant()
     far = RegisterMap([Point("far", "holding_registers", 9)])
 
     async def main() -> None:
-        await asyncio.sleep(0)
-        while plant.fleet.statistics.polls == 0:
-            await asyncio.sleep(0.01)
         for options in ("?timeout=0.4", "?timeout=0.5") * 10:
-            plant.url = f"rtu:///dev/line{options}"
+            await asyncio.sleep(1.01)
+            plant.url, plant.delay = f"rtu:///dev/line{options}", 0.05
             plant.fleet.replace([plant.device(1, far, interval=0.01)])
             await asyncio.sleep(2)
+            plant.delay = 0.3
             plant.fleet.replace([plant.device(1, interval=0.01)])
-            await asyncio.sleep(1.01)
 
     plant.run(main, plant.device(1, interval=0.01))
     values = {(each.name, each.value) for each in plant.readings if each.value is not None}

@@ -100,17 +100,6 @@ def test_an_error_of_a_point_is_told_once_and_so_is_its_end() -> None:
     assert device.poll() == {"v": (230, "")}
 
 
-def test_a_total_that_falls_is_read_again_at_the_next_poll() -> None:
-    device = Polled()
-    for _ in range(6):
-        device.poll()
-    device.cells[10] = 5
-    assert device.poll() == {"v": (230, "")}
-    assert device.asked == [0, 10]
-    assert device.poll() == {"v": (230, ""), "energy": (5, "Fell")}
-    assert device.poll() == {"v": (230, "")}
-
-
 def test_groups_are_read_beside_items() -> None:
     assert config(groups=("plate",)).names == ("serial", "model")
     assert config(items=("v", "model"), groups=("plate",)).names == ("v", "model", "serial")

@@ -13,6 +13,7 @@ from libmodbus_py import IllegalDataAddress, ModbusTimeoutError, Point, Register
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.maps.point_plan import PointPlan
 from libmodbus_py.services.fleet.poller import DeviceState, Poller
+from tests.support.cases import each_case
 
 NAMES = ("a", "b", "c")
 MAP = RegisterMap(
@@ -20,6 +21,7 @@ MAP = RegisterMap(
 )
 
 SILENT = ModbusTimeoutError("no answer")
+LATER = ModbusTimeoutError("later")
 REFUSED = IllegalDataAddress()
 
 
@@ -44,24 +46,33 @@ def poll(poller: Poller, *outcomes: Any, now: float = 0.0) -> list[int]:
     return asked
 
 
-def test_all_requests_are_asked_in_their_order(poller: Poller) -> None:
-    assert poll(poller, [1], [2], [3]) == [0, 500, 1000]
-    assert poller.state is DeviceState.UP
-    assert poller.error is None
-    assert [(each.name, each.value, each.unit) for each in poller.readings(9.0)] == [
-        ("a", 1, "V"),
-        ("b", 2, "V"),
-        ("c", 3, "V"),
-    ]
+@each_case(
+    ("outcomes", "state", "error", "values"),
+    [
+        ([[1], [2], [3]], DeviceState.UP, None, [1, 2, 3]),
+        # One that is silent at first is asked nothing else; one that answered is asked on.
+        ([SILENT], DeviceState.DOWN, SILENT, [None, None, None]),
+        ([[1], SILENT, [3]], DeviceState.UP, SILENT, [1, None, 3]),
+        # The first error is told.
+        ([[1], SILENT, LATER], DeviceState.UP, SILENT, [1, None, None]),
+    ],
+)
+def test_a_poll(outcomes: list[Any], state: DeviceState, error: Any, values: list[Any]) -> None:
+    poller = poller_of()
+    assert poll(poller, *outcomes) == [0, 500, 1000][: len(outcomes)]
+    assert (poller.state, poller.error) == (state, error)
+    told = [(each.name, each.value, each.quality) for each in poller.readings(9.0)]
+    qualities = ["good" if value else "down" for value in values]
+    assert told == [*zip(NAMES, values, qualities, strict=True)]
+    poll(poller, *([[1], [2], [3]] if state is DeviceState.UP else [SILENT]))
+    assert poller.error is (None if state is DeviceState.UP else SILENT)
 
 
-def test_a_device_that_is_silent_at_first_is_asked_nothing_else(poller: Poller) -> None:
-    assert poll(poller, SILENT) == [0]
-    assert poller.state is DeviceState.DOWN
-    assert poller.error is SILENT
-    assert not poller.is_refused
-    told = [(each.name, each.quality, each.reason) for each in poller.readings(9.0)]
-    assert told == [(name, "down", "ModbusTimeoutError") for name in NAMES]
+def test_a_device_rests_by_its_interval_if_that_is_longer_than_a_minute() -> None:
+    poller = poller_of(interval=300.0)
+    poll(poller, SILENT)
+    poll(poller, SILENT)
+    assert poller.pause == 300.0
 
 
 def test_after_each_silence_another_request_comes_first(poller: Poller) -> None:
@@ -71,14 +82,6 @@ def test_after_each_silence_another_request_comes_first(poller: Poller) -> None:
     assert poller.misses == 0
     assert [each.value for each in poller.readings(9.0)] == [1, 2, 3]
     assert poll(poller, [2], [3], [1]) == [500, 1000, 0]
-
-
-def test_a_device_that_answered_and_fell_silent_is_up_and_asked_on(poller: Poller) -> None:
-    assert poll(poller, [1], SILENT, [3]) == [0, 500, 1000]
-    assert poller.state is DeviceState.UP
-    assert (poller.error, poller.misses) == (SILENT, 0)
-    told = [(each.value, each.quality) for each in poller.readings(9.0)]
-    assert told == [(1, "good"), (None, "down"), (3, "good")]
 
 
 def test_a_refusal_is_an_answer(poller: Poller) -> None:
@@ -95,15 +98,6 @@ def test_a_refusal_is_an_answer(poller: Poller) -> None:
     assert [each.quality for each in poller.readings(9.0)] == ["bad"] * 3
 
 
-def test_the_first_error_of_a_poll_is_told_and_the_next_poll_forgets_it(poller: Poller) -> None:
-    later = ModbusTimeoutError("later")
-    poll(poller, [1], SILENT, later)
-    assert poller.error is SILENT
-    poll(poller, [1], [2], [3])
-    assert poller.error is None
-    assert not poller.is_refused
-
-
 def test_a_poll_begins_without_what_came_in_the_last_one(poller: Poller) -> None:
     poller.begin()
     poller.take([1], 0.0)
@@ -111,52 +105,6 @@ def test_a_poll_begins_without_what_came_in_the_last_one(poller: Poller) -> None
     assert poller.request.address == 0
     poller.take(SILENT, 0.0)
     assert poller.state is DeviceState.DOWN
-
-
-def test_it_rests_by_its_interval_doubled_up_to_a_minute() -> None:
-    poller = poller_of(interval=10.0)
-    pauses = []
-    for _ in range(5):
-        poll(poller, SILENT)
-        pauses.append(poller.pause)
-    assert pauses == [10.0, 20.0, 40.0, 60.0, 60.0]
-    poller = poller_of(interval=300.0)
-    poll(poller, SILENT)
-    poll(poller, SILENT)
-    assert poller.pause == 300.0
-
-
-def test_readings_are_taken_back_but_for_points_that_are_still_read(poller: Poller) -> None:
-    poll(poller, [1], [2], [3])
-    taken_back = poller.withdrawn(8.0, {"b"})
-    assert [(each.time, each.name, each.value, each.quality) for each in taken_back] == [
-        (8.0, "a", None, "offline"),
-        (8.0, "c", None, "offline"),
-    ]
-    assert {each.unit for each in taken_back} == {"V"}
-
-
-def test_a_device_that_is_forgotten_is_new_and_tells_all_again() -> None:
-    poller = poller_of(on_change=True)
-    for count in (3, 0):
-        poll(poller, [1], [2], [3])
-        assert len(poller.readings(9.0)) == count
-    poller.since = 5.0
-    poll(poller, [1], SILENT, [3])
-    poller.forget()
-    assert poller.state is DeviceState.NEW
-    assert poller.since == 0.0
-    assert poller.error is None
-    assert poller.withdrawn(8.0) == []
-    poll(poller, [1], [2], [3])
-    assert len(poller.readings(9.0)) == 3
-
-
-def test_ids_go_up_from_the_first(poller: Poller) -> None:
-    poll(poller, [1], [2], [3])
-    assert [each.id for each in poller.readings(9.0, 41)] == [41, 42, 43]
-    poll(poller, [1], [2], [3])
-    assert [each.id for each in poller.readings(9.0)] == [0, 0, 0]
 
 
 def test_plans_for_sets_of_points_are_made_once_and_bounded() -> None:
