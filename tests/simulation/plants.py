@@ -5,15 +5,16 @@ A plant of scripted units on one connection, which a fleet polls in simulated ti
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from typing import Any
 
 from libmodbus_py import Fleet, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig, Reading
+from tests.services.fleet.fleets import NETWORK
 from tests.support.peers import mbap
 from tests.support.talk import rtu
 
-from .network import Network
 from .scripted import Scripted, Write
 
 __all__ = ["MAP", "ONE", "Plant"]
@@ -36,7 +37,7 @@ class Plant:
     """
 
     def __init__(self, url: str = "rtu:///dev/line", options: str = "?timeout=0.5") -> None:
-        self.network = Network(1)
+        self.network = NETWORK.get()
         self.asked: list[tuple[float, int, int]] = []
         self.silent: set[int] = set()
         self.mute: set[int] = set()
@@ -74,25 +75,22 @@ class Plant:
         given = {"interval": 1.0, "unit": unit, **options}
         return DeviceConfig(f"device {unit}", self.url, points, **given)
 
-    def run(
-        self,
-        main: Callable[[], Awaitable[None]],
-        *devices: DeviceConfig,
-        may_ask: Callable[[str], bool] | None = None,
-    ) -> None:
-        async def whole() -> None:
-            self.fleet = Fleet(devices, may_ask=may_ask)
-            collecting = asyncio.create_task(collect())
-            await asyncio.sleep(0)
-            async with self.fleet:
-                await main()
-            await collecting
+    @asynccontextmanager
+    async def polls(
+        self, *devices: DeviceConfig, may_ask: Callable[[str], bool] | None = None
+    ) -> AsyncIterator[None]:
+        """Poll devices, and collect the readings."""
+        self.fleet = Fleet(devices, may_ask=may_ask)
+        readings = self.fleet.readings()
 
         async def collect() -> None:
-            async for reading in self.fleet.readings():
+            async for reading in readings:
                 self.readings.append(reading)
 
-        self.network.run(whole)
+        collecting = asyncio.create_task(collect())
+        async with self.fleet:
+            yield
+        await collecting
 
     def units(self, since: float = 0.0) -> list[int]:
         return [unit for at, unit, _ in self.asked if at >= since]

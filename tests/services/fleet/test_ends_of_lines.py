@@ -11,6 +11,7 @@ import pytest
 
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import DeviceConfig
+from tests.services.fleet.fleets import in_simulated_time
 from tests.simulation.plants import MAP, Plant
 
 AFTERWARDS = 10.0
@@ -34,22 +35,19 @@ def silent(plant: Plant) -> list[DeviceConfig]:
 @pytest.mark.parametrize("removed", [False, True])
 @pytest.mark.parametrize("situation", [between_requests, in_a_queue, silent])
 @pytest.mark.parametrize("seconds", [0.1, 0.9, 1.3, 2.2, 3.1])
-def test_nobody_is_asked_after_the_end(situation: Any, seconds: float, removed: bool) -> None:
+@in_simulated_time
+async def test_nobody_is_asked_after_the_end(situation: Any, seconds: float, removed: bool) -> None:
     plant = Plant()
-
-    async def main() -> None:
-        fleet = Fleet(situation(plant))
-        async with fleet:
-            await asyncio.sleep(seconds)
-            if removed:
-                fleet.remove(plant.device(1).connection_key)
-                asked = len(plant.asked)
-                await asyncio.sleep(AFTERWARDS)
-                assert len(plant.asked) == asked
-        asked = len(plant.asked)
-        await asyncio.sleep(AFTERWARDS)
-        assert len(plant.asked) == asked
-        statistics = fleet.statistics
-        assert statistics.polls <= asked
-
-    plant.network.run(main)
+    fleet = Fleet(situation(plant))
+    async with fleet:
+        await asyncio.sleep(seconds)
+        if removed:
+            fleet.remove(plant.device(1).connection_key)
+            asked = len(plant.asked)
+            await asyncio.sleep(AFTERWARDS)
+            assert len(plant.asked) == asked
+    asked = len(plant.asked)
+    await asyncio.sleep(AFTERWARDS)
+    assert len(plant.asked) == asked
+    statistics = fleet.statistics
+    assert statistics.polls <= asked

@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from libmodbus_py.services.fleet.statistics import LATENESS_BOUNDS, FleetStatistics
-from tests.simulation.plants import MAP, Plant
+from tests.services.fleet.fleets import in_simulated_time
+from tests.simulation.plants import MAP, ONE, Plant
 
 # Simulated seconds: of a device's polls unless given, and between two looks at what is so.
 INTERVAL, LOOK = 1.0, 0.001
@@ -36,14 +37,15 @@ def counted(statistics: FleetStatistics) -> dict[str, int]:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_each_poll_counts_once(name: str) -> None:
+@in_simulated_time
+async def test_each_poll_counts_once(name: str) -> None:
     given, expected = CASES[name]
     plant = Plant()
     plant.refusing = given.get("refusing", set())
     plant.delay = given.get("delay", plant.delay)
     interval = 0.3
-
-    async def main() -> None:
+    device = plant.device(1, given.get("points", ONE), interval=interval)
+    async with plant.polls(device, may_ask=given.get("may_ask")):
         # The first poll is at a time of its own within the interval.
         while not (plant.asked or plant.fleet.statistics.held):
             await asyncio.sleep(LOOK)
@@ -54,15 +56,12 @@ def test_each_poll_counts_once(name: str) -> None:
         begun = statistics.held or sum(address == 0 for _, _, address in plant.asked)
         assert sum(statistics.lateness) == begun
 
-    points = {"points": given["points"]} if "points" in given else {}
-    plant.run(main, plant.device(1, interval=interval, **points), may_ask=given.get("may_ask"))
 
-
-def test_a_poll_is_as_late_as_the_one_before_it_takes() -> None:
+@in_simulated_time
+async def test_a_poll_is_as_late_as_the_one_before_it_takes() -> None:
     plant = Plant()
     plant.delay = 0.2
-
-    async def main() -> None:
+    async with plant.polls(plant.device(1), plant.device(2)):
         await asyncio.sleep(4 * INTERVAL)
         statistics = plant.fleet.statistics
         late = [at - min(plant.times(1)[0], plant.times(2)[0]) for at in plant.times(2)]
@@ -71,8 +70,6 @@ def test_a_poll_is_as_late_as_the_one_before_it_takes() -> None:
         assert 0 <= statistics.late_seconds <= 0.25 * len(plant.asked)
         assert statistics.worst <= 0.25
         assert statistics.within(LATENESS_BOUNDS[-1]) == 1.0
-
-    plant.run(main, plant.device(1), plant.device(2))
 
 
 def test_lateness_is_counted_by_its_bounds() -> None:

@@ -13,6 +13,7 @@ from libmodbus_py import Fleet, Point, RegisterMap
 from libmodbus_py.services import line as shared_line
 from libmodbus_py.services.fleet.fleet import first_time
 from libmodbus_py.services.fleet.poller import DeviceState
+from tests.services.fleet.fleets import in_simulated_time
 from tests.simulation.plants import MAP, Plant
 
 
@@ -20,10 +21,10 @@ def gaps(times: list[float]) -> list[float]:
     return [round(after - before, 3) for before, after in pairwise(times)]
 
 
-def test_each_device_is_polled_at_its_interval() -> None:
+@in_simulated_time
+async def test_each_device_is_polled_at_its_interval() -> None:
     plant = Plant()
-
-    async def main() -> None:
+    async with plant.polls(plant.device(1), plant.device(2, interval=2.0)):
         await asyncio.sleep(10)
         assert len(plant.times(1)) in (10, 11)
         assert len(plant.times(2)) in (5, 6)
@@ -35,13 +36,11 @@ def test_each_device_is_polled_at_its_interval() -> None:
         # One may be on its way.
         assert len(plant.asked) - statistics.polls in (0, 1)
 
-    plant.run(main, plant.device(1), plant.device(2, interval=2.0))
 
-
-def test_a_device_is_polled_at_the_same_time_of_day_on_each_machine() -> None:
+@in_simulated_time
+async def test_a_device_is_polled_at_the_same_time_of_day_on_each_machine() -> None:
     plant = Plant()
-
-    async def main() -> None:
+    async with plant.polls(plant.device(1, interval=7.0)):
         await asyncio.sleep(30)
         wall = plant.network.time_of_day() - plant.now
         phase = first_time("device 1", 7.0, 0.0, 0.0)
@@ -49,45 +48,39 @@ def test_a_device_is_polled_at_the_same_time_of_day_on_each_machine() -> None:
         for at in plant.times(1):
             assert (at + wall) % 7.0 == pytest.approx(phase, abs=0.01)
 
-    plant.run(main, plant.device(1, interval=7.0))
 
-
-def test_the_requests_of_a_poll_go_out_one_after_the_other() -> None:
+@in_simulated_time
+async def test_the_requests_of_a_poll_go_out_one_after_the_other() -> None:
     """All of a poll should be of one moment: no other device comes between."""
     plant = Plant()
-
-    async def main() -> None:
+    # They are due at the same time, for an interval so short puts them close together.
+    async with plant.polls(*(plant.device(unit, MAP, interval=0.25) for unit in (1, 2, 3))):
         await asyncio.sleep(10)
         polls = plant.asked[: len(plant.asked) // 2 * 2]
         assert len(polls) >= 30
         for first, second in zip(polls[::2], polls[1::2], strict=True):
             assert (first[1:], second[1:]) == ((first[1], 0), (first[1], 9))
 
-    # They are due at the same time, for an interval so short puts them close together.
-    plant.run(main, *(plant.device(unit, MAP, interval=0.25) for unit in (1, 2, 3)))
 
-
-def test_intervals_of_points_count_from_when_polls_are_due() -> None:
+@in_simulated_time
+async def test_intervals_of_points_count_from_when_polls_are_due() -> None:
     """A poll waits while its line is busy; the one after three seconds may wait less."""
     points = RegisterMap(
         [Point("near", "holding_registers", 0), Point("far", "holding_registers", 9, interval=3)]
     )
     plant = Plant()
-
-    async def main() -> None:
+    async with plant.polls(plant.device(1, points), plant.device(2, interval=0.7)):
         plant.delays[2] = 0.4
         await asyncio.sleep(90)
         far = [at for at, unit, address in plant.asked if (unit, address) == (1, 9)]
         assert {round(each) for each in gaps(far)} == {3}
         assert max(gaps(far)) > 3.1
 
-    plant.run(main, plant.device(1, points), plant.device(2, interval=0.7))
 
-
-def test_a_device_rests_between_its_requests_and_others_are_asked() -> None:
+@in_simulated_time
+async def test_a_device_rests_between_its_requests_and_others_are_asked() -> None:
     plant = Plant()
-
-    async def main() -> None:
+    async with plant.polls(plant.device(1, MAP, spacing=0.3), plant.device(2, interval=0.1)):
         await asyncio.sleep(20)
         times = plant.times(1)
         assert min(gaps(times)) >= 0.3 + plant.delay - 0.01
@@ -96,38 +89,32 @@ def test_a_device_rests_between_its_requests_and_others_are_asked() -> None:
         assert others
         assert max(others) < 0.2
 
-    plant.run(main, plant.device(1, MAP, spacing=0.3), plant.device(2, interval=0.1))
 
-
-def test_a_device_rests_between_its_polls() -> None:
+@in_simulated_time
+async def test_a_device_rests_between_its_polls() -> None:
     plant = Plant()
-
-    async def main() -> None:
+    async with plant.polls(plant.device(1, spacing=0.6, interval=0.5)):
         await asyncio.sleep(20)
         assert len(plant.times(1)) > 25
         assert min(gaps(plant.times(1))) >= 0.6 + plant.delay - 0.01
 
-    plant.run(main, plant.device(1, spacing=0.6, interval=0.5))
 
-
-def test_a_damaged_answer_holds_its_device_for_a_timeout_and_no_other() -> None:
+@in_simulated_time
+async def test_a_damaged_answer_holds_its_device_for_a_timeout_and_no_other() -> None:
     plant = Plant(options="?timeout=2")
-
-    async def main() -> None:
+    async with plant.polls(plant.device(1, MAP), plant.device(2, interval=0.1)):
         plant.damaging.add(1)
         await asyncio.sleep(60)
         assert min(gaps(plant.times(1))) >= 2.0
         assert len(plant.times(1)) >= 15
         assert max(gaps(plant.times(2))) < 0.2
 
-    plant.run(main, plant.device(1, MAP), plant.device(2, interval=0.1))
-
 
 class TestSilentDevices:
-    def test_one_that_is_silent_rests_longer_each_time(self) -> None:
+    @in_simulated_time
+    async def test_one_that_is_silent_rests_longer_each_time(self) -> None:
         plant = Plant()
-
-        async def main() -> None:
+        async with plant.polls(plant.device(1)):
             plant.silent.add(1)
             await asyncio.sleep(200)
             found = gaps(plant.times(1))
@@ -147,13 +134,11 @@ class TestSilentDevices:
             await asyncio.sleep(5)
             assert gaps(plant.times(1))[-3:] == [1.0, 1.0, 1.0]
 
-        plant.run(main, plant.device(1))
-
-    def test_a_try_makes_way_for_others(self) -> None:
+    @in_simulated_time
+    async def test_a_try_makes_way_for_others(self) -> None:
         """It costs them no more than one of their own answers takes."""
         plant = Plant()
-
-        async def main() -> None:
+        async with plant.polls(plant.device(9), plant.device(1, interval=0.1)):
             plant.silent.add(9)
             await asyncio.sleep(60)
             before = plant.fleet.statistics.skipped
@@ -165,14 +150,12 @@ class TestSilentDevices:
             assert plant.fleet.statistics.skipped - before < 5
             assert len(plant.times(9)) >= 4
 
-        plant.run(main, plant.device(9), plant.device(1, interval=0.1))
-
-    def test_one_try_in_some_waits_to_the_end(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    @in_simulated_time
+    async def test_one_try_in_some_waits_to_the_end(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """It may have become slower than all others, and would never be found."""
         monkeypatch.setattr(shared_line, "TRIALS_BEFORE_LONG", 6)
         plant = Plant()
-
-        async def main() -> None:
+        async with plant.polls(plant.device(9), plant.device(1, interval=0.1)):
             plant.silent.add(9)
             await asyncio.sleep(10)
             plant.silent.clear()
@@ -182,12 +165,10 @@ class TestSilentDevices:
                 assert len(plant.times(9)) <= 7
             assert len(plant.times(9)) == 7
 
-        plant.run(main, plant.device(9), plant.device(1, interval=0.1))
-
-    def test_it_is_tried_on_a_line_that_never_rests(self) -> None:
+    @in_simulated_time
+    async def test_it_is_tried_on_a_line_that_never_rests(self) -> None:
         plant = Plant()
-
-        async def main() -> None:
+        async with plant.polls(plant.device(9), plant.device(1, interval=0.05)):
             plant.silent.add(9)
             plant.delay = 0.06
             await asyncio.sleep(60)
@@ -198,25 +179,21 @@ class TestSilentDevices:
             await asyncio.sleep(70)
             assert plant.fleet.devices["device 9"].state is DeviceState.UP
 
-        plant.run(main, plant.device(9), plant.device(1, interval=0.05))
-
-    def test_one_is_tried_at_a_time(self) -> None:
+    @in_simulated_time
+    async def test_one_is_tried_at_a_time(self) -> None:
         """Also where several requests may be on their way."""
         plant = Plant("tcp://10.0.0.1", "?timeout=5&max_in_flight=4")
-
-        async def main() -> None:
+        async with plant.polls(*(plant.device(unit) for unit in (1, 2, 3))):
             plant.silent.update((1, 2, 3))
             await asyncio.sleep(60)
             tries = [at for at, *_ in plant.asked[3:]]
             assert len(tries) >= 5
             assert min(gaps(tries)) >= 5.0
 
-        plant.run(main, *(plant.device(unit) for unit in (1, 2, 3)))
-
-    def test_the_second_request_of_a_try_makes_way_too(self) -> None:
+    @in_simulated_time
+    async def test_the_second_request_of_a_try_makes_way_too(self) -> None:
         plant = Plant()
-
-        async def main() -> None:
+        async with plant.polls(plant.device(9, MAP), plant.device(1, interval=0.1)):
             await asyncio.sleep(2)  # it is known how long its answers take
             plant.silent.add(9)
             await asyncio.sleep(10)
@@ -228,28 +205,23 @@ class TestSilentDevices:
             assert plant.asked[-1][1] == 1
             assert max(gaps([at for at in plant.times(1) if at >= begun])) < 0.25
 
-        plant.run(main, plant.device(9, MAP), plant.device(1, interval=0.1))
-
 
 class TestChanges:
-    def test_devices_may_change_before_they_are_polled(self) -> None:
+    @in_simulated_time
+    async def test_devices_may_change_before_they_are_polled(self) -> None:
         plant = Plant()
+        fleet = Fleet([plant.device(1), plant.device(2)])
+        fleet.replace([plant.device(2)])
+        fleet.add([plant.device(3)])
+        async with fleet:
+            await asyncio.sleep(5)
+        assert set(plant.units()) == {2, 3}
 
-        async def main() -> None:
-            fleet = Fleet([plant.device(1), plant.device(2)])
-            fleet.replace([plant.device(2)])
-            fleet.add([plant.device(3)])
-            async with fleet:
-                await asyncio.sleep(5)
-            assert set(plant.units()) == {2, 3}
-
-        plant.network.run(main)
-
-    def test_one_that_waits_or_is_in_flight_can_be_removed(self) -> None:
+    @in_simulated_time
+    async def test_one_that_waits_or_is_in_flight_can_be_removed(self) -> None:
         plant = Plant()
         devices = [plant.device(unit, interval=0.1) for unit in (1, 2, 3)]
-
-        async def main() -> None:
+        async with plant.polls(*devices):
             plant.delay = 0.2
             for _ in range(30):
                 await asyncio.sleep(0.23)
@@ -263,13 +235,11 @@ class TestChanges:
             assert line.in_flight <= 1
             assert list(line.pollers) == ["device 3"]
 
-        plant.run(main, *devices)
-
-    def test_a_silent_one_that_is_removed_makes_room(self) -> None:
+    @in_simulated_time
+    async def test_a_silent_one_that_is_removed_makes_room(self) -> None:
         plant = Plant()
         silent, good = plant.device(9), plant.device(1)
-
-        async def main() -> None:
+        async with plant.polls(silent, good):
             plant.silent.add(9)
             while plant.units()[-1:] != [9]:
                 await asyncio.sleep(0.01)
@@ -279,12 +249,10 @@ class TestChanges:
             assert len(plant.units(since)) >= 4
             assert plant.fleet.statistics.down == 0
 
-        plant.run(main, silent, good)
-
-    def test_a_silent_device_rests_on_when_the_connection_is_another(self) -> None:
+    @in_simulated_time
+    async def test_a_silent_device_rests_on_when_the_connection_is_another(self) -> None:
         plant = Plant("tcp://10.0.0.1", "?timeout=0.5")
-
-        async def main() -> None:
+        async with plant.polls(plant.device(9), plant.device(1)):
             plant.silent.add(9)
             await asyncio.sleep(20)
             while plant.units()[-1] != 9:
@@ -296,12 +264,10 @@ class TestChanges:
             assert len(plant.units(since)) >= 8
             assert 9 not in plant.units(since)
 
-        plant.run(main, plant.device(9), plant.device(1))
-
-    def test_a_connection_that_stands_again_has_its_devices_asked_at_once(self) -> None:
+    @in_simulated_time
+    async def test_a_connection_that_stands_again_has_its_devices_asked_at_once(self) -> None:
         plant = Plant("tcp://10.0.0.1", "?timeout=0.5&max_pause=0.5")
-
-        async def main() -> None:
+        async with plant.polls(*(plant.device(unit) for unit in (1, 2, 3))):
             plant.network.unlisten(plant.url)
             plant.peer.drop_all()
             await asyncio.sleep(100)
@@ -316,12 +282,10 @@ class TestChanges:
             first = plant.asked[0][0]
             assert plant.now - first < 2.5
 
-        plant.run(main, *(plant.device(unit) for unit in (1, 2, 3)))
-
-    def test_over_tcp_as_many_are_asked_at_once_as_the_url_says(self) -> None:
+    @in_simulated_time
+    async def test_over_tcp_as_many_are_asked_at_once_as_the_url_says(self) -> None:
         plant = Plant("tcp://10.0.0.1", "?timeout=5&max_in_flight=3")
-
-        async def main() -> None:
+        async with plant.polls(*(plant.device(unit, interval=0.5) for unit in range(1, 9))):
             plant.delay = 1.0
             await asyncio.sleep(30)
             most = max(
@@ -329,38 +293,31 @@ class TestChanges:
             )
             assert most == 3
 
-        plant.run(main, *(plant.device(unit, interval=0.5) for unit in range(1, 9)))
-
 
 class TestLease:
-    def test_a_poll_that_is_held_does_not_keep_others_from_their_turn(self) -> None:
+    @in_simulated_time
+    async def test_a_poll_that_is_held_does_not_keep_others_from_their_turn(self) -> None:
         plant = Plant()
-
-        async def main() -> None:
+        async with plant.polls(plant.device(1), plant.device(2), may_ask=lambda key: False):
             await asyncio.sleep(5)
             assert plant.fleet.statistics.skipped == 0
             assert plant.fleet.statistics.held >= 8
 
-        plant.run(main, plant.device(1), plant.device(2), may_ask=lambda key: False)
-
-    def test_who_may_ask_nothing_has_polled_once_at_once(self) -> None:
+    @in_simulated_time
+    async def test_who_may_ask_nothing_has_polled_once_at_once(self) -> None:
         plant = Plant()
-
-        async def main() -> None:
-            fleet = Fleet([plant.device(1), plant.device(2)], may_ask=lambda key: False)
-            await asyncio.wait_for(fleet.run(once=True), 10)
-            assert (fleet.statistics.held, fleet.statistics.polls) == (2, 0)
-            assert plant.asked == []
-
-        plant.network.run(main)
+        fleet = Fleet([plant.device(1), plant.device(2)], may_ask=lambda key: False)
+        await asyncio.wait_for(fleet.run(once=True), 10)
+        assert (fleet.statistics.held, fleet.statistics.polls) == (2, 0)
+        assert plant.asked == []
 
 
-def test_a_late_answer_to_a_line_whose_options_changed_is_no_answer_over_the_next() -> None:
+@in_simulated_time
+async def test_a_late_answer_to_a_line_whose_options_changed_is_no_answer_over_the_next() -> None:
     """A fleet file was read again while a request was out, and a point was added to the map."""
     plant = Plant()
     far = RegisterMap([Point("far", "holding_registers", 9)])
-
-    async def main() -> None:
+    async with plant.polls(plant.device(1, interval=0.01)):
         for options in ("?timeout=0.4", "?timeout=0.5") * 10:
             await asyncio.sleep(1.01)
             plant.url, plant.delay = f"rtu:///dev/line{options}", 0.05
@@ -368,7 +325,5 @@ def test_a_late_answer_to_a_line_whose_options_changed_is_no_answer_over_the_nex
             await asyncio.sleep(2)
             plant.delay = 0.3
             plant.fleet.replace([plant.device(1, interval=0.01)])
-
-    plant.run(main, plant.device(1, interval=0.01))
     values = {(each.name, each.value) for each in plant.readings if each.value is not None}
     assert values == {("near", 0), ("far", 9)}

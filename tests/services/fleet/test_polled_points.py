@@ -17,6 +17,7 @@ from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.fleet.config import devices_from_json, devices_to_json
 from libmodbus_py.services.fleet.files import FleetFileError, load
 from libmodbus_py.services.fleet.poller import DeviceState, Poller
+from tests.services.fleet.fleets import in_simulated_time
 from tests.simulation.plants import Plant
 from tests.support.cases import each_case
 
@@ -146,12 +147,14 @@ def refused(plant: Plant) -> dict[str, list[str]]:
     }
 
 
-def test_a_hole_costs_ten_requests_once_and_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+@in_simulated_time
+async def test_a_hole_costs_ten_requests_and_is_told_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     caplog.set_level(logging.WARNING, "libmodbus_py")
     plant = plant_of()
     plant.missing[1] = {7}
-
-    async def main() -> None:
+    async with plant.polls(device(plant, 1)):
         counts = []
         for _ in range(10):
             await asyncio.sleep(10)
@@ -165,8 +168,6 @@ def test_a_hole_costs_ten_requests_once_and_is_told_once(caplog: pytest.LogCaptu
         await asyncio.sleep(700)
         assert poller.unreadable == []
         assert poller.error is None
-
-    plant.run(main, device(plant, 1))
     told = [(each.quality, each.reason) for each in plant.readings if each.name == "p7"]
     assert told[0] == ("bad", "IllegalDataAddress")
     assert set(told[1:]) == {("good", "")}
@@ -178,11 +179,11 @@ def test_a_hole_costs_ten_requests_once_and_is_told_once(caplog: pytest.LogCaptu
     ]
 
 
-def test_devices_of_one_map_do_not_share_what_they_lack() -> None:
+@in_simulated_time
+async def test_devices_of_one_map_do_not_share_what_they_lack() -> None:
     plant = plant_of()
     plant.missing = {1: {3}, 2: {15}, 4: set(range(20))}
-
-    async def main() -> None:
+    async with plant.polls(*(device(plant, unit) for unit in range(1, 5))):
         await asyncio.sleep(100)
         everything = [each.name for each in TWENTY]
         assert [*refused(plant).values()] == [["p3"], ["p15"], [], everything]
@@ -192,14 +193,12 @@ def test_devices_of_one_map_do_not_share_what_they_lack() -> None:
         await asyncio.sleep(100)
         assert [plant.taken(unit) for unit in (3, 4)] == [10, 10]
 
-    plant.run(main, *(device(plant, unit) for unit in range(1, 5)))
 
-
-def test_a_device_that_is_silent_about_its_first_request_is_not_down() -> None:
+@in_simulated_time
+async def test_a_device_that_is_silent_about_its_first_request_is_not_down() -> None:
     plant = plant_of()
     plant.mute = {0}
-
-    async def main() -> None:
+    async with plant.polls(device(plant, 1, APART)):
         await asyncio.sleep(100)
         poller = plant.fleet.devices["device 1"]
         assert poller.state is DeviceState.UP
@@ -207,32 +206,28 @@ def test_a_device_that_is_silent_about_its_first_request_is_not_down() -> None:
         plant.mute = set()
         await asyncio.sleep(20)
         assert poller.error is None
-
-    plant.run(main, device(plant, 1, APART))
     last = {each.name: (each.quality, each.value) for each in plant.readings}
     assert last == {"a": ("good", 0), "b": ("good", 10), "c": ("good", 20)}
     good = Counter(each.name for each in plant.readings if each.quality == "good")
     assert good["b"] == good["c"] >= 10
 
 
-def test_a_device_that_is_gone_costs_one_request_a_trial() -> None:
+@in_simulated_time
+async def test_a_device_that_is_gone_costs_one_request_a_trial() -> None:
     plant = plant_of()
     plant.silent = {1}
-
-    async def main() -> None:
+    async with plant.polls(device(plant, 1, APART)):
         await asyncio.sleep(1000)
         assert plant.fleet.devices["device 1"].state is DeviceState.DOWN
         assert len(plant.asked) == plant.fleet.statistics.polls
         assert len({address for *_, address in plant.asked}) == 3
 
-    plant.run(main, device(plant, 1, APART))
 
-
-def test_a_device_that_leaves_while_it_is_searched() -> None:
+@in_simulated_time
+async def test_a_device_that_leaves_while_it_is_searched() -> None:
     plant = plant_of()
     plant.missing[1] = {7}
-
-    async def main() -> None:
+    async with plant.polls(device(plant, 1)):
         while len(plant.asked) < 3:
             await asyncio.sleep(0.001)
         plant.silent = {1}
@@ -243,17 +238,15 @@ def test_a_device_that_leaves_while_it_is_searched() -> None:
         await asyncio.sleep(200)
         assert refused(plant) == {"device 1": ["p7"]}
 
-    plant.run(main, device(plant, 1))
-
 
 @each_case("stop", range(1, 8))
-def test_devices_that_are_replaced_while_they_are_searched(stop: int) -> None:
+@in_simulated_time
+async def test_devices_that_are_replaced_while_they_are_searched(stop: int) -> None:
     """Nothing of the search goes on, and what was learnt is true."""
     plant = plant_of()
     plant.missing = {1: {7}, 2: {7}}
     one, two = device(plant, 1), device(plant, 2)
-
-    async def main() -> None:
+    async with plant.polls(one):
         while len(plant.asked) < stop:
             await asyncio.sleep(0.001)
         plant.fleet.replace([two])
@@ -263,5 +256,3 @@ def test_devices_that_are_replaced_while_they_are_searched(stop: int) -> None:
         plant.fleet.replace([one, two])
         await asyncio.sleep(100)
         assert [*refused(plant).values()] == [["p7"], ["p7"]]
-
-    plant.run(main, one)
