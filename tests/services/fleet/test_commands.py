@@ -5,15 +5,12 @@ Commands: values of every kind, one after the other for each device, and as many
 from __future__ import annotations
 
 import asyncio
-import json
 from datetime import UTC, datetime
 from typing import Any
 
 from libmodbus_py import Device, Point, RegisterMap, Server
 from libmodbus_py.fleet import DeviceConfig, Fleet
 from libmodbus_py.services.fleet.commands import Commands, Wanted, wanted_of
-from libmodbus_py.services.fleet.outputs.forms import as_json
-from libmodbus_py.services.fleet.readings import Reading
 from libmodbus_py.services.fleet.statistics import FleetStatistics
 from tests.services.fleet.fleets import Peer, good, in_simulated_time, meter, polling
 from tests.support.cases import each, each_case
@@ -82,20 +79,6 @@ def test_every_kind_of_value_can_be_written() -> None:
 
     with Server(device).background("tcp://127.0.0.1:0") as serving:
         asyncio.run(go(serving.urls[0]))
-
-
-def test_what_is_reported_can_be_written() -> None:
-    line = as_json([Reading(0.0, "d", "clock", NOON, "", "good", "")]).decode()
-    told = json.loads(line)["value"]
-    device = Device.of_map(MAP)
-
-    async def go(url: str) -> None:
-        async with Fleet([DeviceConfig("d", url, MAP, interval=3600)]) as fleet:
-            await fleet.write("d", {"clock": told})
-
-    with Server(device).background("tcp://127.0.0.1:0") as serving:
-        asyncio.run(go(serving.urls[0]))
-    assert device["clock"] == NOON
 
 
 @each_case(

@@ -4,8 +4,6 @@ Devices of a fleet: bounds that are promised, names, addresses, and the table [e
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,12 +12,10 @@ from libmodbus_py import Fleet, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.services.fleet.config import ENGINE
-from libmodbus_py.services.fleet.files import FleetFileError, load
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.workers.records import FleetSettings
 from tests.services.fleet.fleets import meter
 from tests.support.cases import each_case
-from tests.support.commands import run
 
 
 @each_case(("key", "low", "high"), [("gap", 0, 2000), ("max_registers", 1, 125)])
@@ -89,30 +85,6 @@ def test_other_labels_are_taken(labels: dict[str, str]) -> None:
     assert meter("a", "tcp://127.0.0.1", labels=labels).labels == labels
 
 
-# --- lists --------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def listed(tmp_path: Path) -> Callable[[str], Any]:
-    """Return the names of the devices of a list in CSV."""
-    (tmp_path / "fleet.toml").write_text('devices = "list.csv"')
-    (tmp_path / "meter.csv").write_text("name,table,address\nx,holding_registers,0\n")
-
-    def names(rows: str) -> list[str]:
-        (tmp_path / "list.csv").write_text(f"name,url,map\n{rows}")
-        return [each.name for each in load(tmp_path / "fleet.toml").devices]
-
-    return names
-
-
-def test_a_device_whose_name_begins_with_a_number_sign(listed: Callable[[str], Any]) -> None:
-    with pytest.raises(FleetFileError, match=r"line 3: quote '#12' if it is a name, or put a"):
-        listed("#11 is a comment\n#12,tcp://127.0.0.1,meter.csv\n")
-    rows = '"#12",tcp://127.0.0.1,meter.csv\n# 12,tcp://127.0.0.1,meter.csv\n#b,tcp://b,c\n'
-    assert listed(rows) == ["#12"]
-    assert listed(rows.replace("\n", "\r\n")) == ["#12"]
-
-
 # --- connections --------------------------------------------------------------------------------
 
 SAME = [
@@ -135,33 +107,15 @@ def test_two_spellings_of_one_place(one: str, other: str) -> None:
             Fleet([meter("a", one), meter("b", f"{other}?timeout=3", unit=2)])
 
 
-DEVICE = """
-[[device]]
-name = "a"
-url = "tcp://127.0.0.1:1"
-[[device.point]]
-name = "x"
-table = "coils"
-address = 0
-"""
-
-
 def settings(given: dict[str, Any]) -> FleetSettings:
     return FleetSettings(**ENGINE.read(("engine",), given))
 
 
-def test_usual_settings() -> None:
+def test_settings() -> None:
     assert settings({}) == FleetSettings(10.0, "stop", False, 86_400.0, 1 << 30)
-
-
-def test_all_of_them(tmp_path: Path) -> None:
-    path = tmp_path / "fleet.toml"
-    path.write_text(
-        "[engine]\nlease = 0.5\non_engine_loss = 'continue'\ncommands = true\n"
-        f"max_age = 60\nmax_bytes = 65536\n{DEVICE}"
-    )
-    made = FleetSettings(**load(path).engine)
-    assert made == FleetSettings(0.5, "continue", True, 60.0, 1 << 16)
+    given = {"lease": 0.5, "on_engine_loss": "continue", "commands": True}
+    sizes = {"max_age": 60, "max_bytes": 65536}
+    assert settings({**given, **sizes}) == FleetSettings(0.5, "continue", True, 60.0, 1 << 16)
 
 
 @each_case(
@@ -181,11 +135,3 @@ def test_all_of_them(tmp_path: Path) -> None:
 def test_what_is_wrong_is_named(given: Any, error: type[Exception], text: str) -> None:
     with pytest.raises(error, match=text):
         settings(given)
-
-
-def test_a_file_with_a_wrong_key_is_refused_on_one_machine_too(tmp_path: Path) -> None:
-    path = tmp_path / "fleet.toml"
-    path.write_text(f"[engine]\nleese = 3\n{DEVICE}")
-    with pytest.raises(FleetFileError, match=r"line 2: engine\.leese: no such key"):
-        load(path)
-    assert run("poll", path, "--once").code == 2

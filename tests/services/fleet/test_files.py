@@ -293,6 +293,7 @@ SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
             3,
             "output.mqtt.qos must be in 0..1",
         ),
+        ("[engine]\nleese = 3\n" + SIMPLE, 2, "engine.leese: no such key"),
         ("devices = 'none.csv'\n" + SIMPLE, 1, "devices: cannot read"),
         ("devices = ['a']\n" + SIMPLE, 1, "devices must be the name of a file, not"),
     ],
@@ -332,6 +333,7 @@ ROWS = "name,url,unit,map\na,tcp://h,1,meter.csv\n"
         ),
         (ROWS + "b,tcp://i,1,meter.csv,more\n", "line 3: 5 cells below 4 headings"),
         (ROWS + 'b,"tcp\n', "line 3: invalid CSV"),
+        (ROWS + "#12,tcp://i,1,meter.csv\n", "line 3: quote '#12' if it is a name, or put a"),
         ("name,url,map,interval\na,tcp://h,meter.csv,1_0\n", "interval must be a number such"),
         ('name,url,map,interval\na,tcp://h,meter.csv,"1,5"\n', "with a point, not a comma, not"),
         (

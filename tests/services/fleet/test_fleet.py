@@ -237,19 +237,6 @@ async def test_replacing_touches_only_what_changed() -> None:
 
 
 @in_simulated_time
-async def test_a_line_with_other_options_is_made_anew() -> None:
-    async with Peer() as peer:
-        a, b = meter("a", peer.url), meter("b", peer.url, unit=2)
-        async with polling(a, b) as (fleet, _):
-            await until(lambda: fleet.statistics.up == 2)
-            url = f"{peer.url}?timeout=2"
-            fleet.replace([meter("a", url), meter("b", url, unit=2)])
-            await until(lambda: len(peer.connections) == 2 and fleet.statistics.up == 2)
-            await until(lambda: peer.connections[0].is_closed)
-            assert fleet.statistics.devices == 2
-
-
-@in_simulated_time
 async def test_what_cannot_be_changes_nothing() -> None:
     async with Peer() as peer, polling(meter("a", peer.url)) as (fleet, _):
         for bad, text in (

@@ -4,16 +4,12 @@ Readings of points that say what their registers mean.
 
 from __future__ import annotations
 
-import asyncio
 import json
 import math
 from typing import Any
 
-import pytest
-
-from libmodbus_py import Device, Mapping, Point, RegisterMap, Server
-from libmodbus_py.fleet import DeviceConfig, Fleet, Reading
-from libmodbus_py.services.fleet.config import devices_from_json, devices_to_json
+from libmodbus_py import Point, RegisterMap
+from libmodbus_py.fleet import DeviceConfig, Reading
 from libmodbus_py.services.fleet.outputs.forms import as_json
 from libmodbus_py.services.fleet.poller import Poller
 from libmodbus_py.services.fleet.readings import classified
@@ -100,26 +96,6 @@ def test_a_total_that_falls_is_told_when_it_was_read_again() -> None:
     assert total(5) == [(5, "good", "")]
     assert total(0) == []
     assert total(6) == [(6, "good", "")]
-
-
-def test_maps_come_to_workers_with_what_they_mean() -> None:
-    (found,) = devices_from_json(devices_to_json([DEVICE]))
-    assert list(found.map.values()) == list(POINTS.values())
-
-
-def test_a_fleet_writes_by_what_points_mean() -> None:
-    made = Device(Mapping(holding_registers={0: [0, 0, 0xFF, 0, 0xFFFF, 0, 0]}))
-
-    async def go(url: str) -> None:
-        config = DeviceConfig("meter", url, POINTS, interval=60)
-        async with Fleet([config]) as fleet:
-            await fleet.write("meter", {"v": 12.5, "state": "on", "flags": {"mode": 2}})
-            with pytest.raises(ValueError, match="state: value must be one of off, on"):
-                await fleet.write("meter", {"state": "up"})
-
-    with Server(made).background("tcp://127.0.0.1:0") as serving:
-        asyncio.run(go(serving.urls[0]))
-    assert made.mapping.holding_registers[0:3] == [125, 1, 0x2F]
 
 
 @each_case(

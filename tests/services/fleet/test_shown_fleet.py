@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from libmodbus_py import Fleet
-from libmodbus_py.fleet import Reading
+from libmodbus_py.fleet import DeviceConfig, Reading
 from libmodbus_py.services.fleet.shown_fleet import PageOutput, ShownFleet
 from libmodbus_py.services.fleet.statistics import JournalStatistics
 from tests.services.fleet.fleets import Peer, good, in_simulated_time, meter, simulated_run, until
@@ -34,6 +34,14 @@ class Away:
 
     async def close(self) -> None:
         """Do nothing."""
+
+
+def shown_fleet(
+    *devices: DeviceConfig, outputs: Sequence[Any] = ()
+) -> tuple[Fleet, ShownFleet, PageOutput]:
+    page = PageOutput()
+    fleet = Fleet(devices, outputs=[page, *outputs])
+    return fleet, ShownFleet("plant", fleet, page), page
 
 
 def rows(shown: ShownFleet) -> dict[str, Any]:
@@ -66,9 +74,7 @@ async def test_values_and_devices_also_of_one_that_is_down() -> None:
 
     async with Peer(answer) as peer:
         devices = [meter(name, peer.url, unit=unit, timeout=0.1) for unit, name in PAIR]
-        output = PageOutput()
-        fleet = Fleet(devices, outputs=[output])
-        shown = ShownFleet("plant", fleet, output)
+        fleet, shown, _ = shown_fleet(*devices)
         assert shown.rows() == []
         async with fleet:
             assert shown.status() == ("0 of 2 devices answer", False)
@@ -105,9 +111,8 @@ async def test_values_and_devices_also_of_one_that_is_down() -> None:
 @in_simulated_time
 async def test_an_output_shows_what_waits_since_when_and_why() -> None:
     async with Peer() as peer:
-        page, away = PageOutput(), Away()
-        fleet = Fleet([meter("a", peer.url)], outputs=[page, away])
-        shown = ShownFleet("plant", fleet, page)
+        away = Away()
+        fleet, shown, _ = shown_fleet(meter("a", peer.url), outputs=[away])
         async with fleet:
             await until(lambda: fleet.statistics.outputs["database"].waiting > 20)
             assert next(iter(rows(shown))) == "output database"
@@ -129,8 +134,7 @@ async def test_an_output_shows_what_waits_since_when_and_why() -> None:
 
 
 def test_a_journal_that_fails_is_a_problem() -> None:
-    fleet = Fleet([])
-    shown = ShownFleet("plant", fleet, PageOutput())
+    fleet, shown, _ = shown_fleet()
     fleet.statistics.journal = JournalStatistics()
     fleet.statistics.journal.bytes = 12_345_678
     assert cells(shown)["journal"][1:3] == [["works", "", 0], ["12.3", "MB"]]
@@ -144,9 +148,7 @@ def test_a_journal_that_fails_is_a_problem() -> None:
 @in_simulated_time
 async def test_a_value_that_is_only_reported_when_it_changes_is_as_old_as_the_last_poll() -> None:
     async with Peer() as peer:
-        output = PageOutput()
-        fleet = Fleet([meter("a", peer.url, on_change=True)], outputs=[output])
-        shown = ShownFleet("plant", fleet, output)
+        fleet, shown, _ = shown_fleet(meter("a", peer.url, on_change=True))
         async with fleet:
             await until(lambda: value(shown, "a power")[0] == "7")
             row = rows(shown)["a power"]
@@ -163,9 +165,7 @@ async def test_a_value_that_is_only_reported_when_it_changes_is_as_old_as_the_la
 @in_simulated_time
 async def test_devices_that_are_replaced_while_somebody_looks() -> None:
     async with Peer() as peer:
-        output = PageOutput()
-        fleet = Fleet([meter("a", peer.url), meter("b", peer.url, unit=2)], outputs=[output])
-        shown = ShownFleet("plant", fleet, output)
+        fleet, shown, _ = shown_fleet(meter("a", peer.url), meter("b", peer.url, unit=2))
         async with fleet:
             await until(lambda: value(shown, "b power")[0] == "7")
             row = rows(shown)["b power"]
@@ -181,9 +181,7 @@ async def test_devices_that_are_replaced_while_somebody_looks() -> None:
 def test_a_look_from_another_thread_does_not_disturb_a_fleet_that_changes() -> None:
     async def go() -> None:
         async with Peer() as peer:
-            output = PageOutput()
-            fleet = Fleet(outputs=[output])
-            shown = ShownFleet("plant", fleet, output)
+            fleet, shown, output = shown_fleet()
 
             def look() -> None:
                 while not is_over:
