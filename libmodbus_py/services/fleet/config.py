@@ -148,8 +148,6 @@ class DeviceConfig:
 class Reads:
     """The points of a kind of device, and the requests for them; thousands of devices share one."""
 
-    __slots__ = ("__weakref__", "_limits", "_map", "_plans", "intervals", "names", "plan", "units")
-
     def __init__(self, config: DeviceConfig) -> None:
         points = [each for each in config.map.values() if each.access != "write"]
         if config.items or config.groups:

@@ -1,21 +1,8 @@
 """
-Fleet files: devices and outputs, described in TOML.
+Fleet files: devices and outputs, described in TOML; ``examples/fleet.toml`` has every key once.
 
-``examples/fleet.toml`` of the source tree has every key once, explained. In short::
-
-    devices                     a file of devices in CSV: a row for each device; the headings are
-                                keys of [[device]], and labels.NAME; several items are separated by
-                                semicolons; for an empty cell the default is used
-    [defaults]                  keys of devices, used where a device does not set them
-    [[device]]                  as `DeviceConfig`; map is a file, columns are as for `load_map`;
-                                instead there may be [[device.point]] tables, with the keys of
-                                `Point`
-    journal, keep, journal_size
-                                as `journal.Journal`: path, keep, size
-    [engine]                    for several machines, see `config.ENGINE`
-    [output.json] [output.csv] [output.mqtt] ...
-                                as `outputs.output.KINDS`; [[output.json]] for several of a kind;
-                                "${NAME}" stands for a variable of the environment
+Devices may also be in CSV, a row for each, for fleets of thousands. The headings are keys of
+``[[device]]``, in any order, and ``labels.NAME``; for an empty cell the default is used.
 """
 
 from __future__ import annotations

@@ -264,7 +264,7 @@ class Fleet:
         key = device.connection_key
         if key not in self._lines:
             self._lines[key] = FleetLine(
-                device, self._may_ask, self.statistics, self._polled, self._poll_soon
+                device, self._may_ask, self.statistics, self._polled, self._poll_after
             )
         self._lines[key].pollers[device.name] = poller
         self.statistics.devices += 1
@@ -300,14 +300,12 @@ class Fleet:
 
     def _poll_at(self, poller: Poller, at: float) -> None:
         assert self._loop is not None
-        if poller.timer is not None:
+        if poller.timer:
             poller.timer.cancel()
-        poller.at = at
-        poller.timer = self._loop.call_at(at, self._due, poller)
+        poller.timer = self._loop.call_at(at, self._due, poller, at)
 
-    def _due(self, poller: Poller) -> None:
+    def _due(self, poller: Poller, planned: float) -> None:
         assert self._loop is not None
-        planned = poller.at
         if not self._once:
             at, missed = next_time(planned, poller.interval, self._loop.time())
             self.statistics.skipped += missed
@@ -320,10 +318,8 @@ class Fleet:
             now = time.time()
             self._count_poll(poller, before, now)
             self._receivers.put(poller.readings(now, self._receivers.next_id))
-            assert self._loop is not None
-            until = self._loop.time() + poller.pause
-            if poller.misses and poller.at < until and not self._once:
-                self._poll_at(poller, next_time(poller.at, poller.interval, until)[0])
+            if poller.misses:
+                self._poll_after(poller, poller.pause)
         self._unpolled.discard(poller.name)
         self._end_if_all_polled()
 
@@ -345,12 +341,12 @@ class Fleet:
         self.statistics.up += by * (state is DeviceState.UP)
         self.statistics.down += by * (state is DeviceState.DOWN)
 
-    def _poll_soon(self, poller: Poller) -> None:
-        """Poll a device at the next of its times, because it need not rest any more."""
-        assert self._loop is not None
-        early = (poller.at - self._loop.time()) // poller.interval
-        if early > 0:
-            self._poll_at(poller, poller.at - early * poller.interval)
+    def _poll_after(self, poller: Poller, pause: float = 0.0) -> None:
+        """Poll a device at the first of its times after a pause, and not before."""
+        if self._loop is not None and not self._once:
+            planned, now = poller.timer.when(), self._loop.time()
+            times = (now + pause - planned) // poller.interval + 1
+            self._poll_at(poller, planned + times * poller.interval)
 
     # --- readings ----------------------------------------------------------------------------
 

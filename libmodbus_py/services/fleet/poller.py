@@ -49,24 +49,16 @@ class Poller(LineRequest):
     """
     A device of a fleet: its current poll, its state, and what was reported of it.
 
-    `error` is the first of the last poll; None if all points were read. The fleet sets `timer` and
-    `at`, when the device is polled next; `answered_at` and `since`, in seconds since the epoch, are
-    when it was last answered and since when it is up or down; 0 before.
+    `error` is the first of the last poll; None if all points were read. The fleet sets the `timer`
+    of the next poll, and in seconds since the epoch, 0 at first, when the device last answered and
+    since when it is up or down.
     """
-
-    __slots__ = (
-        *("_answers", "_changes", "_due", "_first", "_first_error", "_holes", "_is_answered"),
-        *("_outcomes", "_pace", "_plan", "_requests", "_steps", "_time", "_totals"),
-        *("answered_at", "at", "config", "error", "name", "reads", "rest_until"),
-        *("since", "state", "timer"),
-    )
 
     def __init__(self, config: DeviceConfig) -> None:
         super().__init__(config.unit)
         self.config: DeviceConfig = config
         self.name: str = config.name
         self.reads: Reads = config.reads
-        self.at: float = 0.0
         self.timer: Any = None
         self.answered_at: float = 0.0
         self.rest_until: float = 0.0

@@ -120,8 +120,6 @@ class Changes:
     a band, all.
     """
 
-    __slots__ = ("_bands", "_has_errors", "_is_filtering", "_last", "_reasons")
-
     def __init__(self, on_change: bool, bands: Sequence[float | None]) -> None:
         self._bands = [0.0 if band is None and on_change else band for band in bands]
         self._is_filtering = any(band is not None for band in self._bands)
