@@ -267,6 +267,10 @@ class FleetLine(SharedLine[Poller]):
     def _ready_at(self, each: Poller) -> float:
         return max(super()._ready_at(each), each.rest_until)
 
+    def _end_overstayed(self, now: float) -> None:
+        if any(each.rest_until <= now for each in self.others()):  # one that rests does not wait
+            super()._end_overstayed(now)
+
     def _send(self, each: Poller, now: float) -> None:
         if not each.is_urgent:
             self._statistics.note_start(max(0.0, now - each.waits_since))

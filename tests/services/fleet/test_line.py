@@ -166,6 +166,19 @@ class TestSilentDevices:
             assert len(plant.times(9)) == 7
 
     @in_simulated_time
+    async def test_a_try_makes_no_way_for_one_that_rests(self) -> None:
+        plant = Plant()
+        async with plant.polls(plant.device(9), plant.device(1, spacing=3.0)):
+            plant.silent.add(9)
+            await asyncio.sleep(5)
+            plant.silent.clear()
+            plant.delays[9] = 0.4
+            tried = len(plant.times(9))
+            while plant.fleet.devices["device 9"].state is not DeviceState.UP:
+                await asyncio.sleep(0.1)
+            assert len(plant.times(9)) <= tried + 1
+
+    @in_simulated_time
     async def test_it_is_tried_on_a_line_that_never_rests(self) -> None:
         plant = Plant()
         async with plant.polls(plant.device(9), plant.device(1, interval=0.05)):
