@@ -5,7 +5,9 @@ Connections of the backend that are lost, cut, cancelled, closed and misused.
 from __future__ import annotations
 
 import asyncio
+import functools
 import gc
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -40,65 +42,77 @@ async def until(condition: Callable[[], object]) -> None:
             await asyncio.sleep(0.001)
 
 
+def served(
+    on_request: Callable[[bytes, Write], object] = echo, timeout: float = LONG, **times: float
+) -> Callable[[Any], Any]:
+    """Let a test have a server and a connection to it, its first arguments."""
+
+    def decorated(test: Any) -> Any:
+        @functools.wraps(test)
+        def run_it(**others: Any) -> None:
+            async def go() -> None:
+                async with Scripted(on_request).serving() as server:
+                    connection = tcp(server, timeout, **times)
+                    await test(server, connection, **others)
+                    await connection.close()
+
+            run(go())
+
+        _, _, *parameters = inspect.signature(test).parameters.values()
+        run_it.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        return run_it
+
+    return decorated
+
+
 def hang_up(server: Scripted) -> Callable[[bytes, Write], object]:
     return lambda request, write: server.drop_all()
 
 
-def test_a_loss_in_the_midst_fails_the_request_and_is_told_once() -> None:
-    async def go() -> None:
-        async with Scripted(echo).serving() as server:
-            connection = tcp(server)
-            told: list[bool] = []
-            connection.on_connection_lost(lambda: told.append(connection.connected))
-            await read(connection)
-            server.on_request = hang_up(server)
-            with pytest.raises(
-                theirs.ModbusConnectionError, match=r"^read_holding_registers\(7, 1\)"
-            ):
-                await read(connection)
-            await asyncio.sleep(0)
-            assert told == [False]
-            assert len(server.requests) == 2  # none was sent twice
-            server.on_request = echo
-            assert await read(connection) == [7]
-            assert server.connections == 2
-            await connection.close()
-            await asyncio.sleep(0)
-            assert told == [False]  # closing is not a loss
-
-    run(go())
+@served()
+async def test_a_loss_in_the_midst_fails_the_request_and_is_told_once(
+    server: Scripted, connection: Any
+) -> None:
+    told: list[bool] = []
+    connection.on_connection_lost(lambda: told.append(connection.connected))
+    await read(connection)
+    server.on_request = hang_up(server)
+    with pytest.raises(theirs.ModbusConnectionError, match=r"^read_holding_registers\(7, 1\)"):
+        await read(connection)
+    await asyncio.sleep(0)
+    assert told == [False]
+    assert len(server.requests) == 2  # none was sent twice
+    server.on_request = echo
+    assert await read(connection) == [7]
+    assert server.connections == 2
+    await connection.close()
+    await asyncio.sleep(0)
+    assert told == [False]  # closing is not a loss
 
 
-def test_a_loss_at_rest_is_told_without_a_request() -> None:
-    async def go() -> None:
-        async with Scripted(echo).serving() as server:
-            connection = tcp(server)
-            told: list[None] = []
-            connection.on_connection_lost(lambda: told.append(None))
-            await read(connection)
-            server.drop_all()
-            await until(lambda: told)
-            assert not connection.connected
-            assert "connection lost" in connection.last_error
-            await connection.close()
-
-    run(go())
+@served()
+async def test_a_loss_at_rest_is_told_without_a_request(server: Scripted, connection: Any) -> None:
+    told: list[None] = []
+    connection.on_connection_lost(lambda: told.append(None))
+    await read(connection)
+    server.drop_all()
+    await until(lambda: told)
+    assert not connection.connected
+    assert "connection lost" in connection.last_error
 
 
-def test_the_hook_that_their_tests_call_ends_a_connection_for_the_next_request() -> None:
-    async def go() -> None:
-        async with Scripted(echo).serving() as server:
-            connection = tcp(server)
-            connection._on_connection_lost(None)  # there is none
-            await read(connection)
-            connection._on_connection_lost(None)
-            assert not connection.connected
-            assert await read(connection) == [7]
-            assert server.connections == 2
-            await connection.close()
-            connection._on_connection_lost(None)
-
-    run(go())
+@served()
+async def test_the_hook_that_their_tests_call_ends_a_connection_for_the_next_request(
+    server: Scripted, connection: Any
+) -> None:
+    connection._on_connection_lost(None)  # there is none
+    await read(connection)
+    connection._on_connection_lost(None)
+    assert not connection.connected
+    assert await read(connection) == [7]
+    assert server.connections == 2
+    await connection.close()
+    connection._on_connection_lost(None)
 
 
 def test_a_callback_that_raises_harms_nobody() -> None:
@@ -188,21 +202,15 @@ def test_one_request_at_a_time_whoever_asks() -> None:
 
 
 @pytest.mark.parametrize("turns", range(12))
-def test_cancelled_at_any_moment(turns: int) -> None:
+@served()
+async def test_cancelled_at_any_moment(server: Scripted, connection: Any, turns: int) -> None:
     """It leaves neither a lock held nor a link that answers the wrong request."""
-
-    async def go() -> None:
-        async with Scripted(echo).serving() as server:
-            connection = tcp(server)
-            asking = asyncio.create_task(read(connection, 1))
-            for _ in range(turns):
-                await asyncio.sleep(0)
-            asking.cancel()
-            await asyncio.wait([asking])
-            assert await read(connection, 2) == [2]
-            await connection.close()
-
-    run(go())
+    asking = asyncio.create_task(read(connection, 1))
+    for _ in range(turns):
+        await asyncio.sleep(0)
+    asking.cancel()
+    await asyncio.wait([asking])
+    assert await read(connection, 2) == [2]
 
 
 @pytest.mark.parametrize("turns", [1, 2, 3, 5, 8])
@@ -240,17 +248,13 @@ def test_closing_while_it_connects() -> None:
         run(go())
 
 
-def test_closing_cuts_a_request_that_hangs() -> None:
-    async def go() -> None:
-        async with Scripted(ignore).serving() as server:
-            connection = tcp(server)
-            asking = asyncio.create_task(read(connection))
-            await until(lambda: server.requests)
-            await connection.close()
-            with pytest.raises(theirs.ModbusConnectionError):
-                await asking
-
-    run(go())
+@served(ignore)
+async def test_closing_cuts_a_request_that_hangs(server: Scripted, connection: Any) -> None:
+    asking = asyncio.create_task(read(connection))
+    await until(lambda: server.requests)
+    await connection.close()
+    with pytest.raises(theirs.ModbusConnectionError):
+        await asking
 
 
 def test_another_event_loop_is_refused_in_their_words() -> None:
@@ -274,18 +278,13 @@ def test_another_event_loop_is_refused_in_their_words() -> None:
             in_two_loops()
 
 
-def test_a_loss_while_it_waits_to_be_ready_heals() -> None:
-    async def go() -> None:
-        async with Scripted(echo).serving() as server:
-            connection = tcp(server, connect_delay=0.05)
-            asking = asyncio.create_task(read(connection))
-            await until(lambda: server.writers)
-            server.drop_all()
-            assert await asking == [7]
-            assert server.connections == 2
-            await connection.close()
-
-    run(go())
+@served(connect_delay=0.05)
+async def test_a_loss_while_it_waits_to_be_ready_heals(server: Scripted, connection: Any) -> None:
+    asking = asyncio.create_task(read(connection))
+    await until(lambda: server.writers)
+    server.drop_all()
+    assert await asking == [7]
+    assert server.connections == 2
 
 
 def test_units_0_and_255_on_tcp_and_broadcasts_on_lines() -> None:
@@ -311,22 +310,17 @@ def test_units_0_and_255_on_tcp_and_broadcasts_on_lines() -> None:
     assert len(line.requests) == 1
 
 
-def test_a_unit_that_needs_longer_gets_a_new_link() -> None:
-    async def go() -> None:
-        async with Scripted(echo).serving() as server:
-            connection = tcp(server, SHORT)
-            unit = connection.for_unit(1)
-            await read(connection)
-            unit.require_timeout(LONG)
-            await until(lambda: not connection.connected)
-            await read(connection)
-            assert connection._client.timeout == LONG
-            unit.require_timeout(None)
-            unit.require_connect_delay(0)
-            unit.set_message_spacing(0.001)
-            assert await read(connection) == [7]
-            await unit.disconnect()
-            assert not unit.connected
-            await connection.close()
-
-    run(go())
+@served(echo, SHORT)
+async def test_a_unit_that_needs_longer_gets_a_new_link(server: Scripted, connection: Any) -> None:
+    unit = connection.for_unit(1)
+    await read(connection)
+    unit.require_timeout(LONG)
+    await until(lambda: not connection.connected)
+    await read(connection)
+    assert connection._client.timeout == LONG
+    unit.require_timeout(None)
+    unit.require_connect_delay(0)
+    unit.set_message_spacing(0.001)
+    assert await read(connection) == [7]
+    await unit.disconnect()
+    assert not unit.connected
