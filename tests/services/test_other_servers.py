@@ -14,7 +14,6 @@ from libmodbus_py.services.engine.connection import FileText, parse_servers
 from libmodbus_py.services.fleet.files import load
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from libmodbus_py.services.fleet.outputs.output import shared
 from libmodbus_py.services.other_servers import SecretFile, ServerUrl, server_url
 from tests.support.cases import each_case
 from tests.support.commands import run
@@ -75,24 +74,6 @@ def test_a_url_is_read(text: str, expected: ServerUrl) -> None:
 def test_a_wrong_url_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match=r"url must be a URL such as|the port must be in 1..65535"):
         read(text)
-
-
-@each_case(("scheme", "take", "setting"), TAKEN)
-@each_case("rest", ["h:0", "h:99999", "h?x=1", "h#x", "a b", "[::1", "h:x"])
-def test_a_wrong_url_is_refused_before_anything_is_sent(
-    scheme: str, take: Callable[[str], Any], setting: str, rest: str
-) -> None:
-    with pytest.raises(ValueError, match=r"must be|port"):
-        take(f"{scheme}://{rest}")
-
-
-@each_case("make", [Mqtt, influx])
-@each_case(("one", "other"), [("h.example", "H.Example"), ("[2001:db8::a]", "[2001:DB8::A]")])
-def test_two_spellings_of_a_host_are_one_server(
-    make: Callable[[str], Any], one: str, other: str
-) -> None:
-    scheme = {Mqtt: "mqtt", influx: "http"}[make]
-    assert shared([make(f"{scheme}://{one}"), make(f"{scheme}://{other}")]) is not None
 
 
 # --- logins ---------------------------------------------------------------------------------

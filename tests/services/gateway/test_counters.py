@@ -12,7 +12,6 @@ import pytest
 
 from libmodbus_py import Gateway, IllegalDataAddress, Route
 from libmodbus_py.serve import Asked
-from libmodbus_py.services.gateway.statistics import LineStatistics, UnitStatistics
 from tests.services.gateway.gates import LINE, adu
 from tests.simulation.scripted import Scripted, Write
 from tests.simulation.stage import Stage
@@ -218,13 +217,3 @@ def test_each_request_counts_once(
         assert gateway.statistics.refused == refused
         assert gateway.statistics.unauthorized == (case.options.get("authorize") is no)
         assert len(caplog.messages) == (case.options.get("authorize") is failing)
-
-
-def test_nothing_is_counted_at_first() -> None:
-    for made in (Gateway([Route(LINE)]).traffic, UnitStatistics()):
-        assert counted(made) == {}
-        assert not getattr(made, "seconds", 0)
-    fresh: Any = LineStatistics("tcp://10.0.0.1", connection=None)  # type: ignore[arg-type]
-    assert (counted(fresh), fresh.since) == ({}, 0)
-    fresh.unit(3).requests += 1
-    assert fresh.unit(3).requests == 1

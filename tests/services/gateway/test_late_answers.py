@@ -17,7 +17,6 @@ from libmodbus_py import (
     Fault,
     GatewayTargetFailedToRespond,
     Route,
-    Server,
     framing,
     pdu,
 )
@@ -79,45 +78,6 @@ def test_a_silent_unit_costs_its_timeout_once_and_then_nothing(stage: Stage) -> 
         assert line.units[1].requests == 40
         assert line.units[9].requests <= 6
         assert line.units[9].resting >= 34
-
-
-def test_a_silent_unit_is_good_again_when_it_answers(stage: Stage) -> None:
-    """It rests for twice the timeout, then twice as long; and is tried when that is over."""
-    stage.line("/dev/line")
-    with (
-        gateway([Route(f"{LINE}?timeout=2")]) as (made, url),
-        Context.from_url(url, unit=1, timeout=50) as context,
-    ):
-
-        def answers() -> bool:
-            try:
-                return context.read_holding_registers(0, 1) == [0]
-            except GatewayTargetFailedToRespond:
-                return False
-
-        def comes_after(seconds: float) -> None:
-            """Refuse at once for so long, and not a tenth of a second longer."""
-            begun = stage.now
-            while stage.now < begun + seconds - 0.2:
-                asked = stage.now
-                assert not answers()
-                assert stage.now - asked < 0.01
-                stage.pass_time(0.1)
-            stage.pass_time(begun + seconds + 0.01 - stage.now)
-
-        (line,) = made.traffic.lines.values()
-        assert not answers()
-        comes_after(4)
-        asked = stage.now
-        assert not answers()
-        assert stage.now - asked == pytest.approx(2, abs=0.01)
-        assert line.units[1].requests == 2
-        with Server({1: small()}).background(LINE):
-            comes_after(8)
-            assert answers()
-            for _ in range(20):
-                assert answers()
-            assert line.units[1].requests == 23
 
 
 def test_a_unit_that_is_back_is_found_on_a_line_that_never_rests(stage: Stage) -> None:
@@ -234,31 +194,3 @@ def test_who_asks_again_without_ids_gets_the_answer_to_that_only(stage: Stage) -
         assert not client.has_input()
         (line,) = through.gateway.traffic.lines.values()
         assert line.unwanted == 1
-
-
-def test_who_closes_while_its_request_tries_a_silent_unit_lets_others_try(stage: Stage) -> None:
-    """A trial that waits for its turn is given up; another one may then begin."""
-    bus(stage, {1})
-    with (
-        gateway([Route(f"{LINE}?timeout=10")]) as (made, url),
-        stage.talk(url) as one,
-        stage.talk(url) as other,
-    ):
-        (line,) = made.traffic.lines.values()
-        for unit in (8, 9):
-            one.sendall(adu(READ_ONE, unit=unit))
-            assert one.receive(9)[7:] == b"\x83\x0b"
-        stage.pass_time(60)
-        one.sendall(adu(READ_ONE, unit=8))  # the line is busy with that trial
-        stage.pass_time(1)
-        with stage.talk(url) as gone:
-            gone.sendall(adu(READ_ONE, unit=9))
-            stage.pass_time(1)
-            other.sendall(adu(READ_ONE, 1, unit=9))
-            assert other.receive(9)[7:] == b"\x83\x0b"  # for another one tries it
-            assert line.units[9].resting == 1
-        stage.pass_time(1)
-        other.sendall(adu(READ_ONE, 2, unit=9))
-        stage.pass_time(30)
-        assert line.units[9].requests == 2
-        assert other.receive(9) == adu(b"\x83\x0b", 2, unit=9)

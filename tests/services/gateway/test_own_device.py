@@ -1,16 +1,14 @@
 """
-The unit of the gateway itself: what its registers say, and that reading some costs no more.
+The unit of the gateway itself: what its registers say.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
-from typing import Any
 
 import pytest
 
-from libmodbus_py import pdu
+from libmodbus_py import Device, pdu
 from libmodbus_py.client.statistics import Statistics
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.services.gateway.statistics import (
@@ -21,128 +19,74 @@ from libmodbus_py.services.gateway.statistics import (
 )
 
 
-class Lines(dict[str, LineStatistics]):
-    """Counts how often somebody goes through all lines."""
-
-    looked = 0
-
-    def values(self) -> Any:
-        self.looked += 1
-        return super().values()
-
-
 class Trial:
     def __init__(self) -> None:
-        self.lines = Lines()
+        self.lines: dict[str, LineStatistics] = {}
         self.statistics = GatewayStatistics(self.lines)
         self.clients = ServerStatistics()
         self.units: dict[int, UnitStatistics] = {}
-        self.asked: list[int] = []
-        self.device = own_device(self.statistics, self.clients, self.unit_of)
+        self.device = asyncio.run(self._device())
 
-    def unit_of(self, unit: int) -> UnitStatistics | None:
-        self.asked.append(unit)
-        return self.units.get(unit)
+    async def _device(self) -> Device:
+        return own_device(self.statistics, self.clients, lambda unit: self.units.get(unit))
 
     def read(self, address: int, count: int) -> list[int]:
-        self.asked.clear()
-        self.lines.looked = 0
         request = pdu.ReadInputRegisters(address, count)
         return request.decode_response(self.device.answer(request.encode()))
 
 
-def run(main: Callable[[Trial], None]) -> None:
-    async def whole() -> None:
-        main(Trial())
-
-    asyncio.run(whole())
+@pytest.fixture
+def trial() -> Trial:
+    return Trial()
 
 
 def words(*numbers: int) -> list[int]:
     return [word for number in numbers for word in divmod(number, 0x10000)]
 
 
-def test_the_gateway_comes_first() -> None:
-    def main(trial: Trial) -> None:
-        given = trial.statistics
-        given.requests, given.no_route, given.refused = 70_000, 2, 3
-        given.malformed, given.broadcasts = 4, 5
-        trial.clients.connections, trial.clients.refused = 6, 7
-        trial.clients.bad_frames = 8
-        trial.lines["a"] = LineStatistics("a", Statistics())
-        assert trial.read(0, 22) == words(1, 1, 0, 6, 70_000, 7, 2, 3, 4, 5, 8)
-        assert trial.read(22, 78) == [0] * 78
-
-    run(main)
+def test_the_gateway_comes_first(trial: Trial) -> None:
+    given = trial.statistics
+    given.requests, given.no_route, given.refused = 70_000, 2, 3
+    given.malformed, given.broadcasts = 2**32 + 4, 5
+    trial.clients.connections, trial.clients.refused = 6, 7
+    trial.clients.bad_frames = 8
+    trial.lines["a"] = LineStatistics("a", Statistics())
+    assert trial.read(0, 22) == words(1, 1, 0, 6, 70_000, 7, 2, 3, 4, 5, 8)
+    assert trial.read(22, 78) == [0] * 78
 
 
-def test_lines_begin_at_100() -> None:
-    def main(trial: Trial) -> None:
-        for number in range(42):
-            connection = Statistics(late_answers=1, timeouts=2, connects=3, lost=4)
-            connection.failed_connects = 5
-            line = LineStatistics(f"line {number}", connection)
-            line.waiting, line.in_flight, line.full, line.unwanted = number + 1, 12, 13, 14
-            trial.lines[line.url] = line
-        rest = (12, 13, 1, 14, 2, 3, 9, 0, 0)
-        assert trial.read(100, 20) == words(1, *rest)
-        assert trial.read(120, 2) == words(2)
-        assert trial.read(880, 20) == words(40, *rest)
-        # There is room for 40.
-        assert trial.read(900, 100) == [0] * 100
-
-    run(main)
+def test_lines_begin_at_100(trial: Trial) -> None:
+    for number in range(42):
+        connection = Statistics(late_answers=1, timeouts=2, connects=3, lost=4)
+        connection.failed_connects = 5
+        line = LineStatistics(f"line {number}", connection)
+        line.waiting, line.in_flight, line.full, line.unwanted = number + 1, 12, 13, 14
+        trial.lines[line.url] = line
+    rest = (12, 13, 1, 14, 2, 3, 9, 0, 0)
+    assert trial.read(100, 20) == words(1, *rest)
+    assert trial.read(120, 2) == words(2)
+    assert trial.read(880, 20) == words(40, *rest)
+    assert trial.read(900, 100) == [0] * 100  # there is room for 40
+    trial.lines.clear()
+    assert trial.read(100, 100) == [0] * 100
 
 
-def test_units_begin_at_1000() -> None:
-    def main(trial: Trial) -> None:
-        unit = UnitStatistics(1, 4, 3, 5, 6, 7, 8, given_up=99, cached=9, merged=10)
-        unit.seconds, unit.is_silent = 0.5, True
-        trial.units = {0: unit, 1: UnitStatistics(requests=2), 255: unit}
-        told = words(1, 4, 3, 5, 6, 7, 8, 19, 125_000, 1)
-        assert trial.read(1000, 20) == told
-        assert trial.read(1020, 20) == words(2) + [0] * 18
-        assert trial.read(1000 + 255 * 20, 20) == told
-        # Nobody was asked there.
-        assert trial.read(1040, 20) == [0] * 20
-
-    run(main)
+def test_units_begin_at_1000(trial: Trial) -> None:
+    unit = UnitStatistics(1, 4, 3, 5, 6, 7, 8, given_up=99, cached=9, merged=10)
+    unit.seconds, unit.is_silent = 0.5, True
+    trial.units = {0: unit, 1: UnitStatistics(requests=2), 255: unit}
+    told = words(1, 4, 3, 5, 6, 7, 8, 19, 125_000, 1)
+    assert trial.read(1000, 20) == told
+    assert trial.read(1019, 4) == [told[-1], *words(2), 0]
+    assert trial.read(1000 + 255 * 20, 20) == told
+    assert trial.read(1040, 20) == [0] * 20  # no unit was asked there
 
 
-@pytest.mark.parametrize(
-    ("address", "count", "units", "looked"),
-    [
-        (0, 100, [], 1),
-        (100, 20, [], 1),
-        (999, 1, [], 1),
-        (999, 2, [0], 1),
-        (1000, 1, [0], 0),
-        (1019, 1, [0], 0),
-        (1019, 2, [0, 1], 0),
-        (1020, 125, [1, 2, 3, 4, 5, 6, 7], 0),
-        (1000 + 255 * 20, 20, [255], 0),
-    ],
-)
-def test_only_what_is_read_is_looked_up(
-    address: int, count: int, units: list[int], looked: int
-) -> None:
-    def main(trial: Trial) -> None:
-        trial.read(address, count)
-        assert trial.asked == units
-        assert trial.lines.looked == looked
-
-    run(main)
-
-
-def test_it_has_input_registers_and_a_name_and_nothing_else() -> None:
-    def main(trial: Trial) -> None:
-        last = 1000 + 256 * 20
-        assert trial.read(last - 1, 1) == [0]
-        refused = trial.device.answer(pdu.ReadInputRegisters(last, 1).encode())
-        assert refused == bytes([0x84, 2])
-        refused = trial.device.answer(pdu.ReadHoldingRegisters(0, 1).encode())
-        assert refused[0] == 0x83
-        named = trial.device.answer(bytes([0x2B, 0x0E, 1, 0]))
-        assert b"Gateway" in named
-
-    run(main)
+def test_it_has_input_registers_and_a_name_and_nothing_else(trial: Trial) -> None:
+    last = 1000 + 256 * 20
+    assert trial.read(last - 1, 1) == [0]
+    refused = trial.device.answer(pdu.ReadInputRegisters(last, 1).encode())
+    assert refused == bytes([0x84, 2])
+    refused = trial.device.answer(pdu.ReadHoldingRegisters(0, 1).encode())
+    assert refused[0] == 0x83
+    assert b"Gateway" in trial.device.answer(bytes([0x2B, 0x0E, 1, 0]))

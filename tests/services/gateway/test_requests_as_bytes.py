@@ -81,20 +81,3 @@ def test_a_response_to_a_read_is_passed_on_if_its_length_fits(request: str, resp
             asked.decode_response(response_pdu)
     with pytest.raises(ExceptionResponse):
         asked.decode_response(bytes([good[0] | 0x80, 2]))
-
-
-@each_case(
-    "request, changes",
-    [
-        ("03 006B 0003", False),
-        ("06 0001 0003", True),
-        ("17 0003 0006 000E 0001 02 00FF", True),
-        ("08 0000 A537", False),
-        ("08 000A 0000", True),
-        ("2B 0D 00", True),
-        ("2B 0E 01 00", False),
-        ("64 00", True),  # nobody knows what it does
-    ],
-)
-def test_what_may_change_a_device_is_known_before_it_is_sent(request: str, changes: bool) -> None:
-    assert request_of(bytes.fromhex(request)).changes is changes

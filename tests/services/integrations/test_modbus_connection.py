@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import contextlib
 import re
-import ssl
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
@@ -17,11 +16,9 @@ from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.protocol.framing import crc16
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support import certificates
-from tests.support.certificates import Papers, expired
+from tests.support.certificates import Papers
 from tests.support.peers import FakeServer, FakeUnit, echo, mbap, refusing
 from tests.support.scripted import run
-from tests.support.tls import context
-from tests.support.tls_peers import TlsServer, context_of
 
 theirs: Any = pytest.importorskip(
     "modbus_connection", reason="the backend of modbus-connection needs Python 3.13"
@@ -193,15 +190,6 @@ def test_answer_of_another_unit_on_a_line_drops_it() -> None:
     assert isinstance(error, theirs.ModbusDesyncError)
 
 
-def test_damaged_answer_is_a_protocol_error() -> None:
-    with FakeUnit(lambda r: [bytes([1, 3, 2, 0, 7, 0, 0])]) as line:
-        connection = backend.ModbusConnection(
-            theirs.ModbusSerialParams(device=line.path), timeout=SHORT
-        )
-        error = run(asked(connection, seven))
-    assert type(error) is theirs.ModbusProtocolError
-
-
 WRONG: dict[str, Ask] = {
     "address": lambda u: u.read_coils(65536, 1),
     "count": lambda u: u.read_holding_registers(0, 126),
@@ -305,17 +293,6 @@ def test_tls_with_certificates_of_both(papers: Papers) -> None:
         )
         connection = backend.ModbusConnection(params, timeout=LONG)
         assert run(asked(connection, lambda u: u.read_coils(0, 3))) == [True, False, True]
-
-
-def test_wrong_certificate_is_described_in_one_line(papers: Papers) -> None:
-    bad = context_of(papers, certificates.server(**expired()), verify_mode=ssl.CERT_NONE)
-    with TlsServer(bad) as server:
-        params = theirs.ModbusTlsParams(host=HOST, port=server.port, sslctx=context(papers))
-        error = run(asked(backend.ModbusConnection(params, timeout=LONG), seven))
-    assert type(error) is theirs.ModbusConnectionError
-    assert "expired: 'CN=" in str(error)
-    assert "SHA-256" in str(error)
-    assert "\n" not in str(error)
 
 
 def test_files_of_tls_are_named(tmp_path: Path) -> None:

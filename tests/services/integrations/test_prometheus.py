@@ -253,21 +253,6 @@ def test_names_tell_servers_apart_and_equal_ones_add_up(registry: CollectorRegis
     }
 
 
-def test_a_client_that_is_dropped_disappears(registry: CollectorRegistry) -> None:
-    with served() as (_, url):
-        with Context.from_url(url) as plc:
-            collect(plc, registry=registry)
-            plc.read_coils(0, 1)
-            assert values(registry)
-        handle = plc.for_unit(3)
-        del plc
-        gc.collect()
-        assert values(registry)  # the handle is the same client
-        del handle
-        gc.collect()
-        assert not values(registry)
-
-
 def test_a_client_is_counted_once_however_often_it_is_added(registry: CollectorRegistry) -> None:
     with served() as (_, url), Context.from_url(url) as plc:
         for each in (plc, plc, plc.for_unit(2)):
