@@ -17,7 +17,6 @@ from libmodbus_py import (
     Gateway,
     GatewayPathUnavailable,
     GatewayTargetFailedToRespond,
-    ModbusTimeoutError,
     Route,
     Server,
     pdu,
@@ -216,18 +215,6 @@ def test_a_gateway_can_serve_again_but_not_twice_at_once() -> None:
                     assert context.read_holding_registers(0, 1) == [0]
                 with pytest.raises(RuntimeError), made.background("tcp://127.0.0.1:0"):
                     pass
-
-
-def test_as_a_slave_on_a_line_it_is_silent_for_units_it_does_not_have(stage: Stage) -> None:
-    """They may be there, beside it."""
-    with (
-        passage("rtu", "tcp", {1: small()}, route={"units": "1"}, stage=stage) as through,
-        through.context(1, timeout=0.3) as context,
-    ):
-        assert context.read_holding_registers(0, 1) == [0]
-        with pytest.raises(ModbusTimeoutError):
-            context.for_unit(2).read_holding_registers(0, 1)
-        assert through.gateway.traffic.no_route == 1
 
 
 def test_lines_that_were_replaced_are_closed(stage: Stage) -> None:

@@ -8,11 +8,8 @@ import pytest
 
 from libmodbus_py import (
     Access,
-    Fault,
-    GatewayTargetFailedToRespond,
     IllegalDataValue,
     IllegalFunction,
-    Limits,
     pdu,
 )
 from tests.services.gateway.gates import small
@@ -78,32 +75,3 @@ def test_what_cannot_be_passed_on_is_refused_here(stage: Stage) -> None:
             context.execute(pdu.RawRequest(3, b"\0\0\0\0"))
         (line,) = through.gateway.traffic.lines.values()
         assert line.units[1].requests == 1
-
-
-def test_an_answer_that_is_none_is_not_passed_on(stage: Stage) -> None:
-    for fault in (Fault("wrong_check", every=2), Fault("truncate", every=2, length=6)):
-        with (
-            passage(
-                "tcp",
-                "rtu",
-                {1: small()},
-                faults={1: [fault]},
-                line_options="timeout=0.2",
-                stage=stage,
-            ) as through,
-            through.context(1) as context,
-        ):
-            for _ in range(3):
-                assert context.read_holding_registers(0, 1) == [0]
-                with pytest.raises(GatewayTargetFailedToRespond):
-                    context.read_holding_registers(0, 1)
-                stage.pass_time(60 if fault.kind == "truncate" else 0)
-
-
-def test_networks_that_are_not_allowed_are_not_served(stage: Stage) -> None:
-    limits = Limits(allow=["192.0.2.0/24"])
-    with (
-        passage("tcp", "tcp", {1: small()}, limits=limits, stage=stage) as through,
-        stage.talk(through.url) as client,
-    ):
-        assert client.recv(1) == b""

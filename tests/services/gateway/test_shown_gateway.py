@@ -97,15 +97,6 @@ def test_a_unit_has_its_counters_and_its_state() -> None:
     assert rows(counted.shown)[name].words == name
 
 
-def test_units_stand_below_their_lines_in_the_order_of_their_numbers() -> None:
-    counted = Counted()
-    for line, unit in ((0, 9), (1, 4), (0, 2)):
-        counted.lines[line].unit(unit)
-    assert list(rows(counted.shown)) == [
-        *(FIRST, f"{FIRST} unit 2", f"{FIRST} unit 9", SECOND, f"{SECOND} unit 4"),
-    ]
-
-
 def test_the_figures_are_the_sums_of_all_lines() -> None:
     counted = Counted()
     assert set(counted.shown.figures().values()) == {0}
