@@ -198,6 +198,10 @@ class SharedLine(ABC, Generic[Each]):
 
     def ask(self, each: Each, now: float) -> bool:
         """Send a request now, or when it is its turn; return False if too many wait."""
+        is_next = not (each.is_trial or self.is_closed or self._trials or self.waiting)
+        if is_next and not self._is_full() and self._ready_at(each) <= now:
+            self._send(each, now)
+            return True
         if each.is_trial and not each.is_urgent:
             self._trials.append(each)
         elif not (self._urgent if each.is_urgent else self._usual).put(each):

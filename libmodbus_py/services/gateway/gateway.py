@@ -139,11 +139,10 @@ class Gateway(Serving):
             yield dispatcher
         finally:
             self._loop = self._dispatcher = None
-            # Each is closed, even if another one fails.
-            async with contextlib.AsyncExitStack() as stack:
-                stack.push_async_callback(_all, list(self._closing))
-                for line in dispatcher.lines:
-                    stack.push_async_callback(line.close)
+            for line in dispatcher.lines:
+                self._close(line)
+            if self._closing:
+                await asyncio.wait(self._closing)
 
     def _change_lines(self) -> None:
         dispatcher = self._dispatcher
@@ -166,9 +165,12 @@ class Gateway(Serving):
         for line in before.values():
             if line.endpoint.key in ports:
                 ports[line.endpoint.key].replaces(line.client)
-            closing = asyncio.get_running_loop().create_task(line.close())
-            self._closing.add(closing)
-            closing.add_done_callback(self._closing.discard)
+            self._close(line)
+
+    def _close(self, line: GatewayLine) -> None:
+        closing = asyncio.get_running_loop().create_task(line.close())
+        self._closing.add(closing)
+        closing.add_done_callback(self._closing.discard)
 
     def _unit_statistics(self, unit: int) -> UnitStatistics | None:
         way = None if self._dispatcher is None else self._dispatcher.routes.get(unit)
@@ -183,8 +185,3 @@ def _checked(routes: Iterable[Route]) -> list[Route]:
         raise ValueError("routes must hold at least one")
     check_routes(given)
     return given
-
-
-async def _all(tasks: list[asyncio.Task[None]]) -> None:
-    """Wait for tasks; their errors are ignored."""
-    await asyncio.gather(*tasks, return_exceptions=True)
