@@ -64,8 +64,8 @@ class Rest:
     A unit that gives no answer: how long a gateway must leave it alone.
 
     Args:
-        timeout: of the gateway's line, in seconds. The first rest takes two of them, each one after
-            that twice as long, up to `LONGEST_REST`.
+        timeout: of the gateway's line, in seconds. The first rest takes one of them, each one after
+            that twice as long, up to `LONGEST_REST`; the function that got no answer rests longer.
     """
 
     timeout: float
@@ -75,7 +75,7 @@ class Rest:
     def note(self, now: float) -> float:
         """The unit was asked; return by how many seconds too soon."""
         if self.asked is None:
-            self.asked, self.pause = now, 2 * self.timeout
+            self.asked, self.pause = now, self.timeout
             return 0.0
         if not self.pause or now <= self.asked + self.timeout:
             return 0.0  # one of those that were in flight together
@@ -84,7 +84,7 @@ class Rest:
         return early
 
 
-LONGEST_REST = 30.0
+LONGEST_REST = 15.0
 
 
 @dataclass

@@ -22,6 +22,7 @@ from tests.services.gateway.gates import (
     answer_of,
     on_line,
 )
+from tests.simulation import network
 from tests.support.cases import each_case
 
 INPUTS = "04 0000 0001"
@@ -172,7 +173,7 @@ async def test_a_unit_that_had_less_than_half_of_the_timeout_is_not_silent(
     plant: Plant, connecting: float, is_silent: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Because the connection took most of it."""
-    monkeypatch.setattr("tests.simulation.network.CONNECTING", connecting)
+    monkeypatch.setattr(network, "CONNECTING", connecting)
     plant.silent.add(1)
     plant.ask(1, Asker())
     await asyncio.sleep(1.5)
