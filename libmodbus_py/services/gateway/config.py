@@ -27,11 +27,7 @@ from ...tools.files.texts import FileError, load_file, read_toml
 from .gateway import Gateway
 from .routes import GatewayOptions, Route, check_line, check_routes
 
-__all__ = ["FILE", "ROUTE", "GatewayFile", "GatewayFileError", "load", "parse"]
-
-
-class GatewayFileError(FileError):
-    """A mistake in a gateway file; it names the file, the line, the key and the allowed values."""
+__all__ = ["FILE", "ROUTE", "GatewayFile", "load", "parse"]
 
 
 @dataclass(frozen=True)
@@ -45,10 +41,10 @@ class GatewayFile:
 
 def load(path: str | PathLike[str], known: Iterable[Route] = ()) -> GatewayFile:
     """
-    Read a gateway file, or raise GatewayFileError. Serial ports of `known`, earlier routes, may be
+    Read a gateway file, or raise FileError. Serial ports of `known`, earlier routes, may be
     missing now, because they may come back.
     """
-    return load_file(path, partial(parse, known=known), GatewayFileError)
+    return load_file(path, partial(parse, known=known), FileError)
 
 
 def parse(text: str, known: Iterable[Route] = ()) -> GatewayFile:

@@ -60,20 +60,8 @@ def no(asked: Asked) -> bool:
 
 CASES = {
     "a read": Case([(1, READ)], ["0302"], {"requests": 1}, {1: {"requests": 1, "answers": 1}}),
-    "two writes": Case(
-        [(1, WRITE), (1, WRITE)],
-        ["0600", "0600"],
-        {"requests": 2},
-        {1: {"requests": 2, "answers": 2}},
-    ),
     "an exception": Case(
         [(3, READ)], ["8302"], {"requests": 1}, {3: {"requests": 1, "answers": 1, "exceptions": 1}}
-    ),
-    "silence": Case(
-        [(2, READ)],
-        ["830b"],
-        {"requests": 1},
-        {2: {"requests": 1, "timeouts": 1, "is_silent": True}},
     ),
     "silence, and another request": Case(
         [(2, READ), (2, READ)],

@@ -82,19 +82,35 @@ def test_a_trial_that_was_not_sent_lets_whoever_comes_next_try() -> None:
     assert units.state(7, 3, 1.3) is DUE
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_nothing_rests_of_what_was_answered_last(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(20))
+def test_nothing_rests_of_what_was_answered_last_and_nothing_for_ever(seed: int) -> None:
+    """Requests are in flight beside each other, and some are dropped."""
     chance = random.Random(seed)
     units, now = SilentUnits(0.5), 0.0
+    keys = [(unit, function) for unit in (1, 2) for function in (3, 4, 5)]
     answered: dict[tuple[int, int], bool] = {}
-    for _ in range(500):
-        asked = chance.randrange(2), chance.randrange(3)
+    in_flight: list[tuple[tuple[int, int], bool]] = []
+    for turn in range(500):
         now += chance.random()
-        answered[asked] = chance.random() < 0.5
-        if answered[asked]:
-            units.note_answer(*asked)
-        else:
-            units.note_silence(*asked, now)
+        key = chance.choice(keys)
+        if turn < 450 and (state := units.state(*key, now)) is not RESTING:
+            if state is DUE:
+                units.start_trial(*key)
+            in_flight.append((key, state is DUE))
+        elif in_flight:
+            key, is_trial = in_flight.pop(chance.randrange(len(in_flight)))
+            outcome = chance.choice(["answer", "silence", "dropped"])
+            if outcome == "dropped" and is_trial:
+                units.cancel_trial(*key, now)
+            elif outcome == "answer":
+                units.note_answer(*key)
+            elif outcome == "silence":
+                units.note_silence(*key, now)
+            if outcome != "dropped":
+                answered[key] = outcome == "answer"
         for each in (each for each, is_good in answered.items() if is_good):
             assert units.state(*each, now) is GOOD
             assert not units.rests(each[0])
+    while in_flight:
+        units.note_silence(*in_flight.pop()[0], now)
+    assert RESTING not in {units.state(*key, now + 30) for key in keys}
