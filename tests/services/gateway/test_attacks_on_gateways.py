@@ -22,14 +22,11 @@ from libmodbus_py import (
     Server,
 )
 from libmodbus_py.client.asynchronous import IN_FLIGHT
+from tests.services.gateway.gates import small
 from tests.simulation.attackers import Attackers, Innocent
 from tests.simulation.scripted import Scripted, Write
 from tests.simulation.stage import Stage
-from tests.support.attacks import (
-    ATTACKS,
-    UNIT,
-    Attack,
-)
+from tests.support.attacks import ATTACKS, UNIT, Attack
 from tests.support.gateways import passage
 from tests.support.peers import until
 
@@ -55,10 +52,6 @@ def test_an_innocent_client_waits_for_few_of_the_others(stage: Stage, attack: At
             assert innocent.poll(3).others == [0] * 3
             (line,) = made.traffic.lines.values()
             assert line.waiting == line.in_flight == 0
-
-
-def small() -> Device:
-    return Device(Mapping(10, 10, 10, 10))
 
 
 ANYTHING: dict[str, Callable[[bytes], bytes]] = {
@@ -99,19 +92,6 @@ def test_a_device_that_says_anything_has_nothing_of_it_passed_on(stage: Stage, w
                 return False
 
         assert any(answers_again() for _ in range(60))
-
-
-def test_bytes_on_a_line_that_are_no_frame_cost_that_request_only(stage: Stage) -> None:
-    with (
-        passage("rtu+tcp", "rtu", {1: small()}, stage=stage) as through,
-        stage.talk(through.url) as client,
-    ):
-        client.sendall(os.urandom(2000))
-        with through.context(1) as context:
-            for _ in range(20):
-                assert context.read_holding_registers(0, 1) == [0]
-        stage.pass_time(1)
-        assert through.gateway.statistics.bad_frames > 0
 
 
 def where(descriptor: str) -> str:

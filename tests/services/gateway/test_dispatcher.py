@@ -63,16 +63,6 @@ def test_a_write_to_a_unit_without_a_route_is_no_broadcast(stage: Stage) -> None
         assert through.gateway.traffic.broadcasts == 0
 
 
-def test_the_transaction_id_and_the_unit_come_back(stage: Stage) -> None:
-    with (
-        passage("tcp", "rtu", {1: small()}, stage=stage) as through,
-        stage.talk(through.url) as client,
-    ):
-        for transaction in (0xABCD, 0, 0xFFFF, 0xABCD):
-            client.sendall(adu(READ_ONE, transaction, 1))
-            assert client.receive(11) == adu(bytes.fromhex("03 02 0000"), transaction, 1)
-
-
 def test_the_gateway_itself_is_unit_255_with_its_statistics(stage: Stage) -> None:
     with (
         passage("tcp", "rtu", {1: small()}, line_options="timeout=0.2", stage=stage) as through,

@@ -66,19 +66,15 @@ async def test_a_silent_unit_rests_and_is_tried_by_one_request(
     assert told(caplog) == ["unit 9 does not answer", "unit 9 answers again"]
 
 
-@each_case("is_lost", [False, True])
 @on_line("tcp://10.0.0.1?timeout=0.5")
-async def test_a_trial_that_fails_in_another_way_is_followed_by_a_longer_rest(
-    plant: Plant, is_lost: bool
-) -> None:
+async def test_a_trial_whose_connection_is_lost_is_followed_by_a_longer_rest(plant: Plant) -> None:
     plant.silent.add(9)
     plant.ask(9, Asker())
     await asyncio.sleep(2)
     tried, early, late = Asker(), Asker(), Asker()
     plant.ask(9, tried)
     await asyncio.sleep(0.1)
-    if is_lost:
-        plant.peer.drop_all()
+    plant.peer.drop_all()
     await asyncio.sleep(TIMEOUT)
     assert tried.answers == [REFUSED]
     plant.silent.clear()
