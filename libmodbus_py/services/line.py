@@ -3,9 +3,11 @@ One connection to a line or a device that is shared: which request is sent next,
 
 A request waits, is in flight, and is over. There are two kinds:
 
-* Others: requests to units that answered the last time. They take turns (`FairQueue`): hosts,
-  within each host its clients, and each client's requests keep their order. Urgent ones come first.
+* Others: requests to units that answered the last time. Urgent ones come first.
 * Trials: requests to units that gave no answer the last time.
+
+Those of each kind take turns (`FairQueue`): hosts, within each host its clients, and the requests
+of each client keep their order.
 
 The rules:
 
@@ -158,7 +160,7 @@ class SharedLine(ABC, Generic[Each]):
         self._longest_wait = longest_wait
         self._most_trials = most_trials
         self._urgent, self._usual = make_queue(), make_queue()
-        self._trials: deque[Each] = deque()
+        self._trials: FairQueue[Each] = FairQueue()
         self._trying: dict[Each, None] = {}  # the trials in flight, in their order
         self._was_trial = False  # the request that was sent last
         # Unit -> the longest time that its answers took, fading.
@@ -202,9 +204,8 @@ class SharedLine(ABC, Generic[Each]):
         if is_next and not self._is_full() and self._ready_at(each) <= now:
             self._send(each, now)
             return True
-        if each.is_trial and not each.is_urgent:
-            self._trials.append(each)
-        elif not (self._urgent if each.is_urgent else self._usual).put(each):
+        queue = self._trials if each.is_trial else self._usual
+        if not (self._urgent if each.is_urgent else queue).put(each):
             return False
         self.go_on()
         return True
@@ -235,10 +236,7 @@ class SharedLine(ABC, Generic[Each]):
 
     def remove(self, each: Each) -> bool:
         """Remove a request that waits; return False if it does not."""
-        if each in self._trials:
-            self._trials.remove(each)
-            return True
-        return self._urgent.remove(each) or self._usual.remove(each)
+        return any(queue.remove(each) for queue in (self._urgent, self._usual, self._trials))
 
     def replaces(self, before: AsyncClient) -> None:
         """Send nothing while late answers to another client of the same port may come."""
@@ -296,19 +294,18 @@ class SharedLine(ABC, Generic[Each]):
                 self._next_at = min(self._next_at, at)
             return at <= now
 
-        trial = next(filter(may_ask, self._trials), None)
-        if trial is None or not self._is_due(trial, now):
-            each = self._urgent.pick(may_ask) or self._usual.pick(may_ask)
-            if each is not None or len(self._trying) >= self._most_trials:
-                return each
-        if trial is not None:
-            self._trials.remove(trial)
-        return trial
+        each = self._trials.pick(may_ask) if self._is_trial_due(now) else None
+        each = each or self._urgent.pick(may_ask) or self._usual.pick(may_ask)
+        if each is None and len(self._trying) < self._most_trials:
+            each = self._trials.pick(may_ask)
+        return each
 
-    def _is_due(self, trial: Each, now: float) -> bool:
-        """Return True if a trial is sent before others, which wait."""
-        waited = now - trial.waits_since
-        return not (self._trying or self._was_trial) and waited >= self.client_of(trial).timeout
+    def _is_trial_due(self, now: float) -> bool:
+        """Return True if a trial is to be sent before others, which wait."""
+        first = next(iter(self._trials), None)
+        if first is None or self._trying or self._was_trial:
+            return False
+        return now - first.waits_since >= self.client_of(first).timeout
 
     def _end_overstayed(self, now: float) -> None:
         """End a trial that others have waited for, for long enough."""

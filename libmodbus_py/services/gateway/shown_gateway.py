@@ -5,7 +5,6 @@ A gateway as a page shows it: its lines, the units behind them, its clients, and
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 from ...ports.hosts import host_of_peer
@@ -193,4 +192,4 @@ def _client_row(key: tuple[str, int, int], counted: tuple[int, int, float]) -> G
     cells = [state, requests, "", None, None, None, "", round(time, 1)]
     name = cell_text(host), f"unit {unit}, {called}"
     words = f"function {function}"
-    return GatewayRow(name, exceptions > 0, Counts(requests), partial(list, cells), words)
+    return GatewayRow(name, exceptions > 0, Counts(requests), lambda: cells, words)

@@ -96,9 +96,9 @@ GAUGES = {
 
 def _counters(prefix: str, kind: type, *more: str) -> dict[str, Family]:
     """Return the metrics of the whole numbers of a class and of further attributes, by name."""
-    texts = _texts(kind)
-    found = {}
-    for name in (*(each.name for each in fields(kind) if each.type in ("int", "bool")), *more):
+    texts, found = _texts(kind), {}
+    numbers = [each.name for each in fields(kind) if each.type in ("int", "bool")]
+    for name in [*numbers, *more]:
         text = texts.get(name) or inspect.getdoc(getattr(kind, name)) or name
         found[name] = Family(f"{prefix}_{name}", "gauge" if name in GAUGES else "counter", text)
     return found
