@@ -70,13 +70,6 @@ def test_one_client_fills_its_own_queue_only_and_all_have_a_bound() -> None:
     assert order(queue) == "a0 b0 a2"
 
 
-def test_what_is_held_waits_and_nobody_behind_it() -> None:
-    queue: FairQueue[LineRequest] = FairQueue()
-    assert all(map(queue.put, requests("a5 a1 b5")))
-    assert order(queue, 5) == "a1"
-    assert order(queue) == "b5 a5"
-
-
 def test_nothing_is_kept_of_those_who_were_asked() -> None:
     queue: FairQueue[LineRequest] = FairQueue(9, 99)
     with little_kept():

@@ -50,19 +50,6 @@ def test_units_go_to_their_lines_and_are_others_there(stage: Stage) -> None:
         assert len(made.traffic.lines) == 2  # those with one URL share its connection
 
 
-def test_a_write_to_a_unit_without_a_route_is_no_broadcast(stage: Stage) -> None:
-    device = small()
-    with (
-        passage("tcp", "rtu", device, route={"units": "1-9"}, stage=stage) as through,
-        through.context(10) as context,
-    ):
-        with pytest.raises(GatewayPathUnavailable):
-            context.write_register(0, 7)
-        stage.pass_time(1)
-        assert device.mapping.holding_registers[0] == 0
-        assert through.gateway.traffic.broadcasts == 0
-
-
 def test_the_gateway_itself_is_unit_255_with_its_statistics(stage: Stage) -> None:
     with (
         passage("tcp", "rtu", {1: small()}, line_options="timeout=0.2", stage=stage) as through,

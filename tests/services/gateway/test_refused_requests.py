@@ -12,7 +12,7 @@ from libmodbus_py import (
     IllegalFunction,
     pdu,
 )
-from tests.services.gateway.gates import small
+from tests.services.gateway.gates import READ_ONE, adu, small
 from tests.simulation.stage import Stage
 from tests.support.gateways import passage
 from tests.support.interop import UNIT, make_device
@@ -75,3 +75,24 @@ def test_what_cannot_be_passed_on_is_refused_here(stage: Stage) -> None:
             context.execute(pdu.RawRequest(3, b"\0\0\0\0"))
         (line,) = through.gateway.traffic.lines.values()
         assert line.units[1].requests == 1
+
+
+def test_a_cached_answer_is_refused_to_those_who_may_not_read_it(stage: Stage) -> None:
+    with (
+        passage(
+            "tcp",
+            "rtu",
+            {1: small()},
+            route={"cache": 60},
+            authorize=lambda asked: asked.peer.startswith("10.0.0.2:"),
+            stage=stage,
+        ) as through,
+        stage.talk(through.url, "10.0.0.2") as one,
+        stage.talk(through.url, "10.0.0.3") as other,
+    ):
+        for client, answer in ((one, "03 02 0000"), (other, "83 01"), (one, "03 02 0000")):
+            client.sendall(adu(READ_ONE))
+            expected = adu(bytes.fromhex(answer))
+            assert client.receive(len(expected)) == expected
+        (line,) = through.gateway.traffic.lines.values()
+        assert (line.units[1].requests, line.units[1].cached) == (1, 1)
