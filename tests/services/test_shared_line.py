@@ -33,9 +33,9 @@ def requests(names: str) -> list[LineRequest]:
     ]
 
 
-def order(queue: FairQueue[LineRequest], *held: int) -> str:
+def order(queue: FairQueue[LineRequest]) -> str:
     found = []
-    while (each := queue.pick(lambda each: each.unit not in held)) is not None:
+    while (each := queue.pick(any_of)) is not None:
         found.append(f"{each.client}{each.unit}")
     return " ".join(found)
 
