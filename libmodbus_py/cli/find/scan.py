@@ -174,15 +174,12 @@ def _scan_place(options: argparse.Namespace, report: _Report, url: str) -> None:
             usual |= {"baudrates": QUICK_BAUDRATES, "parities": QUICK_PARITIES}
         chosen = {name: value or usual.get(name) for name, value in chosen.items()}
     scanned = scan(endpoint.url, on_progress=report.progress, **chosen)
-    report.say(
-        _estimate(scanned, options.deep)
-        if is_one
-        else f"{url}: {counted(scanned.total, 'probe')}, {duration(scanned.longest)} at most"
-    )
+    place = "" if is_one else f"{url}: "
+    report.say(f"{place}{_estimate(scanned, options.deep)}")
     try:
         with scanned:
             for found in scanned:
-                report.add(found, "" if is_one else f"{url}: ")
+                report.add(found, place)
     except ModbusConnectionError:
         if is_one:
             raise

@@ -21,9 +21,8 @@ from .. import arguments, logs
 from ..connecting import with_options
 from ..foreign import place
 from ..help import VerbatimHelp
-from ..tracing import print_frame
-from . import clients, over_http
-from .running import starting
+from . import over_http
+from .running import add_audit, add_limits, starting
 
 if TYPE_CHECKING:
     from ...tools.page.table_source import Shown
@@ -101,8 +100,8 @@ def add_command(commands: Any) -> None:
         without=("unit", "native"),
         defaults=lambda: {"max_in_flight": str(IN_FLIGHT), "max_pause": f"{MAX_PAUSE:g}"},
     )
-    clients.add_limits(command)
-    clients.add_audit(command)
+    add_limits(command)
+    add_audit(command)
     arguments.add_serial_options(command)
     arguments.add_security_options(command)
     command.set_defaults(run=_gateway)
@@ -123,16 +122,10 @@ def _gateway(options: argparse.Namespace) -> int:
             raise ValueError(f"{options.config}: listen is missing, and no URL is given")
         routes = [parse_route(text, options.units) for text in options.to or ()]
         urls, routes = _overridden(urls, routes, options)
-        limits = clients.limits_of(options)
+        usual = file.options if file else {}
         gateway = Gateway(
             file.routes if file else routes,
-            **{
-                **(file.options if file else {}),
-                **({"limits": limits} if limits else {}),
-                **arguments.given(options, OPTIONS),
-                "trace": print_frame if options.verbose else None,
-                "audit": command.trail,
-            },
+            **{**usual, **arguments.given(options, OPTIONS), **command.hooks},
         )
         if file is not None:
             command.files.insert(0, partial(_read_again, gateway, str(options.config), file))

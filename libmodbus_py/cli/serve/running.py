@@ -1,6 +1,6 @@
 """
-The surroundings of a command that serves, until the signal that ends it: the log, the audit
-trail, metrics, a page, the message to systemd that it serves, and SIGHUP.
+The surroundings of a command that serves, until the signal that ends it: limits for clients, the
+log, the audit trail, metrics, a page, the message to systemd that it serves, and SIGHUP.
 
 SIGHUP waits while a command starts. Then it is answered by one line, which says what became of
 files, certificates and passwords that were read again. When its terminal was closed, the command
@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import os
 import signal
 import socket
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any, Self
 
 from ...ports.endpoint import parse
@@ -22,16 +24,20 @@ from ...ports.hosts import is_loopback
 from ...protocol.logs import HarmlessLogger
 from ...security.renewed import reload_all
 from ...server.audit import Audit, AuditFile
+from ...server.limits import FULL_POLICIES, Limits
 from ...server.serving import Running, Serving
 from .. import logs
+from ..arguments import add_defaults, flag, given
+from ..help import make_rare
 from ..output import complain, inform
+from ..tracing import print_frame
 from .over_http import exposed, shown
 
 if TYPE_CHECKING:
     from ...tools.faults.server import Server
     from ...tools.page.table_source import Shown
 
-__all__ = ["Hangup", "announce", "notify_ready", "starting"]
+__all__ = ["Hangup", "add_audit", "add_limits", "announce", "notify_ready", "starting"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -39,7 +45,11 @@ NOTHING = "there are no files, certificates or passwords to read again"
 
 
 class _ServingCommand:
-    """A command that serves at URLs; `files` are functions that read a file again on SIGHUP."""
+    """
+    A command that serves at URLs.
+
+    `hooks` are arguments of its server; `files` are functions that read a file again on SIGHUP.
+    """
 
     def __init__(
         self,
@@ -48,16 +58,25 @@ class _ServingCommand:
         trail: Audit | None = None,
         *files: Callable[[], str],
     ) -> None:
-        self.trail = trail
+        self.hooks: dict[str, Any] = {
+            "trace": print_frame if options.verbose else None,
+            "audit": trail,
+        }
         self.files = [*files]
+        self._trail = trail
         self._options = options
         self._hangup = hangup
+        limits = given(options, [*LIMITS, "when_full", "allow"])
+        if limits.get("idle_timeout") == math.inf:
+            limits["idle_timeout"] = None
+        if limits:
+            self.hooks["limits"] = Limits(**limits)
 
     def tell(self, line: str) -> None:
         """Log a line about files that were read again, and record it in the audit trail."""
         logger.warning("%s", line)
-        if self.trail is not None:
-            self.trail.note_own("reload", line)
+        if self._trail is not None:
+            self._trail.note_own("reload", line)
 
     def serve(
         self,
@@ -184,3 +203,75 @@ def _has_terminal() -> bool:
     except OSError:
         return False
     return True
+
+
+# --- options ----------------------------------------------------------------------------------
+
+# fmt: off
+LIMITS: dict[str, tuple[Callable[[str], Any], str, str]] = {
+    "max_connections": (
+        int, "N", "maximum number of TCP connections; by default what the open-file limit allows"
+    ),
+    "connections_per_address": (
+        int, "N", "maximum number of TCP connections per address; by default a tenth of all"
+    ),
+    "frame_timeout": (float, "S", "seconds from the first byte of a frame to the last"),
+    "handshake_timeout": (float, "S", "seconds for a TLS handshake"),
+    "certificate_interval": (
+        float, "S", "seconds between checks of the certificates of open TLS connections"
+    ),
+    "idle_timeout": (
+        float, "S", "seconds without a request after which a connection is closed, or inf"
+    ),
+    "max_unsent": (
+        int, "BYTES", "bytes of responses buffered for a client that does not read them"
+    ),
+    "requests_per_second": (
+        float, "N", "requests answered per address; by default all, over UDP 1000"
+    ),
+}
+"""Field of `Limits` -> type, placeholder and text of the option."""
+# fmt: on
+
+
+def add_limits(command: argparse.ArgumentParser) -> Any:
+    """Add the options for limits to argparse, and return their group."""
+    group = command.add_argument_group("limits on clients")
+    added = [
+        group.add_argument(flag(name), type=convert, metavar=placeholder, help=text)
+        for name, (convert, placeholder, text) in LIMITS.items()
+    ]
+    added.append(
+        group.add_argument(
+            "--when-full",
+            choices=FULL_POLICIES,
+            metavar="POLICY",
+            help="when there is no room for a connection: close-idle closes another one, which is"
+            " idle; refuse closes the new one",
+        )
+    )
+    make_rare(*added)
+    add_defaults(added, lambda: {each.name: each.default for each in fields(Limits)})
+    group.add_argument(
+        "--allow",
+        action="append",
+        metavar="NETWORK",
+        help="serve clients of this network or address only; may be repeated",
+    )
+    return group
+
+
+def add_audit(command: argparse.ArgumentParser) -> None:
+    """Add the options for an audit trail to argparse."""
+    group = command.add_argument_group("audit trail")
+    group.add_argument(
+        "--audit",
+        metavar="FILE",
+        help="append a line of JSON to this file for each write, and for each request, connection"
+        " and TLS handshake that is refused; SIGHUP opens it again",
+    )
+    group.add_argument(
+        "--audit-required",
+        action="store_true",
+        help="refuse writes with exception 4 while the file cannot be written",
+    )

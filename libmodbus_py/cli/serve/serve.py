@@ -24,9 +24,8 @@ from .. import arguments, logs
 from ..connecting import OF_SERVERS, with_options
 from ..foreign import place
 from ..help import VerbatimHelp, make_rare
-from ..tracing import print_frame
-from . import clients, over_http
-from .running import starting
+from . import over_http
+from .running import add_audit, add_limits, starting
 
 __all__ = ["add_command"]
 
@@ -99,7 +98,7 @@ def add_command(commands: Any) -> None:
     )
     over_http.add_metrics(command)
     over_http.add_page(command)
-    clients.add_limits(command).add_argument(
+    add_limits(command).add_argument(
         "--unknown-unit",
         choices=UNKNOWN_UNIT_POLICIES,
         default="refuse",
@@ -107,7 +106,7 @@ def add_command(commands: Any) -> None:
         help="requests to units without a device, on TCP and UDP: refuse answers with an"
         " exception, silent does not answer (refuse)",
     )
-    clients.add_audit(command)
+    add_audit(command)
     arguments.add_verbose(command)
     logs.add_arguments(command)
     arguments.add_serial_options(command)
@@ -134,11 +133,9 @@ def _serve(options: argparse.Namespace) -> int:
         server = Server(
             devices,
             faults,
-            clients.limits_of(options),
-            options.unknown_unit,
-            options.own_unit,
-            trace=print_frame if options.verbose else None,
-            audit=command.trail,
+            unknown_unit=options.unknown_unit,
+            own_unit=options.own_unit,
+            **command.hooks,
         )
         serve = partial(command.serve, server, urls, lambda: server)
         if simulation is None or path is None:
