@@ -83,9 +83,3 @@ def test_all_connections_are_closed_at_the_end() -> None:
     with first, second:
         assert not is_answered(first)
         assert not is_answered(second)
-
-
-def test_its_place_is_a_url() -> None:
-    server = TimedServer("::1", 0, Reading, FOREVER)
-    server.server_close()
-    assert server.place == f"http://[::1]:{server.server_address[1]}"

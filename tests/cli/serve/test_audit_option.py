@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Context, Device, Mapping, Server, ServerDeviceFailure
+from tests.support.cases import each_case
 from tests.support.commands import Started, run
 from tests.support.peers import until
 
@@ -89,13 +90,15 @@ def test_what_changed_in_a_file_that_is_read_again_is_recorded(
     assert "1 new" in said or "1 changed" in said
 
 
-def test_wrong_options_are_told_in_a_line(command: list[str], tmp_path: Path) -> None:
-    for options, said in (
+@each_case(
+    ("options", "said"),
+    [
         (["--audit-required"], "--audit-required needs --audit"),
-        (["--audit", tmp_path], f"--audit: {tmp_path}: Is a directory"),
-        (["--audit", tmp_path / "no" / "file"], "No such file or directory"),
-    ):
-        done = run(*command, *options)
-        assert done.code == 2, done
-        assert said in done.err
-        assert done.err.count("\n") == 1
+        (["--audit", "/"], "--audit: /: Is a directory"),
+        (["--audit", "/no/file"], "No such file or directory"),
+    ],
+)
+def test_wrong_options_are_told_in_a_line(options: list[str], said: str) -> None:
+    for command in (["serve"], ["gateway", "--to", "tcp://127.0.0.1:1"]):
+        done = run(*command, "tcp://127.0.0.1:0", *options)
+        assert (done.code, said in done.err, done.err.count("\n")) == (2, True, 1)

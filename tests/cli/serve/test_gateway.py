@@ -7,14 +7,12 @@ from __future__ import annotations
 import contextlib
 import signal
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
-from libmodbus_py import Context, Device, GatewayPathUnavailable, Mapping, Server
+from libmodbus_py import Context, Device, Mapping, Server
 from tests.support.cases import each_case
 from tests.support.commands import PAGE_TOKEN, Started, page_url, run
-from tests.support.peers import until
 from tests.tools.page.watching import Visitor
 
 
@@ -42,46 +40,6 @@ def test_sharing_a_device_takes_one_command(behind: str) -> None:
         for url in found:
             with Context.from_url(url, unit=1) as context:
                 assert context.read_holding_registers(0, 1) == [555]
-
-
-def test_hangup_has_the_file_read_again_and_nobody_notices(behind: str, tmp_path: Path) -> None:
-    path = tmp_path / "gateway.toml"
-
-    def write(units: str, more: str = "") -> None:
-        path.write_text(
-            f'listen = ["tcp://127.0.0.1:0"]\n[[route]]\nto = "{behind}"\nunits = "{units}"\n{more}'
-        )
-
-    write("1")
-    with (
-        passing_on("--config", str(path)) as (process, urls),
-        Context.from_url(urls[0], unit=1, timeout=5) as context,
-    ):
-
-        def has(unit: int) -> bool:
-            try:
-                return context.for_unit(unit).read_holding_registers(0, 1) == [555]
-            except GatewayPathUnavailable:
-                return False
-
-        assert (has(1), has(2)) == (True, False)
-        write("1-2")
-        process.send_signal(signal.SIGHUP)
-        until(lambda: has(2))
-        write("1-300")
-        process.send_signal(signal.SIGHUP)
-        assert process.stderr.readline() == f"{path}: read again, 1 route: 1 new, 1 removed\n"
-        said = process.stderr.readline()
-        assert said == (
-            f"the former content is used: {path}, line 4: "
-            "route[0].units: '1-300' must go up, within 0..255\n"
-        )
-        assert has(2)
-        write("3")
-        process.send_signal(signal.SIGHUP)
-        until(lambda: has(3))
-        assert not has(1)
-        assert context.statistics.connects == 1
 
 
 @each_case(

@@ -1,66 +1,61 @@
 """
-A terminal that closes ends what was started in it; SIGHUP from somebody else does not. While a
-command starts, what it reads is read again as soon as it has started, or it ends if its terminal
-was closed.
+SIGHUP of commands that serve. A terminal that closes ends what was started in it, also while that
+starts; SIGHUP from others has files read again, those too that were read while it came.
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import pty
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from libmodbus_py import Context, Device, Mapping, Server
+from libmodbus_py.protocol.plain import time_text
 from tests.support.commands import Started as Forked
 from tests.support.peers import until
 
 FILES = {
-    "serve.toml": "[[unit]]\nid = 1\n[[unit.holding_registers]]\naddress = 0\nvalue = 1\n",
-    "gateway.toml": 'listen = ["tcp://127.0.0.1:0"]\n[[route]]\nto = "tcp://127.0.0.1:1"\n',
-    "poll.toml": '[[device]]\nname = "a"\nurl = "tcp://127.0.0.1:1"\nmap = "map.csv"\n',
-    "map.csv": "name,table,address\nx,holding_registers,0\n",
+    "serve": "[[unit]]\nid = 1\n[[unit.holding_registers]]\naddress = 0\nvalue = 1\n",
+    "gateway": 'listen = ["tcp://127.0.0.1:0"]\n[[route]]\nto = "tcp://127.0.0.1:1"\n',
+    "poll": '[[device]]\nname = "a"\nurl = "tcp://127.0.0.1:1"\nmap = "map.csv"\n',
 }
 
-# How to begin, and what is said when the file is read again.
 COMMANDS = {
-    "serve": (["tcp://127.0.0.1:0", "--device", "serve.toml"], "serve.toml"),
-    "gateway": (["--config", "gateway.toml"], "gateway.toml"),
-    "poll": (["poll.toml"], "poll.toml: read again, 1 device"),
+    "serve": ["tcp://127.0.0.1:0", "--device", "file"],
+    "gateway": ["--config", "file"],
+    "poll": ["file"],
 }
+
+SAID = "file: read again, 1 "
 
 # Has its standard input for a terminal, as what is started in one has.
 BEGIN = (
     "import fcntl, os, signal, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); "
     "signal.signal(signal.SIGHUP, signal.SIG_IGN if sys.argv[1] == 'nohup' else signal.SIG_DFL); "
-    "os.execv(sys.executable, [sys.executable, *sys.argv[2:]])"
+    "os.execv(sys.executable, [sys.executable, '-m', 'libmodbus_py', *sys.argv[2:]])"
 )
+
+NAMES = pytest.mark.parametrize("name", COMMANDS)
 
 
 class Started:
-    """
-    A command in a terminal of its own, until that is closed.
+    """A command in a terminal of its own, whose other end is `master`."""
 
-    Attributes:
-        program: what Python runs.
-        master: the terminal's other end.
-    """
-
-    program: tuple[str, ...] = ("-m", "libmodbus_py")
-
-    def __init__(self, folder: Path, name: str, how: str = "") -> None:
-        for file, text in FILES.items():
-            (folder / file).write_text(text)
+    def __init__(self, folder: Path, name: str, how: str) -> None:
         self._log = folder / "log"
         self.master, slave = pty.openpty()
         with open(self._log, "wb") as log:
             self.process = subprocess.Popen(
-                [sys.executable, "-c", BEGIN, how, *self.program, name, *COMMANDS[name][0]],
+                [sys.executable, "-c", BEGIN, how, name, *COMMANDS[name]],
                 cwd=folder,
                 stdin=slave,
                 stdout=log,
@@ -70,32 +65,39 @@ class Started:
             )
         os.close(slave)
 
-    def close(self) -> None:
-        self.process.kill()
-        self.process.wait()
-        with contextlib.suppress(OSError):
-            os.close(self.master)
-
     @property
     def said(self) -> str:
         return self._log.read_text()
 
-    def hang_up(self, name: str) -> None:
+    def hang_up(self) -> None:
         """Send SIGHUP, and wait until the file was read again."""
-        before = self.said.count(COMMANDS[name][1])
+        before = self.said.count(SAID)
         self.process.send_signal(signal.SIGHUP)
-        until(lambda: self.said.count(COMMANDS[name][1]) > before)
+        until(lambda: self.said.count(SAID) > before)
+
+    def end(self) -> None:
+        assert self.process.poll() is None
+        self.process.terminate()
+        assert self.process.wait(20) == 0
 
 
 @contextlib.contextmanager
 def started(folder: Path, name: str, how: str = "") -> Iterator[Started]:
+    (folder / "map.csv").write_text("name,table,address\nx,holding_registers,0\n")
+    if how == "waiting":
+        os.mkfifo(folder / "file")
+    else:
+        (folder / "file").write_text(FILES[name])
     made = Started(folder, name, how)
     try:
-        # Where SIGHUP has its meaning: bit 0 of what is caught.
-        until(lambda: catches_hangup(made.process.pid))
+        if how != "waiting":
+            until(lambda: catches_hangup(made.process.pid))
         yield made
     finally:
-        made.close()
+        made.process.kill()
+        made.process.wait()
+        with contextlib.suppress(OSError):
+            os.close(made.master)
 
 
 def catches_hangup(process: int) -> bool:
@@ -103,92 +105,48 @@ def catches_hangup(process: int) -> bool:
     return bool(int(text.partition("SigCgt:")[2].split()[0], 16) & 1)
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@contextlib.contextmanager
+def being_read(path: Path, text: str) -> Iterator[None]:
+    """Let a program wait for a file that it has begun to read; then it is an usual one."""
+    with open(path, "w") as pipe:
+        yield
+        (path.parent / "new").write_text(text)
+        os.replace(path.parent / "new", path)
+        pipe.write(text)
+
+
+@NAMES
 def test_a_terminal_that_closes_ends_it(tmp_path: Path, name: str) -> None:
     with started(tmp_path, name) as command:
-        command.hang_up(name)
-        assert command.process.poll() is None
+        command.hang_up()
         os.close(command.master)
         assert command.process.wait(20) == 0
         assert "Traceback" not in command.said
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@NAMES
 def test_under_nohup_it_goes_on(tmp_path: Path, name: str) -> None:
     with started(tmp_path, name, "nohup") as command:
         os.close(command.master)
-        command.hang_up(name)
-        command.hang_up(name)
-        assert command.process.poll() is None
-        command.process.terminate()
-        assert command.process.wait(20) == 0
-
-
-NAMES = pytest.mark.parametrize("name", COMMANDS)
-
-# Reads its file only when another has been read: a pipe of the test.
-WAITING = """
-import sys
-from libmodbus_py.cli.main import main
-from libmodbus_py.tools.files import texts
-
-def read_later(*arguments):
-    if waits:
-        waits.clear()
-        print("starting", flush=True)
-        open("go").close()
-    return read(*arguments)
-
-waits = ["go"]
-read, texts.read_text = texts.read_text, read_later
-sys.exit(main())
-"""
-
-
-class Waiting(Started):
-    """A command that is about to read its file."""
-
-    program = ("-c", WAITING)
-
-    def __init__(self, folder: Path, name: str) -> None:
-        self._go = folder / "go"
-        os.mkfifo(self._go)
-        super().__init__(folder, name)
-
-    def go_on(self) -> None:
-        """Let it read the file, unless the signal has ended it."""
-        until(lambda: self.process.poll() is not None or self._is_let())
-
-    def _is_let(self) -> bool:
-        with contextlib.suppress(OSError):
-            os.close(os.open(self._go, os.O_WRONLY | os.O_NONBLOCK))
-            return True
-        return False
-
-
-@contextlib.contextmanager
-def waiting(folder: Path, name: str) -> Iterator[Waiting]:
-    with contextlib.closing(Waiting(folder, name)) as made:
-        until(lambda: "starting" in made.said)
-        yield made
+        command.hang_up()
+        command.hang_up()
+        command.end()
 
 
 @NAMES
-def test_what_it_reads_is_read_again(tmp_path: Path, name: str) -> None:
-    with waiting(tmp_path, name) as command:
-        command.process.send_signal(signal.SIGHUP)
-        command.go_on()
-        until(lambda: COMMANDS[name][1] in command.said or command.process.poll() is not None)
-        assert command.process.poll() is None
-        command.process.terminate()
-        assert command.process.wait(20) == 0
+def test_what_it_reads_at_its_start_is_read_again(tmp_path: Path, name: str) -> None:
+    with started(tmp_path, name, "waiting") as command:
+        with being_read(tmp_path / "file", FILES[name]):
+            command.process.send_signal(signal.SIGHUP)
+        until(lambda: SAID in command.said or command.process.poll() is not None)
+        command.end()
 
 
 @NAMES
-def test_a_terminal_that_closes_while_a_command_starts_ends_it(tmp_path: Path, name: str) -> None:
-    with waiting(tmp_path, name) as command:
-        os.close(command.master)
-        command.go_on()
+def test_a_terminal_that_closes_while_it_starts_ends_it(tmp_path: Path, name: str) -> None:
+    with started(tmp_path, name, "waiting") as command:
+        with being_read(tmp_path / "file", FILES[name]):
+            os.close(command.master)
         assert command.process.wait(20) == 0
         assert "Traceback" not in command.said
 
@@ -203,3 +161,89 @@ def test_without_a_file_it_says_so_and_goes_on(arguments: list[str]) -> None:
         assert process.stderr.readline().startswith("there are no files")
         process.terminate()
         assert process.wait() == 0
+
+
+# --- gateways: nobody notices ---------------------------------------------------------
+
+
+def test_a_gateway_ends_with_the_newest_routes(tmp_path: Path) -> None:
+    path = tmp_path / "gateway.toml"
+    with Server(Device(Mapping(10))).background("tcp://127.0.0.1:0") as running:
+
+        def write(units: str) -> None:
+            route = f"[[route]]\nto = '{running.urls[0]}'\nunits = '{units}'\n"
+            path.write_text(f"listen = ['tcp://127.0.0.1:0']\n{route}")
+
+        write("1")
+        with Forked("gateway", "--config", path) as process:
+            url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
+            with Context.from_url(url, unit=1, timeout=5) as context:
+                for unit in range(2, 20):
+                    write(f"1,{unit}")
+                    for _ in range(2):  # the second perhaps before the first was answered
+                        process.send_signal(signal.SIGHUP)
+                    assert context.read_coils(0, 1) == [False]
+                said = f"{path}: read again, 1 route: "
+                assert process.stderr.readline() == f"{said}1 new, 1 removed\n"
+                assert process.stderr.readline().startswith(said)
+                write("1-300")
+                process.send_signal(signal.SIGHUP)
+                while not (line := process.stderr.readline()).startswith("the former"):
+                    assert line.startswith(said)
+                assert line.endswith(
+                    f"{path}, line 4: route[0].units: '1-300' must go up, within 0..255\n"
+                )
+                assert context.for_unit(19).read_coils(0, 1) == [False]
+                assert context.statistics.connects == 1
+            process.send_signal(signal.SIGHUP)
+            process.terminate()
+            assert process.wait() == 0
+
+
+# --- poll: devices are polled meanwhile -----------------------------------------------
+
+
+def test_poll_reads_the_file_again(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.toml"
+    with Server(Device(Mapping(10, 10, 10, 10))).background("tcp://127.0.0.1:0") as running:
+        text = FILES["poll"].replace("tcp://127.0.0.1:1", running.urls[0]) + "interval = 0.02\n"
+        (tmp_path / "map.csv").write_text("name,table,address\nx,holding_registers,0\n")
+        path.write_text(text)
+        with Forked("poll", path) as process:
+
+            def reading() -> dict[str, str]:
+                found: dict[str, str] = json.loads(process.stdout.readline())
+                return found
+
+            def said_of(content: str) -> str:
+                path.write_text(content)
+                process.send_signal(signal.SIGHUP)
+                return process.stderr.readline().removesuffix("\n")
+
+            assert reading()["device"] == "a"
+            assert said_of("nothing").startswith("the former content is used: ")
+            assert said_of(f"{text}[output.csv]\npath = 'readings.csv'\n") == (
+                f"{path}: read again, 1 device: no change;"
+                " its outputs have changed, and are used after a restart"
+            )
+            assert not (tmp_path / "readings.csv").exists()
+            path.unlink()
+            os.mkfifo(path)
+            process.send_signal(signal.SIGHUP)
+            with being_read(path, text.replace('"a"', '"b"')):
+                now = time.time()
+                while reading()["time"] < time_text(now + 0.1):
+                    pass
+                process.send_signal(signal.SIGHUP)
+            said = f"{path}: read again, 1 device: "
+            assert process.stderr.readline() == f"{said}1 new, 1 removed\n"
+            assert process.stderr.readline() == f"{said}no change\n"
+            while reading()["device"] != "b":
+                pass
+            path.unlink()
+            os.mkfifo(path)  # it ends though the file cannot be read to its end
+            process.send_signal(signal.SIGHUP)
+            with open(path, "w"):
+                process.terminate()
+                process.communicate()
+            assert process.returncode == 0

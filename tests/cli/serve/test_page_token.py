@@ -49,14 +49,14 @@ def test_a_new_token_is_printed_on_a_terminal() -> None:
             assert answer.status == 200
 
 
-@each_case(
-    "command",
-    [
-        SERVE,
-        ("gateway", "tcp://127.0.0.1:0", "--to", "tcp://127.0.0.1:1", "--page", "127.0.0.1:0"),
-        ("read", "tcp://127.0.0.1:1", "hr", "0", "--watch", "1", "--page", "127.0.0.1:0"),
-    ],
-)
+OTHERS = [
+    SERVE,
+    ("gateway", "tcp://127.0.0.1:0", "--to", "tcp://127.0.0.1:1", "--page", "127.0.0.1:0"),
+    ("read", "tcp://127.0.0.1:1", "hr", "0", "--watch", "1", "--page", "127.0.0.1:0"),
+]
+
+
+@each_case("command", OTHERS)
 def test_a_new_token_is_printed_in_no_log(command: tuple[str, ...]) -> None:
     done = run(*command)
     assert done.code == 2
@@ -64,41 +64,34 @@ def test_a_new_token_is_printed_in_no_log(command: tuple[str, ...]) -> None:
     assert "token=" not in done.out + done.err
 
 
+@each_case("command", OTHERS)
+def test_a_token_without_a_page_is_refused(command: tuple[str, ...]) -> None:
+    done = run(*command[:-2], "--page-token", "file")
+    assert (done.code, "--page-token needs --page" in done.err) == (2, True)
+
+
 @each_case(
-    ("content", "said"),
+    ("content", "mode", "said"),
     [
-        ("", "token must have 22 or more letters, digits, - or _"),
-        ("short", "token must have 22 or more"),
-        ("x" * 1001, "token must have 22 or more"),
-        (f"{TOKEN}&x=1", "token must have 22 or more"),
-        (f"{TOKEN}\nanother", "token must have 22 or more"),
-        (None, "No such file or directory"),
+        ("", 0o640, "token must have 22 or more letters, digits, - or _"),
+        ("short", 0o640, "token must have 22 or more"),
+        ("x" * 1001, 0o640, "token must have 22 or more"),
+        (f"{TOKEN}&x=1", 0o640, "token must have 22 or more"),
+        (f"{TOKEN}\nanother", 0o640, "token must have 22 or more"),
+        (TOKEN, 0o604, "file: all users of this machine can read this secret"),
+        (None, 0, "No such file or directory"),
     ],
 )
 def test_a_wrong_token_is_told_and_not_shown(
-    tmp_path: Path, content: str | None, said: str
+    tmp_path: Path, content: str | None, mode: int, said: str
 ) -> None:
-    file = tmp_path / "token"
+    file = tmp_path / "file"
     file.unlink(missing_ok=True)
     if content is not None:
         file.write_text(content)
-        file.chmod(0o640)
-    done = run("serve", "tcp://127.0.0.1:0", "--page", "127.0.0.1:0", "--page-token", file)
+        file.chmod(mode)
+    done = run(*SERVE, "--page-token", file)
     assert done.code == 2
     assert said in done.err
     assert done.err.count("\n") == 1
     assert TOKEN not in done.err
-
-
-def test_a_token_that_all_users_can_read_is_refused(tmp_path: Path) -> None:
-    file = tmp_path / "token"
-    file.write_text(TOKEN)
-    file.chmod(0o604)
-    done = run("serve", "tcp://127.0.0.1:0", "--page", "127.0.0.1:0", "--page-token", file)
-    assert done.code == 2
-    assert f"{file}: all users of this machine can read this secret" in done.err
-
-
-def test_a_token_without_a_page_is_refused(tmp_path: Path) -> None:
-    done = run("serve", "tcp://127.0.0.1:0", "--page-token", tmp_path)
-    assert (done.code, "--page-token needs --page" in done.err) == (2, True)

@@ -61,9 +61,14 @@ def started(*arguments: object) -> Started:
     return Started("poll", *arguments)
 
 
-def test_once(fleet: Path) -> None:
-    done = ended("poll", fleet, "--once")
+def test_once_to_several_outputs(fleet: Path) -> None:
+    a, b, c = (fleet.with_name(name) for name in ("a.csv", "b.csv", "c.jsonl"))
+    options = ["--csv", a, "--json", c, "--csv", b, "--json"]  # which may be repeated
+    done = ended("poll", fleet, "--once", *options)
     told = [json.loads(line) for line in done.out.splitlines()]
+    assert sorted(c.read_text().splitlines()) == sorted(done.out.splitlines())
+    assert sorted(a.read_text().splitlines()) == sorted(b.read_text().splitlines())
+    assert len(a.read_text().splitlines()) == 7
     assert sorted((each["device"], each["name"], each["value"]) for each in told) == [
         ("gone", "current", None),
         ("gone", "voltage", None),
@@ -74,18 +79,6 @@ def test_once(fleet: Path) -> None:
     ]
     assert done.code == 1  # one gave no answer
     assert done.err == ""
-
-
-def test_options_of_outputs_may_be_repeated(fleet: Path) -> None:
-    folder = fleet.parent
-    paths = [folder / name for name in ("a.csv", "b.csv", "a.jsonl", "b.jsonl")]
-    options = ["--csv", paths[0], "--json", paths[2], "--csv", paths[1], "--json", paths[3]]
-    done = ended("poll", fleet, "--once", *options, "--csv")
-    assert done.err == ""
-    a, b, *lines = [path.read_text() for path in paths]
-    assert (sorted(a.splitlines()), len(a.splitlines())) == (sorted(b.splitlines()), 7)
-    assert sorted(done.out.splitlines()) == sorted(a.splitlines())
-    assert [len(each.splitlines()) for each in lines] == [6, 6]
 
 
 def test_check_prints_a_table_and_what_is_too_much(fleet: Path) -> None:
@@ -164,6 +157,19 @@ def test_a_signal_while_all_wait_ends_it(tmp_path: Path) -> None:
     assert polling.returncode == 0
 
 
+def test_it_restores_the_signal_handlers_of_a_program(fleet: Path) -> None:
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+    def own_handler(number: int, frame: object) -> None:
+        raise AssertionError(f"nobody sends signal {number}")
+
+    before = {number: signal.signal(number, own_handler) for number in numbers}
+    run("poll", fleet, "--once", "--json", fleet.with_name("readings.json"))
+    found = [signal.signal(number, handler) for number, handler in before.items()]
+    assert found == [own_handler] * 3
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == set()
+
+
 def test_a_reader_that_goes_ends_it_quietly(fleet: Path) -> None:
     with started(fleet) as polling:
         polling.stdout.readline()
@@ -219,22 +225,6 @@ def test_a_status_line_on_a_terminal(fleet: Path) -> None:
     assert '"device"' not in seen  # values are for files and pipes
 
 
-def test_sighup_reads_the_file_again(fleet: Path) -> None:
-    with started(fleet) as polling:
-        polling.stdout.readline()
-        text = fleet.read_text()
-        fleet.write_text("nothing")
-        polling.send_signal(signal.SIGHUP)
-        assert polling.stderr.readline().startswith("the former content is used: ")
-        fleet.write_text(text.replace('"two"', '"renamed"'))
-        polling.send_signal(signal.SIGHUP)
-        assert polling.stderr.readline() == f"{fleet}: read again, 3 devices: 1 new, 1 removed\n"
-        while json.loads(polling.stdout.readline())["device"] != "renamed":
-            pass
-        polling.terminate()
-        polling.communicate()
-
-
 @each_case(
     ("arguments", "said"),
     [
@@ -266,72 +256,44 @@ def with_journal(fleet: Path) -> Path:
     return file
 
 
-def test_a_journal_is_told_of_at_the_end(fleet: Path) -> None:
-    with started(with_journal(fleet), "--json") as process:
+def test_a_journal_is_told_of_at_the_end_and_used_by_one_program(fleet: Path) -> None:
+    file = with_journal(fleet)
+    with started(file, "--json") as process:
         ids = [json.loads(process.stdout.readline())["id"] for _ in range(10)]
         assert ids == list(range(ids[0], ids[0] + 10))
+        code, _, err = run("poll", file)
+        assert code == 1
+        assert err == f"libmodbus-py: {fleet.with_name('fleet.db')}: is used by another program\n"
         process.terminate()
         _, err = process.communicate()
     assert process.returncode == 0, err
     told = r"^journal: \d+ written, 0 dropped, 0\.\d MB$"
     assert re.search(told, err, re.MULTILINE), err
-
-
-def test_a_journal_that_is_used_is_one_line(fleet: Path) -> None:
-    file = with_journal(fleet)
-    with started(file, "--json") as process:
-        assert process.stdout.readline()
-        code, _, err = run("poll", file)
-    assert code == 1
-    assert err == f"libmodbus-py: {fleet.with_name('fleet.db')}: is used by another program\n"
-
-
-def test_the_standard_output_has_the_readings_of_this_run_only(fleet: Path) -> None:
-    file = with_journal(fleet)
-    for _ in range(2):
-        code, out, _ = ended("poll", file, "--once", "--json")
-        assert code == 1  # one device does not answer
-        assert out.count('"voltage"') == 3
+    # The standard output has the readings of this run only.
+    code, out, _ = ended("poll", file, "--once", "--json")
+    assert code == 1  # one device does not answer
+    assert out.count('"voltage"') == 3
 
 
 # --- --once and outputs -----------------------------------------------------------
 
 
-FLEET_OF_TWO_POINTS = f"""{FLEET_OF_ONE}
-[[device.point]]
-name = "amperes"
-table = "holding_registers"
-address = 1
-"""
-
-
-@pytest.fixture
-def one_device(tmp_path: Path) -> Iterator[Path]:
+@each_case(
+    ("journal", "path", "said"),
+    [
+        ("", "readings.jsonl", ""),
+        ("", "/nowhere/at/all", "/all: 0 written, 1 dropped: /nowhere/at/all: No such file"),
+        ("journal = 'kept.db'\n", "/nowhere/at/all", "0 dropped, 1 wait in the journal: /nowhere"),
+    ],
+)
+def test_an_output_that_takes_nothing_is_named(
+    tmp_path_factory: pytest.TempPathFactory, journal: str, path: str, said: str
+) -> None:
+    folder = tmp_path_factory.mktemp("once")
     with ServerMaker() as maker:
-        path = tmp_path / "one_device.toml"
-        path.write_text(FLEET_OF_TWO_POINTS.format(url=maker().url))
-        yield path
-
-
-def test_an_output_that_takes_nothing(one_device: Path) -> None:
-    done = ended("poll", one_device, "--once", "--json", "/nowhere/at/all", "--csv")
-    assert done.code == 1
-    assert "json /nowhere/at/all: 0 written, 2 dropped: /nowhere/at/all: No such file" in done.err
-    assert done.out.count("\n") == 3  # the other output got all
-
-
-def test_nothing_is_lost(one_device: Path) -> None:
-    path = one_device.with_name("readings.jsonl")
-    done = ended("poll", one_device, "--once", "--json", path)
-    assert (done.code, done.err) == (0, "")
-    assert [json.loads(line)["name"] for line in path.read_text().splitlines()] == [
-        "volts",
-        "amperes",
-    ]
-
-
-def test_an_output_that_takes_nothing_while_a_journal_keeps_all(one_device: Path) -> None:
-    one_device.write_text(f'journal = "one_device.db"\n{one_device.read_text()}')
-    done = ended("poll", one_device, "--once", "--json", "/nowhere/at/all")
-    assert done.code == 1
-    assert "0 dropped, 2 wait in the journal: /nowhere/at/all: No such file" in done.err
+        (folder / "fleet.toml").write_text(journal + FLEET_OF_ONE.format(url=maker().url))
+        done = ended("poll", folder / "fleet.toml", "--once", f"--json={folder / path}", "--csv")
+    assert done.code == bool(said)
+    assert said in done.err
+    assert bool(done.err) == bool(said)
+    assert done.out.count("\n") == 2  # the other output got all

@@ -7,7 +7,6 @@ from __future__ import annotations
 import io
 import os
 import signal
-import socket
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.shown_fleet import fleet_lines
 from libmodbus_py.services.fleet.statistics import KeptReadings
 from tests.support.cases import each_case
-from tests.support.commands import PAGE_TOKEN, Started, on_terminal, page_url, run
+from tests.support.commands import PAGE_TOKEN, Started, on_terminal, page_url
 from tests.tools.page.watching import Visitor
 
 METER = "name,table,address,unit,scale\nlevel,holding_registers,0,m,0.1\n"
@@ -137,25 +136,3 @@ def test_the_fleet_is_shown_and_follows_its_file(tank: Path) -> None:
         process.send_signal(signal.SIGINT)
         assert process.wait() == 0
         assert process.stdout.read() == ""
-
-
-def test_an_address_in_use_is_told(tank: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        place = f"127.0.0.1:{taken.getsockname()[1]}"
-        done = run("poll", tank, "--page", place, environment=PAGE_TOKEN)
-    assert done.code == 1
-    assert f"cannot show a page on {place}: Address already in use" in done.err
-
-
-@pytest.mark.parametrize(
-    "command",
-    [
-        ("poll", "plant.toml"),
-        ("gateway", "tcp://127.0.0.1:0", "--to", "tcp://127.0.0.1:1"),
-        ("read", "tcp://127.0.0.1:9", "holding", "0", "--watch", "1"),
-    ],
-)
-def test_a_token_needs_a_page(tank: Path, command: tuple[str, ...]) -> None:
-    given = [str(tank) if each == "plant.toml" else each for each in command]
-    done = run(*given, "--page-token", "file")
-    assert (done.code, "--page-token needs --page" in done.err) == (2, True)

@@ -4,16 +4,16 @@ serve --map: the points of a register map, with names, access and bounds, and no
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from libmodbus_py import Context, IllegalDataAddress, IllegalDataValue, load_map
+from tests.cli.serving import serving
 from tests.support.cases import each_case
-from tests.support.commands import Started, run
+from tests.support.commands import run
+
+AT = ["tcp://127.0.0.1:0"]
 
 MAP = """\
 name,table,address,type,scale,access,minimum,maximum
@@ -22,26 +22,15 @@ power,holding,1,uint32,,read,,
 """
 
 
-@contextmanager
-def serving(*arguments: object) -> Iterator[str]:
-    with Started("serve", "tcp://127.0.0.1:0", *arguments) as process:
-        url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
-        assert url, process.stderr.read()
-        yield url
-        process.send_signal(signal.SIGTERM)
-        process.wait()
-
-
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     (tmp_path / "heat.csv").write_text(MAP)
     return tmp_path / "heat.csv"
 
 
-def test_the_map_is_enforced_and_its_values_survive(path: Path, tmp_path: Path) -> None:
-    state = tmp_path / "state"
+def test_the_map_is_enforced(path: Path) -> None:
     heat = load_map(path)
-    with serving("--map", path, "--state", state) as url, Context.from_url(url, unit=9) as plc:
+    with serving(*AT, options=["--map", str(path)]) as (url,), Context.from_url(url, unit=9) as plc:
         plc.write_map(heat, {"setpoint": 21.5})
         with pytest.raises(IllegalDataValue):
             plc.write_register(0, 301)
@@ -51,12 +40,11 @@ def test_the_map_is_enforced_and_its_values_survive(path: Path, tmp_path: Path) 
         ):
             with pytest.raises(IllegalDataAddress):
                 forbidden()
-    with serving("--map", path, "--state", state) as url, Context.from_url(url) as plc:
         assert plc.read_map(heat) == {"setpoint": 21.5, "power": 0}
 
 
 def test_a_map_of_the_package_is_served_by_its_name_to_some_units() -> None:
-    with serving("--map", "sdm120", "-u", "1,17") as url:
+    with serving(*AT, options=["--map", "sdm120", "-u", "1,17"]) as (url,):
         found = run("read", url, "--map", "sdm120", "-u", "17", "voltage")
         assert (found.code, found.err) == (0, "")
         assert "voltage" in found.out
@@ -65,7 +53,7 @@ def test_a_map_of_the_package_is_served_by_its_name_to_some_units() -> None:
 
 def test_columns_of_the_map_are_named(path: Path) -> None:
     path.write_text(MAP.replace("name,", "Bezeichnung,", 1))
-    with serving("--map", path, "--column", "name=Bezeichnung") as url:
+    with serving(*AT, options=["--map", str(path), "--column", "name=Bezeichnung"]) as (url,):
         found = run("read", url, "--map", path, "--column", "name=Bezeichnung", "power")
         assert found.out == "power  0\n"
 

@@ -4,20 +4,15 @@ The fixtures of the pytest plugin, as tests get them: these are tests that do.
 
 from __future__ import annotations
 
-import asyncio
 import logging
-import os
 from collections.abc import Iterator
 
 import pytest
 
 from libmodbus_py import (
-    AsyncClient,
     Context,
     Device,
     Fault,
-    IllegalDataAddress,
-    IllegalDataValue,
     Mapping,
     ModbusConnectionError,
     ModbusTimeoutError,
@@ -30,8 +25,6 @@ from libmodbus_py.tools.testing.wires import SerialWire
 
 SILENT = Fault("no_answer")
 BUSY = Fault("exception", code=6)
-
-READ_TEXT = "ReadCoils(address=0, count=1)"
 
 
 @pytest.fixture
@@ -72,16 +65,6 @@ class TestServer:
         assert modbus_server.device.mapping is modbus_server.mapping
         assert modbus_server.url == f"tcp://127.0.0.1:{modbus_server.port}"
 
-    def test_who_has_an_answer_finds_it_among_the_transactions(
-        self, modbus_server: RecordingServer, plc: Context
-    ) -> None:
-        for count in range(2, 200):
-            plc.read_coils(0, 1)
-            found = modbus_server.transactions
-            assert len(found) == count
-            assert str(found[-1]) == f"unit 1: {READ_TEXT} -> [False]"
-        assert modbus_server.statistics.accepted == 1
-
     def test_the_oldest_are_forgotten(
         self, make_modbus_server: ServerMaker, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -91,13 +74,6 @@ class TestServer:
             for count in range(1, 6):
                 client.read_coils(0, count)
         assert [each.response for each in server.transactions] == [[False] * 4, [False] * 5]
-
-    def test_a_running_event_loop_does_not_mind(self, modbus_server: RecordingServer) -> None:
-        async def ask() -> list[int]:
-            async with AsyncClient(modbus_server.url) as client:
-                return await client.read_holding_registers(0, 2)
-
-        assert asyncio.run(ask()) == [0, 0]
 
 
 class TestMaker:
@@ -143,8 +119,10 @@ class TestMaker:
         assert other.transactions == []
 
     def test_one_can_be_closed_before_the_end(self, make_modbus_server: ServerMaker) -> None:
-        server = make_modbus_server()
-        with TcpContext.from_url(server.url) as client:
+        device = Device(Mapping(8))
+        server = make_modbus_server(devices={7: device})
+        assert server.device is device
+        with TcpContext.from_url(server.url, unit=7) as client:
             client.read_coils(0, 1)
             server.close()
             server.close()
@@ -152,10 +130,6 @@ class TestMaker:
                 client.read_coils(0, 1)
         assert len(server.transactions) == 1
         server.faults.switch_on(SILENT).switch_off()
-
-    def test_one_device_by_its_unit(self, make_modbus_server: ServerMaker) -> None:
-        device = Device(Mapping(8))
-        assert make_modbus_server(devices={7: device}).device is device
 
     @pytest.mark.parametrize(
         ("urls", "options", "error"),
@@ -193,51 +167,6 @@ class TestFaults:
         silent.switch_off()
         assert plc.read_coils(0, 1) == [False]
 
-    def test_the_last_ones_come_first_beside_those_that_the_server_was_made_with(
-        self, make_modbus_server: ServerMaker
-    ) -> None:
-        server = make_modbus_server(faults={None: iter([BUSY])})
-        with TcpContext.from_url(server.url) as client:
-            with server.faults.switch_on(Fault("exception", code=3, every=2)):
-                with pytest.raises(ServerDeviceBusy):
-                    client.read_coils(0, 1)
-                with pytest.raises(IllegalDataValue):
-                    client.read_coils(0, 1)
-                with server.faults.switch_on(Fault("exception", code=2)):
-                    for _ in range(2):
-                        with pytest.raises(IllegalDataAddress):
-                            client.read_coils(0, 1)
-            with pytest.raises(ServerDeviceBusy):
-                client.read_coils(0, 1)
-
-    def test_two_that_are_equal_are_switched_each_for_itself(
-        self, modbus_faults: FaultSwitch, plc: Context
-    ) -> None:
-        first, other = modbus_faults.switch_on(BUSY), modbus_faults.switch_on(BUSY)
-        first.switch_off()
-        with pytest.raises(ServerDeviceBusy):
-            plc.read_coils(0, 1)
-        other.switch_off()
-        plc.read_coils(0, 1)
-
-    @pytest.mark.parametrize(
-        ("fault", "unit", "error"),
-        [(SILENT, 256, ValueError), (SILENT, "1", TypeError), ("no_answer", None, TypeError)],
-    )
-    def test_what_cannot_be_is_refused_and_changes_nothing(
-        self,
-        modbus_faults: FaultSwitch,
-        plc: Context,
-        fault: Fault,
-        unit: int,
-        error: type[Exception],
-    ) -> None:
-        with pytest.raises(error):
-            modbus_faults.switch_on(fault, unit=unit)
-        plc.read_coils(0, 1)
-        with modbus_faults.switch_on(BUSY), pytest.raises(ServerDeviceBusy):
-            plc.read_coils(0, 1)
-
 
 class TestSerialLine:
     @pytest.mark.parametrize("framing", ["rtu", "ascii"])
@@ -255,16 +184,3 @@ class TestSerialLine:
             client.for_unit(0).write_coil(0, True)
         assert len(modbus_serial_line.sent_by("client")) > 8
         assert [each.kind for each in server.transactions] == ["answered", "broadcast"]
-
-    def test_without_a_server_it_is_a_cable(self, modbus_serial_line: SerialWire) -> None:
-        ends = [
-            os.open(path, os.O_RDWR | os.O_NOCTTY)
-            for path in (modbus_serial_line.client, modbus_serial_line.server)
-        ]
-        try:
-            for end, other in (ends, ends[::-1]):
-                os.write(end, b"\x00\n\xff\x11")
-                assert os.read(other, 10) == b"\x00\n\xff\x11"
-        finally:
-            for end in ends:
-                os.close(end)
