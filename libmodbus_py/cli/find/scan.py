@@ -257,11 +257,13 @@ class _Report:
         self._status.clear()
         for note in self.notes:
             self.say(note)
+        if not (self.tried or self.hosts):
+            return
         if self._as_json:
             told = [_plain(each, self._extents.get(each.url)) for each in self.found]
             tried = {setting: _units(units) for setting, units in self.tried.items()}
             print_json({"found": told, "tried": tried, "notes": self.notes, "stopped": stopped})
-        elif self.tried or self.hosts:
+        else:
             found = counted(len(self.found), "unit") if self.found else "no unit"
             self.say(f"tried {self._all_tried()}: {found} found{' so far' * stopped}")
 

@@ -10,7 +10,7 @@ import contextlib
 import math
 import signal
 import time
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from typing import Any, TypeVar
 
 from ...protocol.logs import HarmlessLogger
@@ -134,12 +134,8 @@ def poll(
         with signal_handlers({signal.SIGHUP: hung_up}):
             hangup.release()
             changed: list[Callable[[], None]] = []
-            client = await connected(
-                servers,
-                name=f"libmodbus-py {options.worker}".strip(),
-                on_change=lambda: changed[0]() if changed else None,
-            )
-            try:
+            name = f"libmodbus-py {options.worker}".strip()
+            async with _engine(servers, name, lambda: changed[0]() if changed else None) as client:
                 bucket, current = await _opened(client, settings, connections)
                 polling = Polling(
                     client,
@@ -160,8 +156,6 @@ def poll(
                 finally:
                     if screen is not None:
                         screen.cancel()
-            finally:
-                await disconnect(client)
         return 0
 
     journal = file.made_journal()
@@ -178,12 +172,20 @@ def _waited_for(running: Coroutine[Any, Any, int]) -> int:
 # --- the bucket ----------------------------------------------------------------------------------
 
 
-async def _push(servers: list[str], settings: FleetSettings, connections: list[Connection]) -> int:
-    client = await connected(servers, name="libmodbus-py push")
+@contextlib.asynccontextmanager
+async def _engine(
+    servers: list[str], name: str, on_change: Callable[[], None] = lambda: None
+) -> AsyncIterator[Any]:
+    client = await connected(servers, name=name, on_change=on_change)
     try:
-        pushed = await _answered(lambda: _pushed(client, settings, connections), ELECTION)
+        yield client
     finally:
         await disconnect(client)
+
+
+async def _push(servers: list[str], settings: FleetSettings, connections: list[Connection]) -> int:
+    async with _engine(servers, "libmodbus-py push") as client:
+        pushed = await _answered(lambda: _pushed(client, settings, connections), ELECTION)
     print(
         f"{len(connections)} connections:"
         f" {pushed.new} new, {pushed.changed} changed, {pushed.gone} gone"
@@ -244,11 +246,8 @@ def _fleet(options: argparse.Namespace) -> int:
 
 
 async def _status(servers: list[str], as_json: bool) -> int:
-    client = await connected(servers, name="libmodbus-py status")
-    try:
+    async with _engine(servers, "libmodbus-py status") as client:
         status = await fleet_status(await open_bucket(client, BUCKET))
-    finally:
-        await disconnect(client)
     if as_json:
         print_json(status)
     else:

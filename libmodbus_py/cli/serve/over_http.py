@@ -158,3 +158,5 @@ def _token_of(file: str | None) -> str | None:
         return read_secret(file).strip()
     except OSError as error:
         raise ValueError(f"--page-token: {file}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        return "-"  # which is refused, as other wrong tokens are

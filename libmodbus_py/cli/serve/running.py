@@ -177,6 +177,8 @@ class Hangup:
         return self
 
     def __exit__(self, *_: Any) -> None:
+        if signal.SIGHUP in signal.sigpending():
+            signal.sigwait({signal.SIGHUP})  # a command that could not start says why instead
         self.release()
 
     def release(self) -> None:

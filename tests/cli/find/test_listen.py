@@ -58,7 +58,7 @@ def ask(url: str) -> None:
             client.read_holding_registers(3, 1)
         client.write_register(0, 1)
         with pytest.raises(ModbusTimeoutError):
-            client.for_unit(2, timeout=0.3).write_register(0, 1)
+            client.for_unit(2, timeout=0.02).write_register(0, 1)
 
 
 def lines_of(made: Started, count: int) -> list[str]:

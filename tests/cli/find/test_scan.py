@@ -127,6 +127,12 @@ def test_a_stopped_scan_says_only_what_was_tried(monkeypatch: pytest.MonkeyPatch
     )
 
 
+def test_wrong_usage_leaves_no_file(tmp_path: Path) -> None:
+    with FakeServer(lambda request: []) as server:
+        done = run("scan", server.url, "-b", "9600", "--json", tmp_path / "found.json")
+    assert (done.code, [*tmp_path.iterdir()]) == (2, [])
+
+
 def test_no_connection_is_one_line_and_exit_code_1() -> None:
     with refusing() as bound:
         done = run("scan", url_of(bound))

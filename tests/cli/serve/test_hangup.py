@@ -151,6 +151,15 @@ def test_a_terminal_that_closes_while_it_starts_ends_it(tmp_path: Path, name: st
         assert "Traceback" not in command.said
 
 
+@NAMES
+def test_a_command_that_cannot_start_says_why(tmp_path: Path, name: str) -> None:
+    with started(tmp_path, name, "waiting") as command:
+        with being_read(tmp_path / "file", "x = 1"):
+            command.process.send_signal(signal.SIGHUP)
+        assert command.process.wait(20) == 2
+        assert "file, line 1: " in command.said
+
+
 @pytest.mark.parametrize(
     "arguments", [["serve"], ["gateway", "--to", "tcp://127.0.0.1:1"]], ids=lambda each: each[0]
 )

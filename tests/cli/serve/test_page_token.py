@@ -78,6 +78,7 @@ def test_a_token_without_a_page_is_refused(command: tuple[str, ...]) -> None:
         ("x" * 1001, 0o640, "token must have 22 or more"),
         (f"{TOKEN}&x=1", 0o640, "token must have 22 or more"),
         (f"{TOKEN}\nanother", 0o640, "token must have 22 or more"),
+        ("\udcff" * 22, 0o640, "token must have 22 or more"),
         (TOKEN, 0o604, "file: all users of this machine can read this secret"),
         (None, 0, "No such file or directory"),
     ],
@@ -88,7 +89,7 @@ def test_a_wrong_token_is_told_and_not_shown(
     file = tmp_path / "file"
     file.unlink(missing_ok=True)
     if content is not None:
-        file.write_text(content)
+        file.write_bytes(content.encode(errors="surrogateescape"))
         file.chmod(mode)
     done = run(*SERVE, "--page-token", file)
     assert done.code == 2
