@@ -81,6 +81,11 @@ def test_options(tmp_path: Path) -> None:
         (["--role", "a" * 256], "1..255 bytes"),
         (["--host", "plc\u00e4"], "host"),
         (["--host", ""], "host"),
+        (["../n1"], "MACHINE '../n1' is neither an address nor a name"),
+        ([".."], "neither an address nor a name"),
+        (["n1", "--role", "Operator"], "--host and --role are for trials"),
+        (["n1", "--days", "0"], "days must be in 1..36500"),
+        (["n\u00e4"], "neither an address nor an ASCII name"),
     ],
 )
 def test_wrong_options_say_so_before_anything_is_written(
@@ -182,20 +187,3 @@ def test_what_cannot_be_written_leaves_no_half(
     assert made(tmp_path, "n1").code == 1
     assert made(tmp_path).code == 1
     assert [each for each in tmp_path.rglob("*") if each.is_file()] == []
-
-
-@each_case(
-    ("words", "said"),
-    [
-        (["../n1"], "MACHINE '../n1' is neither an address nor a name"),
-        ([".."], "neither an address nor a name"),
-        (["n1", "--role", "Operator"], "--host and --role are for trials"),
-        (["n1", "--days", "0"], "days must be in 1..36500"),
-        (["n\u00e4"], "neither an address nor an ASCII name"),
-    ],
-)
-def test_wrong_machines(words: list[str], said: str, tmp_path: Path) -> None:
-    done = made(tmp_path / "new", *words)
-    assert done.code == 2
-    assert said in done.err
-    assert not (tmp_path / "new").exists()

@@ -104,12 +104,10 @@ def test_check_prints_a_table_and_what_is_too_much(fleet: Path) -> None:
 def test_all_mistakes_in_devices_are_printed(fleet: Path) -> None:
     fleet.write_text(fleet.read_text() + "unit = 300\n" + '[[device]]\nname = "a"\nurl = "x:"\n')
     done = run("poll", fleet)
+    first, second = done.err.splitlines()
     assert (done.code, done.out) == (2, "")
-    lines = done.err.splitlines()
-    assert [re.sub(".*: (device.*?) .*", r"\1", line) for line in lines] == [
-        "device[2].unit",
-        "device[3].url:",
-    ]
+    assert "device[2].unit " in first
+    assert "device[3].url: " in second
 
 
 def test_it_is_said_how_a_list_of_devices_was_read(fleet: Path) -> None:

@@ -4,8 +4,9 @@ The command serve: what it serves, and what it says when it starts.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
-from pathlib import Path
 
 import pytest
 
@@ -13,7 +14,7 @@ from libmodbus_py.cli.serve.running import announce
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.cli.serving import serving
 from tests.support.cases import each_case
-from tests.support.commands import Started, run
+from tests.support.commands import run
 
 
 def test_serve_has_all_tables_and_files_for_every_unit(url: str) -> None:
@@ -38,10 +39,19 @@ def test_serial_ports_are_served_and_read(kind: str) -> None:
         assert run("read", client, "holding", "5").out == "    5  42\n"
 
 
-def test_a_server_has_no_options_of_clients() -> None:
-    done = run("serve", "tcp://127.0.0.1:0?unit=7")
-    assert done.code == 2
-    assert "unit is for clients" in done.err
+@each_case(
+    ("arguments", "said"),
+    [
+        (["tcp://127.0.0.1:0?unit=7"], "unit is for clients"),
+        (["tcp://127.0.0.1:0", "--device", "/no/x.toml"], "cannot read /no/x.toml: No such file"),
+        (["tcp://127.0.0.1:0", "--page", "x"], "--page: must be HOST:PORT, such as 127.0.0.1:8080"),
+        ([], "the following arguments are required: URL"),
+    ],
+)
+def test_wrong_usage_is_one_line(arguments: list[str], said: str) -> None:
+    done = run("serve", *arguments)
+    assert (done.code, done.out, done.err.count("\n")) == (2, "", 1)
+    assert said in done.err
 
 
 def test_serve_says_when_a_port_is_taken(url: str) -> None:
@@ -51,55 +61,24 @@ def test_serve_says_when_a_port_is_taken(url: str) -> None:
 
 
 @each_case(
-    ("arguments", "named"),
+    ("urls", "named"),
     [
-        (["tcp://0.0.0.0:0"], 1),
-        (["tcp://[::]:0"], 1),
-        (["rtu+tcp://0.0.0.0:0", "udp://0.0.0.0:0", "tcp://127.0.0.1:0"], 2),
-        (["tcp://127.0.0.1:0", "tcp://[::1]:0", "udp://127.0.0.1:0", "tcp://127.1.2.3:0"], 0),
-        (["tcp://0.0.0.0:0", "--allow", "192.0.2.0/24"], 0),
+        (["tcp://0.0.0.0:1"], 1),
+        (["tcp://[::]:1"], 1),
+        (["rtu+tcp://0.0.0.0:1", "udp://plc.example:502", "tcp://127.0.0.1:1"], 2),
+        (["tcp://127.0.0.1:1", "tcp://[::1]:1", "udp://localhost:1", "tcp://127.1.2.3:1"], 0),
+        (["tls://0.0.0.0:1", "rtu:///dev/ttyS0", "unix:///run/modbus"], 0),
     ],
 )
-def test_serve_says_in_one_line_that_anybody_may_write(arguments: list[str], named: int) -> None:
-    urls = [each for each in arguments if "://" in each]
-    with Started("serve", *arguments) as process:
-        listening = [process.stdout.readline().split()[-1] for _ in urls]
-        process.terminate()
-        _, said = process.communicate()
-    assert said.count("\n") == (named > 0)
-    assert [url for url in listening if url in said] == listening[:named]
-    assert ("anyone" in said) == ("--allow" in said) == (named > 0)
-
-
-# --- what it says when it listens -------------------------------------------------
-
-
-def test_localhost_is_open_to_nobody_else(capsys: pytest.CaptureFixture[str]) -> None:
-    announce(["udp://localhost:502", "tcp://plc.example:502"], is_guarded=False)
-    warning = capsys.readouterr().err
-    assert "tcp://plc.example:502 can read and write" in warning
-    assert "localhost" not in warning
-
-
-# --- wrong device files -----------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (None, "cannot read {}: No such file or directory"),
-        ("[[unit]]\nid = 999", "{}, line 2: unit[0].id must be in 0..255, not 999"),
-        ("[[unit]", "{}: Expected ']]' at the end of an array declaration (at line 1, column 7)"),
-    ],
-)
-def test_a_wrong_file_is_one_line_and_exit_code_2(
-    content: str | None, message: str, tmp_path: Path
+@each_case("is_guarded", [True, False])
+def test_it_says_in_one_line_that_anyone_may_write(
+    urls: list[str], named: int, is_guarded: bool
 ) -> None:
-    path = tmp_path / "device.toml"
-    if content is not None:
-        path.write_text(content)
-    done = run("serve", "tcp://127.0.0.1:0", "--device", path)
-    assert done.code == 2
-    assert done.out == ""
-    assert done.err.startswith(f"libmodbus-py: {message.format(path)}")
-    assert done.err.count("\n") == 1
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        announce(urls, is_guarded=is_guarded)
+    assert out.getvalue().splitlines() == [f"listening on {url}" for url in urls]
+    said, named = err.getvalue(), 0 if is_guarded else named
+    assert said.count("\n") == (named > 0)
+    assert [url for url in urls if url in said] == urls[:named]
+    assert ("anyone" in said) == ("--allow" in said) == (named > 0)

@@ -74,15 +74,6 @@ def test_a_check_that_is_not_used_fails() -> None:
         next(loop)
 
 
-def test_a_loop_that_is_left_early_does_not_hide_a_failure() -> None:
-    loop = each("ab")
-    check, _ = next(loop)
-    with check:
-        raise OSError
-    with pytest.raises(AssertionError, match="a case had failed"):
-        loop.close()
-
-
 # --- the decorator ---------------------------------------------------------------------
 
 
