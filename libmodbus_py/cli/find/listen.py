@@ -86,6 +86,9 @@ def _listen(options: argparse.Namespace) -> int:
     place = options.url
     if "://" in place or not place.endswith(".pcapng"):  # the path of a device is a URL, too
         place = with_options([place], options, SERIAL_OPTIONS)[0].url
+    elif settings := arguments.given(options, SERIAL_OPTIONS):
+        name = arguments.flag(next(iter(settings)))
+        raise ValueError(f"{name} applies to serial ports only, not to {place}")
     try:
         with listen(place, between=options.between, capture=options.capture) as line:
             try:

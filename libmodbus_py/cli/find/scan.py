@@ -125,11 +125,14 @@ def _list_of(name: str) -> Callable[[str], list[Any]]:
     option = SERIAL_OPTIONS[name]
 
     def read(text: str) -> list[Any]:
-        try:
-            return [option.convert(part.strip()) for part in text.split(",")]
-        except ValueError:
-            wanted = f"must be {option.wanted}, or several with commas between"
-            raise argparse.ArgumentTypeError(f"{text!r} {wanted}") from None
+        values = []
+        for part in text.split(","):
+            try:
+                values.append(option.convert(part.strip()))
+            except ValueError:
+                wanted = f"{part!r} must be {option.wanted}"
+                raise argparse.ArgumentTypeError(wanted) from None
+        return values
 
     return read
 

@@ -110,16 +110,14 @@ def add_command(commands: Any) -> None:
 def _gateway(options: argparse.Namespace) -> int:
     if (options.config is None) == (options.to is None):
         raise ValueError("either --to or --config must say where the devices are")
-    if options.config is not None:
-        typed = [*arguments.given(options, OF_DEVICES), *["units"] * bool(options.units)]
-        if typed:
-            name = arguments.flag(typed[0])
-            raise ValueError(f"{name} needs --to: {options.config} has its own routes")
     with starting(options) as command:
         file = None if options.config is None else config.load(options.config)
         urls = options.urls or list(file.listen if file else ())
         if file is not None and not urls:
             raise ValueError(f"{options.config}: listen is missing, and no URL is given")
+        if file is not None and (typed := arguments.given(options, ("units", *OF_DEVICES))):
+            name = arguments.flag(next(iter(typed)))
+            raise ValueError(f"{name} needs --to: {options.config} has its own routes")
         routes = [parse_route(text, options.units) for text in options.to or ()]
         urls, routes = _overridden(urls, routes, options)
         usual = file.options if file else {}

@@ -128,8 +128,10 @@ def _serve(options: argparse.Namespace) -> int:
         raise ValueError(f"--units cannot be given with {path}, which has its own units")
     with starting(options) as command:
         simulation = _simulation(options, path)
-        units = {unit: _everything() for unit in options.units or ()}
-        devices, faults = simulation or (units or _everything(), None)
+        devices, faults = simulation or (
+            {unit: _everything() for unit in options.units or ()} or _everything(),
+            None,
+        )
         server = Server(
             devices,
             faults,

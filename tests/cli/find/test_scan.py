@@ -150,10 +150,10 @@ def test_no_connection_is_one_line_and_exit_code_1() -> None:
         (["--units", "-3"], "'-3' must be a unit"),
         (["--units", "x"], "'x' must be a unit"),
         (["--units", "٣"], "must be a unit"),
-        (["--baudrates", "96OO"], "'96OO' must be a number, or several with commas between"),
-        (["--baudrates", "9600,,"], "'9600,,' must be a number"),
+        (["--baudrates", "96OO"], "'96OO' must be a number"),
+        (["--baudrates", "9600,,"], "'' must be a number"),
         (["--baudrates", "9600"], "baudrates are for serial ports"),
-        (["--parities", "E,X"], "'E,X' must be none, even or odd"),
+        (["--parities", "E,X"], "'X' must be none, even or odd"),
         (["--timeout", "0"], "timeout must be in 0.001..86400 seconds"),
     ],
 )
