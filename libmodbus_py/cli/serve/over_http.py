@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any, TextIO
 
-from ...server.service import explained
 from ..help import make_rare
 from ..output import complain, inform
 
@@ -77,6 +76,7 @@ def exposed(
     if address is None:
         yield
         return
+    from ...server.service import explained
     from ...services.integrations import prometheus
 
     prometheus.collect(server, *others)
@@ -106,6 +106,7 @@ def shown(
         yield lambda: None
         return
     from ...ports.hosts import is_loopback
+    from ...server.service import explained
     from ...tools.faults.server import Server
     from ...tools.page.page import live_page, table_page
     from ...tools.page.table_source import TableSource
