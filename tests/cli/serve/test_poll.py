@@ -273,9 +273,6 @@ def test_a_journal_is_told_of_at_the_end_and_used_by_one_program(fleet: Path) ->
     assert out.count('"voltage"') == 3
 
 
-# --- --once and outputs -----------------------------------------------------------
-
-
 @each_case(
     ("journal", "path", "said"),
     [

@@ -25,19 +25,16 @@ from tests.tools.page.watching import Visitor
 METER = "name,table,address,unit,scale\nlevel,holding_registers,0,m,0.1\n"
 
 
-def kept(*readings: Reading) -> KeptReadings:
-    return KeptReadings({(each.device, each.name): each for each in readings})
-
-
 def test_the_lines_of_a_fleet() -> None:
-    values = kept(
+    readings = [
         Reading(0.0, "north", "voltage", 230.5, "V", "good"),
         Reading(0.0, "north", "on", True, "", "good"),
         Reading(0.0, "south-1", "power", None, "W", "bad", "IllegalDataAddress"),
         Reading(0.0, "east", "power", None, "W", "down", "ModbusTimeoutError"),
         Reading(0.0, "n" * 99, "p" * 99, "x" * 999, "W", "good"),
-    )
-    title, *lines = fleet_lines(Fleet(), values, "4 devices")
+    ]
+    kept = KeptReadings({(each.device, each.name): each for each in readings})
+    title, *lines = fleet_lines(Fleet(), kept, "4 devices")
     assert title == ("4 devices", True)
     texts = [line.split() for line, is_bold in lines]
     assert texts[:3] == [
