@@ -82,13 +82,13 @@ def add_command(commands: Any) -> None:
 
 def _listen(options: argparse.Namespace) -> int:
     logging.basicConfig(format="%(message)s", level=logging.WARNING)  # to stderr
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     place = options.url
     if "://" in place or not place.endswith(".pcapng"):  # the path of a device is a URL, too
         place = with_options([place], options, SERIAL_OPTIONS)[0].url
     elif settings := arguments.given(options, SERIAL_OPTIONS):
         name = arguments.flag(next(iter(settings)))
         raise ValueError(f"{name} applies to serial ports only, not to {place}")
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with listen(place, between=options.between, capture=options.capture) as line:
             try:
