@@ -13,87 +13,46 @@ import re
 
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
 __all__ = ["equivalents", "is_place", "place"]
 
-TABLES = {"0": "co", "1": "di", "3": "ir", "4": "hr"}
-"""Number of a table in mbpoll and modpoll -> its word here."""
+UNIT = "-u VALUE, with a range as 1-3"
+PORT = "HOST:VALUE"
+NOTHING = "nothing, because ABCD is the default of --order"
 
-FUNCTIONS = {"1": "co N", "2": "di N", "3": "hr N", "4": "ir N"}
-FUNCTIONS |= dict.fromkeys(("5", "15"), "write HOST co N VALUE")
-FUNCTIONS |= dict.fromkeys(("6", "16"), "write HOST hr N VALUE")
-"""Function code -> what reads or writes with it."""
-
-TYPES = {"int": "int32", "float": "float32", "string": "string:N"}
-"""Type in mbpoll and modpoll -> --type; without their -B, both have the order CDAB."""
-
-FRAMINGS = {
-    "tcp": "HOST, or tcp://HOST",
-    "udp": "udp://HOST",
-    "enc": "rtu+tcp://HOST:PORT",
-    "rtu": "/dev/ttyUSB0",
-    "ascii": "ascii:///dev/ttyUSB0",
+OPTIONS = {
+    **dict.fromkeys(
+        ("-m", "--mode"),
+        "a URL: HOST, udp://HOST, rtu+tcp://HOST:PORT, /dev/ttyUSB0 or ascii:///dev/ttyUSB0",
+    ),
+    **dict.fromkeys(("-a", "--slave", "--id", "--unit-id", "--slave-id", "--address"), UNIT),
+    **dict.fromkeys(
+        ("-r", "--register", "--reference", "--start"),
+        "a reference such as 40001, or hr N, which counts from 0: hr 0 is 40001",
+    ),
+    "-c": "hr N VALUE, with the number of values behind the address",
+    "-t": "co, di, ir or hr N, with --hex, or --type int32 or float32 and --order CDAB",
+    **dict.fromkeys(("-B", "-f", "-i"), NOTHING),
+    "-0": "hr 0, which counts from 0",
+    "-1": "nothing, because a read without --watch polls once",
+    "-l": "--watch VALUEms",
+    "-o": "--timeout VALUE",
+    "-P": "-p VALUE",
+    "-R": "--rs485 rts-down",
+    "-F": "--rs485 rts-up",
+    "-4": "--rs485 kernel",
+    "--port": PORT,
+    **dict.fromkeys(("--host", "--ip"), "VALUE without an option"),
+    "--function": "co, di, hr or ir N for functions 1 to 4, write to write, raw HOST N for others",
+    "--baud": "-b VALUE",
 }
-"""Argument of -m -> the URL."""
-
-
-def _place(value: str) -> str:
-    if value.isdecimal() and 1 <= int(value) <= 65536:
-        return f"hr {int(value) - 1} or {400000 + int(value)}, because hr counts from 0"
-    return "hr N, or a reference such as 40001"
-
-
-def _kind(value: str) -> str:
-    table, _, kind = value.partition(":") if value[:1].isdecimal() else ("4", "", value)
-    where = TABLES.get(table, "hr")
-    if not kind:
-        return f"{where} N"
-    if kind == "hex":
-        return f"{where} N --hex"
-    order = " --order CDAB" if kind in ("int", "float") else ""
-    return f"{where} N --type {TYPES.get(kind, kind)}{order}"
-
-
-def _unit(value: str) -> str:
-    return f"-u {value.replace(':', '-') or 'N'}"
-
-
-def _port(value: str) -> str:
-    return f"HOST:{value or 'PORT'}"
-
-
-def _as(text: str) -> Callable[[str], str]:
-    """Return a function whose answer has the value that was typed in place of VALUE."""
-    return lambda value: text.replace("VALUE", value or "N")
-
-
-OPTIONS: dict[str, Callable[[str], str]] = {
-    **dict.fromkeys(("-m", "--mode"), lambda value: FRAMINGS.get(value, "a URL, tcp://HOST")),
-    **dict.fromkeys(("-a", "--slave", "--id", "--unit-id", "--slave-id", "--address"), _unit),
-    **dict.fromkeys(("-r", "--register", "--reference", "--start"), _place),
-    "-c": _as("hr N VALUE, with the number of values behind the address"),
-    "-t": _kind,
-    **dict.fromkeys(("-B", "-f", "-i"), _as("no --order, because ABCD is the default")),
-    "-0": _as("hr 0, which counts from 0"),
-    "-1": _as("nothing, because a read without --watch polls once"),
-    "-l": _as("--watch VALUEms"),
-    "-o": _as("--timeout VALUE"),
-    "-P": _as("-p VALUE"),
-    "-R": _as("--rs485 rts-down"),
-    "-F": _as("--rs485 rts-up"),
-    "-4": _as("--rs485 kernel"),
-    "--port": _port,
-    **dict.fromkeys(("--host", "--ip"), _as("VALUE without an option")),
-    "--function": lambda value: FUNCTIONS.get(value, f"raw HOST {value}".rstrip()),
-    "--baud": _as("-b VALUE"),
-}
-"""Option of another program -> function of its value that returns what is typed here."""
+"""Option of another program -> what is typed here; VALUE stands for its value."""
 
 TAKEN = {
-    "-p": (re.compile("[0-9]+"), _port),
-    "--parity": (re.compile("[0-9]+"), _port),
-    "-s": (re.compile("(?![12]$)[0-9]+"), _unit),
+    "-p": (re.compile("[0-9]+"), PORT),
+    "--parity": (re.compile("[0-9]+"), PORT),
+    "-s": (re.compile("(?![12]$)[0-9]+"), UNIT),
 }
 """Option that is one here, too -> the values that it has only there, and what is typed here."""
 
@@ -114,12 +73,13 @@ def equivalents(parser: argparse.ArgumentParser, words: Sequence[str]) -> str:
         if word not in SWITCHES and not value and not following.startswith("-"):
             value = following
         if word in TAKEN and TAKEN[word][0].fullmatch(value):
-            answer = TAKEN[word][1](value)
+            answer = TAKEN[word][1]
         elif word in OPTIONS and _is_foreign(parser, word, words[:at]):
-            answer = OPTIONS[word](value)
+            answer = OPTIONS[word]
         else:
             continue
-        found.append(f"{f'{word} {value}'.rstrip()}: type {answer}")
+        typed_here = answer.replace("VALUE", value or "N")
+        found.append(f"{f'{word} {value}'.rstrip()}: type {typed_here}")
     return "; ".join(found)
 
 

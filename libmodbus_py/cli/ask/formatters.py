@@ -90,7 +90,8 @@ def result_of(item: Item, cells: list[int] | ModbusError, source: Any = None) ->
         elif item.kind is not None:
             rows, fields = _of_type(item, item.kind, cells)
         else:
-            form = "0x{:04X}" if item.form == HEX and _is_registers(item) else "{}"
+            is_hex = item.form == HEX and item.table in (*REGISTERS, "fifo_queue")
+            form = "0x{:04X}" if is_hex else "{}"
             texts = [form.format(cell) for cell in cells]
             rows = [ValueText(item.number(at), text, text) for at, text in enumerate(texts)]
             fields = {"values": cells}
@@ -117,10 +118,6 @@ def _whence(item: Item) -> dict[str, Any]:
         return {"name": item.point.name}
     found: dict[str, Any] = {"table": item.table, "address": item.address + item.base}
     return {**found, "file": item.file} if item.table == "file" else found
-
-
-def _is_registers(item: Item) -> bool:
-    return item.table in (*REGISTERS, "fifo_queue")
 
 
 def _of_type(item: Item, kind: ValueType, cells: list[int]) -> _Shown:
