@@ -18,7 +18,10 @@ from tests.support.commands import run
     [
         ("-m tcp h", "-m tcp: type a URL: HOST"),
         ("h -a 1:3,17", "-a 1:3,17: type -u 1:3,17, with a range as 1-3"),
-        ("h -a 1 -r 11 -c 2", "-a 1: type -u 1, with a range as 1-3; -r 11: type a reference such as"),
+        (
+            "h -a 1 -r 11 -c 2",
+            "-a 1: type -u 1, with a range as 1-3; -r 11: type a reference such as",
+        ),
         ("h -c 2", "-c 2: type hr N 2"),
         ("h -t 4:hex", "-t 4:hex: type co, di, ir or hr N, with --hex"),
         ("h hr 0 -B", "-B: type nothing"),

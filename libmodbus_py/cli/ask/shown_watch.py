@@ -66,11 +66,11 @@ class ShownWatch:
                 readings += [(now, device, name, None, of, quality, failure) for name, of in names]
                 continue
             mark = "Fell" if results[at].has_fallen else ""
-            readings += [
+            readings += [  # of an empty queue there are none
                 (now, device, name, _value(row.plain), of, "good", mark)
                 if row.plain or not row.unit
                 else (now, device, name, None, of, "bad", row.unit[1:-1])
-                for (name, of), row in zip(names, results[at].rows, strict=True)
+                for (name, of), row in zip(names, results[at].rows, strict=False)
             ]
         self._values.put(readings)
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import math
 from typing import Any, get_args
 
 from ...protocol.checks import DURATION, duration_of
@@ -41,10 +40,8 @@ examples:
 
 def add_command(commands: Any) -> None:
     """Add the command that is wanted to argparse."""
-    if commands.name == "read":
-        _add_read(commands)
-    else:
-        _add_write(commands)
+    add = _add_read if commands.name == "read" else _add_write
+    add(commands)
 
 
 def _add_read(commands: Any) -> None:
@@ -66,7 +63,7 @@ def _add_read(commands: Any) -> None:
         action="append",
         help="read the points of a group of the map; may be repeated",
     )
-    _add_item_arguments(command, ", or all, which shows every interpretation", can_show_all=True)
+    _add_item_arguments(command, ", or all, which shows every interpretation")
     group = command.add_argument_group("output")
     form = group.add_mutually_exclusive_group()
     form.add_argument("--hex", action="store_true", help="print registers in hexadecimal")
@@ -115,13 +112,14 @@ def _add_write(commands: Any) -> None:
         action="store_true",
         help="write single values with functions 15 and 16, not with 5 and 6",
     )
-    group.add_argument(
+    special = group.add_mutually_exclusive_group()
+    special.add_argument(
         "--mask",
         nargs=2,
         metavar=("AND", "OR"),
         help="in place of values: keep the bits of AND, take the others from OR (function 22)",
     )
-    group.add_argument(
+    special.add_argument(
         "--and-read",
         nargs=2,
         metavar=("ADDRESS", "COUNT"),
@@ -139,9 +137,7 @@ def _add_write(commands: Any) -> None:
     command.set_defaults(run=_write)
 
 
-def _add_item_arguments(
-    command: argparse.ArgumentParser, more: str = "", *, can_show_all: bool = False
-) -> None:
+def _add_item_arguments(command: argparse.ArgumentParser, more: str = "") -> None:
     """Add the arguments that say how values are stored in a device."""
     group = command.add_argument_group("values")
     types = ", ".join((*get_args(NumberType), *get_args(BitsType)))
@@ -154,17 +150,12 @@ def _add_item_arguments(
     make_rare(encoding, padding)
     arguments.add_defaults([order, encoding, padding], _of_reads)
     completing(order, get_args(Order))
-    file = group.add_argument(
-        "--map",
-        metavar="FILE",
-        help="register map, CSV or TOML, or an example such as meter",
-    )
-    completing(file, maps)
+    text = "register map, CSV or TOML, or an example such as meter"
+    completing(group.add_argument("--map", metavar="FILE", help=text), maps)
     make_rare(arguments.add_columns(group))
     group.add_argument(
         "--count-from-1", action="store_true", help="addresses count from 1, both typed and printed"
     )
-    command.set_defaults(can_show_all=can_show_all)
 
 
 def _of_reads() -> dict[str, Any]:
@@ -193,7 +184,7 @@ def _seconds(text: str) -> float:
         raise argparse.ArgumentTypeError(
             f"{text!r} must be {DURATION}; --watch without a number must be the last argument"
         ) from None
-    if not (math.isfinite(seconds) and 0.01 <= seconds <= 86_400):
+    if not 0.01 <= seconds <= 86_400:
         raise argparse.ArgumentTypeError(f"must be in 0.01..86400 seconds, not {text}")
     return seconds
 

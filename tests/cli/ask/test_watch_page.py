@@ -74,3 +74,11 @@ def test_a_total_that_fell_has_a_mark_for_one_poll() -> None:
         shown.print(1, [result], "")
         found.append(shown.rows()[1].cells()[1])
     assert found == [["good", "", 0], ["good", "fell", 0], ["good", "", 0]]
+
+
+def test_a_queue_may_become_empty_and_long() -> None:
+    shown = ShownWatch("meter", 1.0)
+    for texts in (["5", "6"], [], ["7"], ["8", "9", "10"]):
+        rows = [ValueText(f"{at}", text, text) for at, text in enumerate(texts)]
+        shown.print(1, [GOOD._replace(rows=rows)], "")
+        assert [row.cells()[2][0] for row in shown.rows()[1:]] == (texts or ["5", "6"])

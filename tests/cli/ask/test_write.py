@@ -79,6 +79,7 @@ def test_names_are_written_scaled_and_checked(url: str, meter: str, mapping: Map
         ("holding 0 1 holding 2", "no value to write to holding 2"),
         ("input 0 1", "can only be read"),
         ("holding 0 1 --mask 1 2", "exclude each other"),
+        ("holding 0 --mask 1 2 --and-read 0 1", "not allowed with"),
         ("coils 0 --mask 1 2", "for holding registers"),
         ("holding 1 1 holding 2 3 --and-read 0 1", "one item"),
     ):
