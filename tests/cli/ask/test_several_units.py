@@ -174,14 +174,6 @@ def test_reports_of_a_unit_that_is_away(reporting: str) -> None:
     assert done.err.count("\n") == 1
 
 
-def test_json_is_a_line_for_each_unit(reporting: str) -> None:
-    lines = run("identify", reporting, "-u", "2,3", "--level", "0", "--json").out.splitlines()
-    first, second = map(json.loads, lines)
-    assert (first["unit"], first["VendorName"]) == (2, "ACME 2")
-    assert second["unit"] == 3
-    assert "unit 3" in second["error"]
-
-
 def test_a_unit_that_has_neither_is_one_line_of_json() -> None:
     with FakeServer(lambda request: [mbap(request, bytes([request[7] | 0x80, 1]))]) as server:
         done = run("identify", server.url, "-u", "4-5", "--json")
