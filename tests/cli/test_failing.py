@@ -56,7 +56,7 @@ WRITE = ["write", "tcp://127.0.0.1:1"]
         ([*READ, "holding", "0", "--type", "int32", "--order", "AB"], 2, "order of int32"),
         ([*READ, "holding", "0", "32769", "--type", "int32"], 2, "count must be in 1..32768"),
         ([*READ, "holding", "0", "0", "--type", "int32"], 2, "count must be in 1..32768, not 0"),
-        ([*READ, "file:1", "0", "--type", "string:250"], 2, "a request 124"),
+        ([*READ, "file:1", "0", "--type", "string:250"], 2, "must be in 1..124, not 125"),
         ([*READ, "holding", "65535", "--type", "int32"], 2, "65536"),
         ([*WRITE, "coils", "0", "1", "--type", "int16"], 2, "coils have no type"),
         ([*WRITE, "input", "0", "1", "--type", "int16"], 2, "can only be read"),
@@ -79,8 +79,8 @@ WRITE = ["write", "tcp://127.0.0.1:1"]
         ([*WRITE, "holding", "0", "12", "--type", "bits16"], 2, "digits 0 and 1"),
         ([*WRITE, "holding", "0", "101", "--type", "bits16"], 2, "must hold 16 bits"),
         ([*WRITE, "holding", "0", "abc", "--type", "string:2"], 2, "0..2 bytes in ascii"),
-        ([*WRITE, "holding", "0", *["1"] * 62, "--type", "int32"], 2, "1..61, not 62"),
-        ([*WRITE, "file:1", "0", *["1"] * 31, "--type", "int64"], 2, "1..30, not 31"),
+        ([*WRITE, "holding", "0", *["1"] * 62, "--type", "int32"], 2, "must hold 1..123 values"),
+        ([*WRITE, "file:1", "0", *["1"] * 31, "--type", "int64"], 2, "must hold 1..122 values"),
     ],
 )
 def test_errors_are_one_line_on_stderr(arguments: list[str], code: int, named: str) -> None:

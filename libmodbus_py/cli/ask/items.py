@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from ...maps.plan import Read
 from ...protocol.errors import IllegalDataAddress, ModbusError
 from ...protocol.plain import number_of
-from ...protocol.tables import TABLE_SIZE, TABLES
+from ...protocol.tables import REGISTER_TABLES, TABLE_SIZE
 from ...protocol.values import ValueType, parse_reference, value_type
 from ...protocol.words import REFERENCE_TABLES, close_word, plain, table_named
 from ...protocol.words import TABLE_WORDS as VENDORS
@@ -43,13 +43,8 @@ TABLE_WORDS = {
 }
 """Word on the command line -> name of the table; `protocol.words` has more for the first four."""
 
-# Sections 6.14 and 6.15; the answer to 6.18 has as many as there are.
-REGISTERS = {
-    name: (rules.most_read, rules.most_written)
-    for name, rules in TABLES.items()
-    if not rules.is_bits
-} | {"file": (124, 122)}
-"""Table of registers -> the most that one request reads, and writes."""
+REGISTERS = (*REGISTER_TABLES, "file")
+"""Tables whose values can have a type."""
 
 USUAL = {"order": "ABCD", "encoding": "ascii", "padding": "\0"}
 """Options of a type -> their defaults."""

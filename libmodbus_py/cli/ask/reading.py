@@ -29,7 +29,7 @@ from ..output import complain
 from ..screen import Status
 from ..serve import over_http
 from .formatters import Printer, ReadResult, TerminalTable, printer_of, result_of
-from .items import REGISTERS, Item, Words, reason_of
+from .items import Item, Words, reason_of
 from .units import ask_units, client_of, units_of
 
 __all__ = ["read", "watch"]
@@ -40,63 +40,38 @@ ONCE_S = 1.0
 STATUS_AFTER_S = 1.0
 """Until a status line is shown: most reads are over by then."""
 
-USUAL_RECORDS = 121
-"""Records of a request; the byte count of an answer goes to 245 (section 6.14), although 251 would
-fit, so that longer requests are sent only for a count that asks for them."""
-
 
 class _ItemPlan(Plan):
     """A plan of items whose results are cells; `others` are the requests for files and queues."""
 
     def __init__(self, items: Sequence[Item]) -> None:
         self._others = {
-            at: _of_file(item) if item.table == "file" else _of_queue(item)
+            at: _request(item)
             for at, item in enumerate(items)
             if item.table in ("file", "fifo_queue")
         }
-        self.others = [each for requests in self._others.values() for each in requests]
+        self.others = [*self._others.values()]
         super().__init__({at: item.read for at, item in enumerate(items) if at not in self._others})
 
     def cells(self, answers: Sequence[Any], others: Sequence[Any]) -> dict[int, Any]:
         """Return the cells of each item by its index, or the error in place of them."""
         found: dict[int, Any] = self.results(answers)
-        given = iter(others)
-        for at, requests in self._others.items():
-            found[at] = _joined([next(given) for _ in requests])
+        for (at, request), answer in zip(self._others.items(), others, strict=True):
+            is_file = isinstance(request, pdu.ReadFileRecords)
+            is_error = isinstance(answer, ModbusError)
+            found[at] = answer[0] if is_file and not is_error else answer
         return found
 
     def _decoded(self, name: Any, cells: list[Any]) -> Any:
         return [int(cell) for cell in cells]
 
 
-def _joined(answers: list[Any]) -> list[int] | ModbusError:
-    cells: list[int] = []
-    for answer in answers:
-        if isinstance(answer, ModbusError):
-            return answer
-        cells += answer[0] if answer and isinstance(answer[0], list) else answer
-    return cells
-
-
-def _of_file(item: Item) -> list[pdu.Request[Any]]:
-    """Return requests that divide no value, because its halves could be of different age."""
-    most, cells = REGISTERS["file"][0], item.count * item.size
-    if item.kind is not None and item.size > most:
-        raise ValueError(f"{item.kind.name} takes {item.size} registers, and a request {most}")
-    if item.count < 1:
-        raise ValueError(f"count must be 1 or more, not {item.count}")
-    step = max(USUAL_RECORDS // item.size, 1) * item.size if cells > most else cells
-    stop = item.address + cells
-    return [
-        pdu.ReadFileRecords(((item.file, at, min(step, stop - at)),))
-        for at in range(item.address, stop, step)
-    ]
-
-
-def _of_queue(item: Item) -> list[pdu.Request[Any]]:
+def _request(item: Item) -> pdu.Request[Any]:
+    if item.table == "file":
+        return pdu.ReadFileRecords(((item.file, item.address, item.count * item.size),))
     if item.count != 1:
         raise ValueError("fifo takes no count: a queue is always read as a whole")
-    return [pdu.ReadFifoQueue(item.address)]
+    return pdu.ReadFifoQueue(item.address)
 
 
 class Reader:

@@ -75,25 +75,21 @@ def _add_identify(commands: Any) -> None:
 def _identify(options: argparse.Namespace) -> int:
     from ...protocol.pdu.interface import OBJECT_NAMES
     from ...protocol.plain import number_of
-    from .units import print_report, report_units
+    from .units import report_units
 
     level = options.level
     wanted: Any = number_of("level", level) if level[:1].isdigit() else level
 
-    def report(context: Context, several: bool) -> int:
-        def identification() -> Named:
-            found = context.read_device_identification(wanted).objects
-            return [(OBJECT_NAMES.get(at, f"object {at}"), found[at]) for at in sorted(found)]
+    def identification(context: Context) -> Named:
+        found = context.read_device_identification(wanted).objects
+        return [(OBJECT_NAMES.get(at, f"object {at}"), found[at]) for at in sorted(found)]
 
-        def server_id() -> Named:
-            found = context.report_server_id()
-            is_told = found.running is not None
-            return [("server id", found.data), *[("running", found.running)] * is_told]
+    def server_id(context: Context) -> Named:
+        found = context.report_server_id()
+        is_told = found.running is not None
+        return [("server id", found.data), *[("running", found.running)] * is_told]
 
-        questions = {"identification": identification, "server id": server_id}
-        return print_report(context, questions, as_json=options.json, several=several)
-
-    return report_units(options, report)
+    return report_units(options, {"identification": identification, "server id": server_id})
 
 
 # --- diagnose ------------------------------------------------------------------------
@@ -127,24 +123,24 @@ def _add_diagnose(commands: Any) -> None:
 
 def _diagnose(options: argparse.Namespace) -> int:
     from ...protocol.plain import number_of
-    from .units import print_report, report_units
-
-    def report(context: Context, several: bool) -> int:
-        return print_report(context, _questions(context), as_json=options.json, several=several)
+    from ..connecting import connected
+    from .units import ask_units, client_of, fail, report_units, units_of
 
     if options.sub_function is None:
-        return report_units(options, report)
+        return report_units(options, _questions())
     sub, data = _sub_function(options.sub_function), number_of("data", options.data)
+    units = units_of(options)
+    with closing(connected(options)) as context:
 
-    def ask(context: Context, several: bool) -> int:
-        answer = _answer(context, sub, data)
-        if options.json:
-            print_json({"unit": context.unit, _name(sub): answer})
-        else:
-            print(f"unit {context.unit}: {answer}" if several else answer, flush=True)
-        return 0
+        def ask(unit: int) -> int:
+            answer = _answer(client_of(context, unit), sub, data)
+            if options.json:
+                print_json({"unit": unit, _name(sub): answer})
+            else:
+                print(f"unit {unit}: {answer}" if len(units) > 1 else answer, flush=True)
+            return 0
 
-    return report_units(options, ask)
+        return ask_units(units, ask, partial(fail, as_json=options.json, lacks="answer"))
 
 
 def _answer(context: Context, sub: int, data: int) -> int:
@@ -161,21 +157,22 @@ def _answer(context: Context, sub: int, data: int) -> int:
     return data
 
 
-def _questions(context: Context) -> dict[str, Callable[[], Named]]:
+def _questions() -> dict[str, Callable[[Context], Named]]:
     """Return the requests that change nothing in the device."""
     from ...protocol.pdu import SubFunction
 
-    def counter(sub: int) -> Named:
+    def status(context: Context) -> Named:
+        return [("exception status", f"{context.read_exception_status():08b}")]
+
+    def counter(sub: int, context: Context) -> Named:
         return [(_name(sub), context.diagnostics(sub))]
 
     counters = range(SubFunction.BUS_MESSAGE_COUNT, SubFunction.BUS_CHARACTER_OVERRUN_COUNT + 1)
     subs = [SubFunction.RETURN_DIAGNOSTIC_REGISTER, *counters]
     return {
-        "exception status": lambda: [
-            ("exception status", f"{context.read_exception_status():08b}")
-        ],
-        "event counter": lambda: context.read_comm_event_counter()._asdict().items(),
-        "event log": lambda: context.read_comm_event_log()._asdict().items(),
+        "exception status": status,
+        "event counter": lambda context: context.read_comm_event_counter()._asdict().items(),
+        "event log": lambda context: context.read_comm_event_log()._asdict().items(),
         **{_name(sub): partial(counter, sub) for sub in subs},
     }
 

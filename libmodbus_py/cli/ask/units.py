@@ -77,28 +77,28 @@ def fail(unit: int, reason: str, *, as_json: bool, lacks: str) -> None:
 # --- reports -------------------------------------------------------------------------
 
 
-def report_units(options: argparse.Namespace, report: Callable[[Context, bool], int]) -> int:
-    """
-    Report about each unit that was typed, and return the highest exit code.
-
-    The second argument of `report`, which asks and prints, is True if there are several units.
-    """
+def report_units(
+    options: argparse.Namespace, questions: Mapping[str, Callable[[Context], Named]]
+) -> int:
+    """Print the answers of each unit that was typed, and return the highest exit code."""
     units = units_of(options)
     with closing(connected(options)) as context:
-        return ask_units(
-            units,
-            lambda unit: report(client_of(context, unit), len(units) > 1),
-            partial(fail, as_json=options.json, lacks="answer"),
-        )
+
+        def report(unit: int) -> int:
+            client = client_of(context, unit)
+            print_report(client, questions, as_json=options.json, several=len(units) > 1)
+            return 0
+
+        return ask_units(units, report, partial(fail, as_json=options.json, lacks="answer"))
 
 
 def print_report(
     context: Context,
-    questions: Mapping[str, Callable[[], Named]],
+    questions: Mapping[str, Callable[[Context], Named]],
     *,
     as_json: bool,
     several: bool = False,
-) -> int:
+) -> None:
     """
     Ask all questions, and print the answers and which of them the device lacks, or why there is
     no answer: it may keep silent, or close the connection, for what it does not know.
@@ -112,7 +112,7 @@ def print_report(
     silent: list[ModbusError] = []
     for name, ask in questions.items():
         try:
-            answers.update(ask())
+            answers.update(ask(context))
         except ModbusError as error:
             lacking[name] = str(error.args[0])
             if not isinstance(error, ExceptionResponse | InvalidResponse):
@@ -125,14 +125,13 @@ def print_report(
     shown = {name: _shown(value) for name, value in answers.items()}
     if as_json:
         print_json({"unit": context.unit, **shown, "lacking": lacking})
-        return 0
+        return
     if several:
         print(f"unit {context.unit}:")
     lines = {**shown, **{name: f"({reason})" for name, reason in lacking.items()}}
     width = max(map(len, lines))
     for name, text in lines.items():
         print(f"{'  ' * several}{name.replace('_', ' '):<{width}}  {text}")
-    return 0
 
 
 def _shown(value: Any) -> Any:

@@ -19,7 +19,7 @@ from ..connecting import connected, endpoint_of
 from ..failing import CommandError
 from ..output import complain, counted
 from .formatters import aligned, result_of
-from .items import REGISTERS, Item, Words, reason_of
+from .items import Item, Words, reason_of
 
 if TYPE_CHECKING:
     from ...maps.register_map import RegisterMap
@@ -160,7 +160,10 @@ def _request(options: argparse.Namespace, item: Item, texts: list[str]) -> Reque
         bits = tuple(bit_of(text) for text in texts)
         is_one = len(bits) == 1 and not options.multiple
         return pdu.WriteCoil(item.address, *bits) if is_one else pdu.WriteCoils(item.address, bits)
-    values = _registers(item, texts)
+    if item.kind is None:
+        values = tuple(map(typed_register, texts))
+    else:
+        values = tuple(item.kind.encode_many([value_of(text, item.kind) for text in texts]))
     if options.and_read:
         first, count = map(number_of, ("address", "count"), options.and_read)
         return pdu.ReadWriteRegisters(first - item.base, count, item.address, values)
@@ -169,21 +172,6 @@ def _request(options: argparse.Namespace, item: Item, texts: list[str]) -> Reque
     if len(values) == 1 and not options.multiple:
         return pdu.WriteRegister(item.address, values[0])
     return pdu.WriteRegisters(item.address, values)
-
-
-def _registers(item: Item, texts: list[str]) -> tuple[int, ...]:
-    if item.kind is None:
-        return tuple(map(typed_register, texts))
-    kind, limit = item.kind, REGISTERS[item.table][1]
-    most = limit // kind.registers
-    if not most:
-        raise ValueError(f"{kind.name} takes {kind.registers} registers, and a request {limit}")
-    if len(texts) > most:
-        # The error of the request itself would count registers.
-        raise ValueError(
-            f"the number of values of {kind.name} must be in 1..{most}, not {len(texts)}"
-        )
-    return tuple(kind.encode_many([value_of(text, kind) for text in texts]))
 
 
 # --- verifying -----------------------------------------------------------------------

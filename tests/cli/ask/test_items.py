@@ -44,14 +44,11 @@ from tests.support.commands import run
             "hr 0    65538\nhr 2   262140\n40001       1\n40002       2\n",
         ),
         ("40501-40502:int16", "40501  500\n40502  501\n"),
-        ("file:4 0 200 --type uint32 --json", None),
+        ("file:4 0 --type uint32", "    0  458760\n"),
     ],
 )
-def test_what_is_read_is_shown(url: str, words: str, printed: str | None) -> None:
-    done = run("read", url, *words.split())
-    assert (done.code, done.err) == (0, "")
-    if printed is not None:
-        assert done.out == printed
+def test_what_is_read_is_shown(url: str, words: str, printed: str) -> None:
+    assert run("read", url, *words.split()) == (0, printed, "")
 
 
 def test_ranges_take_as_many_requests_as_they_must(url: str) -> None:
@@ -60,8 +57,6 @@ def test_ranges_take_as_many_requests_as_they_must(url: str) -> None:
     requests = [line for line in done.err.splitlines() if " > " in line]
     assert len(requests) == 6  # 600 registers of 125, and 100 coils of 2000
     assert "holding 500    500\n" in done.out
-    done = run("read", url, "file:4", "0", "403", "--json")
-    assert json.loads(done.out)["values"][:3] == [7, 8, 9]
 
 
 def test_names_of_a_map(url: str, meter: str) -> None:
@@ -161,7 +156,7 @@ def test_references_typed_as_addresses_are_explained(url: str, words: str, hint:
         ("--count-from-1 holding 0", "address must be in 1..65536, not 0"),
         ("holding 0 1 coils", "coils lacks an address"),
         ("fifo 40 2", "fifo takes no count"),
-        ("file:4 0 0", "count must be 1 or more"),
+        ("file:4 0 0", "must be in 1..124, not 0"),
         ("holding 0 --encoding utf-8", "--encoding needs --type"),
         ("holding 0 --type all --padding x", "has no --padding"),
         ("holding 0 --type string:4 --encoding klingon", "klingon"),
