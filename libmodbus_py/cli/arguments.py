@@ -92,10 +92,7 @@ def add_url(command: argparse.ArgumentParser) -> None:
     """Add the URL of a device."""
     command.formatter_class = VerbatimHelp
     command.add_argument(
-        "url",
-        type=place,
-        metavar="URL",
-        help="such as 192.0.2.10, 192.0.2.10:1502 or /dev/ttyUSB0",
+        "url", type=place, metavar="URL", help="such as 192.0.2.10, 192.0.2.10:1502 or /dev/ttyUSB0"
     )
 
 
@@ -220,10 +217,7 @@ def _units(text: str) -> list[int]:
 
 
 def add_client_options(
-    group: Any,
-    *,
-    without: Collection[str] = (),
-    defaults: Callable[[], Mapping[str, str]] = dict,
+    group: Any, *, without: Collection[str] = (), defaults: Callable[[], Mapping[str, str]] = dict
 ) -> None:
     """Add the options of clients; `defaults` returns texts in place of the defaults of clients."""
     options = {name: each for name, each in CLIENT_OPTIONS.items() if name not in without}

@@ -23,16 +23,10 @@ if TYPE_CHECKING:
 __all__ = ["COMMANDS", "PROGRAM", "parsed", "parser_of", "whole_parser"]
 
 COMMANDS = {
-    "read": (
-        "ask.values",
-        "read registers, coils, records and named points, once or repeatedly",
-    ),
+    "read": ("ask.values", "read registers, coils, records and named points, once or repeatedly"),
     "write": ("ask.values", "write registers, coils, records and named points"),
     "identify": ("ask.reports", "print the identification of a device"),
-    "diagnose": (
-        "ask.reports",
-        "print the counters, event log and status of a device",
-    ),
+    "diagnose": ("ask.reports", "print the counters, event log and status of a device"),
     "raw": ("ask.reports", "send any function code, and print the response"),
     "scan": ("find.scan", "find the units on a line or behind an address, and their settings"),
     "ports": ("find.ports", "list the serial ports of this machine"),

@@ -7,13 +7,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from ..ports.schemes import (
-    CLIENT_OPTIONS,
-    SECURITY_OPTIONS,
-    SERIAL_OPTIONS,
-    TRANSPORTS,
-    options_of,
-)
+from ..ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS, TRANSPORTS, options_of
 from .arguments import REPEATED, flag, given
 
 if TYPE_CHECKING:
