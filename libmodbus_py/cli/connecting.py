@@ -11,7 +11,7 @@ from ..ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS, TR
 from .arguments import REPEATED, flag, given
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
+    from collections.abc import Collection, Iterable
 
     from ..client.blocking import Context
     from ..ports.endpoint import Endpoint
@@ -46,6 +46,8 @@ def with_options(
     urls: Iterable[str], options: argparse.Namespace, names: Collection[str] = ALL
 ) -> list[Endpoint]:
     """Return the endpoints of URLs, each with those of the named options that apply to it."""
+    from dataclasses import replace
+
     from ..ports.endpoint import parse
 
     endpoints = [parse(url) for url in urls]
@@ -60,17 +62,10 @@ def with_options(
             wanted = "serial ports" if rules.is_serial else f"{transport}:// URLs"
             places = ", ".join(map(str, endpoints))
             raise ValueError(f"{flag(useless[0])} applies to {wanted} only, not to {places}")
-    return [_overridden(each, typed) for each in endpoints]
-
-
-def _overridden(endpoint: Endpoint, typed: Mapping[str, Any]) -> Endpoint:
-    from dataclasses import replace
-
-    own = options_of(endpoint.scheme)
-    settings = {name: value for name, value in typed.items() if name in own}
     client = {name: value for name, value in typed.items() if name in CLIENT_OPTIONS}
-    return replace(
-        endpoint,
-        options={**endpoint.options, **settings},
-        client_options={**endpoint.client_options, **client},
-    )
+    found = []
+    for each in endpoints:
+        own = {name: typed[name] for name in options_of(each.scheme) if name in typed}
+        settings, of_client = {**each.options, **own}, {**each.client_options, **client}
+        found.append(replace(each, options=settings, client_options=of_client))
+    return found
