@@ -39,11 +39,9 @@ NUMBER_CHARACTERS = 5
 
 class ValueText(NamedTuple):
     """
-    One value as text.
+    One value as text for people, and for CSV (`plain`), behind its address or name.
 
     Attributes:
-        where: the address or the name of the value.
-        text, plain: the value for people, and for CSV.
         unit: the physical unit, such as "V"; the reason in brackets if there is no value.
     """
 
@@ -59,12 +57,9 @@ _Shown = tuple[list[ValueText], dict[str, Any]]
 
 class ReadResult(NamedTuple):
     """
-    The result of one item.
+    The result of one item: rows, or the reason of a failure, and the fields of JSON.
 
     Attributes:
-        rows: the values; empty after a failure.
-        fields: the fields of JSON.
-        failure: the reason of a failure; empty without one.
         remark: why a point has no value; empty without one.
         has_fallen: True for a total that is smaller than before.
     """

@@ -106,22 +106,16 @@ class Item:
 
 
 class Words:
-    """
-    The words on the command line, taken one after the other.
-
-    Args:
-        have_values: True if values follow the items, to write.
-
-    Raises:
-        ValueError: options that do not fit together, or a mistake in the map.
-    """
+    """The words on the command line, taken one after the other; to write, they have values."""
 
     def __init__(
         self, options: argparse.Namespace, words: Sequence[str], *, have_values: bool = False
     ) -> None:
         self.map: RegisterMap | None = map_of(options)
         is_all = options.type == ALL and not have_values
-        self._form = ALL if is_all else HEX if getattr(options, "hex", False) else ""
+        self._form = HEX if getattr(options, "hex", False) else ""
+        if is_all:
+            self._form = ALL
         self._words = deque(words)
         self._have_values = have_values
         self._base = int(options.count_from_1)
@@ -168,10 +162,9 @@ class Words:
         """Take ``TABLE ADDRESS``, a reference, or a name; raise ValueError if it is none."""
         first = self._pop()
         name = first.partition(":")[0]
-        is_named = self.map is not None and first in self.map
-        if name in TABLE_WORDS or (not is_named and _table_word(name)):
+        if name in TABLE_WORDS or (_table_word(name) and not self._is_point(first)):
             return self._in_table(first, _table_word(name))
-        if self.map is not None and is_named:
+        if self.map is not None and first in self.map:
             if self._type is not None or self._form == ALL:
                 raise ValueError(f"{first} has the type that the map gives, and takes no --type")
             return _of_point(self.map[first])
@@ -202,7 +195,7 @@ class Words:
     def _pop(self) -> str:
         """Take a word; of a word such as 40101=5 only what stands before the value."""
         word = self._words.popleft()
-        if "=" not in word or (self.map is not None and word in self.map):
+        if "=" not in word or self._is_point(word):
             return word
         if not self._have_values:
             raise ValueError(f"{word!r} has a value, which the command write takes")
@@ -212,16 +205,17 @@ class Words:
 
     def _begins_item(self, word: str) -> bool:
         name = word.partition(":")[0]
-        if name in TABLE_WORDS or (self.map is not None and word in self.map):
-            return True
         before, has_value, _ = word.partition("=")
-        if has_value and self.map is not None and before in self.map:
+        if name in TABLE_WORDS or self._is_point(word):
             return True
-        if has_value and re.fullmatch("[0-9]{5,6}(:.+)?", before):
+        if has_value and (self._is_point(before) or re.fullmatch("[0-9]{5,6}(:.+)?", before)):
             return True
         # Short words such as "di" may be texts to write; a table has an address behind it.
         has_address = len(self._words) > 1 and re.match("[0-9]", self._words[1])
         return bool(has_address and _table_word(name))
+
+    def _is_point(self, name: str) -> bool:
+        return self.map is not None and name in self.map
 
     def _in_table(self, first: str, name: str) -> Item:
         file = first.partition(":")[2]

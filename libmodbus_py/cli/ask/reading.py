@@ -90,7 +90,7 @@ class Reader:
         self._plan = _ItemPlan([*self._sources, *self.items])
         points = [item.point for item in self.items]
         own = [None if point is None else point.interval for point in points]
-        self._pace = PointIntervals(own, getattr(options, "watch", None) or ONCE_S)
+        self._pace = PointIntervals(own, options.watch or ONCE_S)
         self.interval: float = self._pace.interval
         self._totals = Totals(at for at, point in enumerate(points) if point and point.never_falls)
         self._results: dict[int, ReadResult] = {}

@@ -40,7 +40,7 @@ class ShownWatch:
         down = [each.name for each in self._units.copy().values() if each.is_down]
         if down:
             return f"no answer from {', '.join(down)}", True
-        return ("the device answers", False) if self._units else ("no answer yet", False)
+        return "the device answers" if self._units else "no answer yet", False
 
     def figures(self) -> Mapping[str, float]:
         return {"polls": self._polls, "failed": self._failed}
@@ -108,9 +108,7 @@ class WatchedUnit:
     def is_down(self) -> bool:
         return bool(self._reason)
 
-    @property
-    def is_problem(self) -> bool:
-        return self.is_down
+    is_problem = is_down
 
     def take(self, now: float, reason: str) -> None:
         """Take the outcome of a poll: why there is no answer, or an empty text."""
