@@ -12,7 +12,7 @@ import re
 from importlib import import_module
 
 from ..version import __version__
-from .help import Help, HelpAll, VerbatimHelp, shown, tell_defaults
+from .help import Help, HelpAll, VerbatimHelp, hide_rare, tell_defaults
 from .output import PROGRAM, complain
 
 TYPE_CHECKING = False  # typing alone takes a twentieth of what --version may
@@ -123,7 +123,7 @@ class _Wanted:
         return self._parser
 
 
-def whole_parser(filled: Collection[str] = COMMANDS) -> argparse.ArgumentParser:
+def whole_parser(filled: Collection[str]) -> argparse.ArgumentParser:
     """Return a parser that knows all commands, and the arguments of `filled`, which it imports."""
     parser = _Parser(
         prog=PROGRAM,
@@ -131,18 +131,12 @@ def whole_parser(filled: Collection[str] = COMMANDS) -> argparse.ArgumentParser:
         epilog=f"{PROGRAM} COMMAND --help shows the arguments of a command.\n\n{EXAMPLES}",
         formatter_class=VerbatimHelp,
     )
-    if len(filled) > 1:  # the manual page, which lacks the epilogs of the single commands
-        from .arguments import URLS
-
-        parser.epilog = URLS
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for name, (_, about) in COMMANDS.items():
         command = commands.add_parser(name, help=about)
         if name in filled:
             _fill(command, name)
-    if len(filled) > 1:
-        tell_defaults(parser)
     return parser
 
 
@@ -159,8 +153,8 @@ class _Parser(argparse.ArgumentParser):
 
     def format_help(self) -> str:
         tell_defaults(self)
-        with shown(self, all=self.shows_all):
-            return super().format_help()
+        hide_rare(self, shows_all=self.shows_all)
+        return super().format_help()
 
     def _print_message(self, message: str, file: Any = None) -> None:
         # argparse would ignore a full disk.

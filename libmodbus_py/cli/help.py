@@ -8,15 +8,14 @@ shutil for the width, which imports three compressors at each start.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import os
 
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable
     from typing import Any
 
-__all__ = ["Help", "HelpAll", "VerbatimHelp", "make_rare", "shown", "tell_defaults"]
+__all__ = ["Help", "HelpAll", "VerbatimHelp", "hide_rare", "make_rare", "tell_defaults"]
 
 
 class Help(argparse.HelpFormatter):
@@ -76,42 +75,29 @@ def make_rare(*actions: argparse.Action) -> None:
         action.is_rare = True  # type: ignore[attr-defined]
 
 
-@contextlib.contextmanager
-def shown(parser: argparse.ArgumentParser, *, all: bool) -> Iterator[None]:
-    """Hide the rare options, unless `all` are shown; and --help-all if there are none."""
-    rare = [each for each in parser._actions if getattr(each, "is_rare", False)]
-    more = [each for each in parser._actions if isinstance(each, HelpAll)]
-    for each in more:
-        each.help = _about_all(parser, rare)
-    left_out: list[argparse.Action] = [*more] if not rare else [] if all else rare
-    hidden = {each: each.help for each in left_out}
-    for action in hidden:
-        action.help = argparse.SUPPRESS
-    try:
-        yield
-    finally:
-        for action, text in hidden.items():
-            action.help = text
-
-
-def _about_all(parser: argparse.ArgumentParser, rare: list[argparse.Action]) -> str:
-    """Return the text of --help-all, with a rare option of the first and of the last group."""
+def hide_rare(parser: argparse.ArgumentParser, *, shows_all: bool) -> None:
+    """Leave rare options out of the help unless all are shown, and --help-all if there are none."""
     groups = [
-        [each for each in group._group_actions if each in rare] for group in parser._action_groups
+        [each for each in group._group_actions if getattr(each, "is_rare", False)]
+        for group in parser._action_groups
     ]
+    rare = [each for group in groups for each in group]
+    # A rare option of the first and of the last group.
     names = [group[0].option_strings[0] for group in groups if group]
-    return f"show rare options, too: {', '.join(dict.fromkeys([*names[:1], *names[-1:]]))}, ..."
+    some = ", ".join(dict.fromkeys([*names[:1], *names[-1:]]))
+    for action in parser._actions:
+        if isinstance(action, HelpAll):
+            action.help = f"show rare options, too: {some}, ..." if rare else argparse.SUPPRESS
+    for action in [] if shows_all else rare:
+        action.help = argparse.SUPPRESS
 
 
 def tell_defaults(parser: argparse.ArgumentParser) -> None:
-    """Add the default values to the help texts of a parser and of its commands."""
+    """Add the default values to the help texts of a parser."""
     for action in parser._actions:
         usual = action.__dict__.pop("usual", None)
         if usual is not None and (text := _shown(usual(action.dest))):
             action.help = f"{action.help} ({text})"
-        if action.nargs == argparse.PARSER:
-            for each in dict(action.choices or {}).values():
-                tell_defaults(each)
 
 
 def _shown(value: Any) -> str:
