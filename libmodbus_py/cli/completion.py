@@ -80,8 +80,8 @@ def _without_options(parser: argparse.ArgumentParser, words: Sequence[str]) -> l
             found.append(words[at])
             at += 1
             continue
-        count = 1 if action.nargs is None else action.nargs if isinstance(action.nargs, int) else 0
-        end = at + 1 + count
+        count = 1 if action.nargs is None else action.nargs
+        end = at + 1 + (count if isinstance(count, int) else 0)
         may_have_one = action.nargs in ("?", "+") and hasattr(action, "completer")
         if end > len(words) or (may_have_one and end == len(words)):
             return [*found, *words[at:]]

@@ -36,7 +36,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     )
     form = group.add_argument(
         "--log-format",
-        choices=sorted(FORMATTERS),
+        choices=("json", "text"),
         metavar="FORMAT",
         help="json, one object in each line; or text",
     )
@@ -51,7 +51,7 @@ def logged(options: argparse.Namespace) -> Iterator[None]:
         return
     logger, root = logging.getLogger(PACKAGE), logging.getLogger()
     handler = _Handler(sys.stderr)
-    handler.setFormatter(FORMATTERS[options.log_format or "text"]())
+    handler.setFormatter(LogFormatter(is_json=options.log_format == "json"))
     handler.setLevel((options.log or "warning").upper())
     before = logger.level
     root.addHandler(handler)  # for asyncio and other packages, too, whose warnings matter
@@ -90,23 +90,18 @@ class _Handler(logging.StreamHandler[Any]):
         """Lose what stderr does not take, such as a closed pipe, instead of saying so there."""
 
 
-class TextFormatter(logging.Formatter):
-    """Time, level, logger without the name of the package, and message; an exception below."""
+class LogFormatter(logging.Formatter):
+    """Time, level, logger and message, and an exception; as a line of text, or an object."""
 
-    def format(self, record: logging.LogRecord) -> str:
-        name = record.name.removeprefix(f"{PACKAGE}.")
-        level = record.levelname.lower()
-        text = f"{time_text(record.created)} {level:<7} {name}: {record.getMessage()}"
-        return f"{text}\n{self.formatException(record.exc_info)}" if record.exc_info else text
-
-
-class JsonFormatter(logging.Formatter):
-    """One object in one line: time, level, logger, message, and exception if there is one."""
+    def __init__(self, *, is_json: bool) -> None:
+        super().__init__()
+        self._is_json = is_json
 
     def format(self, record: logging.LogRecord) -> str:
         level = record.levelname.lower()
         exception = self.formatException(record.exc_info) if record.exc_info else ""
-        return log_line(record.created, level, record.name, record.getMessage(), exception)
-
-
-FORMATTERS: dict[str, type[logging.Formatter]] = {"json": JsonFormatter, "text": TextFormatter}
+        if self._is_json:
+            return log_line(record.created, level, record.name, record.getMessage(), exception)
+        name = record.name.removeprefix(f"{PACKAGE}.")
+        text = f"{time_text(record.created)} {level:<7} {name}: {record.getMessage()}"
+        return f"{text}\n{exception}" if exception else text
