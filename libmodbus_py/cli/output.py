@@ -128,15 +128,14 @@ def written_to(path: str | None) -> Iterator[None]:
             yield
             file.flush()
     finally:
-        if raw.is_empty:
-            with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError):
+            if not os.path.getsize(path):
                 os.unlink(path)
 
 
 class _File(io.FileIO):
     """A file whose errors name it, and that loses the line which does not fit on a full disk."""
 
-    is_empty: bool = True
     _whole_lines = 0  # bytes
 
     def write(self, data: Any) -> int:
@@ -146,9 +145,7 @@ class _File(io.FileIO):
         except OSError as error:
             with contextlib.suppress(OSError):
                 self.truncate(self._whole_lines)
-            self.is_empty = not self._whole_lines
             raise OSError(error.errno, error.strerror, self.name) from None
-        self.is_empty = False
         end = bytes(data[:count]).rfind(b"\n") + 1
         self._whole_lines = begin + end if end else self._whole_lines
         return count

@@ -23,6 +23,8 @@ CLASS = "write a Python class for a register map, in which type checkers find wr
 FROM_DEVICE = "find the addresses of a device by reading, and write a map of them"
 FROM_SUNSPEC = "find the SunSpec models of a device, and write a map of their points"
 
+OF_FILE = "such as meter.csv, or a name that list prints"
+
 TO_FILL_IN = ", in which names, types and units remain to be filled in"
 
 EXAMPLES = """\
@@ -126,10 +128,7 @@ def _run(name: str, options: argparse.Namespace) -> int:
 
 
 def _add_check(check: argparse.ArgumentParser) -> None:
-    files = check.add_argument(
-        "files", metavar="FILE", nargs="+", help="such as meter.csv, or a name that list prints"
-    )
-    completing(files, maps)
+    completing(check.add_argument("files", metavar="FILE", nargs="+", help=OF_FILE), maps)
     arguments.add_columns(check)
     check.add_argument(
         "--device",
@@ -153,10 +152,7 @@ def _add_list(listed: argparse.ArgumentParser) -> None:
 
 
 def _add_class(typed: argparse.ArgumentParser) -> None:
-    file = typed.add_argument(
-        "file", metavar="FILE", help="such as meter.csv, or a name that list prints"
-    )
-    completing(file, maps)
+    completing(typed.add_argument("file", metavar="FILE", help=OF_FILE), maps)
     arguments.add_columns(typed)
     help = "a .py file, new or written by this command before (printed)"
     typed.add_argument("-o", "--output", metavar="FILE", help=help)
