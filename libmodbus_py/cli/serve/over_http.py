@@ -17,6 +17,7 @@ from ..output import complain, inform
 
 if TYPE_CHECKING:
     from ...tools.faults.server import Server
+    from ...tools.page.page import Page
     from ...tools.page.table_source import Shown
 
 __all__ = ["add_metrics", "add_page", "exposed", "shown", "tables_shown"]
@@ -119,6 +120,7 @@ def shown(
             " page: a new one is printed on a terminal only"
         )
     what = make()
+    page_of: Callable[..., contextlib.AbstractContextManager[Page]]
     if isinstance(what, Server):
         page_of, can = partial(live_page, what), "change all devices"
     else:
