@@ -6,11 +6,9 @@ happens any more, each is asked by one.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 
 import pytest
-from hypothesis import HealthCheck, Phase, settings
-from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from libmodbus_py.services.engine.buckets import Change
 from libmodbus_py.services.workers.records import FleetSettings
@@ -18,111 +16,77 @@ from tests.services.workers.simulated import LEASE, Process, World, encode_holde
 
 ZONES = ("", "north")
 
-NONSENSE = {"deleted": None, "empty": b"", "object": b"{}", "deep": b"[" * 9999}
-
-which = st.integers(0, 5)
-number = st.integers(1, 20)
-zone = st.sampled_from(ZONES)
+NONSENSE = (None, b"", b"{}", b"[" * 9999)
 
 
-class Fleet(RuleBasedStateMachine):
-    def __init__(self) -> None:
-        super().__init__()
-        self.world = World(1)
-        for at in range(10):
-            self.world.configure(at)
-        for _ in range(3):
-            self.world.start(*ZONES)
-        self.world.run(2 * LEASE)
-
-    def process(self, at: int):
-        processes = self.world.processes
-        return processes[at % len(processes)] if processes else self.world.start(*ZONES)
-
-    @rule(seconds=st.floats(0.1, 3 * LEASE))
-    def run(self, seconds):
-        self.world.run(seconds)
-
-    @rule(zones=st.sampled_from([("",), ("north",), ZONES]))
-    def start(self, zones):
-        if len(self.world.processes) < 6:
-            self.world.start(*zones)
-
-    @rule(at=which)
-    def kill(self, at):
-        self.world.kill(self.process(at))
-
-    @rule(at=which)
-    def leave(self, at):
-        self.process(at).worker.leave()
-
-    @rule(at=which, is_stopped=st.booleans())
-    def stop(self, at, is_stopped):
-        self.process(at).is_stopped = is_stopped
-
-    @rule(at=which, is_cut=st.booleans())
-    def cut(self, at, is_cut):
-        self.process(at).is_cut = is_cut
-
-    @rule(at=which, delay=st.sampled_from([0.01, 0.5, 5.0, 30.0]))
-    def delay(self, at, delay):
-        self.process(at).delay = delay
-
-    @rule(at=number, to=zone)
-    def configure(self, at, to):
-        self.world.configure(at, to)
-
-    @rule(at=number)
-    def unconfigure(self, at):
-        self.world.unconfigure(at)
-
-    @rule(data=st.data(), nonsense=st.sampled_from(sorted(NONSENSE)))
-    def spoil(self, data, nonsense):
-        """Whoever has the credentials writes what cannot be."""
-        keys = [key for key in self.world.bucket.latest if not key.startswith("connection")]
-        self.world.bucket.write(data.draw(st.sampled_from(sorted(keys))), NONSENSE[nonsense])
-        self.mend()
-
-    @rule(data=st.data())
-    def purge(self, data):
-        keys = [key for key in self.world.bucket.latest if not key.startswith("connection")]
-        self.world.bucket.purge(data.draw(st.sampled_from(sorted(keys))))
-        self.mend()
-
-    def mend(self):
-        self.world.bucket.write("settings", FleetSettings(LEASE).encode())
-
-    @invariant()
-    def none_is_asked_by_two(self):
-        assert self.world.doubles == []
-
-    @invariant()
-    def nothing_is_decided_before_it_is_due(self):
-        assert self.world.overslept == []
-
-    def teardown(self):
-        world = self.world
-        for process in world.processes:
-            process.is_stopped = process.is_cut = False
-            process.delay = 0.01
-            # As each does from time to time: nobody is told what was purged.
-            process.again_at = world.now
-        world.processes = [each for each in world.processes if not each.worker.left]
-        for one in ZONES:
-            world.start(one)
-        world.run(6 * LEASE)
-        assert world.doubles == []
-        assert world.unasked == []
+def one_of(world: World) -> Process:
+    return world.random.choice(world.processes) if world.processes else world.start(*ZONES)
 
 
-Fleet.TestCase.settings = settings(
-    max_examples=8,
-    stateful_step_count=25,
-    # A failing schedule is told by its steps; shorter ones take minutes to find.
-    phases=[Phase.explicit, Phase.reuse, Phase.generate],
-    suppress_health_check=list(HealthCheck),
-)
-TestFleet = Fleet.TestCase
+def start(world: World) -> None:
+    if len(world.processes) < 6:
+        world.start(*world.random.choice([("",), ("north",), ZONES]))
+
+
+def stop_or_go_on(world: World) -> None:
+    one_of(world).is_stopped = world.random.random() < 0.5
+
+
+def cut_or_mend(world: World) -> None:
+    one_of(world).is_cut = world.random.random() < 0.5
+
+
+def delay(world: World) -> None:
+    one_of(world).delay = world.random.choice([0.01, 0.5, 5.0, 30.0])
+
+
+def own_key(world: World) -> str:
+    keys = [key for key in world.bucket.latest if not key.startswith("connection")]
+    return world.random.choice(sorted(keys))
+
+
+def spoil(world: World) -> None:
+    """Whoever has the credentials writes what cannot be."""
+    world.bucket.write(own_key(world), world.random.choice(NONSENSE))
+    world.bucket.write("settings", FleetSettings(LEASE).encode())
+
+
+def purge(world: World) -> None:
+    world.bucket.purge(own_key(world))
+    world.bucket.write("settings", FleetSettings(LEASE).encode())
+
+
+EVENTS: list[Callable[[World], object]] = [
+    *(start, stop_or_go_on, cut_or_mend, delay, spoil, purge),
+    lambda world: world.kill(one_of(world)),
+    lambda world: one_of(world).worker.leave(),
+    lambda world: world.configure(world.random.randint(1, 20), world.random.choice(ZONES)),
+    lambda world: world.unconfigure(world.random.randint(1, 20)),
+]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_none_is_asked_by_two_whatever_happens_and_each_by_one_in_the_end(seed: int) -> None:
+    world = World(seed)
+    for at in range(10):
+        world.configure(at)
+    for _ in range(3):
+        world.start(*ZONES)
+    world.run(2 * LEASE)
+    for _ in range(25):
+        world.random.choice(EVENTS)(world)
+        world.run(world.random.uniform(0.1, 3 * LEASE))
+        assert world.doubles == world.overslept == []
+    for process in world.processes:
+        process.is_stopped = process.is_cut = False
+        process.delay = 0.01
+        # As each does from time to time: nobody is told what was purged.
+        process.again_at = world.now
+    world.processes = [each for each in world.processes if not each.worker.left]
+    for zone in ZONES:
+        world.start(zone)
+    world.run(6 * LEASE)
+    assert world.doubles == world.unasked == []
 
 
 def of(world: World) -> Counter[int]:

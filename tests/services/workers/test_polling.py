@@ -188,11 +188,12 @@ async def test_what_cannot_be_read_is_told_and_polled_by_nobody(
         connection(1, devices='{"devices": [{"name": "pump"}]}'),
         connection(2, devices=connection(1, "pump").devices),
     ]
+    for key in (wrong := ("connection._.abc", "slot._.900", "worker.x.y")):
+        trial.engine.write(key, b"[" * 5000)
     # Of two devices of one name, one is polled.
     for each in (*bad, connection(4, "valve", "fan"), connection(5, "fan")):
         trial.engine.write(each.bucket_key, each.encode())
     worker = await alone(trial)
     assert sorted(worker.fleet.devices) == ["d0-1", "d0-2", "fan", "valve"]
-    told = [text.partition(": ") for text in caplog.messages]
-    assert sorted(each[0] for each in told) == [each.key for each in bad]
-    assert {each[2][:32] for each in told} == {"its devices in the bucket are in"}
+    told = sorted(text[: text.find(": ", 12)] for text in caplog.messages)
+    assert told == sorted([f"the bucket: {key}" for key in wrong] + [each.key for each in bad])

@@ -126,13 +126,6 @@ class TestConnections:
 class TestReadAgain:
     """A whole bucket that replaces what was known: the times of its changes are kept."""
 
-    def test_what_did_not_change_keeps_its_time(self) -> None:
-        before = view_of(("worker.a.1", member(), 1), ("worker.b.1", member("b.1"), 2), at=5.0)
-        view = view_of(("worker.a.1", member(), 1), ("worker.b.1", member("b.1"), 3), at=9.0)
-        view.follow(before, 9.0)
-        assert view.seen_at("worker.a.1") == (1, 5.0)
-        assert view.seen_at("worker.b.1") == (3, 9.0)
-
     def test_what_is_gone_was_deleted_just_now_at_the_latest(self) -> None:
         before = view_of((LINE.bucket_key, LINE.encode(), 1), ("worker.a.1", member(), 2), at=5.0)
         view = view_of(("worker.a.1", member(), 2), ("worker.b.1", member("b.1"), 7), at=9.0)

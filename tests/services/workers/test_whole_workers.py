@@ -249,19 +249,3 @@ async def test_a_zone_that_nobody_serves_waits_for_a_worker_of_it(trial: Trial) 
     assert trial.asked.since(now) == 0
     await trial.start("b", zones=["north"])
     assert await trial.all_asked(60) < TAKEN_OVER + LEASE
-
-
-@tried(3)
-async def test_what_cannot_be_read_is_told_once_and_harms_nobody(
-    trial: Trial,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    wrong = ("connection._.abc", "slot._.900", "worker.x.y")
-
-    await trial.start("a")
-    await trial.settle()
-    for key in wrong:
-        trial.engine.write(key, b"[" * 5000)
-    await trial.settle()
-    told = [each for each in caplog.messages if each.startswith("the bucket: ")]
-    assert sorted(each.split()[2].rstrip(":") for each in told) == sorted(wrong)
