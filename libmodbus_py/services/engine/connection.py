@@ -251,12 +251,11 @@ def explained(where: str) -> Iterator[None]:
     except js.BucketNotFoundError:
         raise NothingThere(f"{where}: there is no fleet yet; put it there with --push") from None
     except (basic.Error, OSError) as error:
-        does_pass = not isinstance(
-            error, js.NoStreamResponseError | basic.NoRespondersError | basic.MaxPayloadError
+        lasting = js.NoStreamResponseError | basic.NoRespondersError | basic.MaxPayloadError
+        is_lasting = isinstance(error, lasting) or (
+            isinstance(error, js.APIError) and error.err_code not in TRANSIENT
         )
-        if isinstance(error, js.APIError):
-            does_pass = error.err_code in TRANSIENT
-        kind = EngineGone if does_pass else EngineError
+        kind = EngineError if is_lasting else EngineGone
         raise kind(f"{where}: {what(error)}") from None
 
 

@@ -49,26 +49,25 @@ class Pushed(NamedTuple):
 
 def connections_of(devices: Iterable[DeviceConfig], lease: float) -> list[Connection]:
     """Return the connections of devices, as the bucket holds them; ValueError if that is wrong."""
-    return [_connection(key, group, lease) for key, group in by_connection(devices).items()]
-
-
-def _connection(key: str, devices: list[DeviceConfig], lease: float) -> Connection:
-    first = devices[0]
-    in_key(first.zone)
-    for device in devices:
-        if device.zone != first.zone:
+    found = []
+    for key, group in by_connection(devices).items():
+        first = group[0]
+        in_key(first.zone)
+        for device in group:
+            if device.zone != first.zone:
+                raise ValueError(
+                    f"device {device.name!r} is in zone {device.zone!r}, but {first.name!r}, which"
+                    f" uses the same connection {key}, is in zone {first.zone!r}"
+                )
+        usual = CheckedOptions.of(first.endpoint, {}).timeout
+        timeout = max(usual if each.timeout is None else each.timeout for each in group)
+        if timeout > lease * LONGEST_ANSWER:
             raise ValueError(
-                f"device {device.name!r} is in zone {device.zone!r}, but {first.name!r}, which uses"
-                f" the same connection {key}, is in zone {first.zone!r}"
+                f"device {first.name!r}: a timeout of {timeout:g} s needs an engine.lease of"
+                f" {timeout / LONGEST_ANSWER:.3g} s or more, not {lease:g}"
             )
-    usual = CheckedOptions.of(first.endpoint, {}).timeout
-    timeout = max(usual if each.timeout is None else each.timeout for each in devices)
-    if timeout > lease * LONGEST_ANSWER:
-        raise ValueError(
-            f"device {first.name!r}: a timeout of {timeout:g} s needs an engine.lease of"
-            f" {timeout / LONGEST_ANSWER:.3g} s or more, not {lease:g}"
-        )
-    return Connection(first.zone, key, timeout, devices_to_json(devices))
+        found.append(Connection(first.zone, key, timeout, devices_to_json(group)))
+    return found
 
 
 def devices_of(connection: Connection) -> list[DeviceConfig]:

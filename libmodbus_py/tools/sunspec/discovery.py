@@ -289,7 +289,11 @@ def _discovery(_: object, bases: Iterable[int]) -> Steps[SunSpecDevice]:
             layout = ModelLayout(group, header.address, header.length, counts, room)
             label, points = group.get("label", ""), layout.points
             room -= len(points)
-            chain.notes += _notes(header, layout)
+            noted = f"{header} has the length {header.length}"
+            chain.notes += [f"{noted}: {note}" for note in layout.notes]
+            rest = HEADER + header.length - layout.used
+            if rest and not layout.notes:
+                chain.notes.append(f"{header} has {rest} registers more than its definition")
         known = group is not None
         models.append(SunSpecModel(*header, name, label, known, RegisterMap(points)))
     return SunSpecDevice(chain.base, tuple(models), chain.end, tuple(chain.notes))
@@ -308,14 +312,6 @@ def _counts(chain: _Chain, header: _Header, group: Mapping[str, Any]) -> Steps[d
         return {}
     found = {name: cells[at - first] for name, at in offsets.items()}
     return {name: 0 if count == NOT_IMPLEMENTED else count for name, count in found.items()}
-
-
-def _notes(header: _Header, layout: ModelLayout) -> Iterator[str]:
-    for note in layout.notes:
-        yield f"{header} has the length {header.length}: {note}"
-    rest = HEADER + header.length - layout.used
-    if rest and not layout.notes:
-        yield f"{header} has {rest} registers more than its definition"
 
 
 def _unknown(header: _Header) -> list[Point]:

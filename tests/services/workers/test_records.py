@@ -29,6 +29,10 @@ def value(**given: Any) -> bytes:
     return json.dumps(given).encode()
 
 
+def line(connection: str = LINE, timeout: float = 1) -> bytes:
+    return value(connection=connection, timeout=timeout, devices=[])
+
+
 @pytest.mark.parametrize(
     "record",
     [
@@ -65,19 +69,11 @@ def test_the_holder_of_a_slot_is_read(number: int) -> None:
         ("settings", value(format=1, on_engine_loss="go"), "must be one of stop, continue"),
         ("settings", value(lease=1), "format is missing"),
         ("settings", value(format=1, leese=1), "leese: no such key"),
-        (f"connection._.{DIGEST}", value(connection="tcp:x", timeout=1, devices=[]), "does not"),
-        (f"connection._.{DIGEST[:31]}", value(connection=LINE, timeout=1, devices=[]), "does not"),
-        (
-            f"connection._.{DIGEST}",
-            value(connection=LINE, timeout=61, devices=[]),
-            "timeout must be in 0",
-        ),
-        (
-            f"connection._.{DIGEST}",
-            value(connection=LINE, timeout=-1, devices=[]),
-            "timeout must be in 0",
-        ),
-        (f"connection.a b.{DIGEST}", value(connection=LINE, timeout=1, devices=[]), "zone 'a b'"),
+        (f"connection._.{DIGEST}", line("tcp:x"), "does not match"),
+        (f"connection._.{DIGEST[:31]}", line(), "does not match"),
+        (f"connection._.{DIGEST}", line(timeout=61), "timeout must be in 0"),
+        (f"connection._.{DIGEST}", line(timeout=-1), "timeout must be in 0"),
+        (f"connection.a b.{DIGEST}", line(), "zone 'a b'"),
         ("slot._.256", value(holder="a.1", by="a.1"), "the number of a slot must be 0..255"),
         ("slot._.-1", value(holder="a.1", by="a.1"), "the number of a slot must be 0..255"),
         ("slot._.007", value(holder="a.1", by="a.1"), "the number of a slot must be 0..255"),

@@ -4,11 +4,8 @@ The stream of readings on a simulated server of NATS.
 
 from __future__ import annotations
 
-import asyncio
 import json
 from typing import Any, cast
-
-import pytest
 
 from libmodbus_py.services.fleet.readings import Reading
 from libmodbus_py.services.workers.messages import Stream
@@ -43,26 +40,3 @@ def test_the_readings_of_a_poll_are_one_message_and_a_repeated_one_is_dropped() 
     }
     assert {name: each["value"] for name, each in second["values"].items()} == {"level": 3}
     assert "kälte".encode() in engine.stream[0][2]
-
-
-def test_a_server_that_does_not_respond_is_an_error_of_the_system() -> None:
-    network = Network()
-    engine = Engine(network)
-
-    async def main() -> None:
-        client = engine.client()
-        stream = Stream(cast(Any, client), {})
-        await stream.open()
-        engine.losses = 1.0
-        with pytest.raises(OSError, match="modbus-readings: no answer"):
-            await stream.write([reading("level", 1.5)])
-        engine.losses = 0.0
-        engine.stop()
-        await asyncio.sleep(0.1)
-        with pytest.raises(OSError, match="modbus-readings: "):
-            await stream.write([reading("level", 1.5)])
-        with pytest.raises(OSError, match="modbus-readings: "):
-            await stream.open()
-        await client.close()
-
-    network.run(main)

@@ -107,24 +107,25 @@ def test_a_late_answer_is_its_own_units_and_not_the_next_ones() -> None:
     assert any("came late" in note for note in scanned.notes)
 
 
-def test_noise_does_not_make_a_unit() -> None:
-    noise = [b"\x00\xff\x13", b"", b"\x83", b"\x07" * 9]
-    answers: list[Any] = [lambda request, each=each: [each] for each in noise]
+@pytest.mark.parametrize(
+    ("answers", "note"),
+    [
+        (
+            [lambda request: [b"\x00\xff\x13"], lambda request: [b"\x83"], lambda _: [b"\x07" * 9]],
+            "",
+        ),
+        ([lambda request: [request]], "echo=True?"),
+    ],
+)
+def test_noise_and_an_echo_do_not_make_a_unit(answers: list[Any], note: str) -> None:
     with simulated() as network:
         unit = served(network, "rtu:///dev/line", *answers)
         url = f"{unit.url}?baudrate=115200&parity=N"
         scanned = scan(url, units=range(1, 7), timeout=QUICK)
         assert all_of(scanned) == []
         assert len(unit.requests) == 6
-    assert len(scanned.notes) == 1
-
-
-def test_an_echo_is_nobody() -> None:
-    with simulated() as network:
-        unit = served(network, "rtu:///dev/line", lambda request: [request])
-        scanned = scan(f"{unit.url}?baudrate=9600&parity=N", units=[1, 2], timeout=QUICK)
-        assert all_of(scanned) == []
-    assert "echo=True?" in scanned.notes[0]
+    (told,) = scanned.notes
+    assert note in told
 
 
 def test_a_line_that_never_falls_silent_is_left_soon() -> None:
@@ -200,18 +201,15 @@ def test_what_a_gateway_says_of_nobody_is_nobody() -> None:
     ("scheme", "tables"), [("tcp", {"coils": 1}), ("rtu+tcp", {"holding_registers": 1})]
 )
 def test_a_server_that_ignores_the_unit_is_one_device(scheme: str, tables: Any) -> None:
+    with FakeServer(lambda request: [mbap(request, b"\x03\x02\0\1", unit=255)]) as server:
+        (found,) = all_of(scan(server.url, timeout=PATIENT))  # 255 in all of its answers
+        assert found.is_any
     with Server(meter(**tables)).background(f"{scheme}://127.0.0.1:0") as running:
         scanned = scan(running.urls[0], timeout=PATIENT)
         (found,) = all_of(scanned)
         assert found.is_any
         assert found.identification is not None
     assert ["ignores the unit" in note for note in scanned.notes] == [True]
-
-
-def test_a_device_that_is_255_to_everybody_is_one_device() -> None:
-    with FakeServer(lambda request: [mbap(request, b"\x03\x02\0\1", unit=255)]) as server:
-        (found,) = all_of(scan(server.url, timeout=PATIENT))
-        assert found.is_any
 
 
 def test_units_answered_as_nobody_can_be_are_not_counted() -> None:

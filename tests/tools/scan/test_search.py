@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from libmodbus_py import Device, Mapping, ModbusConnectionError, Server
-from libmodbus_py.protocol.tables import TABLES
 from libmodbus_py.scan import Extent, Search, search
 from libmodbus_py.tools.scan.search import FINEST, Cells, halving
 from tests.simulation.scripted import Scripted
@@ -114,13 +113,20 @@ def test_ranges_are_found_on_a_line() -> None:
         assert set(wire.sent_by("client")[1::8]) == {1, 2, 3, 4}  # functions that read
 
 
-def test_a_table_without_its_function_takes_one_request() -> None:
-    with simulated_device(lambda function, address, count: 1) as server:
+@pytest.mark.parametrize(
+    ("code", "tables", "requests", "ended"),
+    [
+        (1, 4, 4, "the device lacks the function"),
+        (6, 1, 5, "the device stays busy"),
+        (11, 1, 1, "the unit does not answer any more"),
+    ],
+)
+def test_what_refuses_all_is_left_soon(code: int, tables: int, requests: int, ended: str) -> None:
+    with simulated_device(lambda *asked: code) as server:
         searched = search(server.url, timeout=PATIENT)
-        assert ranges(searched) == {table: [] for table in TABLES}
-        assert searched.requests == 4
-        assert {each.ended for each in searched.extents} == {"the device lacks the function"}
-        assert {each.unseen for each in searched.extents} == {0}
+        assert [each.ranges for each in searched] == [[]] * tables
+        assert searched.requests == requests
+        assert {each.ended for each in searched.extents} == {ended}
 
 
 def test_a_busy_device_is_asked_again() -> None:
@@ -137,14 +143,6 @@ def test_a_busy_device_is_asked_again() -> None:
     with simulated_device(answer) as server:
         searched = search(server.url, timeout=PATIENT, most_requests=300)
         assert ranges(searched)["holding_registers"] == [range(30)]
-
-
-def test_a_device_that_stays_busy_is_left() -> None:
-    with simulated_device(lambda *asked: 6) as server:
-        searched = search(server.url, timeout=PATIENT)
-        (extent,) = searched
-        assert extent.ended == "the device stays busy"
-        assert searched.requests == 5
 
 
 def test_a_device_that_is_silent_where_nothing_is_is_searched_on() -> None:
