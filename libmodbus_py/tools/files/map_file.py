@@ -78,36 +78,30 @@ class Contents:
 
 def collected(contents: Contents, entries: Iterable[MapEntry], most: int) -> Contents:
     """Add the points of entries to contents, up to the mistake with the number `most`."""
+    points, mistakes = contents.points, contents.mistakes
     try:
         for entry in entries:
-            _add(contents, entry)
-            if len(contents.mistakes) == most:
+            try:
+                point: Point = POINT.read(entry.path, entry.keys())
+                if point.name in points:
+                    reason = f"{point.name!r} stands in {contents.place(point.name)} already"
+                    raise WrongValue((*entry.path, "name"), reason)
+                points[point.name], contents.entries[point.name] = point, entry
+            except (TypeError, ValueError) as error:
+                mistake = placed(error, ())
+                mistakes.append(MapError.of(mistake, entry.place(mistake.path)))
+            if len(mistakes) == most:
                 return contents
     except MapError as error:
-        contents.mistakes.append(error)
-    for name, mistake in scale_mistakes(contents.points) if not contents.mistakes else ():
+        mistakes.append(error)
+    for name, mistake in scale_mistakes(points) if not mistakes else ():
         entry = contents.entries[name]
         path = (*entry.path, *mistake.path[1:])
-        contents.mistakes.append(MapError.of(mistake.renamed(entry.path), entry.place(path)))
-    del contents.mistakes[most:]
-    if not contents.points and not contents.mistakes:
-        contents.mistakes.append(MapError((), "it has no points"))
+        mistakes.append(MapError.of(mistake.renamed(entry.path), entry.place(path)))
+    del mistakes[most:]
+    if not points and not mistakes:
+        mistakes.append(MapError((), "it has no points"))
     return contents
-
-
-def _add(contents: Contents, entry: MapEntry) -> None:
-    """Add the point of an entry, or the mistake in it."""
-    try:
-        point: Point = POINT.read(entry.path, entry.keys())
-        if point.name in contents.points:
-            reason = f"{point.name!r} stands in {contents.place(point.name)} already"
-            raise WrongValue((*entry.path, "name"), reason)
-    except (TypeError, ValueError) as error:
-        mistake = placed(error, ())
-        contents.mistakes.append(MapError.of(mistake, entry.place(mistake.path)))
-    else:
-        contents.points[point.name] = point
-        contents.entries[point.name] = entry
 
 
 def load_map(path: str | PathLike[str], *, columns: Mapping[str, str] | None = None) -> RegisterMap:

@@ -121,6 +121,7 @@ def _of_kind(kind: type, what: str) -> Check:
     return check
 
 
+text: Check = _of_kind(str, "text")
 flag: Check = _of_kind(bool, "true or false")
 table: Check = _of_kind(dict, "a table")
 a_list: Check = _of_kind(list, "a list")
@@ -132,19 +133,6 @@ def tables(path: Path, value: object) -> list[dict[str, object]]:
         name = ".".join(each for each in path if isinstance(each, str))
         raise WrongType(path, f"must be a list of tables: [[{name}]]")
     return [table(item(path, at), each) for at, each in enumerate(value)]
-
-
-def text(most: int) -> Check:
-    """Return a check for texts of at most this many characters."""
-
-    def check(path: Path, value: object) -> str:
-        if not isinstance(value, str):
-            raise WrongType(path, f"must be text, not {shown(value)}")
-        if len(value) > most:
-            raise WrongValue(path, f"must have 0..{most} characters, not {len(value)}")
-        return value
-
-    return check
 
 
 def bytes_or_text(low: int, high: int) -> Check:

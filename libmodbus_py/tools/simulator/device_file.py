@@ -97,8 +97,6 @@ def _identification(path: Path, value: object) -> dict[int, bytes]:
             names = ", ".join(numbers)
             reason = f"no such key; allowed are {names}, and the numbers 0..6, 128..255"
             raise WrongValue.about(where, reason + close_to(key, numbers))
-        if number in found:
-            raise WrongValue.about(where, f"there is already an object {number}")
         found[number] = bytes_or_text(0, 244)(where, content)
     return found
 
@@ -126,8 +124,8 @@ FIFO = Keys(
 UNIT = Keys(
     [
         Key("id", _unit_id, "0..247 or 255; a single unit without an id answers for every unit"),
-        Key("name", text(100), "a name, for people"),
-        Key("description", text(250), "a description, for people"),
+        Key("name", text, "a name, for people"),
+        Key("description", text, "a description, for people"),
         Key("exception_status", whole(0, 255), "the response to function 7"),
         Key("server_id", SERVER_ID.read, "the response to function 17"),
         Key("identification", _identification, "the response to function 43/14"),

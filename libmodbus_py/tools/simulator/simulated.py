@@ -140,11 +140,7 @@ class SimulatedDevice(Device):
             self._contents[at] = replace(each, cells=cells if any(cells) else ())
 
     def first_values(self) -> Iterator[Access]:
-        """
-        Yield the first values that are not 0, and the values that behaviours compute now.
-
-        Hold the mapping's lock.
-        """
+        """Yield the first values that are not 0, and the present ones of points that move."""
         for each in self._contents:
             if each.cells:
                 yield _access(each, each.cells)

@@ -12,12 +12,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Context, ModbusConnectionError, Server
-from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
-from libmodbus_py.server.framed import SessionSettings
-from libmodbus_py.server.limits import ServerStatistics
-from libmodbus_py.server.sessions import ByFrame
-from libmodbus_py.server.units import TcpUnits, Units
 from libmodbus_py.tools.faults.fault import Fault
 from libmodbus_py.tools.faults.server import (
     MAX_WAITING_BYTES,
@@ -177,22 +172,6 @@ def test_what_is_sent_when(
     stage.wait(deliver())
     assert list(map(len, written)) == lengths
     assert told == waits
-
-
-def test_a_session_that_is_closed_sends_nothing_more(stage: Stage) -> None:
-    written: list[bytes] = []
-    units = Units(made_device())
-    units.interceptor = Faults({None: [Fault("delay", seconds=10)]})
-
-    async def ask() -> None:
-        settings = SessionSettings(parse("tcp://10.0.0.1"), ServerStatistics())
-        session = ByFrame(settings, TcpUnits(units), FakeChannel(written.append))
-        session.receive(adu(READ))
-        session.close()
-        await asyncio.sleep(50)
-
-    stage.wait(ask())
-    assert written == []
 
 
 # --- faults that close a connection ---------------------------------------------------------------

@@ -30,10 +30,6 @@ def test_every_nth_request_is_hit(every: int, count: int) -> None:
     assert hits(faults, count) == list(range(every, count + 1, every))
 
 
-def test_each_request_is_hit_unless_told_otherwise() -> None:
-    assert hits(Faults({None: [Fault("no_answer")]}), 3) == [1, 2, 3]
-
-
 def test_a_seed_hits_the_same_requests_each_time() -> None:
     fault = Fault("no_answer", probability=0.25, seed=7)
     first = hits(Faults({1: [fault]}), 1000)

@@ -15,17 +15,11 @@ from libmodbus_py.services.fleet import files as fleet_files
 from libmodbus_py.tools.files.csv_text import CELLS
 from libmodbus_py.tools.files.map_file import POINT, READERS
 from libmodbus_py.tools.files.schema import (
-    REQUIRED,
     in_bytes,
     in_seconds,
 )
 from libmodbus_py.tools.files.texts import compared, line_of, reread
 from tests.support.cases import each_case
-
-
-def test_keys_of_a_class_are_its_arguments_with_their_defaults() -> None:
-    assert (POINT["count"].default, POINT["count"].kind) == (1, "int")
-    assert POINT["name"].default is REQUIRED
 
 
 def test_every_key_can_stand_in_a_cell_that_csv_has_a_column_for() -> None:

@@ -4,7 +4,6 @@ Device files: values lie where the file says, with the types that it says; units
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -69,19 +68,6 @@ def test_a_table_without_ranges_does_not_exist() -> None:
         with pytest.raises(IllegalDataAddress):
             answer(device, request)
     assert answer(device, pdu.ReadExceptionStatus()) == 3
-
-
-def test_a_file_may_come_through_a_pipe() -> None:
-    """As in ``--device <(program)``."""
-    reading, writing = os.pipe()
-    try:
-        with open(writing, "w") as pipe:
-            pipe.write(HOLDING + "value = 42")
-        devices = load(f"/dev/fd/{reading}").devices
-    finally:
-        os.close(reading)
-    assert not isinstance(devices, dict)
-    assert holding(devices, 0) == [42]
 
 
 # --- units and faults ------------------------------------------------------------------------

@@ -18,15 +18,13 @@ from libmodbus_py import (
     IllegalDataAddress,
     Point,
     pdu,
-    values,
 )
 from libmodbus_py.tools.faults.fault import KINDS, PLACES, Fault
 from libmodbus_py.tools.simulator import example_files
 from libmodbus_py.tools.simulator.clockwork import BEHAVIOURS
-from libmodbus_py.tools.simulator.device_file import FIFO, FILE, SERVER_ID, UNIT, load
+from libmodbus_py.tools.simulator.device_file import FIFO, FILE, SERVER_ID, UNIT
 from libmodbus_py.tools.simulator.points import CONTENTS, DEFAULTS
 from tests.support.commands import Started
-from tests.tools.simulator.simulated_units import Clock, inputs
 
 PLANT = Path(__file__).parents[3] / "examples" / "plant.toml"
 
@@ -86,17 +84,6 @@ def test_the_example_refuses_what_its_comments_say(plant: str) -> None:
         for ask in refused:
             with pytest.raises(IllegalDataAddress):
                 ask()
-
-
-def test_the_counter_of_the_example_counts_as_its_comment_says() -> None:
-    clock = Clock()
-    devices, _ = load(PLANT, clock=clock)
-    assert isinstance(devices, dict)
-    found = []
-    for _ in range(8):
-        found += values.value_type("uint32").decode_many(inputs(devices[1], 0, 2))
-        clock.now += 0.5
-    assert found == [10, 13, 16, 19, 22, 25, 28, 11]
 
 
 def test_the_examples_have_every_key() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, IllegalDataAddress, Server, device_file, load_map, pdu
+from libmodbus_py import IllegalDataAddress, device_file, load_map, pdu
 from libmodbus_py.device_file import DeviceFileError, SimulatedDevice, Simulation, load, parse
 from libmodbus_py.fleet import load as load_fleet
 from libmodbus_py.tools.page.samples import Samples
@@ -333,21 +333,6 @@ def test_a_page_shows_and_sets_what_points_mean(made: Write) -> None:
 
 
 # --- what comes with the package -------------------------------------------------------------
-
-
-def test_a_client_reads_the_example_by_its_map() -> None:
-    simulation = load(example_files.path_of("meter"))
-    assert not any(simulation.faults.values())  # the first device of a new user
-    with (
-        Server(*simulation).background("tcp://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0], unit=1) as client,
-    ):
-        found = client.read_map(the(simulation).points)
-        assert (found["power"], found["current"], found["label"]) == (966, 4.2, "cellar")
-        assert 225 <= found["voltage"] <= 235.5
-        client.write_map(the(simulation).points, {"alarm_limit": 250.5})
-        assert client.read_holding_registers(0, 1) == [2505]
-        assert client.read_map(load_map(example_files.map_file("meter")))["alarm_limit"] == 250.5
 
 
 def test_examples_are_described_and_can_be_loaded() -> None:
