@@ -105,7 +105,8 @@ class CsvText:
             known = sum(map(is_known, row.cells))
             if known >= 2:
                 return known, row, at
-            first = first if at else (known, row, 0)
+            if at == 0:
+                first = known, row, 0
         return first
 
     def _rows(self, delimiter: str) -> Iterator[CsvRow]:

@@ -80,15 +80,6 @@ MARK = "written by libmodbus-py map class"
 
 WHOLE = {f"{kind}{bits}" for kind in ("int", "uint", "bcd") for bits in (16, 32, 64)}
 
-# Names that the file itself has, or imports.
-USED = {
-    *("Any", "AsyncClient", "ClientT", "Context", "Coroutine", "Generic", "Literal", "MAP"),
-    *("MapBinding", "Point", "RegisterMap", "Sequence", "TypeVar", "TypedDict", "Unpack"),
-}
-
-# Keys of points from which there may be no value.
-DOUBTS = ("missing", "plausible_minimum", "plausible_maximum", "scale_from")
-
 # The methods are in a class of their own, so that no attribute hides the names that they use.
 FILE = '''\
 """
@@ -182,7 +173,7 @@ def class_text(map: RegisterMap, stem: str) -> str:
         stem: the name of the map's file without its ending, after which the class is named.
     """
     name = class_name(stem)
-    if name in USED:
+    if name in re.findall(r"\w+", FILE):  # which has, or imports, this name
         name += "Map"
     names = attribute_names(map)
     readable = [each for each in map.values() if each.is_readable]
@@ -223,7 +214,8 @@ def _points(map: RegisterMap) -> Iterator[str]:
 
 def _property(point: Point, attribute: str) -> str:
     kind = _kind(point)
-    is_certain = kind != "datetime" and all(getattr(point, each) is None for each in DOUBTS)
+    bounds = point.plausible_minimum, point.plausible_maximum
+    is_certain = kind != "datetime" and {point.missing, point.scale_from, *bounds} == {None}
     return PROPERTY.format(
         attribute=attribute,
         kind=kind if is_certain else f"{kind} | None",

@@ -85,12 +85,6 @@ def test_only_requests_that_touch_the_range_are_hit_and_counted(
     assert hits(faults, 4, asked) == ([2, 4] if is_hit else [])
 
 
-def test_what_cannot_be_decoded_touches_nothing() -> None:
-    faults = Faults({1: [Fault("no_answer", address=0, count=65536)]})
-    for data in (b"\x03", b"\x03\0\0\xff\xff", b"\x63"):
-        assert hits(faults, 2, Frame(1, data)) == []
-
-
 # --- what cannot be --------------------------------------------------------------------------
 
 
@@ -154,9 +148,3 @@ def test_a_fault_that_cannot_be_is_refused(settings: dict[str, Any], message: st
 def test_faults_that_are_none_are_refused(faults: Any, message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
         Server(made_device(), faults)
-
-
-def test_a_server_without_faults_has_nothing_to_do_with_them() -> None:
-    assert not Faults({})
-    assert not Faults({1: [], None: []})
-    assert Server(made_device(), {1: []})._units.interceptor is None
