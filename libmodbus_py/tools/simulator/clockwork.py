@@ -123,14 +123,10 @@ class Clockwork:
             if each_table == table and span.start < cells.stop and cells.start < span.stop
         }
 
-    def moves(self, table: str, cells: range) -> bool:
-        """Return True if a value moves that has some of these cells, and is not held."""
-        return bool(self._with(table, cells) - self._held)
-
-    def holds(self, table: str, cells: range) -> bool:
-        """Return True if all moving values that have some of these cells are held."""
+    def movement(self, table: str, cells: range) -> bool | None:
+        """Return True if a value with some of these cells moves, False if all are held, or None."""
         found = self._with(table, cells)
-        return bool(found) and found <= self._held
+        return bool(found - self._held) if found else None
 
     def hold(self, table: str, cells: range, *, is_on: bool) -> None:
         """Hold the moving values that have some of these cells, or let them move again."""

@@ -52,7 +52,7 @@ class SimulatedDevice(Device):
         points = [
             # A value that moves could be written, but would be lost at the next read.
             replace(each.point, access="read")
-            if clockwork.moves(each.table, each.span)
+            if clockwork.movement(each.table, each.span)
             else each.point
             for each in contents
             if each.table in TABLES
@@ -82,12 +82,10 @@ class SimulatedDevice(Device):
 
     def update(self, values: Mapping[str, Any]) -> None:
         with self.mapping:
-            for name in values:
-                point = self.points.get(name)
-                if point is not None and self._clockwork.moves(point.table, point.cells):
-                    raise WrongValue.about(name, "the device computes this value itself")
-                if point is not None:
-                    self._refresh(*sources_of([point], self.points).values())
+            for point in [self.points[name] for name in values if name in self.points]:
+                if self.movement(point):
+                    raise WrongValue.about(point.name, "the device computes this value itself")
+                self._refresh(*sources_of([point], self.points).values())
             super().update(values)
 
     def _refresh(self, *points: Point) -> None:
@@ -100,9 +98,7 @@ class SimulatedDevice(Device):
     def movement(self, point: Point) -> bool | None:
         """Return True if a point moves, False if it is held, None if it never moves."""
         with self.mapping:
-            if self._clockwork.moves(point.table, point.cells):
-                return True
-            return False if self._clockwork.holds(point.table, point.cells) else None
+            return self._clockwork.movement(point.table, point.cells)
 
     def hold(self, point: Point, *, is_on: bool) -> None:
         """

@@ -260,7 +260,6 @@ def test_a_held_value_is_held_after_its_file_was_read_again(tmp_path: Path) -> N
     assert (after["level"], after.movement(after.points["level"])) == (33, False)
     after.hold(after.points["level"], is_on=False)
     assert after["level"] != 33
-    assert Clockwork(after.mapping, []).holds("coils", range(9)) is False
 
 
 # --- faults ---------------------------------------------------------------------------------------
