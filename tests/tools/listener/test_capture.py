@@ -61,6 +61,11 @@ def read(path: Path) -> list[Transaction]:
         return list(line)
 
 
+def block(kind: int, body: bytes) -> bytes:
+    size = struct.pack("<I", 12 + len(body))
+    return struct.pack("<I", kind) + size + body + size
+
+
 class TestWriter:
     def test_the_bytes_are_those_that_tshark_decodes(self, tmp_path: Path) -> None:
         assert write(tmp_path / "x.pcapng").read_bytes() == DECODED.read_bytes()
@@ -92,30 +97,16 @@ class TestReader:
         assert {each.kind for each in three} == {each.kind for each in alone}
 
     def test_what_wireshark_saves_again(self, tmp_path: Path) -> None:
-        """With nanoseconds, and blocks of its own."""
+        """With nanoseconds, blocks of its own, and another capture behind it."""
         options = struct.pack("<HHB3xHH", 9, 1, 9, 0, 0)
-        blocks = [
-            (0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)),
-            (1, struct.pack("<HHI", 252, 0, 0) + options),
-            (5, bytes(20)),
-        ]
-        for at, ports, pdu in ((1, (50000, 502), "0300000001"), (2, (502, 50000), "03020007")):
-            tags = struct.pack(">HH8s", 12, 8, b"mbtcp")
-            for kind, value in ((24, 2), (25, ports[0]), (26, ports[1])):
-                tags += struct.pack(">HHI", kind, 4, value)
-            body = bytes.fromhex(pdu)
-            data = tags + bytes(4) + struct.pack(">HHHB", 1, 0, len(body) + 1, 5) + body
-            head = struct.pack("<IIIII", 0, *divmod(at * 10**9, 1 << 32), len(data), len(data))
-            blocks.append((6, head + data + bytes(-len(data) % 4)))
+        section = block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))
+        interface = block(1, struct.pack("<HHI", 252, 0, 0) + options)
+        packets = DECODED.read_bytes()[92:296]  # the first two
         file = tmp_path / "x.pcapng"
-        for kind, body in blocks:
-            size = struct.pack("<I", 12 + len(body))
-            with file.open("ab") as out:
-                out.write(struct.pack("<I", kind) + size + body + size)
-        (done,) = read(file)
-        assert (done.time, done.unit, done.response, done.duration) == (1.0, 5, [7], 1.0)
-        file.write_bytes(2 * file.read_bytes())
-        assert len(read(file)) == 2
+        file.write_bytes(2 * (section + interface + block(5, bytes(20)) + packets))
+        (first, second) = read(file)
+        assert (first.kind, first.time) == (second.kind, second.time) == ("answered", 1_700_000.0)
+        assert first.duration == pytest.approx(4e-6, rel=0.01)
 
     @each_case(
         ("change", "what"),

@@ -71,52 +71,35 @@ def heard(url: str, **options: str) -> Iterator[Gathering]:
         gathering.close()
 
 
-@pytest.fixture(params=["rtu", "ascii"])
-def framing(request: pytest.FixtureRequest) -> str:
-    return str(request.param)
-
-
 @pytest.fixture
 def bus() -> Iterator[SharedLine]:
     with SharedLine("client", "server", "listener") as made:
         yield made
 
 
-@pytest.fixture
-def served(bus: SharedLine, framing: str, device: Device) -> Iterator[SharedLine]:
-    with Server({UNIT: device}).background(f"{framing}://{bus.paths['server']}?baudrate=115200"):
-        yield bus
-
-
-def url_of(bus: SharedLine, framing: str, name: str) -> str:
-    return f"{framing}://{bus.paths[name]}?baudrate=115200"
-
-
-class TestOnALine:
-    def test_our_client_and_server(self, served: SharedLine, framing: str) -> None:
-        with (
-            heard(url_of(served, framing, "listener")) as hearing,
-            Context.from_url(url_of(served, framing, "client"), unit=UNIT) as client,
-        ):
-            client.read_holding_registers(100, 3)
-            client.write_register(100, 5)
-            client.write_register(100, 5)
-            client.read_file_records([(4, 7, 3)])
-            with pytest.raises(IllegalDataAddress):
-                client.read_coils(0, 1)
-            client.for_unit(0).write_register(101, 6)
-            done = hearing.wait_for(6)
-        assert [each.kind for each in done] == [
-            *(["answered"] * 4),
-            "exception",
-            "broadcast",
-        ]
-        assert done[0].request == pdu.ReadHoldingRegisters(100, 3)
-        assert done[0].response == [1000, 1001, 1002]
-        assert all((each.duration or 0) >= 0 for each in done)
-        assert abs(done[0].time - time.time()) < 60
-        assert hearing.line.summary.units[UNIT].functions[6] == 2
-        assert hearing.line.summary.units[UNIT].errors == {"exception 2": 1}
+@pytest.mark.parametrize("framing", ["rtu", "ascii"])
+def test_a_client_and_a_server_on_a_line(bus: SharedLine, framing: str, device: Device) -> None:
+    urls = {name: f"{framing}://{path}?baudrate=115200" for name, path in bus.paths.items()}
+    with (
+        Server({UNIT: device}).background(urls["server"]),
+        heard(urls["listener"]) as hearing,
+        Context.from_url(urls["client"], unit=UNIT) as client,
+    ):
+        client.read_holding_registers(100, 3)
+        client.write_register(100, 5)
+        client.write_register(100, 5)
+        client.read_file_records([(4, 7, 3)])
+        with pytest.raises(IllegalDataAddress):
+            client.read_coils(0, 1)
+        client.for_unit(0).write_register(101, 6)
+        done = hearing.wait_for(6)
+    assert [each.kind for each in done] == [*(["answered"] * 4), "exception", "broadcast"]
+    assert done[0].request == pdu.ReadHoldingRegisters(100, 3)
+    assert done[0].response == [1000, 1001, 1002]
+    assert all((each.duration or 0) >= 0 for each in done)
+    assert abs(done[0].time - time.time()) < 60
+    assert hearing.line.summary.units[UNIT].functions[6] == 2
+    assert hearing.line.summary.units[UNIT].errors == {"exception 2": 1}
 
 
 class TestPort:

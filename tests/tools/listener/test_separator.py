@@ -17,6 +17,7 @@ import pytest
 from libmodbus_py import pdu
 from libmodbus_py.listen import Separator, Transaction
 from libmodbus_py.tools.listener.transaction import Heard, Kind
+from tests.server.test_server import BODIES
 from tests.support.cases import each_case
 from tests.support.talk import ascii_frame, rtu
 from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES
@@ -140,6 +141,18 @@ def test_a_frame_without_a_function_is_invalid(
     done += separator.end()
     assert [(each.kind, each.unit) for each in done] == [("invalid", 1)]
     assert f"{code}h" in str(done[0])
+
+
+@pytest.mark.parametrize("framing", ["rtu", "ascii"])
+def test_a_good_frame_that_nobody_sends_is_no_damage(framing: str) -> None:
+    """It is an exception to something that was not asked, or invalid, whatever ends it."""
+    make = {"rtu": rtu, "ascii": ascii_frame}[framing]
+    ask, answer = make("02 03 0000 0001"), make("02 03 02 0001")
+    for body in ["00", "00 01 02 03", *BODIES]:
+        frames = [ask, answer, make(f"02 {body}"), ask, answer]
+        found = kinds([(at / 10, frame) for at, frame in enumerate(frames)], framing)
+        assert found[0] == found[-1] == "answered", body
+        assert found[1:-1] in (["unasked"], ["invalid"]), body
 
 
 # --- requests, responses and damage ---------------------------------------------------------------

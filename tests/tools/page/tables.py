@@ -49,13 +49,7 @@ class Meter:
 
 
 class Plant:
-    """
-    See `Shown` of the page: values of devices, by their names.
-
-    Attributes:
-        meters: the devices by their names.
-        extra: rows before those of the devices.
-    """
+    """See `Shown` of the page: values of devices, by their names, behind extra rows."""
 
     kind = "fleet"
     log = None

@@ -59,13 +59,7 @@ def until(true: Callable[[], Any], seconds: float = 15) -> Any:
 
 
 class Visitor:
-    """
-    Asks as the page does.
-
-    Attributes:
-        seen: the tables that the stream has brought: table -> key -> row.
-        messages: what it brought, one message after the other.
-    """
+    """Asks as the page does, and sees the tables that messages of the stream brought."""
 
     def __init__(self, url: str) -> None:
         parts = urlsplit(url)
