@@ -118,6 +118,7 @@ WRONG_NAMES = [
         "value must be like name=1, other=0, or a JSON object, not 'door'",
     ),
     ({"bits": {0: "door"}}, "door=shut", "value must be a number, not 'shut'"),
+    ({"bits": {0: "door"}}, '{"a":' * 1900, "value must be"),
     ({"bit": 3}, "2", "value must be one of 0, 1, off, on, false, true, not '2'"),
     ({"type": "unix32"}, "2026-07-01", "value must be a date and time with a time zone, such as"),
     ({"type": "unix32"}, "now", "value must be a date and time with a time zone, such as"),

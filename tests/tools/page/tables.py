@@ -49,7 +49,7 @@ class Meter:
 
 
 class Plant:
-    """See `Shown` of the page: values of devices, by their names, behind extra rows."""
+    """See `Shown` of the page: values of devices, by their names."""
 
     kind = "fleet"
     log = None
@@ -59,7 +59,6 @@ class Plant:
         self.title = title
         self.older = older
         self.meters: dict[str, Meter] = {}
-        self.extra: list[Any] = []
         self.values = Values(lambda name: self.meters.setdefault(name, Meter(name)))
         self.counts: dict[str, float] = {"devices": 1, "down": 0}
 
@@ -76,7 +75,7 @@ class Plant:
         return self.counts
 
     def rows(self) -> list[Any]:
-        return [*self.extra, *self.values.rows]
+        return self.values.rows
 
     def series(self, name: tuple[str, str], column: str) -> Any:
         return self.values.series(name, column)

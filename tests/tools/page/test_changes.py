@@ -5,7 +5,6 @@ Values that are typed on a page: set, or refused with the reason; values that ar
 from __future__ import annotations
 
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +17,6 @@ from libmodbus_py import (
     Fault,
     Mapping,
     ModbusTimeoutError,
-    Point,
-    RegisterMap,
     Server,
     ServerDeviceBusy,
 )
@@ -133,51 +130,6 @@ def test_what_registers_may_mean() -> None:
         assert ["float32", "CDAB", "21.5"] in found["readings"]
         for place in ({"table": "coils", "address": 0}, {"table": H, "address": 60}):
             assert visitor.post("/readings", unit=1, **place) == {"readings": []}
-
-
-# --- times, states and named bits -----------------------------------------------------------------
-
-MAP = RegisterMap(
-    [
-        Point("state", H, 0, states={0: "off", 1: "on"}),
-        Point("clock", H, 2, type="unix32"),
-        Point("energy", H, 4, type="uint64", offset=1),
-        Point("doors", H, 8, count=2, bits={0: "door, left", 1: "b"}),
-    ]
-)
-
-NOON = datetime(2026, 7, 1, 12, tzinfo=UTC)
-
-# Name, text, value; None if the text is no value.
-MEANT: list[tuple[str, str, Any]] = [
-    ("energy", "9007199254740993", 9007199254740993),  # as exact as it is typed
-    ("state", "1", "on"),
-    ("state", "up", None),
-    ("clock", "2026-07-01T14:00:00+02:00", NOON),
-    ("clock", "2026-07-01T12:00:00", None),
-    (
-        "doors",
-        '[{"door, left": 1, "b": 0}, {"door, left": 0, "b": 1}]',
-        [{"door, left": True, "b": False}, {"door, left": False, "b": True}],
-    ),
-    ("doors", '[{"b": 1, "b": 0}, {}]', None),
-    ("doors", "[" * 1900, None),
-]
-
-
-@each_case(("name", "text", "value"), MEANT)
-def test_a_text_with_a_meaning_is_set_or_refused(name: str, text: str, value: Any) -> None:
-    device = Device.of_map(MAP)
-    before = device.mapping.holding_registers.view.tobytes()
-    with live_page(Server(device)) as page:
-        given = {"unit": None, "point": list(MAP).index(name), "name": name, "text": text}
-        found = Visitor(page.url).post("/value", **given)
-    if value is None:
-        assert "value" in found
-        assert device.mapping.holding_registers.view.tobytes() == before
-    else:
-        assert found == {}
-        assert device[name] == value
 
 
 # --- a moving value of a simulator that is held on its page ---------------------------------------
