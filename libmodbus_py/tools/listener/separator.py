@@ -82,9 +82,6 @@ class Damage(NamedTuple):
 Found = Iterator[Candidate | Damage]
 
 
-# --- frames ---------------------------------------------------------------------------------------
-
-
 class _RtuHearing:
     """
     Cuts a stream of RTU; each frame has the times of its first and its last byte. The silence after
@@ -173,9 +170,6 @@ class _AsciiHearing:
             else:
                 yield Candidate(began, self._at, each, *may_be(each.pdu))
             began = self._at
-
-
-# --- requests or responses ------------------------------------------------------------------------
 
 
 class _LearntTimes:
@@ -307,8 +301,6 @@ class Separator:
             else:
                 self._hearings[direction] = _RtuHearing(self._pause, direction)
         return self._hearings[direction]
-
-    # --- requests or responses -------------------------------------------------------------
 
     def _name(self, found: Candidate | Damage) -> None:
         """Decide what the next frame is, and pair it."""

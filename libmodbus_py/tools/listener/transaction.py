@@ -158,9 +158,6 @@ def unasked(began: float, frame: Frame) -> Transaction:
     return Transaction(began, "unasked", unit, function, response=response, error=error)
 
 
-# --- counts ---------------------------------------------------------------------------------------
-
-
 @dataclass
 class AnswerTimes:
     """The number of responses of a unit, and their times in seconds; 0 before the first."""

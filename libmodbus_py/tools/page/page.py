@@ -86,8 +86,6 @@ class _PageGuard:
                     yield value
 
 
-# --- the checks of requests -----------------------------------------------------------------------
-
 # Seconds that a request and its answer may take.
 LIMIT = 10.0
 

@@ -18,10 +18,8 @@ from typing import Any, NamedTuple
 
 __all__ = ["Counts", "RowHistory", "Samples", "Series", "charted", "samples_of_each", "with_gaps"]
 
-# Samples of one value; with one sample a second, those of ten minutes.
+# Samples of one value: with one a second, those of ten minutes; and however many values there are.
 MOST_SAMPLES = 600
-
-# Samples that each value may have, however many values there are.
 FEWEST = 60
 
 # Bytes of the samples of all values, each of which takes 16 bytes.

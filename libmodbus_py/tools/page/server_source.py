@@ -26,10 +26,8 @@ from .units import SAMPLED, ShownUnit, cell_rows, point_rows, shown_of
 
 __all__ = ["ServerSource", "set_point"]
 
-# Characters of a value that is typed.
+# Characters of a value that is typed, and faults of a server to which pages can add others.
 MOST_TEXT = 2000
-
-# Faults of a server to which pages can add others.
 MOST_FAULTS = 200
 
 # Seconds of the longest chart.

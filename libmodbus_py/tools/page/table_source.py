@@ -23,13 +23,9 @@ __all__ = [
 ]
 # fmt: on
 
-# Rows of one view; a window shows fewer.
+# Rows of one view, of which a window shows fewer; characters of a search; the greatest index.
 MOST_VISIBLE = 200
-
-# Characters of a search text.
 MOST_FOUND = 100
-
-# The greatest index of a row.
 MOST_ROWS = 10_000_000
 
 # Seconds of the longest chart.

@@ -155,9 +155,6 @@ def shown_of(server: Server) -> ShownServer:
     return ShownServer(given, {number: ShownUnit(number, each) for number, each in devices.items()})
 
 
-# --- rows -----------------------------------------------------------------------------------------
-
-
 def point_rows(unit: ShownUnit, first: int, stop: int) -> dict[int, Any]:
     """Return rows of points: text, movement and sparkline, for a sample of each once a second."""
     now, most, rows = time.time(), samples_of_each(len(unit.points)), {}
