@@ -7,6 +7,9 @@ from __future__ import annotations
 import asyncio
 import base64
 import sys
+from collections.abc import AsyncIterator, Iterable
+from contextlib import asynccontextmanager, closing, suppress
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -22,16 +25,86 @@ from libmodbus_py.services.fleet.outputs.influx import Influx, LineProtocol, _sh
 from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.services.fleet.readings import Quality
 from libmodbus_py.services.other_servers import SecretFile
-from tests.services.fleet.outputs.http_server import (
-    Answer,
-    HttpServer,
-    Last,
-    answered,
-    serving,
-)
 from tests.support import outputs
 from tests.support.cases import each_case
 from tests.support.secret_files import write_secret
+
+Answer = bytes | list[bytes] | None
+"""The bytes of an answer; a list to send again and again what stands last; None to close."""
+
+
+class Last(bytes):
+    """An answer, behind which the connection is closed."""
+
+
+def answered(status: str, body: bytes = b"", *headers: str) -> bytes:
+    told = "".join(f"{each}\r\n" for each in headers)
+    head = f"HTTP/1.1 {status}\r\nContent-Length: {len(body)}\r\n{told}\r\n"
+    return head.encode() + body
+
+
+NO_CONTENT = answered("204 No Content")
+
+
+@dataclass
+class Received:
+    line: str
+    headers: dict[str, str]
+    body: bytes
+
+
+@dataclass
+class HttpServer:
+    """A server that gives these answers, one for each request; then 204."""
+
+    answers: list[Answer] = field(default_factory=list)
+    received: list[Received] = field(default_factory=list)
+    url: str = ""
+
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bool:
+        first, *rest = (await reader.readuntil(b"\r\n\r\n")).decode().split("\r\n")
+        headers = {
+            name.lower(): value.strip()
+            for name, _, value in (each.partition(":") for each in rest if each)
+        }
+        body = await reader.readexactly(int(headers.get("content-length", "0")))
+        self.received.append(Received(first.removesuffix(" HTTP/1.1"), headers, body))
+        answer = self.answers.pop(0) if self.answers else NO_CONTENT
+        if answer is None:
+            return False
+        if isinstance(answer, bytes):
+            writer.write(answer)
+            await writer.drain()
+            return not isinstance(answer, Last)
+        for piece in answer[:-1]:
+            writer.write(piece)
+        while True:
+            writer.write(answer[-1])
+            await writer.drain()
+            await asyncio.sleep(0)
+
+
+@asynccontextmanager
+async def serving(answers: Iterable[Answer] = ()) -> AsyncIterator[HttpServer]:
+    made = HttpServer([*answers])
+    talks: set[asyncio.Task[None]] = set()
+
+    async def talk(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        talks.add(task)
+        with closing(writer), suppress(ConnectionError, asyncio.IncompleteReadError):
+            while await made.serve(reader, writer):
+                pass
+
+    server = await asyncio.start_server(talk, "127.0.0.1", 0)
+    made.url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}"
+    async with server:
+        yield made
+        for task in talks:
+            task.cancel()
+        await asyncio.gather(*talks, return_exceptions=True)
+
 
 READING = Reading(1_700_000_000.0, "north", "level", 7, "m", "good")
 LINE = b"modbus,device=north level=7 1700000000000000000\n"
