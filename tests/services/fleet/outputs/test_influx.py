@@ -99,8 +99,10 @@ async def serving(answers: Iterable[Answer] = ()) -> AsyncIterator[HttpServer]:
 
     server = await asyncio.start_server(talk, "127.0.0.1", 0)
     made.url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}"
-    async with server:
+    try:
         yield made
+    finally:
+        server.close()
         for task in talks:
             task.cancel()
         await asyncio.gather(*talks, return_exceptions=True)
