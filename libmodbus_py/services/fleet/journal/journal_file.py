@@ -282,8 +282,11 @@ class JournalFile:
     def force(self) -> None:
         """Force what was written onto the disk, and merge it into the database if it is much."""
         wal = f"{self.path}-wal"
-        with raised(self.path), contextlib.suppress(FileNotFoundError):  # `write` reports this
-            descriptor = os.open(wal, os.O_RDONLY | os.O_CLOEXEC)
+        with raised(self.path):
+            try:
+                descriptor = os.open(wal, os.O_RDONLY | os.O_CLOEXEC)
+            except FileNotFoundError:  # its contents are merged when the database is closed
+                raise JournalDamaged(f"{wal}: was deleted while it was in use") from None
             try:
                 os.fsync(descriptor)
             finally:

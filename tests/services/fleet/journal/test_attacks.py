@@ -353,6 +353,22 @@ def test_a_journal_that_was_deleted_is_replaced(
 
 
 @pytest.mark.usefixtures("inline")
+def test_a_journal_whose_changes_were_deleted_is_kept(
+    path: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The changes are in the file -wal, which is merged once it is closed."""
+    broker = Broker()
+
+    async def lose(fleet: Fleet) -> None:
+        delete(path, "-wal")
+        await polled(broker, 10)
+
+    run_for(path, 100, broker, change=lose)
+    assert in_journal(f"{path}-damaged") + in_journal(path) == broker.ids
+    assert caplog.text.count(f"is kept as {path}-damaged") == 1
+
+
+@pytest.mark.usefixtures("inline")
 def test_another_file_in_its_place_is_kept(path: str, tmp_path: Path) -> None:
     """Somebody has copied an older journal there, and has forgotten that the fleet runs."""
     run_for(path, 100, Broker())
