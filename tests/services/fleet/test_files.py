@@ -103,33 +103,6 @@ def test_default_dead_bands_of_points_that_a_device_does_not_read_are_left_out(
     assert valve.dead_bands == north.dead_bands == {"voltage": 0.5}
 
 
-@pytest.mark.parametrize(
-    "keys",
-    [
-        'map = "meter.csv"\ngroups = ["plate"]',
-        '[[device.point]]\nname = "other"\ntable = "coils"\naddress = 0',
-    ],
-    ids=["of a group", "of another map"],
-)
-def test_default_dead_bands_refuse_no_device_that_reads_other_points(
-    tmp_path: Path, keys: str
-) -> None:
-    device = f'[[device]]\nname = "a"\nurl = "tcp://192.0.2.1"\n{keys}\n'
-    points = "name,table,address,group\nvoltage,input,0,\nserial,input,1,plate\n"
-    path = written(tmp_path, f"[defaults]\ndead_bands = {{voltage = 5}}\n{device}", points=points)
-    (found,) = load(path).devices
-    assert found.dead_bands == {}
-
-
-def test_own_dead_bands_of_a_point_that_a_device_does_not_read_are_a_mistake(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("TEST_MQTT_PASSWORD", "secret")
-    fleet = FLEET.replace('items = ["voltage"]', 'items = ["voltage"]\ndead_bands = {power = 1}')
-    with pytest.raises(FleetFileError, match=r"dead_bands\.power"):
-        load(written(tmp_path, fleet.partition('[[device]]\nname = "own"')[0]))
-
-
 def test_a_journal_of_a_file_is_made_with_its_keys(tmp_path: Path) -> None:
     path = written(tmp_path, SIMPLE)
     assert load(path).made_journal() is None
