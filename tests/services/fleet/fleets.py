@@ -5,7 +5,7 @@ What tests of fleets share: devices, maps, and waiting for what must happen.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable
 from contextlib import asynccontextmanager, suppress
 from contextvars import ContextVar
 from functools import partial, wraps
@@ -14,7 +14,7 @@ from typing import Any, Self, TypeVar
 from libmodbus_py import Device, Fleet, Mapping, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig, Reading
 from tests.simulation.network import Network
-from tests.simulation.scripted import Scripted, Write
+from tests.simulation.scripted import Scripted
 from tests.support.scripted import all_accepted
 
 METER = RegisterMap(
@@ -103,18 +103,50 @@ async def until(is_so: Callable[[], object]) -> None:
             await asyncio.sleep(0.01)
 
 
-class Peer:
+class Answering:
     """
-    A Modbus/TCP server of any manners, on the network of `simulated_run`.
+    A Modbus/TCP server of any manners.
 
     Args:
         answer: gives the bytes to send for a request, in its own time; None for nothing.
     """
 
+    url: str
+
     def __init__(self, answer: Answer | None = None) -> None:
         self._answer = answer or good
         self._tasks: set[asyncio.Task[None]] = set()
-        self._network = NETWORK.get()
+
+    def _take(self, request: bytes, write: Callable[[bytes], object]) -> None:
+        task = asyncio.create_task(self._reply(request, write))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _reply(self, request: bytes, write: Callable[[bytes], object]) -> None:
+        if (answer := await self._answer(request)) is not None:
+            write(answer)
+
+    async def _end(self, connections: Iterable[Any]) -> None:
+        for connection in connections:
+            connection.close()
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+
+class Peer(Answering):
+    """Such a server on the network of `simulated_run`."""
+
+    async def __aenter__(self) -> Self:
+        # What comes is noted while the loop waits, so that it must be woken.
+        wake = partial(asyncio.get_running_loop().call_soon_threadsafe, self._take)
+        self._peer = Scripted(NETWORK.get(), "tcp://10.9.0.1:0", wake)
+        self.url = self._peer.url
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        NETWORK.get().unlisten(self.url)
+        await self._end(self.connections)
 
     @property
     def requests(self) -> list[bytes]:
@@ -128,54 +160,21 @@ class Peer:
     def units(self) -> list[int]:
         return [request[6] for request in self.requests]
 
+
+class RealPeer(Answering):
+    """Such a server on a real socket, in the same event loop: for outputs that are real."""
+
     async def __aenter__(self) -> Self:
-        # What comes is noted while the loop waits, so that it must be woken.
-        wake = partial(asyncio.get_running_loop().call_soon_threadsafe, self._take)
-        self._peer = Scripted(self._network, "tcp://10.9.0.1:0", wake)
-        self.url: str = self._peer.url
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        self._network.unlisten(self.url)
-        for connection in self.connections:
-            connection.close()
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
-
-    def _take(self, request: bytes, write: Write) -> None:
-        task = asyncio.create_task(self._reply(request, write))
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-
-    async def _reply(self, request: bytes, write: Write) -> None:
-        if (answer := await self._answer(request)) is not None:
-            write(answer)
-
-
-class RealPeer:
-    """The same on a real socket, in the same event loop: for outputs that are real."""
-
-    def __init__(self, answer: Answer | None = None) -> None:
-        self._answer = answer or good
         self.requests: list[bytes] = []
         self.connections: list[asyncio.StreamWriter] = []
-        self._tasks: set[asyncio.Task[None]] = set()
-
-    async def __aenter__(self) -> Self:
         self._server = await asyncio.start_server(self._serve, "127.0.0.1", 0)
-        self.port: int = self._server.sockets[0].getsockname()[1]
-        self.url = f"tcp://127.0.0.1:{self.port}"
+        self.url = f"tcp://127.0.0.1:{self._server.sockets[0].getsockname()[1]}"
         return self
 
     async def __aexit__(self, *_: object) -> None:
         await all_accepted()
         self._server.close()
-        for writer in self.connections:
-            writer.close()
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._end(self.connections)
         await self._server.wait_closed()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -185,15 +184,8 @@ class RealPeer:
                 head = await reader.readexactly(6)
                 request = head + await reader.readexactly(int.from_bytes(head[4:], "big"))
                 self.requests.append(request)
-                task = asyncio.create_task(self._reply(request, writer))
-                self._tasks.add(task)
-                task.add_done_callback(self._tasks.discard)
+                self._take(request, writer.write)
         writer.close()
-
-    async def _reply(self, request: bytes, writer: asyncio.StreamWriter) -> None:
-        answer = await self._answer(request)
-        if answer is not None:
-            writer.write(answer)
 
 
 async def good(request: bytes) -> bytes:
