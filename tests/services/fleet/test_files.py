@@ -179,9 +179,7 @@ SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
         ("[[device]]\nnam = 3", 2, "device[0].nam: no such key; allowed are name, url, map, unit"),
         ("[[device]]\nname = 'a'", 1, "device[0].url is missing"),
         (SIMPLE + "unit = 256", 5, "device[0].unit must be in 0..255, not 256"),
-        (SIMPLE + "unit = '1'", 5, "device[0].unit must be an integer"),
         (SIMPLE + "interval = 0", 5, "device[0].interval must be in 0.01..86400 seconds, not 0"),
-        (SIMPLE + "timeout = -1", 5, "device[0].timeout must be in 0.001..86400 seconds"),
         (SIMPLE + "on_change = 1", 5, "device[0].on_change must be true or false, not 1"),
         (SIMPLE + "items = ['volts']", 5, "device[0].items[0]: the map has no point 'volts' to"),
         (SIMPLE + "items = ['reset']", 5, "device[0].items[0]: the map has no point 'reset' to"),
@@ -196,7 +194,6 @@ SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
         (SIMPLE + "max_registers = 1", 5, "device[0].max_registers: items['power']: float32 takes"),
         (SIMPLE.replace("tcp://h", "http://h"), 3, "device[0].url: 'http://h': the scheme must"),
         (SIMPLE.replace("tcp://h", "tcp://h?unit=3"), 3, "must not contain unit"),
-        (SIMPLE.replace("tcp://h", "rtu://h"), 3, "a path is missing"),
         (
             SIMPLE.replace("tcp://h", "rtu+tcp://h?max_in_flight=4"),
             3,
@@ -237,11 +234,6 @@ SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
         ("[output.json]\npath = 7\n" + SIMPLE, 2, "output.json.path must be text"),
         ("[output.mqtt]\nuser = 'x'\n" + SIMPLE, 1, "output.mqtt.url is missing"),
         (
-            "[output.mqtt]\nurl = 'http://x'\n" + SIMPLE,
-            2,
-            'output.mqtt.url must be a URL such as "mqtt://192.0.2.1:1883"',
-        ),
-        (
             "[output.mqtt]\nurl = 'mqtt://x'\npassword = 'secret'\n" + SIMPLE,
             3,
             "output.mqtt.password must not be written in the file: use ${NAME}",
@@ -255,11 +247,6 @@ SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
             "[output.mqtt]\nurl = 'mqtt://x'\npassword_file = 'none'\n" + SIMPLE,
             3,
             "output.mqtt.password_file: cannot read",
-        ),
-        (
-            "[output.mqtt]\nurl = 'mqtt://x'\ntopic = 'a/b'\n" + SIMPLE,
-            3,
-            "topic must hold {device}",
         ),
         (
             "[output.mqtt]\nurl = 'mqtt://x'\nqos = 2\n" + SIMPLE,
@@ -442,7 +429,8 @@ def test_other_text_is_refused(text: str) -> None:
         ({"name": 7}, "name must be text"),
         ({"map": {}}, "map must be a RegisterMap, not dict"),
         ({"spacing": "1"}, "spacing must be a number of seconds"),
-        ({"gap": -1}, "gap must be in 0..2000"),
+        ({"timeout": -1}, "timeout must be in 0.001..86400 seconds"),
+        ({"unit": "1"}, "unit must be an integer"),
         ({"zone": None}, "zone must be text"),
         ({"labels": []}, "labels must be a table"),
         ({"dead_bands": 3}, "dead_bands must be a table"),
