@@ -12,7 +12,7 @@ From the bytes of one line or connection to transactions, without clocks or port
    usually give up. The limit is the geometric mean of both times, which are learnt from frames that
    could not be both.
 4. So it is decided afterwards about an open request that could have been a response: if the next
-   request comes so soon that nobody waited for a response to it, it was one. Its own request was
+   request comes so soon that no client waited for a response to it, it was one. Its own request was
    damaged, or it came twice.
 5. `pairing` decides to which request a response belongs, and how each request ended.
 """
