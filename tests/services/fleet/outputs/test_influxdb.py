@@ -11,12 +11,11 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Fleet, Point, RegisterMap, Server
+from libmodbus_py import Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig, Reading
 from libmodbus_py.services import tasks
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.output import ReadingsRefused
-from tests.services.fleet.fleets import meter, simulated
 from tests.services.fleet.outputs.influxdb import Database
 from tests.support.programs import missing
 
@@ -51,25 +50,6 @@ def write(database: Database, *readings: Reading, **labels: str) -> None:
 
 def reading(name: str, value: Any, time: float = 1_700_000_000.25, **keys: Any) -> Reading:
     return Reading(time, keys.pop("device", "north"), name, value, "m", "good", **keys)
-
-
-def test_a_fleet_writes_to_it(database: Database) -> None:
-    async def go() -> None:
-        output = Influx(url=database.url, database="plant")
-        with Server({1: simulated()}).background("tcp://127.0.0.1:0") as served:
-            devices = [meter("north", served.urls[0], labels={"site": "Halle 2"})]
-            await Fleet(devices, outputs=[output]).run(once=True)
-
-    asyncio.run(go())
-    (row,) = database.ask("SELECT * FROM modbus")
-    assert row.pop("time")
-    assert row == {
-        "device": "north",
-        "site": "Halle 2",
-        "voltage": 230.5,
-        "power": -1,
-        "setpoint": 20,
-    }
 
 
 def test_names_and_values_arrive_as_they_were(database: Database) -> None:
