@@ -21,7 +21,6 @@ from libmodbus_py import (
     ServerDeviceBusy,
 )
 from libmodbus_py.page import live_page
-from libmodbus_py.tools.simulator.clockwork import Clockwork
 from libmodbus_py.tools.simulator.device_file import load
 from libmodbus_py.tools.simulator.simulated import SimulatedDevice
 from tests.support.cases import each_case
