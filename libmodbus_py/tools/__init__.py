@@ -11,6 +11,6 @@ Tools on top of clients and servers, for people who look at what happens.
     simulator      devices from a file, whose values move and whose answers fail
     testing        for tests: lines with a tap, servers that record, the pytest plugin
     page           a live page of a server, in a browser
-    timed_server   a TCP server whose connections have a limited time, for the page and metrics
+    timed_server   a TCP server whose connections have a limited time: pages, taps, metrics
     certificates   an authority and certificates to try Modbus Security with
 """

@@ -1,5 +1,5 @@
 """
-A TCP server with a thread and a limited time for each connection: for the page, and for metrics.
+A TCP server with a thread and a limited time for each connection: for pages, taps and metrics.
 """
 
 from __future__ import annotations
