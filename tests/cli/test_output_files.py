@@ -72,6 +72,7 @@ def test_a_terminal_shows_a_watch_that_a_file_gets(url: str, tmp_path: Path) -> 
         shown = terminal.read_to_end()
     assert terminal.process.wait() == 0
     assert "1 polls" in shown
+    assert shown.endswith(f"3 polls in {path}\r\n")
     assert path.read_text().count("\n") == 4
 
 
@@ -84,7 +85,11 @@ def test_errors_of_such_a_watch_are_seen(tmp_path: Path) -> None:
     assert "Connection refused" in shown
     done = run(*words[:-1], tmp_path / "again.json")
     assert (done.code, done.out) == (1, "")
-    assert done.err.count("Connection refused") == 1
+    assert done.err.count("Connection refused") == 1  # said once, not at each poll
+    with Server(Device(Mapping(holding_registers=1))).background("tcp://127.0.0.1:0") as running:
+        words = ("hr", 0, "hr", 1, "--watch", "0.02", "--count", "3", "--csv", tmp_path / "a.csv")
+        done = run("read", running.urls[0], *words)
+    assert (done.code, done.out, done.err.count("exception 2")) == (0, "", 1)
 
 
 PRINTING = [

@@ -25,7 +25,7 @@ from ...protocol import pdu
 from ...protocol.errors import ExceptionResponse, ModbusError
 from ..connecting import connected, endpoint_of
 from ..failing import CommandError, advice
-from ..output import complain
+from ..output import complain, counted
 from ..screen import Status
 from ..serve import over_http
 from .formatters import Printer, ReadResult, TerminalTable, printer_of, result_of
@@ -188,7 +188,7 @@ def watch(options: argparse.Namespace) -> int:
     """Poll each unit; a lost connection is established again."""
     readers = [Reader(options, unit) for unit in units_of(options)]
     interval = min(reader.interval for reader in readers)
-    is_answered, reason = False, ""
+    is_answered, polls = False, 0
     with closing(connected(options)) as context, ExitStack() as stack:
         units = ",".join(str(reader.unit) for reader in readers)
         title = f"{context.url}, unit {units}, every {interval:g} s"
@@ -202,12 +202,16 @@ def watch(options: argparse.Namespace) -> int:
                 lambda: shown, options.page, options.page_token, sys.stderr
             )
             stack.enter_context(page)
-        for due in _times(interval, options.count, options.lasts or float("inf")):
-            for reader in readers:
-                reason = _poll(reader, context, due, printers)
-                is_answered |= not reason
+        try:
+            for due in _times(interval, options.count, options.lasts or float("inf")):
+                for reader in readers:
+                    is_answered |= _poll(reader, context, due, printers)
+                    polls += 1
+        finally:
+            if options.written_to and sys.stderr.isatty():
+                print(f"{counted(polls, 'poll')} in {options.written_to}", file=sys.stderr)
     if not is_answered:
-        raise CommandError(f"no poll was answered; the last one: {reason}")
+        raise CommandError("no poll was answered")
     return 0
 
 
@@ -222,8 +226,8 @@ def _times(interval: float, count: int | None, lasts: float) -> Iterator[float]:
         due = begun + ((time.monotonic() - begun) // interval + 1) * interval
 
 
-def _poll(reader: Reader, context: Context, due: float, printers: Sequence[Printer]) -> str:
-    """Print the results of a unit, or why there are none, which is returned."""
+def _poll(reader: Reader, context: Context, due: float, printers: Sequence[Printer]) -> bool:
+    """Print the results of a unit, or why there are none; return True if there are results."""
     results, reason = list[ReadResult](), ""
     try:
         results = reader.ask(context, due)
@@ -231,7 +235,7 @@ def _poll(reader: Reader, context: Context, due: float, printers: Sequence[Print
         reason = f"{error}{advice(error)}"
     for each in printers:
         each(reader.unit, results, reason)
-    return reason
+    return not reason
 
 
 def _printers(options: argparse.Namespace, readers: Sequence[Reader], title: str) -> list[Printer]:
@@ -247,4 +251,14 @@ def _printers(options: argparse.Namespace, readers: Sequence[Reader], title: str
         printers.append(printer_of(options, readers[0].items, several=several, are_polls=True))
     if is_table:
         printers.append(TerminalTable(title, [each.unit for each in readers], screen).print)
+    elif is_file:
+        printers.append(partial(_complain, dict[int, str]()))
     return printers
+
+
+def _complain(said: dict[int, str], unit: int, results: Sequence[ReadResult], reason: str) -> None:
+    """Print why values of a unit are missing, when this is not what was `said` of it before."""
+    text = reason or "; ".join(each.failure for each in results if each.failure)
+    if text and text != said.get(unit):
+        complain(text)
+    said[unit] = text
