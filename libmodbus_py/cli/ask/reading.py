@@ -41,37 +41,48 @@ STATUS_AFTER_S = 1.0
 """Until a status line is shown: most reads are over by then."""
 
 
+RECORDS = 121
+"""Records of a file that one request reads: the byte count of the answer goes to 245."""
+
+
 class _ItemPlan(Plan):
     """A plan of items whose results are cells; `others` are the requests for files and queues."""
 
     def __init__(self, items: Sequence[Item]) -> None:
         self._others = {
-            at: _request(item)
+            at: _requests(item)
             for at, item in enumerate(items)
             if item.table in ("file", "fifo_queue")
         }
-        self.others = [*self._others.values()]
+        self.others = [each for requests in self._others.values() for each in requests]
         super().__init__({at: item.read for at, item in enumerate(items) if at not in self._others})
 
     def cells(self, answers: Sequence[Any], others: Sequence[Any]) -> dict[int, Any]:
         """Return the cells of each item by its index, or the error in place of them."""
         found: dict[int, Any] = self.results(answers)
-        for (at, request), answer in zip(self._others.items(), others, strict=True):
-            is_file = isinstance(request, pdu.ReadFileRecords)
-            is_error = isinstance(answer, ModbusError)
-            found[at] = answer[0] if is_file and not is_error else answer
+        left = iter(others)
+        for at, requests in self._others.items():
+            parts = [next(left) for _ in requests]
+            failed = next((each for each in parts if isinstance(each, ModbusError)), None)
+            if isinstance(requests[0], pdu.ReadFileRecords) and failed is None:
+                parts = [record for (record,) in parts]
+            found[at] = failed or [cell for part in parts for cell in part]
         return found
 
     def _decoded(self, name: Any, cells: list[Any]) -> Any:
         return [int(cell) for cell in cells]
 
 
-def _request(item: Item) -> pdu.Request[Any]:
+def _requests(item: Item) -> list[pdu.Request[Any]]:
+    """Return the requests for a file, none of which divides a value, or for a queue."""
     if item.table == "file":
-        return pdu.ReadFileRecords(((item.file, item.address, item.count * item.size),))
+        step = max(RECORDS // item.size, 1) * item.size
+        end = item.address + item.count * item.size
+        firsts = range(item.address, max(end, item.address + 1), step)
+        return [pdu.ReadFileRecords(((item.file, at, min(step, end - at)),)) for at in firsts]
     if item.count != 1:
         raise ValueError("fifo takes no count: a queue is always read as a whole")
-    return pdu.ReadFifoQueue(item.address)
+    return [pdu.ReadFifoQueue(item.address)]
 
 
 class Reader:

@@ -57,6 +57,10 @@ def test_ranges_take_as_many_requests_as_they_must(url: str) -> None:
     requests = [line for line in done.err.splitlines() if " > " in line]
     assert len(requests) == 6  # 600 registers of 125, and 100 coils of 2000
     assert "holding 500    500\n" in done.out
+    done = run("read", url, "file:4", "0", "200", "--type", "uint32", "--json", "-v")
+    assert json.loads(done.out)["values"] == [0x70008, 0x90000, *[0] * 198]
+    lengths = [int(line[-5:].replace(" ", ""), 16) for line in done.err.splitlines()[::2]]
+    assert lengths == [120, 120, 120, 40]
 
 
 def test_names_of_a_map(url: str, meter: str) -> None:
