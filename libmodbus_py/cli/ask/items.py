@@ -19,9 +19,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from ...maps.plan import Read
+from ...protocol.checks import integer
 from ...protocol.errors import IllegalDataAddress, ModbusError
 from ...protocol.plain import number_of
-from ...protocol.tables import REGISTER_TABLES, TABLE_SIZE
+from ...protocol.tables import REGISTER_TABLES, TABLE_SIZE, TABLES
 from ...protocol.values import ValueType, parse_reference, value_type
 from ...protocol.words import REFERENCE_TABLES, close_word, plain, table_named
 from ...protocol.words import TABLE_WORDS as VENDORS
@@ -147,6 +148,8 @@ class Words:
         while self._words:
             item = self.take_item()
             items.append(item if item.point else replace(item, count=self._take_count(item)))
+            if item.form == ALL:  # they are one value
+                integer("count", items[-1].count, 1, TABLES["holding_registers"].most_read)
         return items
 
     def sources_of(self, items: Iterable[Item]) -> list[Item]:
@@ -228,7 +231,10 @@ class Words:
         typed, last, kind = _split(self._pop())
         number = number_of("file", file) if file else 0
         base = 0 if name == "file" else self._base
-        address = _address(typed, base)
+        try:
+            address = _address(typed, base)
+        except ValueError as error:
+            raise ValueError(f"{error}{_meant(first, typed, TABLE_WORDS[name])}") from None
         end = address if last is None else _address(last, base)
         item = Item(TABLE_WORDS[name], address, file=number, word=first, typed=typed, base=base)
         return self._with_type(item, kind, end)
@@ -308,10 +314,14 @@ def map_of(options: argparse.Namespace) -> RegisterMap | None:
 
 def reason_of(error: ModbusError, item: Item) -> str:
     """Return why a request for an item failed, and what to try."""
-    word, typed = item.word, item.typed
-    is_reference = typed[1:].isdecimal() and len(typed) > 4
-    if not isinstance(error, IllegalDataAddress) or not (word and is_reference):
+    if not isinstance(error, IllegalDataAddress):
         return f"{error}{advice(error)}"
-    if REFERENCE_TABLES.get(typed[0]) != item.table:
-        return str(error)
-    return f"{error} ({word} {typed} counts from 0; the reference {typed} is typed without {word})"
+    return f"{error}{_meant(item.word, item.typed, item.table)}"
+
+
+def _meant(word: str, typed: str, table: str) -> str:
+    """Return a remark for errors if an address behind a table looks like a reference."""
+    is_reference = typed[1:].isdecimal() and len(typed) > 4
+    if not (word and is_reference and REFERENCE_TABLES.get(typed[0]) == table):
+        return ""
+    return f" ({word} {typed} counts from 0; the reference {typed} is typed without {word})"
