@@ -73,7 +73,8 @@ def _add_identify(commands: Any) -> None:
 
 
 def _identify(options: argparse.Namespace) -> int:
-    from ...protocol.pdu.interface import OBJECT_NAMES
+    from ...protocol.errors import ModbusError
+    from ...protocol.pdu.interface import MANDATORY, OBJECT_NAMES
     from ...protocol.plain import number_of
     from .units import report_units
 
@@ -82,6 +83,9 @@ def _identify(options: argparse.Namespace) -> int:
 
     def identification(context: Context) -> Named:
         found = context.read_device_identification(wanted).objects
+        if wanted in ("regular", "extended") and MANDATORY - found.keys():
+            with suppress(ModbusError):  # some devices leave out what the basic level has
+                found = {**context.read_device_identification("basic").objects, **found}
         return [(OBJECT_NAMES.get(at, f"object {at}"), found[at]) for at in sorted(found)]
 
     def server_id(context: Context) -> Named:

@@ -6,8 +6,11 @@ from __future__ import annotations
 
 import json
 
+import pytest
+
 from libmodbus_py import Device, Mapping, Server, pdu
 from tests.support.commands import run
+from tests.support.peers import FakeServer, mbap
 
 
 def test_identify(url: str) -> None:
@@ -30,6 +33,25 @@ def test_a_server_id_without_a_run_indicator_is_shown_as_it_was_sent() -> None:
     assert "running" not in told.out
     assert found["server id"] == "ACME"
     assert "running" not in found
+
+
+@pytest.mark.parametrize("has_basic", [True, False])
+def test_basic_objects_that_a_device_leaves_out_at_other_levels_are_asked_for(
+    has_basic: bool,
+) -> None:
+    def answer(request: bytes) -> list[bytes]:
+        if request[7] != 43 or (request[9] == 1 and not has_basic):
+            return [mbap(request, bytes([request[7] | 0x80, 1]))]
+        level = request[9]
+        objects = {0: b"Maker", 1: b"M1", 2: b"1.0"} if level == 1 else {3: b"example.com"}
+        listed = b"".join(bytes([at, len(text)]) + text for at, text in objects.items())
+        return [mbap(request, bytes([43, 14, level, 0x02, 0, 0, len(objects)]) + listed)]
+
+    with FakeServer(answer) as server:
+        done = run("identify", f"127.0.0.1:{server.port}")
+    assert (done.code, done.err) == (0, "")
+    names = ["VendorName", "ProductCode", "MajorMinorRevision"] * has_basic + ["VendorUrl"]
+    assert [line.split()[0] for line in done.out.splitlines()[: len(names)]] == names
 
 
 def test_diagnose(url: str) -> None:
