@@ -5,6 +5,7 @@ The command write: a request for each item, all checked before the first is sent
 from __future__ import annotations
 
 import argparse
+import re
 from contextlib import closing
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -161,7 +162,7 @@ def _request(options: argparse.Namespace, item: Item, texts: list[str]) -> Reque
         is_one = len(bits) == 1 and not options.multiple
         return pdu.WriteCoil(item.address, *bits) if is_one else pdu.WriteCoils(item.address, bits)
     if item.kind is None:
-        values = tuple(map(typed_register, texts))
+        values = tuple(map(_register, texts))
     else:
         values = tuple(item.kind.encode_many([value_of(text, item.kind) for text in texts]))
     if options.and_read:
@@ -172,6 +173,16 @@ def _request(options: argparse.Namespace, item: Item, texts: list[str]) -> Reque
     if len(values) == 1 and not options.multiple:
         return pdu.WriteRegister(item.address, values[0])
     return pdu.WriteRegisters(item.address, values)
+
+
+def _register(text: str) -> int:
+    """Return one register; the error about 1e3 or 1.5 says what is typed instead."""
+    try:
+        return typed_register(text)
+    except ValueError as error:
+        is_decimal = re.fullmatch(r"[+-]?[0-9]+[.eE][0-9.eE+-]*", text)
+        advice = "; type all digits, or a type as in hr 0:float32" if is_decimal else ""
+        raise ValueError(f"{error}{advice}") from None
 
 
 # --- verifying -----------------------------------------------------------------------

@@ -96,7 +96,8 @@ def test_names_are_written_scaled_and_checked(url: str, meter: str, mapping: Map
         ("hr 3=", "value must be a number, not ''"),
         ("hr 3-4 5", "the range from hr 3 on needs 2 values"),
         ("input 3=4", "can only be read"),
-        ("hr 3 1e3", "value must be a number, not '1e3'"),
+        ("hr 3 1e3", "not '1e3'; type all digits, or a type as in hr 0:float32"),
+        ("hr 3 1.5", "not '1.5'; type all digits, or a type as in hr 0:float32"),
     ],
 )
 def test_wrong_values_behind_a_place(url: str, words: str, said: str) -> None:
