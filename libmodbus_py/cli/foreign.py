@@ -17,23 +17,20 @@ if TYPE_CHECKING:
 
 __all__ = ["equivalents", "is_place", "place"]
 
-UNIT = "-u VALUE, with a range as 1-3"
+UNIT = "-u VALUE"
 PORT = "HOST:VALUE"
-NOTHING = "nothing, because ABCD is the default of --order"
+URL = "a URL, such as tcp://HOST"
+PLACE = "hr N, which counts from 0, or a reference such as 40001"
+KIND = "co, di, ir or hr N, with --type for other types than uint16"
+FUNCTION = "co, di, hr or ir N for functions 1 to 4, write to write, raw HOST N for others"
 
 OPTIONS = {
-    **dict.fromkeys(
-        ("-m", "--mode"),
-        "a URL: HOST, udp://HOST, rtu+tcp://HOST:PORT, /dev/ttyUSB0 or ascii:///dev/ttyUSB0",
-    ),
+    **dict.fromkeys(("-m", "--mode"), URL),
     **dict.fromkeys(("-a", "--slave", "--id", "--unit-id", "--slave-id", "--address"), UNIT),
-    **dict.fromkeys(
-        ("-r", "--register", "--reference", "--start"),
-        "a reference such as 40001, or hr N, which counts from 0: hr 0 is 40001",
-    ),
+    **dict.fromkeys(("-r", "--register", "--reference", "--start"), PLACE),
     "-c": "hr N VALUE, with the number of values behind the address",
-    "-t": "co, di, ir or hr N, with --hex, or --type int32 or float32 and --order CDAB",
-    **dict.fromkeys(("-B", "-f", "-i"), NOTHING),
+    "-t": KIND,
+    **dict.fromkeys(("-B", "-f", "-i"), "no --order, because ABCD is the default"),
     "-0": "hr 0, which counts from 0",
     "-1": "nothing, because a read without --watch polls once",
     "-l": "--watch VALUEms",
@@ -44,10 +41,22 @@ OPTIONS = {
     "-4": "--rs485 kernel",
     "--port": PORT,
     **dict.fromkeys(("--host", "--ip"), "VALUE without an option"),
-    "--function": "co, di, hr or ir N for functions 1 to 4, write to write, raw HOST N for others",
+    "--function": FUNCTION,
     "--baud": "-b VALUE",
 }
 """Option of another program -> what is typed here; VALUE stands for its value."""
+
+VALUES = {
+    URL: {"tcp": "HOST", "udp": "udp://HOST", "enc": "rtu+tcp://HOST:PORT"}
+    | {"rtu": "/dev/ttyUSB0", "ascii": "ascii:///dev/ttyUSB0"},
+    KIND: {"0": "co N", "1": "di N", "3": "ir N", "4": "hr N", "hex": "--hex"}
+    | {"int16": "--type int16", "string": "--type string:N"}
+    | {"int": "--type int32 --order CDAB", "float": "--type float32 --order CDAB"},
+    FUNCTION: {"1": "co N", "2": "di N", "3": "hr N", "4": "ir N"}
+    | dict.fromkeys(("5", "15"), "write HOST co N")
+    | dict.fromkeys(("6", "16"), "write HOST hr N"),
+}
+"""An answer above -> those to single values, or to parts of them between colons."""
 
 TAKEN = {
     "-p": (re.compile("[0-9]+"), PORT),
@@ -78,9 +87,20 @@ def equivalents(parser: argparse.ArgumentParser, words: Sequence[str]) -> str:
             answer = OPTIONS[word]
         else:
             continue
-        typed_here = answer.replace("VALUE", value or "N")
-        found.append(f"{f'{word} {value}'.rstrip()}: type {typed_here}")
+        found.append(f"{f'{word} {value}'.rstrip()}: type {_of_value(answer, value)}")
     return "; ".join(found)
+
+
+def _of_value(answer: str, value: str) -> str:
+    """Return what is typed for a value of an option; the answer to all values if it is unknown."""
+    if answer == PLACE and value.isdecimal() and int(value) > 0:
+        return f"hr {int(value) - 1}, because hr counts from 0"
+    known = VALUES.get(answer, {})
+    parts = [known[part] for part in value.split(":") if part in known]
+    if parts:
+        return " ".join(parts)
+    value = value.replace(":", "-") if answer == UNIT else value
+    return answer.replace("VALUE", value or "N")
 
 
 def _is_foreign(parser: argparse.ArgumentParser, word: str, before: Sequence[str]) -> bool:
