@@ -54,11 +54,13 @@ def complete() -> None:
         os.environ["COMP_POINT"] = str(int(os.environ.get("COMP_POINT", "0")) + len("read "))
     words = os.environ.get("COMP_LINE", "").split()
     parser = whole_parser([word for word in words[1:2] if word in COMMANDS])
+    end = int(os.environ.get("COMP_POINT", "0"))
+    behind = os.environ.get("COMP_LINE", "").encode()[end:].decode(errors="replace").split()
     argcomplete = _argcomplete()
 
     class WithoutOptions(argcomplete.CompletionFinder):  # type: ignore[misc, name-defined]
         def _get_completions(self, comp_words: list[str], *others: Any) -> Any:
-            parser.set_defaults(words=comp_words)  # for completers
+            parser.set_defaults(words=[*comp_words, *behind])  # for completers
             return super()._get_completions(_without_options(parser, comp_words), *others)
 
     WithoutOptions()(parser, always_complete_options="long")

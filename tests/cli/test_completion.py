@@ -174,3 +174,10 @@ def completed(line: str, folder: Path, **shell: str) -> str:
 def test_answers_to_bash(place: Path, line: str, found: set[str]) -> None:
     answer = completed(f"libmodbus-py {line}", place, _ARGCOMPLETE_SHELL="bash")
     assert {each.strip() for each in answer.split("\013")} - {"--help", ""} == found
+
+
+def test_the_map_may_stand_behind_the_name(place: Path) -> None:
+    for line in ("read h vol --map meter.csv", "read h vol --map=meter.csv -u 3"):
+        point = str(len("libmodbus-py read h vol"))
+        answer = completed(f"libmodbus-py {line}", place, COMP_POINT=point)
+        assert answer.strip() == "voltage"
