@@ -16,12 +16,13 @@ if TYPE_CHECKING:
     from ..client.blocking import Context
     from ..ports.endpoint import Endpoint
 
-__all__ = ["OF_SERVERS", "connected", "endpoint_of", "with_options"]
+__all__ = ["OF_CLIENTS", "OF_SERVERS", "connected", "endpoint_of", "with_options"]
 
 OF_SERVERS = (*SERIAL_OPTIONS, *SECURITY_OPTIONS)
 """The options of URLs that mean something to a server."""
 
-ALL = (*CLIENT_OPTIONS, *OF_SERVERS)
+OF_CLIENTS = (*CLIENT_OPTIONS, *OF_SERVERS)
+"""The options of URLs that mean something to a client."""
 
 
 def endpoint_of(options: argparse.Namespace) -> Endpoint:
@@ -43,7 +44,7 @@ def connected(options: argparse.Namespace) -> Context:
 
 
 def with_options(
-    urls: Iterable[str], options: argparse.Namespace, names: Collection[str] = ALL
+    urls: Iterable[str], options: argparse.Namespace, names: Collection[str] = OF_CLIENTS
 ) -> list[Endpoint]:
     """Return the endpoints of URLs, each with those of the named options that apply to it."""
     from dataclasses import replace

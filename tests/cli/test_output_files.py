@@ -65,6 +65,15 @@ def test_a_full_disk_is_that_of_the_file(url: str, form: str, tmp_path: Path) ->
         assert not path.exists()
 
 
+def test_a_map_that_does_not_fit_on_the_disk_leaves_no_file(tmp_path: Path) -> None:
+    path = tmp_path / "found.csv"
+    server = Server(Device(Mapping(coils=50)))
+    with server.background("tcp://127.0.0.1:0") as running, small_files():
+        done = run("map", "from-device", running.urls[0], "-o", path)
+    assert done == (1, "", f"libmodbus-py: {path}: File too large\n")
+    assert not path.exists()
+
+
 def test_a_terminal_shows_a_watch_that_a_file_gets(url: str, tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     words = ("read", url, "hr", 0, "--watch", "0.02", "--count", "3", "--csv", path)

@@ -22,7 +22,8 @@ from ...tools.files.map_file import contents_of, load_map, remarks
 from ...tools.files.map_texts import MARK, class_text, csv_text, toml_text
 from ...tools.scan.search import Extent, search
 from ...tools.simulator.example_files import map_file
-from ..connecting import connected, endpoint_of
+from ..arguments import flag, given
+from ..connecting import OF_CLIENTS, connected, endpoint_of
 from ..failing import CommandError
 from ..main import INTERRUPTED
 from ..output import PROGRAM, complain, counted, written_to
@@ -46,6 +47,8 @@ def check(options: argparse.Namespace) -> int:
     """
     columns = dict(options.columns)
     if options.device is None:
+        if typed := given(options, OF_CLIENTS):
+            raise ValueError(f"{flag(next(iter(typed)))} needs --device")
         return max([_check_file(file, columns) for file in options.files])
     options.url = options.device
     with closing(connected(options)) as context:
@@ -207,7 +210,13 @@ def _prefix(table: str) -> str:
 def _write(output: str | None, heading: list[str], points: list[Point], more: str = "") -> None:
     """Write a map to a new file, or print it if there is no name."""
     text_of = toml_text if output is None else TEXTS[PurePath(output).suffix.lower()]
-    with written_to(output):
-        print("\n".join([*heading, text_of(points)]), end="", flush=True)
+    text = "\n".join([*heading, text_of(points)])
+    try:
+        with written_to(output):
+            print(text, end="", flush=True)
+    except OSError:
+        if output is not None:  # the disk is full, and part of a map would look like a whole one
+            Path(output).unlink(missing_ok=True)
+        raise
     if output is not None:
         print(f"{output}: {counted(len(points), 'point')}{more}", file=sys.stderr)

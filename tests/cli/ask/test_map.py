@@ -338,3 +338,10 @@ def test_a_device_that_is_silent_or_busy(points: Path) -> None:
         assert done.code == 1
         assert "server device busy" in done.err
         assert len(busy.transactions) == 1
+
+
+@each_case("typed", ["--unit 17", "--baudrate 9600", "--ca a.pem", "--native"])
+def test_options_of_requests_need_a_device(typed: str) -> None:
+    done = run("map", "check", "sdm120", *typed.split())
+    assert (done.code, done.out) == (2, "")
+    assert f"{typed.split()[0]} needs --device" in done.err
