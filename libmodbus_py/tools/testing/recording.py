@@ -23,13 +23,13 @@ from ..faults.server import Server
 from ..listener.pairing import TracePairing
 from ..listener.transaction import Transaction
 
-__all__ = ["RecordingServer", "ServerMaker", "transactions_of"]
+__all__ = ["RecordingServer", "ServerMaker"]
 
 MOST = 20_000
 """ADUs of one server that are kept: more than a test needs, and a limit for long runs."""
 
 
-def transactions_of(passed: Iterable[Traced]) -> list[Transaction]:
+def _transactions_of(passed: Iterable[Traced]) -> list[Transaction]:
     """Return the transactions of ADUs of one server, in the order in which they began."""
     pairing = TracePairing(timeout=math.inf)
     for traced in passed:
@@ -108,7 +108,7 @@ class RecordingServer:
     @property
     def transactions(self) -> list[Transaction]:
         """The last 10 000 or so transactions, in the order in which they began."""
-        return transactions_of(self._passed.copy())
+        return _transactions_of(self._passed.copy())
 
     def close(self) -> None:
         """Stop, and close all connections. May be called repeatedly. The transactions are kept."""
