@@ -5,12 +5,14 @@ Gateways with the programs of others at their ends: pymodbus, libmodbus and mbpo
 from __future__ import annotations
 
 import contextlib
+import shutil
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from pymodbus.server import ModbusTcpServer
 
 from libmodbus_py import Context, Device, ExceptionResponse, Gateway, Route
 from libmodbus_py.ports.endpoint import parse
@@ -21,7 +23,9 @@ from tests.interop.test_interop_pymodbus import (
     Asked,
     asked,
     asked_beside_the_tables,
+    in_background,
     pymodbus_client,
+    simulated_device,
 )
 from tests.support.cases import each
 from tests.support.gateways import passage
@@ -30,7 +34,9 @@ from tests.support.interop import (
     UNIT,
     Exchange,
     Place,
+    cells,
     exchanges,
+    holding_register,
     make_device,
     program,
     refusals,
@@ -91,6 +97,20 @@ def check(context: Context, exchange: Exchange) -> None:
     assert exchange.look(context) == exchange.seen
 
 
+def make_pymodbus_server() -> ModbusTcpServer:
+    return ModbusTcpServer(simulated_device(), address=("127.0.0.1", 0))
+
+
+def test_context_and_pymodbus_server_agree_through_it() -> None:
+    with in_background(make_pymodbus_server) as server:
+        port = server.transport.sockets[0].getsockname()[1]
+        with before(f"tcp://127.0.0.1:{port}?timeout=2") as context:
+            for verdict, exchange in each(exchanges(), lambda case: f"{case.function}-{case.name}"):
+                with verdict:
+                    check(context, exchange)
+                    restore_through(context, exchange.function)
+
+
 @contextlib.contextmanager
 def before_c_server(server: Path, transport: str) -> Iterator[Context]:
     with contextlib.ExitStack() as stack:
@@ -136,3 +156,20 @@ def test_c_client_is_content_with_a_device_behind_it(
         assert f"FC {function} ok" in said
     for function in C_CLIENT_REFUSALS:
         assert f"FC {function} refused" in said
+
+
+@pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
+def test_mbpoll_reads_and_writes_through_it() -> None:
+    device = make_device()
+    with passage("tcp", "rtu", {UNIT: device}) as through:
+        end = parse(through.url)
+        words = ["mbpoll", "-m", "tcp", "-p", end.port, "-a", UNIT, "-0", "-1", "-o", 5, "-t", 4]
+        for more in (["-r", 100, "-c", 125, end.host], ["-r", 101, end.host, 4711]):
+            command = [str(word) for word in (*words, *more)]
+            done = subprocess.run(
+                command, capture_output=True, text=True, timeout=20, stdin=subprocess.DEVNULL
+            )
+            assert done.returncode == 0, done.stdout
+            for at, value in enumerate(cells(holding_register, 100, 125 if "-c" in more else 0)):
+                assert f"[{100 + at}]: \t{value}" in done.stdout
+        assert device.mapping.holding_registers[101] == 4711
