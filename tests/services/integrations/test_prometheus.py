@@ -17,6 +17,7 @@ import threading
 import time
 import urllib.request
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -346,6 +347,34 @@ def test_a_scrape_may_meet_results_that_are_new(registry: CollectorRegistry) -> 
         done.set()
         thread.join()
     plc.close()
+
+
+def test_scrapes_during_load_are_right_and_never_go_back(registry: CollectorRegistry) -> None:
+    """Two threads ask, two scrape."""
+
+    def ask(client: Context) -> None:
+        for turn in range(200):
+            client.write_register(turn % 100, turn)
+
+    def scrape() -> list[float]:
+        seen = []
+        while not all(each.done() for each in asking):
+            seen.append(of(values(registry), "modbus_server_requests_total"))
+        return seen
+
+    with contextlib.ExitStack() as stack:
+        server, url = stack.enter_context(served())
+        clients = [stack.enter_context(Context.from_url(url)) for _ in range(2)]
+        collect(server, *clients, registry=registry)
+        threads = stack.enter_context(ThreadPoolExecutor(4))
+        asking = [threads.submit(ask, each) for each in clients]
+        for each in [threads.submit(scrape) for _ in range(2)]:
+            assert each.result() == sorted(each.result())
+        assert [each.result() for each in asking] == [None, None]
+        now = values(registry)
+    name = "modbus_client_requests_total"
+    assert of(now, name, endpoint=url, function="6", result="ok") == 400
+    assert of(now, "modbus_server_requests_total") == 400
 
 
 # --- over HTTP ------------------------------------------------------------------------------
