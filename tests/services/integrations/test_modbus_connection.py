@@ -212,7 +212,7 @@ Make = Callable[[], Any]
 
 PLACES: dict[str, Make] = {
     "tcp://plc.local:502": lambda: theirs.ModbusTcpParams(host="PLC.local"),
-    "tcp://[fe80::1%eth0]:1502": lambda: theirs.ModbusTcpParams(host="FE80::1%eth0", port=1502),
+    "tcp://[fe80::1%enP2s0]:1502": lambda: theirs.ModbusTcpParams(host="FE80::1%enP2s0", port=1502),
     "rtu+udp://plc:502": lambda: theirs.ModbusUdpParams(host="plc", framer="rtu"),
     "tls://plc:802": lambda: theirs.ModbusTlsParams(host="plc"),
     "ascii+tcp://[::1]:7000": lambda: theirs.ModbusSerialParams(

@@ -8,6 +8,8 @@ import asyncio
 import functools
 import gc
 import inspect
+import os
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -255,6 +257,27 @@ async def test_closing_cuts_a_request_that_hangs(server: Scripted, connection: A
     await connection.close()
     with pytest.raises(theirs.ModbusConnectionError):
         await asking
+
+
+def test_many_reconnections_leave_nothing() -> None:
+    @served()
+    async def reconnect(server: Scripted, connection: Any) -> None:
+        for number in range(60):
+            await read(connection)
+            if number % 3:
+                await connection.disconnect()
+            else:
+                server.drop_all()
+                await until(lambda: not connection.connected)
+        assert connection.statistics.connects == 60
+        await until(lambda: not connection._later)
+
+    gc.collect()
+    files, threads = len(os.listdir("/proc/self/fd")), threading.active_count()
+    reconnect()
+    gc.collect()
+    assert len(os.listdir("/proc/self/fd")) <= files
+    assert threading.active_count() <= threads
 
 
 def test_another_event_loop_is_refused_in_their_words() -> None:

@@ -263,8 +263,9 @@ def url_of(params: Params) -> str:
         name, given = "host", params.host
     with contextlib.suppress(ValueError):
         parsed = parse(endpoint.url)
-        # URLs contain hosts in lower case.
-        if parsed == replace(endpoint, host=endpoint.host.lower()):
+        # URLs contain hosts in lower case, but for the interface of an address.
+        same = replace(endpoint, host=parsed.host)
+        if parsed == same and parsed.host.lower() == endpoint.host.lower():
             return parsed.url
     raise ValueError(
         f"{name} {given!r} is invalid: in a URL, {endpoint.url!r}, it would name another endpoint"
