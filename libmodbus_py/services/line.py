@@ -152,7 +152,7 @@ class SharedLine(ABC, Generic[Each]):
         most_trials: float = math.inf,
     ) -> None:
         self.client: AsyncClient = client
-        self.in_flight: int = 0
+        self.in_flight: dict[Each, None] = {}  # in the order in which they were sent
         self.is_closed: bool = False
         self._loop = asyncio.get_running_loop()
         self._has_ids = client.has_ids
@@ -165,6 +165,7 @@ class SharedLine(ABC, Generic[Each]):
         self._was_trial = False  # the request that was sent last
         # Unit -> the longest time that its answers took, fading.
         self._took: dict[int, float] = {}
+        self._failed_at = 0.0
         self._done: list[Each] = []
         self._alarm = Alarm(self.go_on)
         self._next_at = math.inf
@@ -275,7 +276,7 @@ class SharedLine(ABC, Generic[Each]):
             self._alarm.set(self._next_at, self._loop)
 
     def _is_full(self) -> bool:
-        return self.in_flight > 0 and self.in_flight >= self.client.room
+        return bool(self.in_flight) and len(self.in_flight) >= self.client.room
 
     def _ready_at(self, each: Each) -> float:
         if self._has_ids:
@@ -327,7 +328,7 @@ class SharedLine(ABC, Generic[Each]):
     # --- in flight ----------------------------------------------------------------------------
 
     def _send(self, each: Each, now: float) -> None:
-        self.in_flight += 1
+        self.in_flight[each] = None
         self._was_trial = each.is_trial
         if each.is_trial:
             self._trying[each] = None
@@ -338,7 +339,7 @@ class SharedLine(ABC, Generic[Each]):
 
     def _end(self, each: Each) -> None:
         each.submitted = None
-        self.in_flight -= 1
+        del self.in_flight[each]
         self._trying.pop(each, None)
 
     def _note_done(self, each: Each) -> None:
@@ -358,10 +359,11 @@ class SharedLine(ABC, Generic[Each]):
                 continue
             outcome: Any = each.submitted.outcome
             self._end(each)
-            if isinstance(outcome, ExceptionResponse) or not (
-                outcome is None or isinstance(outcome, BaseException)
-            ):
-                took = self._took.get(each.unit, 0.0)
-                self._took[each.unit] = max(now - each.asked_at, FADING * took)
+            if isinstance(outcome, BaseException) and not isinstance(outcome, ExceptionResponse):
+                self._failed_at = now
+            elif outcome is not None:
+                # It may have been sent after one that failed.
+                took = now - max(each.asked_at, self._failed_at)
+                self._took[each.unit] = max(took, FADING * self._took.get(each.unit, 0.0))
             self.conclude(each, outcome, now)
         self.go_on()

@@ -294,7 +294,7 @@ class GatewayLine(SharedLine[Forwarded]):
         self._count()
 
     def _count(self) -> None:
-        self.statistics.waiting, self.statistics.in_flight = self.waiting, self.in_flight
+        self.statistics.waiting, self.statistics.in_flight = self.waiting, len(self.in_flight)
 
     def _is_broadcast(self, each: Forwarded) -> bool:
         return each.unit == 0 and self._has_broadcast
@@ -395,9 +395,10 @@ class GatewayLine(SharedLine[Forwarded]):
             what = "" if is_whole else f" function {function}"
             logger.info("%s: unit %d does not answer%s", self.url, unit, what)
         self.statistics.unit(unit).is_silent = is_whole
-        for each in self.others():
-            if each.unit == unit and (is_whole or each.request.function == function):
-                self.remove(each)
+        for each in [*self.others(), *self.in_flight]:
+            is_same = each.unit == unit and (is_whole or each.request.function == function)
+            if is_same and not (each.is_trial or each.is_sent):
+                self.withdraw(each)
                 self.statistics.unit(unit).resting += 1
                 self._refuse(each, NO_ANSWER)
 

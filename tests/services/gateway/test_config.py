@@ -63,6 +63,7 @@ WRONG: dict[str, tuple[str, int, str]] = {
         "the gateway itself listens on tcp://0.0.0.0:1502",
     ),
     "writable": (f'[[route]]\n{TO}writable = ["inputs"]\n', 3, "must be one of coils"),
+    "wrong type": (f'queue = "x"\n[[route]]\n{TO}', 1, "queue must be an integer in 1..1024"),
     "own units": (f"own_units = [256]\n[[route]]\n{TO}", 1, "own_units[0] must be in 0..255"),
     "listen": (f'listen = ["tcp://:1"]\n[[route]]\n{TO}', 1, "listen[0]: 'tcp://:1': must be HOST"),
     "listen with options": (

@@ -12,6 +12,7 @@ import pytest
 from libmodbus_py.services.gateway import line as gateway_line
 from libmodbus_py.services.gateway.line import BUSY, MOST_CACHED, NO_ANSWER, Cache, Forwarded
 from tests.services.gateway.gates import (
+    INPUTS,
     READ,
     REFUSED,
     TIMEOUT,
@@ -24,8 +25,6 @@ from tests.services.gateway.gates import (
 )
 from tests.simulation import network
 from tests.support.cases import each_case
-
-INPUTS = "04 0000 0001"
 
 TOLD = "libmodbus_py.services.gateway"
 
@@ -174,6 +173,27 @@ async def test_a_unit_that_had_less_than_half_of_the_timeout_is_not_silent(
     plant.ask(1, Asker())
     await asyncio.sleep(1.5)
     assert (plant.unit(1).timeouts, plant.unit(1).is_silent) == (1, is_silent)
+
+
+@on_line("tcp://10.0.0.1?timeout=0.5")
+async def test_reads_that_would_be_sent_again_are_refused_with_their_silent_unit(
+    plant: Plant,
+) -> None:
+    """The client sends reads again, one by one, that were lost beside others."""
+    plant.silent.add(9)
+    for _ in range(6):
+        plant.ask(1, Asker())
+        plant.ask(1, Asker())
+        await asyncio.sleep(0.1)
+    askers, other = [Asker() for _ in range(4)], Asker()
+    for function, asker in enumerate(askers, 1):
+        plant.ask(9, asker, f"{function:02x} 0000 0001")
+    await asyncio.sleep(TIMEOUT)
+    plant.ask(1, other)
+    await asyncio.sleep(2 * TIMEOUT)
+    assert [asker.answers for asker in askers] == [[f"8{each}0b"] for each in (1, 2, 3, 4)]
+    assert len(other.answers) == 1
+    assert plant.unit(9).resting == 2  # the second one was sent again before the line knew
 
 
 # --- turns ----------------------------------------------------------------------------------------

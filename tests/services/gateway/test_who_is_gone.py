@@ -11,7 +11,9 @@ import pytest
 from libmodbus_py import Route
 from libmodbus_py.services.gateway.line import NO_ANSWER, Forwarded
 from tests.services.gateway.gates import (
+    INPUTS,
     LINE,
+    READ,
     REFUSED,
     TIMEOUT,
     UNKNOWN,
@@ -152,11 +154,25 @@ def test_a_broadcast_is_not_sent_if_its_client_waited_for_that(
         assert len(peer.requests) == is_sent
 
 
-@pytest.mark.parametrize("url", [f"{LINE}?timeout=0.5", "tcp://10.0.0.1?timeout=0.5"])
-def test_a_silent_function_costs_the_reads_of_others_one_timeout_at_most(url: str) -> None:
-    """Four clients read in a row; a fifth asks what the unit does not know, again and again."""
-    plant = Plant(url)
-    plant.unanswered = {8}
+@pytest.mark.parametrize(
+    ("url", "unit", "requests", "timeouts"),
+    [
+        (LINE, 9, [UNKNOWN], 1),
+        ("tcp://10.0.0.1", 9, [UNKNOWN], 1),
+        (LINE, 5, [READ, INPUTS, WRITE, UNKNOWN], 1),
+        # The client sends a write before the line knows that the read before it failed.
+        ("tcp://10.0.0.1", 5, [READ, WRITE, UNKNOWN], 2),
+    ],
+)
+def test_what_is_silent_costs_the_reads_of_others_one_timeout_at_most(
+    url: str, unit: int, requests: list[str], timeouts: int
+) -> None:
+    """
+    Four clients read in a row; others ask again and again what their unit does not know, or a unit
+    that answers nothing.
+    """
+    plant = Plant(f"{url}?timeout={TIMEOUT}")
+    plant.unanswered, plant.silent = {8}, {5}
     took: list[float] = []
 
     class Reader(Asker):
@@ -176,16 +192,17 @@ def test_a_silent_function_costs_the_reads_of_others_one_timeout_at_most(url: st
         await asyncio.sleep(0.2)
         for each in readers[1:]:
             each.read()
-        asker = Asker("192.0.2.9")
+        askers = {Asker(f"198.51.100.{number}"): each for number, each in enumerate(requests)}
         while len(took) < 1000:
-            plant.ask(9, asker, UNKNOWN)
+            for asker, request in askers.items():
+                plant.ask(unit, asker, request)
             await asyncio.sleep(0.1)
         answers = [answer for each in readers for answer in each.answers]
         assert {str(answer)[:4] for answer in answers} == {"0302"}
-        assert plant.asked.count(-8) > 1
-        assert max(took) < TIMEOUT + 6 * plant.delay
-        # The first one costs a timeout; each trial after it no more than an answer of the others.
-        assert len([each for each in took if each > TIMEOUT]) <= len(readers)
+        assert plant.unit(unit).timeouts + plant.unit(unit).given_up > 1
+        assert max(took) < timeouts * (TIMEOUT + 6 * plant.delay)
+        # Each trial after it costs no more than an answer of the others.
+        assert len([each for each in took if each > 0.9 * TIMEOUT]) <= len(readers)
 
     plant.run(main)
 
