@@ -221,7 +221,8 @@ class _PlaceScan:
                     yield from self._probe(prober, unit)
                     if self.is_left:
                         break
-                if self._alike and not self._others and (self.is_left or unit == self._units[-1]):
+                is_over = self.is_left or units[-1] == self._units[-1]
+                if self._alike and not self._others and is_over:
                     yield self._found(prober, *self._alike[0], is_any=True)
         except ModbusConnectionError as error:
             # A setting that this port refuses does not affect the others.

@@ -185,6 +185,7 @@ def _mapped_points(path: Path, unit: Mapping[str, Any], maps: Maps) -> Iterator[
     for name, point in points.items():
         key = shown_key(name)
         source: Path = (*path, "values", key)
+        behaviour = None
         if name in values and name in moves:
             raise WrongValue(source, f"cannot be given together with moves.{key}")
         if name in moves:
@@ -193,7 +194,7 @@ def _mapped_points(path: Path, unit: Mapping[str, Any], maps: Maps) -> Iterator[
             if len(read) != 1:
                 raise WrongValue(source, f"must have one of {', '.join(MOVES)}")
             source = (*source, *read)
-        behaviour = next(iter(read.items())) if name in moves else None
+            behaviour = next(iter(read.items()))
         where = (*path, "map", key)
         yield SimulatedPoint(where, point, values.get(name), behaviour, source, is_mapped=True)
 

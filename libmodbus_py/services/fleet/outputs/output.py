@@ -6,7 +6,7 @@ file, the standard output, a topic.
 from __future__ import annotations
 
 import os
-from collections.abc import Container, Sequence
+from collections.abc import Callable, Container, Sequence
 from importlib import import_module
 from itertools import combinations
 from typing import Any, NamedTuple, Protocol
@@ -80,8 +80,9 @@ def shared(outputs: Sequence[Output]) -> tuple[int, int, str] | None:
     for (at, first), (second_at, second) in combinations(enumerate(outputs), 2):
         # One task calls an output: an object that is there twice would be called by two.
         what = f"the same {first.name}" if first is second else used(second, _exclusive(first))
-        if what is None and hasattr(first, "shares"):
-            what = first.shares(second)
+        shares: Callable[[Output], str | None] | None = getattr(first, "shares", None)
+        if what is None and shares is not None:
+            what = shares(second)
         if what is not None:
             return at, second_at, what
     return None
