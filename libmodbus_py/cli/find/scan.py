@@ -238,6 +238,7 @@ class _Report:
         self.hosts: int = 0
         self._extents: dict[str, list[Extent]] = {}
         self._as_json = as_json
+        self._has_begun = False
         self._status = Status()
 
     def progress(self, state: Progress | Searching) -> None:
@@ -246,6 +247,7 @@ class _Report:
     def say(self, text: str) -> None:
         """Print a line to stderr, in place of the status line."""
         self._status.clear()
+        self._has_begun = True  # after the estimate: wrong usage is refused before
         print(text, file=sys.stderr, flush=True)
 
     def add(self, found: Found, place: str) -> None:
@@ -260,13 +262,11 @@ class _Report:
         self._status.clear()
         for note in self.notes:
             self.say(note)
-        if not (self.tried or self.hosts):
-            return
-        if self._as_json:
+        if self._as_json and self._has_begun:
             told = [_plain(each, self._extents.get(each.url)) for each in self.found]
             tried = {setting: _units(units) for setting, units in self.tried.items()}
             print_json({"found": told, "tried": tried, "notes": self.notes, "stopped": stopped})
-        else:
+        elif self.tried or self.hosts:
             found = counted(len(self.found), "unit") if self.found else "no unit"
             self.say(f"tried {self._all_tried()}: {found} found{' so far' * stopped}")
 

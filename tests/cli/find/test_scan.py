@@ -141,6 +141,13 @@ def test_no_connection_is_one_line_and_exit_code_1() -> None:
     assert done.err.splitlines()[-1].startswith("libmodbus-py: ")
 
 
+def test_json_is_printed_though_nothing_could_be_tried() -> None:
+    with refusing() as bound:
+        done = run("scan", url_of(bound), "--json")
+    assert done.code == 1
+    assert json.loads(done.out) == {"found": [], "tried": {}, "notes": [], "stopped": True}
+
+
 @each_case(
     ("arguments", "message"),
     [
