@@ -30,10 +30,26 @@ TOKEN = "LIBMODBUS_PY_PAGE_TOKEN"
 """The environment variable that has the token of the page."""
 
 
+class _Once(argparse.Action):
+    """Sets an address, and refuses a second one; argparse alone would forget the first."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        if getattr(namespace, self.dest) is not None:
+            raise argparse.ArgumentError(self, "may be given once: there is one address for all")
+        setattr(namespace, self.dest, values)
+
+
 def add_metrics(command: argparse.ArgumentParser) -> None:
     """Add the option for metrics to argparse."""
     command.add_argument(
         "--metrics",
+        action=_Once,
         type=_address,
         metavar="HOST:PORT",
         help="serve metrics for Prometheus at this address, over HTTP",
@@ -44,6 +60,7 @@ def add_page(command: argparse._ActionsContainer, what: str = "the devices") -> 
     """Add the options for a page that shows `what` to argparse."""
     command.add_argument(
         "--page",
+        action=_Once,
         type=_address,
         nargs="?",
         const=PAGE,
