@@ -197,18 +197,18 @@ async def _answered(ask: Callable[[], Coroutine[Any, Any, T]], limit: float = ma
     """
     Ask until the engine answers: while it elects a leader it does not.
 
-    After `limit` seconds the last reason is raised.
+    After `limit` seconds the last reason is raised. Reasons alternate; each is logged once.
     """
     give_up = time.monotonic() + limit
-    is_waiting = False
+    told: set[str] = set()
     while True:
         try:
             return await ask()
         except EngineGone as error:
             if time.monotonic() > give_up:
                 raise
-            if not is_waiting:
-                is_waiting = True
+            if str(error) not in told:
+                told.add(str(error))
                 logger.warning("waiting for the engine: %s", error)
         await asyncio.sleep(PAUSE)
 

@@ -31,7 +31,7 @@ from .. import arguments, logs, tracing
 from ..failing import CommandError
 from ..help import VerbatimHelp
 from ..output import complain, inform
-from ..screen import Redrawn
+from ..screen import Redrawn, Status
 from . import fleet as workers
 from . import over_http
 from .running import Hangup, notify_ready
@@ -126,10 +126,11 @@ def _start(options: argparse.Namespace, file: FleetFile, hangup: Hangup) -> int:
         logger.warning("%s", each)
     outputs = _outputs(file, options)
     is_printed = any(getattr(each, "path", None) == STANDARD_OUTPUT for each in outputs)
+    has_screen = sys.stderr.isatty() and not (is_printed and sys.stdout.isatty())
     # Frames of --verbose would be printed into the table.
-    has_cursor = os.environ.get("TERM", "dumb") != "dumb" and not options.verbose
-    has_screen = has_cursor and sys.stderr.isatty() and not (is_printed and sys.stdout.isatty())
-    values = LastValues() if options.metrics or (has_screen and sys.stdout.isatty()) else None
+    is_line = os.environ.get("TERM", "dumb") == "dumb" or options.verbose
+    has_table = has_screen and sys.stdout.isatty() and not is_line
+    values = LastValues() if options.metrics or has_table else None
     outputs += [values] if values else []
     page = None
     if options.page:
@@ -138,7 +139,7 @@ def _start(options: argparse.Namespace, file: FleetFile, hangup: Hangup) -> int:
         page = PageOutput()
         outputs.append(page)
     seen = partial(_seen, options, file, values, page)
-    show = partial(_show, values if sys.stdout.isatty() else None) if has_screen else None
+    show = partial(_show, values if has_table else None) if has_screen else None
     if options.engine is not None:
         return workers.poll(options, file, outputs, seen, show, hangup)
     fleet = Fleet(file.devices, outputs=outputs, journal=file.made_journal())
@@ -265,28 +266,34 @@ async def _reload(
 
 
 async def _show(values: LastValues | None, fleet: Fleet) -> None:
-    """Draw the status, and a table of the values, again and again until cancelled."""
+    """Draw the status, with a table of the values or alone, again and again until cancelled."""
     from ...services.fleet.shown_fleet import fleet_lines
 
-    screen = Redrawn(sys.stderr)
+    table, line = Redrawn(sys.stderr), Status()
     polls, at = 0, time.monotonic()
     try:
-        with logs.called_before_lines(screen.clear):
+        with logs.called_before_lines(table.clear):
             while True:
                 await asyncio.sleep(REDRAWN)
                 now, statistics = time.monotonic(), fleet.statistics
-                dropped = sum(each.dropped for each in statistics.outputs.values())
+                counts = {**statistics.outputs, "journal": statistics.journal}
                 text = (
                     f"{statistics.devices} devices: {statistics.up} up, {statistics.down} down;"
                     f" {(statistics.polls - polls) / (now - at):.0f} polls a second,"
                     f" at most {statistics.take_worst() * 1000:.0f} ms late;"
-                    f" {statistics.skipped} skipped, {dropped} readings dropped"
+                    f" {statistics.skipped} skipped"
                 )
+                for name, each in counts.items():
+                    if each is not None and (each.trouble or each.dropped):
+                        text += f"; {name}: {each.dropped} dropped"
                 polls, at = statistics.polls, now
-                title = [(text, False)]
-                screen.draw(fleet_lines(fleet, values.statistics, text) if values else title)
+                if values is None:
+                    line.show(text)
+                else:
+                    table.draw(fleet_lines(fleet, values.statistics, text))
     finally:
-        screen.clear()
+        table.clear()
+        line.clear()
 
 
 def _summary(fleet: Fleet, seconds: float) -> str:

@@ -4,6 +4,7 @@ The command poll: what it prints, writes and exposes, and how it ends.
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 import signal
@@ -16,6 +17,8 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.cli.serve import fleet as workers
+from libmodbus_py.services.engine.connection import EngineGone
 from libmodbus_py.tools.testing.recording import ServerMaker
 from tests.cli.serving import FLEET_OF_ONE
 from tests.support.cases import each_case
@@ -155,17 +158,57 @@ def test_a_signal_while_all_wait_ends_it(tmp_path: Path) -> None:
     assert polling.returncode == 0
 
 
-def test_it_restores_the_signal_handlers_of_a_program(fleet: Path) -> None:
+class NoPolling:
+    """A worker that has nothing to do."""
+
+    def __init__(self, *_: object, **__: object) -> None:
+        self.fleet = None
+
+    def engine_changed(self) -> None: ...
+
+    def leave(self) -> None: ...
+
+    async def run(self) -> None:
+        assert signal.getsignal(signal.SIGTERM).__name__ != "own_handler"
+
+
+async def nothing(*_: object, **__: object) -> tuple[None, None]:
+    return None, None
+
+
+@pytest.mark.parametrize("mode", [["--once"], ["--engine", "nats://127.0.0.1:1"]])
+def test_it_restores_the_signal_handlers_of_a_program(
+    fleet: Path, monkeypatch: pytest.MonkeyPatch, mode: list[str]
+) -> None:
+    for name in ("connected", "disconnect", "_opened"):
+        monkeypatch.setattr(workers, name, nothing)
+    monkeypatch.setattr(workers, "Polling", NoPolling)
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
     def own_handler(number: int, frame: object) -> None:
         raise AssertionError(f"nobody sends signal {number}")
 
     before = {number: signal.signal(number, own_handler) for number in numbers}
-    run("poll", fleet, "--once", "--json", fleet.with_name("readings.json"))
+    done = run("poll", fleet, *mode, "--json", fleet.with_name("readings.json"))
+    assert done.code == (mode == ["--once"])  # one device does not answer
     found = [signal.signal(number, handler) for number, handler in before.items()]
     assert found == [own_handler] * 3
     assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == set()
+
+
+def test_each_reason_to_wait_for_the_engine_is_logged_once(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    reasons = ["no answer", "no leader", "no answer", "no leader"]
+
+    async def ask() -> str:
+        if reasons:
+            raise EngineGone(reasons.pop(0))
+        return "there"
+
+    monkeypatch.setattr(workers, "PAUSE", 0)
+    assert asyncio.run(workers._answered(ask)) == "there"
+    assert caplog.messages == [f"waiting for the engine: no {why}" for why in ("answer", "leader")]
 
 
 def test_a_reader_that_goes_ends_it_quietly(fleet: Path) -> None:
@@ -213,9 +256,12 @@ def test_files_and_metrics(fleet: Path) -> None:
     assert len(rows.read_text().splitlines()) > 4
 
 
-def test_a_status_line_on_a_terminal(fleet: Path) -> None:
-    with on_terminal("poll", fleet, columns=120) as terminal:
+@pytest.mark.parametrize(("term", "options"), [("xterm", []), ("dumb", []), ("xterm", ["-v"])])
+def test_a_status_line_on_a_terminal(fleet: Path, term: str, options: list[str]) -> None:
+    command = ("poll", fleet, "--csv", "/nowhere/at/all", *options)
+    with on_terminal(*command, columns=200, environment={"TERM": term}) as terminal:
         terminal.until(lambda shown: "2 up, 1 down" in shown)
+        terminal.until(lambda shown: "; csv /nowhere/at/all: 0 dropped" in shown)
         terminal.process.send_signal(signal.SIGINT)
         seen = terminal.read_to_end()
     assert "3 devices: 2 up, 1 down; " in seen
