@@ -88,25 +88,30 @@ def _listen(options: argparse.Namespace) -> int:
     elif settings := arguments.given(options, SERIAL_OPTIONS):
         name = arguments.flag(next(iter(settings)))
         raise ValueError(f"{name} applies to serial ports only, not to {place}")
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        with listen(place, between=options.between, capture=options.capture) as line:
-            try:
-                if not options.url.endswith(".pcapng"):
-                    # Within the try: the reader of this line may interrupt at once.
-                    print(f"listening on {line.url}", file=sys.stderr, flush=True)
-                _print_all(line, options)
-            except KeyboardInterrupt:
-                if sys.stdout.isatty():
-                    print()  # after the ^C
-                _print_all(line.rest(), options)
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    with listen(place, between=options.between, capture=options.capture) as line:
+
+        def stop(number: int, _: object) -> None:
+            signal.signal(number, before[signal.Signals(number)])  # the second one ends all
+            line.close()
+
+        try:
+            for number in before:
+                signal.signal(number, stop)
+            if is_live := not options.url.endswith(".pcapng"):
+                print(f"listening on {line.url}", file=sys.stderr, flush=True)
+            _print_all(line, options)
+            if is_live and sys.stdout.isatty():
+                print()  # after the ^C
+            _print_all(line.rest(), options)
             if options.json:
                 print_json({"summary": line.summary.as_dict()})
             else:
                 print(line.summary, flush=True)
             return 0 if line.capture_error is None else 1
-    finally:
-        signal.signal(signal.SIGTERM, before)
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
 
 def _print_all(transactions: Iterable[Transaction], options: argparse.Namespace) -> None:

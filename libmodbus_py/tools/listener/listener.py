@@ -114,6 +114,7 @@ class Listener:
             self.close()
 
     def _free(self) -> None:
+        self._end_all()  # what was heard is written, and `rest` returns it
         for each in (self._source, self._writer, self._reader, self._poller, self._waker):
             if each is not None:
                 each.close()

@@ -23,6 +23,8 @@ from libmodbus_py import (
     ModbusTimeoutError,
     Server,
 )
+from libmodbus_py.tools.listener.listener import Listener
+from libmodbus_py.tools.listener.transaction import Transaction
 from tests.support.cases import each_case
 from tests.support.commands import Done, Started, on_terminal, run
 from tests.support.golden import Golden
@@ -103,6 +105,34 @@ def test_a_signal_right_behind_the_first_line_ends_it_well(
     done = listen("rtu+tcp://127.0.0.1:0", "--between", target)
     assert done.code == 0
     assert done.out == "0 transactions, 0 runs of damaged bytes\n"
+
+
+def test_a_signal_between_hearing_and_printing_loses_no_line(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    heard = Listener.__next__
+
+    def hear_and_interrupt(line: Listener) -> Transaction:
+        found = heard(line)
+        signal.raise_signal(signal.SIGINT)
+        return found
+
+    monkeypatch.setattr(Listener, "__next__", hear_and_interrupt)
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    lines = listen(DECODED).out.splitlines()
+    end = next(at for at, line in enumerate(lines) if " transactions, " in line)
+    assert (end > 0, lines[end].partition(" ")[0]) == (True, f"{end}")
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+
+
+def test_a_second_signal_ends_it_though_nobody_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        raise AssertionError("it goes on")
+
+    monkeypatch.setattr("libmodbus_py.cli.find.listen.print", interrupt, raising=False)
+    assert listen(DECODED).code == 130
 
 
 def test_json(target: str) -> None:
