@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shutil
 import sqlite3
 import stat
 import subprocess
@@ -21,6 +22,7 @@ from libmodbus_py import Context
 from libmodbus_py.tools.testing.recording import ServerMaker
 from tests.support.commands import PROGRAM
 
+# Dotted and dotless letters, which are each other's capitals in Turkish only.
 NAME, UNIT, DEVICE = "\u0131s\u0131-\u0130I", "°C", "KIŞLIK"
 
 FLEET = """
@@ -66,8 +68,24 @@ def under(
     )
 
 
-def test_outputs_have_the_same_bytes_in_every_locale(fleet: Path, tmp_path: Path) -> None:
+def turkish(folder: Path) -> dict[str, str]:
+    """Make the locale, which few systems have installed."""
+    if shutil.which("localedef") is None:
+        pytest.skip("localedef is not installed")
+    made = folder / "tr_TR.UTF-8"
+    done = subprocess.run(["localedef", "-i", "tr_TR", "-f", "UTF-8", str(made)], check=False)
+    if done.returncode or not made.exists():
+        pytest.skip("this system lacks the sources of locales")
+    return {"LOCPATH": str(folder), "LC_ALL": "tr_TR.UTF-8", "LANGUAGE": "tr"}
+
+
+@pytest.mark.parametrize("locale", ["C", "Turkish"])
+def test_outputs_have_the_same_bytes_in_every_locale(
+    fleet: Path, tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, locale: str
+) -> None:
     variables = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    if locale == "Turkish":
+        variables = turkish(tmp_path_factory.mktemp("locales"))
     done = under("022", "poll", fleet, "--once", folder=tmp_path, **variables)
     assert (done.returncode, done.stderr) == (0, b"")
     with open(tmp_path / "readings.csv", encoding="utf-8", newline="") as file:

@@ -126,10 +126,14 @@ def test_the_fleet_is_shown_and_follows_its_file(tank: Path) -> None:
                     == [[["one", "level"], ["17", "m"]], [["one", "pressure"], ["4", "bar"]]]
                 )
             )
-            tank.write_text(tank.read_text().replace("'one'", "'two'"))
-            process.send_signal(signal.SIGHUP)
-            visitor.receive(lambda: visitor.rows("rows")[0][0][1] == "two")
+            text = tank.read_text()
+            for number in range(20):
+                tank.write_text(text.replace("'one'", f"'d{number}'"))
+                for _ in range(2):  # the second perhaps before the first was answered
+                    process.send_signal(signal.SIGHUP)
+            visitor.receive(lambda: visitor.rows("rows")[0][0][1] == "d19")
             visitor.receive(lambda: visitor.rows("rows")[1][2] == ["17", "m"])
+            assert len(visitor.rows("rows")) == 3
         process.send_signal(signal.SIGINT)
         assert process.wait() == 0
         assert process.stdout.read() == ""

@@ -203,6 +203,82 @@ class TestLeftBehind:
         )
         suite.runpytest("-q").assert_outcomes(passed=61)
 
+    def test_nothing_in_children_that_live_on(self, suite: pytest.Pytester) -> None:
+        written(
+            suite,
+            """
+    LEFT = []
+
+    def test_children(modbus_server):
+        read(modbus_server)
+        reader, writer = os.pipe()
+        child = os.fork()
+        if child == 0:
+            os.close(writer)
+            os.read(reader, 1)  # lives on until the end of the run
+            os._exit(0)
+        LEFT.extend((child, reader, writer))
+        modbus_server.close()
+        with pytest.raises(ConnectionError):
+            read(modbus_server)
+
+    def test_nothing_is_left():
+        child, reader, writer = LEFT
+        os.close(writer)
+        os.waitpid(child, 0)
+        os.close(reader)
+        assert [each.name for each in threading.enumerate() if "modbus" in each.name] == []
+            """,
+        )
+        # Python 3.12 warns of any fork beside threads.
+        suite.runpytest_subprocess("-W", "ignore::DeprecationWarning").assert_outcomes(passed=2)
+
+    def test_nothing_when_the_run_is_interrupted(self, suite: pytest.Pytester) -> None:
+        written(
+            suite,
+            """
+    def test_it(modbus_server, modbus_serial_line):
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        read(modbus_server)
+        signal.raise_signal(signal.SIGINT)
+            """,
+        )
+        suite.makeconftest(
+            """
+            import threading
+            def pytest_unconfigure():
+                left = [each.name for each in threading.enumerate() if "modbus" in each.name]
+                print("left:", left)
+            """
+        )
+        result = suite.runpytest_inprocess("-s", no_reraise_ctrlc=True)
+        assert result.ret == pytest.ExitCode.INTERRUPTED
+        result.stdout.fnmatch_lines_random(["*KeyboardInterrupt*", "left: [[][]]"])
+
+    def test_a_test_that_hangs_is_ended_and_shows_what_passed(self, suite: pytest.Pytester) -> None:
+        written(
+            suite,
+            """
+    @pytest.mark.timeout(60)
+    def test_hanging(modbus_server, modbus_faults):
+        modbus_faults.switch_on(Fault("no_answer"))
+        # The signal by which pytest-timeout ends a test, once the request has come.
+        def alarm():
+            while not modbus_server.transactions:
+                time.sleep(0.001)
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGALRM)
+        threading.Thread(target=alarm).start()
+        with TcpContext.from_url(modbus_server.url, timeout=600) as plc:
+            plc.read_coils(0, 1)
+
+    def test_next(modbus_server): read(modbus_server)
+            """,
+        )
+        result = suite.runpytest_subprocess()
+        result.assert_outcomes(passed=1, failed=1)
+        result.stdout.fnmatch_lines(["*Timeout (>60*"])
+        result.stdout.fnmatch_lines(["unit 1: ReadCoils(address=0, count=1) -> no answer"])
+
 
 class TestOthers:
     def test_it_can_be_switched_off(self, suite: pytest.Pytester) -> None:
@@ -210,6 +286,25 @@ class TestOthers:
         result = suite.runpytest("-p", "no:libmodbus_py")
         result.assert_outcomes(errors=1)
         result.stdout.fnmatch_lines(["*fixture 'modbus_server' not found*"])
+
+    def test_its_fixtures_can_be_overridden(self, suite: pytest.Pytester) -> None:
+        written(
+            suite,
+            """
+    from libmodbus_py import Device, Mapping
+
+    @pytest.fixture
+    def modbus_server(make_modbus_server):
+        return make_modbus_server(devices={3: Device(Mapping(holding_registers={100: [7]}))})
+
+    def test_it(modbus_server, modbus_faults):
+        assert modbus_server.mapping.holding_registers[100] == 7
+        with TcpContext.from_url(modbus_server.url, unit=3) as plc:
+            with modbus_faults.switch_on(Fault("exception", code=2)), pytest.raises(Exception):
+                plc.read_holding_registers(100, 1)
+            """,
+        )
+        suite.runpytest().assert_outcomes(passed=1)
 
     def test_one_hook_and_no_name_of_others(self) -> None:
         names = [name for name in vars(plugin) if name.startswith("pytest_")]

@@ -167,6 +167,14 @@ class TestFaults:
         silent.switch_off()
         assert plc.read_coils(0, 1) == [False]
 
+    def test_equal_ones_are_switched_singly(self, modbus_faults: FaultSwitch, plc: Context) -> None:
+        first, other = modbus_faults.switch_on(BUSY), modbus_faults.switch_on(BUSY)
+        first.switch_off()
+        with pytest.raises(ServerDeviceBusy):
+            plc.read_coils(0, 1)
+        other.switch_off()
+        assert plc.read_coils(0, 1) == [False]
+
 
 class TestSerialLine:
     @pytest.mark.parametrize("framing", ["rtu", "ascii"])
