@@ -96,8 +96,9 @@ def _listen(options: argparse.Namespace) -> int:
             line.close()
 
         try:
-            for number in before:
-                signal.signal(number, stop)
+            for number, handler in before.items():
+                if handler is not signal.SIG_IGN:
+                    signal.signal(number, stop)
             if is_live := not options.url.endswith(".pcapng"):
                 print(f"listening on {line.url}", file=sys.stderr, flush=True)
             _print_all(line, options)
