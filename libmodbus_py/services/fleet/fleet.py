@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections import deque
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from hashlib import blake2b
 from os import PathLike
@@ -30,6 +31,10 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # The most devices per second that are polled if each is polled once only.
 ONCE_A_SECOND = 1000.0
+
+# The most polls that begin in one turn of the event loop: it takes about 10 ms. After the loop was
+# blocked, or the machine suspended, thousands are due at once.
+MOST_AT_ONCE = 200
 
 
 def first_time(name: str, interval: float, now: float, wall: float) -> float:
@@ -106,6 +111,8 @@ class Fleet:
         self._loop: asyncio.AbstractEventLoop | None = None
         # True to poll each device once; the devices that are still to be polled then.
         self._once = False
+        # The devices whose time has come, each with that time.
+        self._due: deque[tuple[Poller, float]] = deque()
         self._unpolled: set[str] = set()
         self._is_over = asyncio.Event()
         # Seconds from the time of the event loop to the time of day when the fleet started:
@@ -302,15 +309,27 @@ class Fleet:
         assert self._loop is not None
         if poller.timer:
             poller.timer.cancel()
-        poller.timer = self._loop.call_at(at, self._due, poller, at)
+        poller.timer = self._loop.call_at(at, self._is_due, poller, at)
 
-    def _due(self, poller: Poller, planned: float) -> None:
+    def _is_due(self, poller: Poller, planned: float) -> None:
         assert self._loop is not None
-        if not self._once:
-            at, missed = next_time(planned, poller.interval, self._loop.time())
-            self.statistics.skipped += missed
-            self._poll_at(poller, at)
-        self._lines[poller.config.connection_key].due(poller, planned)
+        if not self._due:
+            self._loop.call_soon(self._poll_due)
+        self._due.append((poller, planned))
+
+    def _poll_due(self) -> None:
+        for _ in range(min(len(self._due), MOST_AT_ONCE)):
+            poller, planned = self._due.popleft()
+            if self._pollers.get(poller.name) is not poller:  # it was removed meanwhile
+                continue
+            assert self._loop is not None
+            if not self._once:
+                at, missed = next_time(planned, poller.interval, self._loop.time())
+                self.statistics.skipped += missed
+                self._poll_at(poller, at)
+            self._lines[poller.config.connection_key].due(poller, planned)
+        if self._due and self._loop is not None:
+            self._loop.call_soon(self._poll_due)
 
     def _polled(self, poller: Poller, before: DeviceState | None) -> None:
         """Report a poll that is over; `before` is None if nothing was sent."""

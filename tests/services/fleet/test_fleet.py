@@ -19,7 +19,7 @@ from libmodbus_py import (
     RegisterMap,
     Server,
 )
-from libmodbus_py.services.fleet.poller import DeviceState
+from libmodbus_py.services.fleet.poller import DeviceState, FleetLine, Poller
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.services.fleet.fleets import (
     NETWORK,
@@ -174,6 +174,27 @@ async def test_timeouts_are_those_of_each_device() -> None:
         async with polling(fast, slow) as (fleet, _):
             await until(lambda: fleet.devices["fast"].misses >= 2)
             assert fleet.devices["slow"].misses == 0
+
+
+@in_simulated_time
+async def test_what_is_due_after_a_standstill_begins_in_many_turns(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Nothing else would happen for half a second, if thousands of polls began in one turn."""
+    began: Counter[int] = Counter()
+    turn = 0
+
+    def due(line: FleetLine, poller: Poller, planned: float) -> None:
+        began[turn] += 1
+
+    monkeypatch.setattr(FleetLine, "due", due)
+    url = "tcp://127.0.0.1:1"
+    async with polling(*(meter(f"{each}", url, interval=1.0) for each in range(1000))):
+        stand_still(1.0)
+        while began.total() < 1000:
+            turn += 1
+            await asyncio.sleep(0)
+    assert max(began.values()) == 200
 
 
 # --- once ----------------------------------------------------------------------------------
