@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from fuzz.nats_servers import NatsServers
 from libmodbus_py.services.engine.connection import EngineError, connected, disconnect
 from tests.services.fleet.fleets import LONGEST, until
 from tests.support import certificates
@@ -184,6 +185,40 @@ def test_a_greeting_that_cannot_be_read_is_followed_by_another_attempt() -> None
                 await disconnect(client)
 
     asyncio.run(go())
+
+
+MALFORMED = [
+    b"PUB modbus.write.a\x0bb.level 1\r\n1\r\n",
+    b"PUB modbus.write.\xff.level 1\r\n2\r\n",
+    b"PUB modbus.write.pump.level _INBOX.\xff 1\r\n3\r\n",
+    b"HPUB modbus.write.pump.level 2 3\r\n\r\n4\r\n",
+    b"HPUB modbus.write.pump.level 16 17\r\nNATS/1.0 \xff\xff\xff\r\n\r\n5\r\n",
+    b"PUB modbus.write.pump.level 1\r\n6\r\n",
+]
+
+
+def test_a_real_server_passes_malformed_messages_on_over_one_connection() -> None:
+    heard: list[bytes] = []
+
+    async def note(message: Any) -> None:
+        heard.append(message.data)
+
+    async def go(port: int) -> None:
+        client: Any = await connected([f"nats://127.0.0.1:{port}"], name="t", environment={})
+        try:
+            await client.subscribe("modbus.write.*.*", cb=note)
+            await client.flush()
+            _, writer = await asyncio.open_connection("127.0.0.1", port)
+            writer.write(b'CONNECT {"verbose":false,"headers":true}\r\n' + b"".join(MALFORMED))
+            await until(lambda: len(heard) == len(MALFORMED))
+            writer.close()
+            assert heard == [b"1", b"2", b"3", b"4", b"5", b"6"]
+            assert client.stats["reconnects"] == 0
+        finally:
+            await disconnect(client)
+
+    with NatsServers(jetstream=False) as servers:
+        asyncio.run(go(servers.ports[0]))
 
 
 # --- the password ---------------------------------------------------------------------------

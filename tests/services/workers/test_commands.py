@@ -17,7 +17,7 @@ from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.commands import Commands, Wanted
 from libmodbus_py.services.workers import messages
 from libmodbus_py.services.workers.records import FleetSettings
-from tests.services.workers.trial import LEASE, Trial, tried
+from tests.services.workers.trial import INTERVAL, LEASE, Trial, tried
 from tests.simulation.engine import EngineClient
 from tests.simulation.workers import push_fleet
 
@@ -156,6 +156,17 @@ def test_one_worker_answers_though_the_other_one_was_stopped(seconds: float) -> 
 async def switch(trial: Trial, commands: bool) -> None:
     settings = FleetSettings(LEASE, commands=commands)
     await push_fleet(trial.engine, trial.devices(), settings)
+
+
+def test_a_flood_of_commands_does_not_keep_devices_from_being_asked() -> None:
+    async def main(to: Listener) -> None:
+        for _ in range(1000):
+            await to.client.publish("modbus.write.d0-1.setpoint", b"20")
+        await asyncio.sleep(2)
+        assert to.trial.asked.gap < 2 * INTERVAL
+        assert await to.ask("d0-1.setpoint", 21) == {"ok": True}
+
+    commanded(main)
 
 
 def test_workers_follow_whether_commands_are_taken() -> None:

@@ -16,9 +16,11 @@ import pytest
 
 from libmodbus_py import Context, Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.scan import Found, Scan, scan
+from libmodbus_py.tools.testing.wires import SerialWire
+from tests.interop.test_interop_pymodbus import pymodbus_serving
 from tests.support import certificates
 from tests.support.certificates import Papers
-from tests.support.interop import program
+from tests.support.interop import UNIT, program
 from tests.support.peers import FakeServer, dead, mbap, refusing, url_of
 from tests.tools.scan.simulated_bus import (
     Member,
@@ -105,6 +107,21 @@ def test_a_late_answer_is_its_own_units_and_not_the_next_ones() -> None:
         # And the frames of eight and seven characters, of eleven bits each.
         assert found.took == pytest.approx(0.3 + 15 * 11 / 9600, abs=0.001)
     assert any("came late" in note for note in scanned.notes)
+
+
+def test_a_late_answer_is_its_own_units_on_tcp_too() -> None:
+    """Through a gateway that works off what it was asked, one after the other."""
+    answers: list[bytes] = []
+
+    def slow(request: bytes) -> list[bytes]:
+        answers.append(mbap(request, b"\x03\x02\0\1" if request[6] == 2 else b"\x83\x0b"))
+        return [answers.pop(0)] if len(answers) > 2 else []  # each comes two requests later
+
+    with simulated() as network:
+        server = served(network, "tcp://10.0.0.1", slow)
+        scanned = scan(server.url, units=[1, 2, 3, 4, 5], timeout=0.1)
+        assert [(each.unit, each.is_late) for each in all_of(scanned)] == [(2, True)]
+        assert server.connections == 1
 
 
 @pytest.mark.parametrize(
@@ -280,6 +297,22 @@ def test_libmodbus_is_one_device_over_tcp(compiled: Callable[[str], Path]) -> No
         assert found.server_id is not None
         assert found.server_id.identifier == b"\xb4"
         assert found.identification is None
+
+
+def test_libmodbus_is_found_on_a_line(compiled: Callable[[str], Path]) -> None:
+    server = compiled("server")
+    with SerialWire() as wire, program(server, "rtu", wire.server, 19200, 17) as process:
+        _port(process)
+        found = all_of(scan(f"rtu://{wire.client}?baudrate=19200", parities="E", units=[17]))
+        assert [(each.unit, each.exception) for each in found] == [(17, 2)]
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "rtu"])
+def test_pymodbus_is_found(scheme: str) -> None:
+    options: Any = {} if scheme == "tcp" else {"parities": "E"}
+    with pymodbus_serving(scheme) as url:
+        found = all_of(scan(url, units=[UNIT - 1, UNIT], timeout=0.5, **options))
+    assert [(each.unit, each.is_any) for each in found] == [(UNIT, False)]
 
 
 def _port(process: subprocess.Popen[str]) -> int:

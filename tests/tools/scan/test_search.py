@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from libmodbus_py import Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.scan import Extent, Search, search
 from libmodbus_py.tools.scan.search import FINEST, Cells, halving
 from tests.simulation.scripted import Scripted
+from tests.support.interop import program
 from tests.support.peers import FakeServer, mbap, refusing, url_of
 from tests.tools.scan import simulated_bus as peers
 from tests.tools.scan.simulated_bus import line, simulated
@@ -183,6 +185,19 @@ def test_the_bound_holds(bound: int) -> None:
         assert searched.requests == len(server.requests) == bound
         assert {each.ended for each in extents} == {BOUND}
         assert all(each.unseen for each in extents)
+
+
+def test_libmodbus_own_server_is_searched(compiled: Callable[[str], Path]) -> None:
+    with program(compiled("server"), "tcp", 0) as process:
+        assert process.stdout is not None
+        port = process.stdout.readline().split()[1]
+        found = ranges(search(f"tcp://127.0.0.1:{port}", timeout=PATIENT))
+    assert found == {
+        "coils": [range(10, 2110)],
+        "discrete_inputs": [range(20, 2120)],
+        "holding_registers": [range(100, 400)],
+        "input_registers": [range(200, 400)],
+    }
 
 
 def test_it_can_be_left_and_tells_what_was_found() -> None:
