@@ -294,6 +294,8 @@ class BucketView:
     def follow(self, before: BucketView, at: float) -> None:
         """Replace another view at this time; keep what that one knows about the same bucket."""
         self.since = at
+        # Otherwise it is another bucket, or one that lost changes: equal revisions mean nothing.
+        is_same = self.revision >= before.revision
         self.longest_lease = max(self.longest_lease, before.longest_lease)
         for key, seen in before.seen.items():
             mine = self.seen.get(key)
@@ -301,7 +303,7 @@ class BucketView:
                 # Deleted at an unknown time.
                 self.seen[key] = Seen(0, at)
                 self._touch(key, self.revision)
-            elif mine.revision == seen.revision:
+            elif is_same and mine.revision == seen.revision:
                 self.seen[key] = seen
                 if before.uncertain.get(key) is None:
                     self.uncertain.pop(key, None)

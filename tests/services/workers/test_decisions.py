@@ -296,9 +296,9 @@ class TestBlindness:
 
     def test_who_does_not_see_its_own_values_is_blind(self) -> None:
         one = OneWorker()
-        assert [self.blind(one, at) for at in (2.9, 3.1)] == [False, True]
-        one.member(one.me, 3.1)
-        assert [self.blind(one, at) for at in (6.0, 6.2)] == [False, True]
+        assert [self.blind(one, at) for at in (4.9, 5.1)] == [False, True]
+        one.member(one.me, 5.1)
+        assert [self.blind(one, at) for at in (10.0, 10.2)] == [False, True]
 
     def test_all_is_read_again_after_a_while(self) -> None:
         one = OneWorker()

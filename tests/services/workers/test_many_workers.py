@@ -248,3 +248,18 @@ def test_a_lease_is_counted_from_before_it_was_sent():
     slow.is_cut = True
     world.run(2 * LEASE)
     assert world.doubles == []
+
+
+def test_a_slow_way_loses_no_lease(monkeypatch):
+    """A write and its change take 0.3 of a lease, and both workers wait as long."""
+    world = settled(processes=2, connections=10)
+    monkeypatch.setattr(world.random, "random", lambda: 1.0)
+    ids = [process.worker.id for process in world.processes]
+    for process in world.processes:
+        process.delay = 0.15 * LEASE
+    world.run(LEASE)
+    for _ in range(100):
+        world.run(0.1 * LEASE)
+        assert all(each.worker.may_poll(each.now) for each in world.processes)
+    assert ids == [process.worker.id for process in world.processes]
+    assert (world.doubles, world.unasked) == ([], [])

@@ -164,3 +164,13 @@ class TestReadAgain:
         newer = view_of(line, (LINE.slot.key, encode_holder("a.1", "a.1"), 4))
         newer.follow(given, 9.0)
         assert newer.touched_at(LINE) == 4
+
+    def test_equal_revisions_of_a_bucket_that_lost_changes_mean_nothing(self) -> None:
+        taken = (LINE.slot.key, encode_holder("b.1", "a.1"), 3)
+        given = (LINE.slot.key, encode_holder("a.1", "a.1"), 2)
+        before = view_of((LINE.bucket_key, LINE.encode(), 1), given, taken)
+        before.add(Change("worker.a.1", member(), 9), 1.0)
+        view = view_of((LINE.bucket_key, LINE.encode(), 1), taken, at=8.0)
+        view.follow(before, 9.0)
+        assert view.touched_at(LINE) == 3
+        assert view.seen_at(LINE.slot.key) == (3, 8.0)
