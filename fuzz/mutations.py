@@ -109,7 +109,7 @@ TUNING: dict[str, frozenset[str]] = {
     "of how much is done before others have their turn": frozenset(
         {
             *("AT_ONCE", "FOUND_AT_ONCE", "FREED", "MERGED_BYTES", "MOST_AT_ONCE"),
-            *("MOST_DELETED", "MOST_OF_JOURNAL", "MOST_WRITES", "PIECE", "READ_BYTES"),
+            *("MOST_DELETED", "MOST_OF_JOURNAL", "READ_BYTES"),
             *("READ_SIZE", "RECEIVED_BYTES", "TOGETHER", "TURN_EVENTS"),
         }
     ),

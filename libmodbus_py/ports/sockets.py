@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from .endpoint import Endpoint
     from .port import PortSettings
 
-__all__ = ["StreamPort", "TcpPort", "UdpPort", "keep_alive"]
+__all__ = ["StreamPort", "TcpPort", "UdpPort", "keep_alive", "refuse_own"]
 
 # Datagrams taken in one turn.
 DATAGRAMS = 64
@@ -140,22 +140,23 @@ def _connecting(made: socket.socket, address: Any, deadline: float) -> Steps[Non
         if not (yield Ready(made.fileno(), WRITE, deadline)):
             raise timed_out()
         number = made.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
-    if number == 0 and _is_own(made):
-        if made.type == socket.SOCK_STREAM:  # reset: an orderly end keeps the port for a minute
-            made.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        number = errno.ECONNREFUSED
     if number:
         raise OSError(number, os.strerror(number))
+    refuse_own(made)
 
 
-def _is_own(made: socket.socket) -> bool:
-    """Return True if a socket is connected to itself (RFC 9293, 3.5)."""
+def refuse_own(made: socket.socket) -> None:
+    """Raise OSError (ECONNREFUSED) for a socket that is connected to itself (RFC 9293, 3.5)."""
     # Nothing listens on a port of this machine, and the system chose that port for the client.
     try:
-        return bool(made.getsockname()[:2] == made.getpeername()[:2])
+        is_own = made.getsockname()[:2] == made.getpeername()[:2]
     except OSError as error:  # the other side has reset the connection already
         of_system(error)
-        return False
+        return
+    if is_own:
+        if made.type == socket.SOCK_STREAM:  # reset: an orderly end keeps the port for a minute
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        raise OSError(errno.ECONNREFUSED, os.strerror(errno.ECONNREFUSED))
 
 
 class StreamPort(SocketPort):

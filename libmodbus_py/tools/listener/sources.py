@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from ...ports.endpoint import Endpoint
 from ...ports.hosts import reason
-from ...ports.sockets import keep_alive
+from ...ports.sockets import keep_alive, refuse_own
 from ...ports.waiting import Waker, milliseconds
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.logs import HarmlessLogger
@@ -137,14 +137,16 @@ class Tap(TimedServer):
     def follow(self, client: socket.socket) -> None:
         """Connect to the device, and pass bytes on, until both sides have ended, or are idle."""
         number = next(self._numbers)
-        try:
-            place = self._target.host, self._target.port
-            device = socket.create_connection(place, CONNECT_TIMEOUT)
-        except OSError as error:
-            logger.warning("cannot connect to %s: %s", self._target, reason(error))
-            return
-        with device, contextlib.suppress(OSError):  # a side is gone, or takes no bytes
-            self._carry(number, client, device)
+        with contextlib.ExitStack() as stack:
+            try:
+                place = self._target.host, self._target.port
+                device = stack.enter_context(socket.create_connection(place, CONNECT_TIMEOUT))
+                refuse_own(device)
+            except OSError as error:
+                logger.warning("cannot connect to %s: %s", self._target, reason(error))
+                return
+            with contextlib.suppress(OSError):  # a side is gone, or takes no bytes
+                self._carry(number, client, device)
         self._show(TimedBytes(number, "client", self._clock(), b""))
 
     def _carry(self, number: int, client: socket.socket, device: socket.socket) -> None:

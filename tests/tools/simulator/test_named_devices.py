@@ -15,7 +15,6 @@ import pytest
 from libmodbus_py import IllegalDataAddress, device_file, load_map, pdu
 from libmodbus_py.device_file import DeviceFileError, SimulatedDevice, Simulation, load, parse
 from libmodbus_py.fleet import load as load_fleet
-from libmodbus_py.tools.page.samples import Samples
 from libmodbus_py.tools.page.server_source import set_point
 from libmodbus_py.tools.page.units import ShownUnit, point_rows
 from libmodbus_py.tools.simulator import example_files
@@ -318,10 +317,10 @@ def test_a_page_shows_and_sets_what_points_mean(made: Write) -> None:
     device = made(f"values = {{ {values} }}", MEANINGS)
     assert device.mapping.holding_registers[0:6] == [2305, 0xFFFF, 1, 0x58, 2, 0]
     points = device.points
-    unit = ShownUnit(None, device, points=tuple(points.values()))
+    unit = ShownUnit(None, device)
 
     def texts() -> list[str]:
-        return [row[0] for row in point_rows(unit, 0, 100, lambda *_: Samples()).values()]
+        return [row[0] for row in point_rows(unit, 0, 100).values()]
 
     assert texts() == ["230.5", "-1", "on", "on", "5", "door=0 alarm=1", "- (Missing)"]
     for name, text in (("mode", "2"), ("state", "off"), ("flags", "door=1"), ("v_sf", "0")):
