@@ -345,9 +345,10 @@ class World:
 
 Steps = list[tuple[str, str]]
 
-# Acts and moves that leave an answer behind which nobody awaits; and those without one in time.
+# Acts and moves that leave an answer behind which nobody awaits; and those without one in time, or
+# with one that may come after HOLD, which is twice as long as a good one takes.
 _SURPLUS = ("late", "twice", "three", "refused twice", "cancelled", "lost", "given up")
-_MISSING = ("late", "never", "lost", "swallowed", "damaged", "cancelled", "given up")
+_MISSING = ("late", "slow", "never", "lost", "swallowed", "damaged", "cancelled", "given up")
 
 # Wrong values end after so many ticks of polling without a pause: an answer is checked at least
 # once in ten timeouts, and then there is silence.
@@ -363,9 +364,9 @@ EXCEPTIONS: dict[str, str] = {
     "for a copy of its own. It takes more requests than a world has.",
     "before the first answer": "A unit that has never answered, and then answers after two "
     "timeouts of silence: this is taken for the answer to the request in flight, for one value.",
-    "alone in HOLD": "A late or doubled answer, and then a request that gets no answer in time "
-    "itself: the first one is alone while it is held, and is believed. It concerns one value, or "
-    "the outcome of one write, for each such pair.",
+    "alone in HOLD": "A late or doubled answer, and then a request that is not answered in time "
+    "itself, or takes twice as long as any before: the first one is alone while it is held, and is "
+    "believed. It concerns one value, or the outcome of one write, for each such pair.",
 }
 
 
