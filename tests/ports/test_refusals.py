@@ -456,9 +456,10 @@ def test_the_line_of_a_gateway(
 
 
 def test_the_links_of_a_tap(dead_port: int, caplog: pytest.LogCaptureFixture) -> None:
-    line = listen("rtu+tcp://127.0.0.1:0", between=f"rtu+tcp://127.0.0.1:{dead_port}")
-    port = int(line.url.rpartition(":")[2])
-    with line, socket.create_connection(("127.0.0.1", port)) as client:
-        client.shutdown(socket.SHUT_WR)
-        assert client.recv(100) == b""
-    assert "Connection refused" in caplog.text
+    for host, reason in (("127.0.0.1", "Connection refused"), ("a..b", "label empty or too long")):
+        line = listen("rtu+tcp://127.0.0.1:0", between=f"rtu+tcp://{host}:{dead_port}")
+        port = int(line.url.rpartition(":")[2])
+        with line, socket.create_connection(("127.0.0.1", port)) as client:
+            client.shutdown(socket.SHUT_WR)
+            assert client.recv(100) == b""
+        assert reason in caplog.text

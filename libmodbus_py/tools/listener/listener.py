@@ -345,4 +345,6 @@ def _source(endpoint: Endpoint, target: Endpoint | None, clock: Clock) -> Source
         raise ValueError(
             f"{target}: the scheme must be {endpoint.scheme}, because bytes are passed on unchanged"
         )
+    if not target.port:
+        raise ValueError(f"{target}: the port of the device must be in 1..65535")
     return Tap(endpoint, target, clock)

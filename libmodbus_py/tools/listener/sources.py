@@ -142,8 +142,9 @@ class Tap(TimedServer):
                 place = self._target.host, self._target.port
                 device = stack.enter_context(socket.create_connection(place, CONNECT_TIMEOUT))
                 refuse_own(device)
-            except OSError as error:
-                logger.warning("cannot connect to %s: %s", self._target, reason(error))
+            except (OSError, UnicodeError) as error:  # the host cannot be a name, such as a..b
+                text = reason(error) if isinstance(error, OSError) else str(error)
+                logger.warning("cannot connect to %s: %s", self._target, text)
                 return
             with contextlib.suppress(OSError):  # a side is gone, or takes no bytes
                 self._carry(number, client, device)

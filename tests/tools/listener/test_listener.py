@@ -329,6 +329,7 @@ class TestArguments:
             ("tcp://127.0.0.1:1502", None, "the scheme must be rtu, ascii"),
             ("tcp://127.0.0.1:1502", "tcp://127.0.0.1:1503", "the scheme must be rtu, ascii"),
             ("rtu+tcp://127.0.0.1:0", None, "between is missing"),
+            ("rtu+tcp://127.0.0.1:0", "rtu+tcp://127.0.0.1:0", r"must be in 1\.\.65535"),
             ("rtu+tcp://127.0.0.1:0", "ascii+tcp://127.0.0.1:1", "the scheme must be rtu.tcp"),
             ("rtu:///dev/ttyUSB0", "rtu+tcp://127.0.0.1:1", "a serial port is only read"),
             ("rtu:///dev/ttyUSB0?timeout=1", None, "timeout is for clients"),
