@@ -291,10 +291,6 @@ class Point:
         """
         return self._change(value, scaling).cells
 
-    def cells_of_one(self, value: Any, scaling: Scaling | None = None) -> list[Any]:
-        """Return the cells of one of the values of the point; errors as of `cells_of`."""
-        return self._change_of_one(value, scaling).cells
-
     def cells_for(self, values: Iterable[Any]) -> list[Any]:
         """Return the cells of some of the values; `minimum` and `maximum` are not checked."""
         changes = [self.meaning.change(each, self._scaling) for each in values]

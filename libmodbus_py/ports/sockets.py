@@ -265,11 +265,6 @@ class TcpPort(HostPort, StreamPort):
         if self._keepalive is not None:
             keep_alive(made, self._keepalive)
 
-    def detach(self) -> socket.socket:
-        """Return the socket of an open port, which from now on belongs to the caller."""
-        self.descriptor = -1
-        return self._socket
-
     def acknowledge(self) -> None:
         # A server that leaves Nagle's algorithm on, as libmodbus's own does, sends its next
         # answer only when this one is acknowledged: after 40 ms, unless told to do it at once.
