@@ -1,8 +1,8 @@
 """
 Faults on serial lines: python -m fuzz.serial_faults [TRANSACTIONS] [SEED]
 
-As many transactions, 100000 unless told otherwise, spread over RTU through libmodbus, RTU
-without it, and ASCII, each in a process of its own. Prints what happened; exits with
+Does as many transactions, 100000 unless told otherwise, spread over RTU through libmodbus, RTU
+without it, and ASCII, each on four lines at a time. Prints what happened; exits with
 1 if a wrong value or an unreported loss got through, or a fault spoiled more
 than one transaction after it.
 """
@@ -28,6 +28,8 @@ LINES: dict[str, tuple[Framing, bool]] = {
 }
 
 BAUDRATE = 1_000_000  # a pty knows none; the client waits for the length of its frames
+
+AT_A_TIME = 4  # lines of each kind, a process each: a transaction waits most of its time
 
 TIMEOUT = 0.1  # five times what the framer of RTU calls silence
 
@@ -61,15 +63,16 @@ def _in_a_process(name: str, count: int, seed: int) -> Tally:
 
 def main() -> int:
     total, seed = numbers(__doc__, transactions=100_000, seed=1)
-    with ProcessPoolExecutor(len(LINES)) as processes:
-        waiting = {
-            name: processes.submit(_in_a_process, name, -(-total // len(LINES)), seed + number)
-            for number, name in enumerate(LINES)
-        }
-        with progress(f"{total} transactions"):
-            tallies = {name: future.result() for name, future in waiting.items()}
+    lines = [name for name in LINES for _ in range(AT_A_TIME)]
+    tallies = {name: Tally() for name in LINES}
+    with ProcessPoolExecutor(len(lines)) as processes, progress(f"{total} transactions"):
+        counts = [-(-total // len(lines))] * len(lines)
+        seeds = range(seed, seed + len(lines))
+        found = processes.map(_in_a_process, lines, counts, seeds)
+        for name, tally in zip(lines, found, strict=True):
+            tallies[name] += tally
     for name, tally in tallies.items():
-        print(f"{name}, seed {seed + list(LINES).index(name)}", tally, "", sep="\n")
+        print(f"{name}, from seed {seed + lines.index(name)}", tally, "", sep="\n")
     return 0 if all(tally.is_good for tally in tallies.values()) else 1
 
 

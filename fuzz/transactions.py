@@ -18,7 +18,7 @@ import time
 import tty
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Literal, Self
 
@@ -107,6 +107,11 @@ class Tally:
         """True if nothing was wrong or lost, and a fault entails one failure of its function."""
         findings = self.wrong + self.lost + self.unprovoked
         return not findings and max(self.recovery, default=0) <= 1
+
+    def __add__(self, other: Tally) -> Tally:
+        return Tally(
+            *(getattr(self, each.name) + getattr(other, each.name) for each in fields(self))
+        )
 
     def note(self, text: str) -> None:
         if len(self.examples) < 20:
