@@ -83,8 +83,9 @@ class Tally:
         unprovoked: failed transactions of a function that was not in doubt, unless the fault of the
             one before had spoiled nothing yet (noise behind a request hides the next one).
         lost: writes that were reported as done and were not.
-        recovery: failed transactions of a function on the clean line after it was in doubt: how
-            often so many. One is usual: an answer in doubt is held, and may be held for too long.
+        recovery: failed transactions of a function on the clean line after it was in doubt, and
+            since the last fault of any function: how often so many. One is usual: an answer in
+            doubt is held, and may be held for too long.
         unjudged: transactions during or right after which the machine was too busy, so that
             an answer may have been later than a serial client can reckon with.
         outdated: answers that the line lost because they were too late to be fair.
@@ -282,6 +283,8 @@ class Transactions:
         return is_late or was_late
 
     def _judge_recovery(self, was_clean: bool, function: int, error: ModbusError | None) -> None:
+        if not was_clean:  # a late frame of a unit prolongs the doubt of all its functions
+            self._failures = dict.fromkeys(self._failures, 0)
         if error is None:
             if function in self._failures:
                 self.tally.recovery[self._failures.pop(function)] += 1
