@@ -13,19 +13,16 @@ The schemes are those of `SCHEMES` in `schemes`, among them::
 Without a scheme, a path such as /dev/ttyUSB0 is a serial port in RTU mode, and all else a host for
 tcp: 192.0.2.10, 192.0.2.10:1502, [::1]:1502.
 
-HOST is a name, an IPv4 address or an IPv6 address in brackets. The default port is 502, and 802
-for tls. With udp, each datagram contains one frame of Modbus/TCP; with rtu+udp, one RTU frame. tls
-takes `cert` (or `certificate`), `key`, `ca` (or `trust`), `pin` and `server_name`, which are the
-arguments of `Security`, and `password_env`, the environment variable that contains the password of
-the key. Serial ports also take rs485 (kernel, rts-up, rts-down), rts_delay and silence (seconds).
-rtu, ascii, rtu+tcp and ascii+tcp take echo: 1 if all that is sent comes back, 0 if not; without it,
-this is found out.
+HOST is a name, an IPv4 address or an IPv6 address in brackets; the default port is 502, and 802 for
+tls. With udp, each datagram contains one frame of Modbus/TCP; with rtu+udp, one RTU frame. The
+options of each transport and their meanings stand in `schemes`.
 
 Every URL may contain options of clients: ``tcp://192.0.2.10?unit=7&timeout=0.5``.
 """
 
 from __future__ import annotations
 
+import contextlib
 import posixpath
 import re
 from collections.abc import Mapping
@@ -65,21 +62,13 @@ PASSWORD = "(?<=password=)[^&#]+|(?<=:)[^/@:]+(?=@)"
 
 @dataclass(frozen=True)
 class Endpoint:
-    """
-    An endpoint to connect to or to listen at; ``str`` returns its URL, without client options.
-
-    Attributes:
-        scheme: one of `SCHEMES`.
-        host, port: the host and its port; empty and 0 if the endpoint is a path.
-        path: the path of a serial port or a Unix socket; empty for networks.
-        options: settings of the serial line, or files for TLS, converted but not checked.
-        client_options: options of a client, converted but not checked.
-    """
+    """An endpoint to connect to or to listen at; ``str`` is its URL, without client options."""
 
     scheme: Scheme
     host: str = ""
     port: int = 0
-    path: str = ""
+    path: str = ""  # of a serial port or a Unix socket, which have no host
+    # Both are converted, but not checked.
     options: dict[str, Any] = field(default_factory=dict, hash=False)
     client_options: dict[str, Any] = field(default_factory=dict, hash=False)
 
@@ -95,22 +84,18 @@ class Endpoint:
 
     @property
     def has_path(self) -> bool:
-        """True if the endpoint is a path of this machine, not a host and a port."""
         return TRANSPORTS[self.transport].has_path
 
     @property
     def is_serial(self) -> bool:
-        """True for a serial port, that is, a line with settings and silences."""
         return TRANSPORTS[self.transport].is_serial
 
     @property
     def is_datagram(self) -> bool:
-        """True if each ADU is a datagram (udp)."""
         return TRANSPORTS[self.transport].is_datagram
 
     @property
     def is_secure(self) -> bool:
-        """True if client and server authenticate each other by certificates (tls)."""
         return TRANSPORTS[self.transport].is_secure
 
     @property
@@ -125,12 +110,7 @@ class Endpoint:
 
     @property
     def key(self) -> tuple[str, str]:
-        """
-        The kind of port and the address, equal for all endpoints at the same address.
-
-        Host names are not looked up, and symbolic links not followed, so that the key is the same
-        on all machines.
-        """
+        """The kind of port and the address, on all machines the same: no name is looked up."""
         kind = "tcp" if self.is_secure else self.transport
         if self.has_path:
             return kind, posixpath.normpath(f"/{self.path.lstrip('/')}")
@@ -174,28 +154,19 @@ def _quoted(text: str, safe: str = "/:@+,=~") -> str:
 
 def _one_spelling(host: str) -> str:
     """Return a host as it is usually written: ::1 for 0:0:0:0:0:0:0:1, and names in lower case."""
-    if ":" not in host:
-        return host.lower()
-    from socket import AF_INET6, inet_ntop, inet_pton
+    if ":" in host:
+        from ipaddress import AddressValueError, IPv6Address
 
-    address, percent, zone = host.partition("%")
-    try:
-        return f"{inet_ntop(AF_INET6, inet_pton(AF_INET6, address))}{percent}{zone}"
-    except OSError:
-        return host.lower()
+        with contextlib.suppress(AddressValueError):
+            return str(IPv6Address(host))
+    return host.lower()
 
 
 def parse(url: str) -> Endpoint:
-    """
-    Return the endpoint of a URL, or of a host, HOST:PORT, or path of a serial port.
-
-    Raises:
-        TypeError: the argument is not a string.
-        ValueError: a part of the URL is wrong; the message tells which, and what is allowed.
-    """
+    """Return the endpoint of a URL, a host, HOST:PORT, or a path, or raise ValueError."""
     if not isinstance(url, str):
         raise TypeError(f"url must be a string, not {type(url).__name__}")
-    from urllib.parse import urlsplit
+    from urllib.parse import unquote, urlsplit
 
     url = url_of(url)
     parts = urlsplit(url)
@@ -207,17 +178,18 @@ def parse(url: str) -> Endpoint:
     if parts.fragment or parts.username is not None:
         raise ValueError(f"{url!r}: neither user nor fragment have a meaning here")
     scheme: Scheme = parts.scheme
-    read = _parse_path if TRANSPORTS[SCHEMES[scheme][1]].has_path else _parse_network
-    return read(url, scheme, parts)
+    options, others = _options(url, parts.query, options_of(scheme))
+    if not TRANSPORTS[SCHEMES[scheme][1]].has_path:
+        host, port = _host_and_port(url, scheme, parts)
+        return Endpoint(scheme, host, port, "", options, others)
+    path = unquote(parts.path, errors="surrogateescape")
+    if parts.netloc or not path.strip("/"):
+        raise ValueError(f"{url!r}: a path is missing, as in {shape_of(scheme)}")
+    return Endpoint(scheme, "", 0, path, options, others)
 
 
 def url_of(text: str) -> str:
-    """
-    Return a URL: without a scheme a path is a serial port in RTU mode, all else a host for tcp.
-
-    Raises:
-        ValueError: the text is neither a URL, a path nor a host.
-    """
+    """Return a URL: without a scheme a path is a serial port in RTU mode, all else tcp."""
     if "://" in text:
         return text
     place, mark, query = text.partition("?")
@@ -238,12 +210,7 @@ def url_of(text: str) -> str:
 
 
 def parse_to_listen(url: str) -> Endpoint:
-    """
-    Return the endpoint of a URL at which to listen, as `parse`.
-
-    Raises:
-        TypeError, ValueError: as for `parse`; or the URL has options of clients.
-    """
+    """Return the endpoint of a URL at which to listen, as `parse`."""
     endpoint = parse(url)
     if endpoint.client_options:
         names = ", ".join(endpoint.client_options)
@@ -251,7 +218,7 @@ def parse_to_listen(url: str) -> Endpoint:
     return endpoint
 
 
-def _parse_network(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
+def _host_and_port(url: str, scheme: Scheme, parts: SplitResult) -> tuple[str, int]:
     if parts.path not in ("", "/"):
         raise ValueError(f"{url!r}: nothing but options may follow the port")
     if not parts.netloc:
@@ -262,21 +229,9 @@ def _parse_network(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
         raise ValueError(f"{url!r}: {error}") from None
     if ":" in host and not parts.netloc.startswith("["):
         raise ValueError(f"{url!r}: an IPv6 address needs brackets, as in {scheme}://[::1]:502")
-    port = TRANSPORTS[SCHEMES[scheme][1]].port if port is None else port
     name, percent, zone = host.partition("%")
     host = f"{name.lower()}{percent}{zone}"  # a zone is the name of an interface, as it is written
-    options, others = _options(url, parts.query, options_of(scheme))
-    return Endpoint(scheme, host=host, port=port, options=options, client_options=others)
-
-
-def _parse_path(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
-    from urllib.parse import unquote
-
-    path = unquote(parts.path, errors="surrogateescape")
-    if parts.netloc or not path.strip("/"):
-        raise ValueError(f"{url!r}: a path is missing, as in {shape_of(scheme)}")
-    options, others = _options(url, parts.query, options_of(scheme))
-    return Endpoint(scheme, path=path, options=options, client_options=others)
+    return host, TRANSPORTS[SCHEMES[scheme][1]].port if port is None else port
 
 
 def _options(

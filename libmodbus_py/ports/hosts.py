@@ -27,9 +27,8 @@ __all__ = [
 
 LOCALHOST = ("localhost", "ip6-localhost")
 
+# Hosts at which a server listens on all addresses of its machine.
 EVERYWHERE = ("0.0.0.0", "::")
-"""Hosts at which a server listens on all addresses of its machine."""
-
 
 # A family and an address as getaddrinfo returns it -> a socket bound to it.
 Make = Callable[[socket.AddressFamily, tuple[Any, ...]], socket.socket]
@@ -39,7 +38,6 @@ BACKLOG = 4096
 
 # An address of a family that this machine does not have, such as ::1 without IPv6.
 NOT_HERE = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)
-
 
 # The second form is an IPv6 address without brackets, which no port can follow.
 HOST_AND_PORT = re.compile(
@@ -55,15 +53,7 @@ def host_and_port(host: str, port: int) -> str:
 
 
 def split_host_and_port(text: str) -> tuple[str, int | None]:
-    """
-    Return the host and the port of a text such as "192.0.2.1:502", "[::1]:502" or "::1".
-
-    Returns:
-        The host without brackets, and the port; None if the text has none.
-
-    Raises:
-        ValueError: the text is no host with a port or without one, or the port is not in 0..65535.
-    """
+    """Return the host and the port, if any, of text such as "192.0.2.1:502", "[::1]" or "::1"."""
     found = HOST_AND_PORT.fullmatch(text)
     if found is None:
         raise ValueError(f"must be HOST or HOST:PORT, not {text!r}")
@@ -74,12 +64,7 @@ def split_host_and_port(text: str) -> tuple[str, int | None]:
 
 
 def host_of_peer(peer: str) -> str:
-    """
-    Return the host in the name of a client of a server; of a path, all but the process.
-
-    Args:
-        peer: as `host_and_port` returns it, "/run/x.sock uid 0 pid 7", or a path.
-    """
+    """Return the host in the name of a server's client; of a path, all but the process."""
     if peer.startswith("/"):
         return re.sub(" pid [0-9]+$", "", peer)
     return peer.rpartition(":")[0].strip("[]")
@@ -87,13 +72,7 @@ def host_of_peer(peer: str) -> str:
 
 @lru_cache(1024)
 def is_loopback(host: str) -> bool:
-    """
-    Return True if only this machine reaches a host, and no other one can pretend to be it.
-
-    Args:
-        host: an address, of any IPv6 zone, or a name; names other than localhost are not
-            looked up.
-    """
+    """Return True if only this machine reaches a host; names but localhost are not looked up."""
     host = host.lower().partition("%")[0]
     if host in LOCALHOST:
         return True
@@ -110,12 +89,7 @@ def is_loopback(host: str) -> bool:
 
 
 def is_this_machine(host: str) -> bool:
-    """
-    Return True if a host is this machine: loopback, `EVERYWHERE`, or the address of an interface.
-
-    Args:
-        host: as for `is_loopback`.
-    """
+    """Return True for loopback, `EVERYWHERE` and the addresses of the interfaces."""
     if host in EVERYWHERE or is_loopback(host):
         return True
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -128,15 +102,13 @@ def is_this_machine(host: str) -> bool:
     return True
 
 
-# --- look-ups --------------------------------------------------------------------------------
-
 # A look-up of a name ends only when the system gives up, after many seconds. So each name has a
 # thread, which all that ask for the name share: no name waits for another, and no event loop, whose
 # own threads would be busy for others, waits for one at its end.
 
 
 class Resolve(NamedTuple):
-    """Look up a name; yields the result of getaddrinfo, or raises its OSError or TimeoutError."""
+    """Look up a name; gives the result of getaddrinfo, or raises its OSError or TimeoutError."""
 
     host: str
     port: int
@@ -146,18 +118,10 @@ class Resolve(NamedTuple):
 
 
 class Question:
-    """
-    A name that is looked up in a thread, for all that ask for it meanwhile.
-
-    Attributes:
-        notes: called in that thread when the result is there; they must not block.
-
-    Raises:
-        OSError: the system has no thread left.
-    """
+    """A name that is looked up in a thread, for all that ask for it meanwhile."""
 
     def __init__(self, wanted: Resolve) -> None:
-        self.notes: list[Callable[[], object]] = []
+        self.notes: list[Callable[[], object]] = []  # called in that thread at the end
         self._wanted = wanted
         self._found: list[Any] | Exception = []
         start_thread(threading.Thread(target=self._look_up, name="look-up", daemon=True))
@@ -175,12 +139,7 @@ class Question:
                 note()
 
     def result(self) -> list[Any]:
-        """
-        Return the result of getaddrinfo.
-
-        Raises:
-            OSError: the name is not known, or cannot be looked up.
-        """
+        """Return the result of getaddrinfo."""
         found = self._found
         if isinstance(found, OSError):
             # A new one for each caller, because a traceback belongs to one.
@@ -191,15 +150,7 @@ class Question:
 
 
 def ask(wanted: Resolve, note: Callable[[], object]) -> Question:
-    """
-    Look up a name, or share a look-up that is under way; its end need not be waited for.
-
-    Args:
-        note: added to the `notes` of the question.
-
-    Raises:
-        OSError: the system has no thread left.
-    """
+    """Look up a name, or share a look-up; `note` is called in its thread, and must not block."""
     key = wanted._replace(deadline=0.0)
     with _lock:
         question = _asked.get(key) or Question(key)
@@ -223,12 +174,7 @@ def numeric(wanted: Resolve) -> list[Any]:
 
 
 def start_thread(thread: threading.Thread) -> None:
-    """
-    Start a thread.
-
-    Raises:
-        OSError: the system has no thread left.
-    """
+    """Start a thread; raise OSError if the system has none left."""
     try:
         thread.start()
     except RuntimeError as error:
@@ -249,38 +195,29 @@ _begin()
 call_in_children(_begin)
 
 
-# --- sockets that listen -----------------------------------------------------------------------
-
-
 def bind_all(found: list[Any], port: int, make: Make) -> list[socket.socket]:
     """
-    Return a socket for each address that getaddrinfo found.
+    Return a socket for each address that getaddrinfo found, or leave none open.
 
     An address that this machine does not have is left out if there are others. For port 0 there is
     one socket only, because a port that is free on one address may be taken on the next.
-
-    Raises:
-        OSError: an address cannot be bound; no socket is left open.
     """
     sockets: list[socket.socket] = []
     missing: OSError | None = None
-    try:
+    with contextlib.ExitStack() as made:
         for family, address in dict.fromkeys((each[0], each[4]) for each in found):
             try:
-                sockets.append(make(family, address))
+                sockets.append(made.enter_context(make(family, address)))
             except OSError as error:
                 if error.errno not in NOT_HERE:
                     raise
                 missing = error
-                continue
-            if not port:
-                break
+            else:
+                if not port:
+                    break
         if missing is not None and not sockets:
             raise missing
-    except OSError:
-        for each in sockets:
-            each.close()
-        raise
+        made.pop_all()
     return sockets
 
 
@@ -293,12 +230,7 @@ def tcp_listener(family: socket.AddressFamily, address: tuple[Any, ...]) -> sock
 
 
 def listen_on(host: str, port: int) -> list[socket.socket]:
-    """
-    Return a TCP socket that listens on each address of a host.
-
-    Raises:
-        OSError: the host is unknown, or an address cannot be bound.
-    """
+    """Return a TCP socket that listens on each address of a host."""
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except UnicodeError as error:

@@ -39,23 +39,13 @@ REOPEN_AFTER = 1.0
 
 
 class Silence:
-    """
-    The silence that a line needs before a frame is sent; times are those of time.monotonic().
-
-    Args:
-        seconds: the time without a byte.
-        character: seconds that one byte takes on the line.
-        turn: seconds before and after each frame sent, for turning the line round; else 0.
-
-    Attributes:
-        over_at: the time from which frames may be sent.
-    """
+    """The silence that a line needs before a frame is sent; times are those of time.monotonic()."""
 
     def __init__(self, seconds: float = 0.0, character: float = 0.0, turn: float = 0.0) -> None:
         self.seconds = seconds
-        self.character = character
-        self.over_at: float = 0.0
-        self._turn = turn
+        self.character = character  # seconds that one byte takes
+        self.over_at: float = 0.0  # from then on frames may be sent
+        self._turn = turn  # seconds before and after each frame, for turning the line round
         self._turned_at = 0.0
 
     def heard(self, now: float) -> None:
@@ -70,31 +60,17 @@ class Silence:
 
 
 class Port(ABC):
-    """
-    A TCP connection, a UDP socket or a serial port; nothing here waits.
+    """A TCP connection, a UDP socket or a serial port; nothing here waits."""
 
-    Attributes:
-        descriptor: the descriptor to wait for; -1 while closed.
-        context: the context of libmodbus, where that opens the port; else None.
-        silence: the silence that must pass before sending.
-        resume_at: the time when `go_on` should be called (time.monotonic), or None.
-        has_unsent: True if `go_on` should be called once the port takes bytes again.
-    """
-
-    descriptor: int = -1
-    context: Any = None
+    descriptor: int = -1  # -1 while closed
+    context: Any = None  # of libmodbus, where that opens the port
     silence: Silence
-    resume_at: float | None = None
-    has_unsent = False
+    resume_at: float | None = None  # when `go_on` should be called (time.monotonic)
+    has_unsent = False  # whether `go_on` should be called once the port takes bytes again
 
     @abstractmethod
     def opening(self, deadline: float) -> Steps[None]:
-        """
-        Open the port.
-
-        Raises:
-            ModbusConnectionError: the port cannot be opened, with errno.
-        """
+        """Open the port, or raise ModbusConnectionError with errno, as all methods do."""
 
     def waker(self) -> Waker:
         """Return the waker of a blocking client."""
@@ -116,24 +92,14 @@ class Port(ABC):
 
     @abstractmethod
     def receive(self) -> list[bytes]:
-        """
-        Return received bytes, one item for each datagram; an empty list if there are none.
-
-        Raises:
-            ModbusConnectionError: the other side closed, or the port is gone.
-        """
+        """Return received bytes, one item for each datagram; an empty list if there are none."""
 
     @abstractmethod
     def send(self, adus: list[bytes], now: float) -> None:
-        """
-        Send as much as possible at once; `has_unsent` and `resume_at` are set if a rest remains.
-
-        Raises:
-            ModbusConnectionError: the port is gone.
-        """
+        """Send as much as possible; `has_unsent` or `resume_at` is set if a rest remains."""
 
     def go_on(self, now: float) -> None:  # noqa: B027  # most ports have sent all
-        """Send the rest. Raises ModbusConnectionError."""
+        """Send the rest."""
 
     def discard_input(self) -> None:  # noqa: B027  # on a network no byte is noise
         """Discard received bytes."""
@@ -151,26 +117,14 @@ class Port(ABC):
 
 
 def lost(error: OSError) -> ModbusConnectionError:
-    """
-    Return the error for a port that is gone, with the words of the system.
-
-    Raises:
-        OSError: the error itself, if it is not the system's: see `of_system`.
-    """
-    of_system(error)
-    made = ModbusConnectionError(error.strerror or str(error), errno=error.errno)
+    """Return the error for a port that is gone, with the words of the system."""
+    made = ModbusConnectionError(of_system(error).strerror or str(error), errno=error.errno)
     made.__cause__ = error
     return made
 
 
 class PortSettings(Protocol):
-    """
-    The options of a client that concern its port.
-
-    Attributes:
-        keepalive: seconds of silence after which TCP probes the connection; None for never.
-        security: the certificates, for TLS.
-    """
+    """The options of a client that concern its port."""
 
     @property
     def keepalive(self) -> float | None: ...
@@ -179,12 +133,7 @@ class PortSettings(Protocol):
 
 
 def make_port(endpoint: Endpoint, settings: PortSettings) -> Port:
-    """
-    Return the port of a client, closed.
-
-    Raises:
-        TypeError, ValueError: a setting that this transport cannot have, or of the wrong range.
-    """
+    """Return the port of a client, closed; raise TypeError or ValueError for a wrong setting."""
     rules = TRANSPORTS[endpoint.transport]
     if settings.security is not None and not rules.is_secure:
         raise ValueError(f"security is for tls:// only, not for {endpoint.scheme}://")
@@ -194,16 +143,7 @@ def make_port(endpoint: Endpoint, settings: PortSettings) -> Port:
 
 
 class Outage:
-    """
-    Logs once that a port or a connection is lost, and once that it is open again.
-
-    Args:
-        log: of the part that uses it.
-        name: of the port or the connection, for the log.
-
-    Attributes:
-        is_on: True while it is lost.
-    """
+    """Logs once that a port or a connection is lost, and once that it is open again."""
 
     def __init__(self, log: logging.Logger | HarmlessLogger, name: object) -> None:
         self.is_on: bool = False
@@ -237,17 +177,14 @@ class Abandoned(Protocol):
 
     def abandon(self) -> None:
         """Close the descriptors in a forked child, without an effect on loops, epolls or lines."""
-        ...
 
 
 # While a forked child has a copy of a descriptor, no peer sees the end of a connection that the
 # parent closes, and no port is free again.
 _abandoned: weakref.WeakSet[Abandoned] = weakref.WeakSet()
 
-
-def abandoned_in_children(owner: Abandoned) -> None:
-    """Call `abandon` of an object in every child that is forked while it exists."""
-    _abandoned.add(owner)
+abandoned_in_children: Callable[[Abandoned], None] = _abandoned.add
+"""Call `abandon` of an object in every child that is forked while it exists."""
 
 
 def _abandon_all() -> None:

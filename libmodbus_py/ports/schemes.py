@@ -44,30 +44,17 @@ SCHEMES: dict[Scheme, tuple[Framing, Transport]] = {
 
 
 def framing_of(url: str) -> Framing:
-    """
-    Return the framing of an endpoint's URL, of which only the scheme is read.
-
-    Raises:
-        KeyError: the scheme is not one of `SCHEMES`.
-    """
+    """Return the framing of an endpoint's URL, of which only the scheme is read."""
     return SCHEMES[url.partition("://")[0]][0]  # type: ignore[index]
 
 
 class Option(NamedTuple):
-    """
-    An option of URLs; the command line takes it as --NAME, with hyphens.
+    """An option of URLs; the command line takes it as --NAME, with hyphens."""
 
-    Attributes:
-        convert: returns the value of a text, or raises ValueError.
-        wanted: what the text must be, for errors.
-        text: what the option sets, for --help; without the default value.
-        placeholder: stands for the value in --help; empty for a switch.
-    """
-
-    convert: Callable[[str], Any]
-    wanted: str
-    text: str
-    placeholder: str = "N"
+    convert: Callable[[str], Any]  # or ValueError
+    wanted: str  # what the text must be, for errors
+    text: str  # what the option sets, for --help; without the default value
+    placeholder: str = "N"  # for the value in --help; empty for a switch
 
 
 def _switch(text: str) -> bool:
@@ -79,12 +66,7 @@ PARITIES = {"none": "N", "even": "E", "odd": "O", "n": "N", "e": "E", "o": "O"}
 
 
 def parity_of(word: object) -> Any:
-    """
-    Return the parity of a word, such as "N" for "none" or "n".
-
-    Raises:
-        ValueError: it is none.
-    """
+    """Return the parity of a word, such as "N" for "none" or "n", or raise ValueError."""
     if not isinstance(word, str) or word.lower() not in PARITIES:
         raise ValueError(f'parity must be "N", "E" or "O", not {word!r}')
     return PARITIES[word.lower()]
@@ -140,27 +122,15 @@ SECURITY_OPTIONS: dict[str, Option] = {
 
 
 class TransportRules(NamedTuple):
-    """
-    The properties of a transport.
+    """The properties of a transport."""
 
-    Attributes:
-        port_class: the file in this folder and the class of the port of a client; the file is
-            imported when the first such port is made.
-        options: of URLs, besides those of clients.
-        port: the one that a URL means without a port; 0 if there are none.
-        example: an example of the path, if an endpoint is a path of this machine; else empty.
-        is_serial: True if an endpoint is a serial port, that is, a line.
-        is_datagram: True if each ADU is a datagram, without a connection.
-        is_secure: True if client and server show each other certificates.
-    """
-
-    port_class: str
-    options: Mapping[str, Option] = MappingProxyType({})
-    port: int = DEFAULT_PORT
-    example: str = ""
+    port_class: str  # its file in this folder, imported when it is first needed, and its name
+    options: Mapping[str, Option] = MappingProxyType({})  # of URLs, besides those of clients
+    port: int = DEFAULT_PORT  # the one that a URL means without a port; 0 if there are none
+    example: str = ""  # of a path, if endpoints are paths of this machine
     is_serial: bool = False
-    is_datagram: bool = False
-    is_secure: bool = False
+    is_datagram: bool = False  # each ADU is a datagram, without a connection
+    is_secure: bool = False  # client and server show each other certificates
 
     @property
     def has_path(self) -> bool:
@@ -188,15 +158,13 @@ def options_of(scheme: Scheme) -> Mapping[str, Option]:
 
 
 def shape_of(scheme: Scheme) -> str:
-    """
-    Return how URLs of a scheme look, for help texts: ``tcp://HOST[:502]``.
-
-    Schemes such as rtu+tcp are for serial device servers, which have no usual port.
-    """
+    """Return how URLs of a scheme look, for help texts: ``tcp://HOST[:502]``."""
     rules = TRANSPORTS[SCHEMES[scheme][1]]
     if rules.has_path:
         return f"{scheme}://{rules.example}"
-    return f"{scheme}://HOST:PORT" if "+" in scheme else f"{scheme}://HOST[:{rules.port}]"
+    if "+" in scheme:  # for serial device servers, which have no usual port
+        return f"{scheme}://HOST:PORT"
+    return f"{scheme}://HOST[:{rules.port}]"
 
 
 CLIENT_OPTIONS: dict[str, Option] = {

@@ -58,28 +58,9 @@ class SerialSettings(LineSettings, total=False):
 
 class SerialPort(Port):
     """
-    A serial port.
+    A serial port, locked while it is open, so that no two programs use it at once.
 
-    Args:
-        device: the path of the port, such as "/dev/ttyUSB0"; it is locked while it is open, so
-            that no two programs use it at once.
-        baudrate: bits per second, 1..4000000. A baud rate that the port does not support is
-            refused when it is opened.
-        parity: "N", "E" or "O", or the words "none", "even" and "odd".
-        data_bits: 5..8.
-        stop_bits: 1 or 2.
-        rs485: how the direction of an RS-485 transceiver is switched: None, not at all; "kernel",
-            by the driver; "rts-up" or "rts-down", by setting or clearing RTS while sending.
-        rts_delay: seconds between switching RTS and the first bit, and between the last bit and
-            switching back, 0..1; None for the length of one character.
-        echo: True if all sent bytes come back, as from some two-wire transceivers, False if not;
-            None to find out. Clients and servers remove the echo, the port itself does not.
-        silence: seconds without a byte before anything is sent, 0..1; None for the 3.5
-            characters of the specification (1.75 ms above 19200 bit/s).
-
-    Raises:
-        TypeError, ValueError: an argument of the wrong type or range.
-
+    An echo is found out and removed by clients and servers, and passes here.
     Source: modbus_new_rtu, modbus_rtu_set_serial_mode, modbus_rtu_set_rts; serial line, 2.5.1.1.
     """
 
@@ -110,24 +91,6 @@ class SerialPort(Port):
         if unknown:
             raise unknown_option(min(unknown), [*SerialSettings.__annotations__])
         self.device = device
-        self._take(settings)
-        self._sending: Iterator[float] = iter(())
-        self._guards: list[int] = []
-        self._number = 0
-        self._process = 0
-        self.context: Any = make(
-            lib.modbus_new_rtu(
-                os.fsencode(device),
-                self.baudrate if self.baudrate in self.baudrates else 9600,
-                self.parity.encode(),
-                self.data_bits,
-                self.stop_bits,
-            )
-        )
-        # Without a unit 3.1.6 aborts the process on the first read or write.
-        check(lib.modbus_set_slave(self.context, 1))
-
-    def _take(self, settings: SerialSettings) -> None:
         usual: Any = {**SERIAL_DEFAULTS, **settings}
         self.parity: Literal["N", "E", "O"] = parity_of(usual["parity"])
         self.rs485 = settings.get("rs485")
@@ -149,23 +112,31 @@ class SerialPort(Port):
             self.character,
             self.rts_delay if self.rs485 in self.rts_modes else 0.0,
         )
+        self._sending: Iterator[float] = iter(())
+        self._guards: list[int] = []
+        self._number = 0
+        self._process = 0
+        self.context: Any = make(
+            lib.modbus_new_rtu(
+                os.fsencode(device),
+                self.baudrate if self.baudrate in self.baudrates else 9600,
+                self.parity.encode(),
+                self.data_bits,
+                self.stop_bits,
+            )
+        )
+        # Without a unit 3.1.6 aborts the process on the first read or write.
+        check(lib.modbus_set_slave(self.context, 1))
 
     def __str__(self) -> str:
         return self.device
-
-    # --- opening and closing --------------------------------------------------------------
 
     def opening(self, deadline: float) -> Steps[None]:
         self.open()
         yield from ()
 
     def open(self) -> None:
-        """
-        Open and configure the port, without waiting.
-
-        Raises:
-            ModbusConnectionError: the port cannot be opened, with errno.
-        """
+        """Open and configure the port, without waiting."""
         try:
             self._take_port()
             self._configure()
@@ -195,7 +166,12 @@ class SerialPort(Port):
         self._watch(lib.modbus_get_socket(self.context))
         if self.baudrate not in self.baudrates:
             set_odd_baudrate(self.descriptor, self.baudrate)
-        self._set_direction_control()
+        if self.rs485 == "kernel":
+            if lib.modbus_rtu_set_serial_mode(self.context, lib.MODBUS_RTU_RS485) == -1:
+                raise OSError(ffi.errno, "the driver has no RS-485 mode")
+        elif self.rs485 is not None:
+            lib.modbus_rtu_set_rts(self.context, self.rts_modes[self.rs485])
+            lib.modbus_rtu_set_rts_delay(self.context, round(self.rts_delay * 1_000_000))
         self.discard_input()
 
     def _connect(self) -> bool:
@@ -244,14 +220,6 @@ class SerialPort(Port):
             raise
         return guard
 
-    def _set_direction_control(self) -> None:
-        if self.rs485 == "kernel":
-            if lib.modbus_rtu_set_serial_mode(self.context, lib.MODBUS_RTU_RS485) == -1:
-                raise OSError(ffi.errno, "the driver has no RS-485 mode")
-        elif self.rs485 is not None:
-            lib.modbus_rtu_set_rts(self.context, self.rts_modes[self.rs485])
-            lib.modbus_rtu_set_rts_delay(self.context, round(self.rts_delay * 1_000_000))
-
     def close(self) -> None:
         """Close the port. A process that inherited it does not change its parent's settings."""
         self._sending = iter(())  # RTS goes back while the port is still open
@@ -277,8 +245,6 @@ class SerialPort(Port):
         for guard in guards:
             os.close(guard)
             _open_here.discard(self._number)
-
-    # --- bytes --------------------------------------------------------------------------------
 
     def receive(self) -> list[bytes]:
         try:
@@ -414,5 +380,5 @@ def _other_user(device: str, descriptor: int) -> str | None:
     path, own = os.path.realpath(device), os.getpid()
     for user in open_devices()[0]:
         if user.path == path and (user.process, user.descriptor) != (own, descriptor):
-            return "this program" if user.process == own else user.program()
+            return "this program" if user.process == own else user.program
     return None

@@ -18,36 +18,19 @@ NO_HARDWARE = "0"
 
 @dataclass(frozen=True)
 class SerialDevice:
-    """
-    A serial port, as the system describes it.
-
-    Attributes:
-        path: such as "/dev/ttyUSB0".
-        stable_path: its name in /dev/serial/by-id, which stays the same when ports change their
-            numbers; empty if it has none.
-        driver: of the kernel, such as "ftdi_sio"; empty if it is not known.
-        vendor, product: of a USB device, in words or as hexadecimal ids; empty elsewhere.
-        serial_number: of a USB device; empty if it has none.
-        state: "free", "in use by PROGRAM (PID)", "no permission"; "not known" if the processes of
-            other users cannot be seen. No port is opened for it, because that would move its lines.
-    """
+    """A serial port, as the system describes it; empty where it says nothing."""
 
     path: str
-    stable_path: str = ""
+    stable_path: str = ""  # in /dev/serial/by-id, the same when ports change their numbers
     driver: str = ""
-    vendor: str = ""
+    vendor: str = ""  # this and the next two are of a USB device, in words or as hexadecimal ids
     product: str = ""
     serial_number: str = ""
-    state: str = "not known"
+    state: str = "not known"  # no port is opened for it, because that would move its lines
 
 
 def serial_devices(root: str = "/") -> list[SerialDevice]:
-    """
-    Return the serial ports of this machine, sorted by path.
-
-    Args:
-        root: the folder with sys, dev and proc.
-    """
+    """Return the serial ports of this machine, sorted by path."""
     base = Path(root)
     opened, sees_all = open_devices(base)
     users = {each.path: each for each in opened}
@@ -112,41 +95,30 @@ class OpenDevice(NamedTuple):
     path: str
     process: int
     descriptor: int
-    base: Path
-
-    def program(self) -> str:
-        """Return the name of the program and its process, such as "minicom (77)"."""
-        name = _text(self.base / f"proc/{self.process}/comm")
-        return f"{name or 'a program'} ({self.process})"
+    program: str  # its name and its process, such as "minicom (77)"
 
 
 def open_devices(base: Path = Path("/")) -> tuple[list[OpenDevice], bool]:
-    """
-    Return the files in /dev that programs have open, and True if all programs were seen.
-
-    Args:
-        base: the folder with proc.
-    """
+    """Return the files in /dev that programs have open, and True if all programs were seen."""
     found: list[OpenDevice] = []
     sees_all = True
     for process in base.glob("proc/[0-9]*"):
+        program = f"{_text(process / 'comm') or 'a program'} ({process.name})"
         try:
-            links = list((process / "fd").iterdir())
+            for link in (process / "fd").iterdir():
+                with contextlib.suppress(FileNotFoundError):  # it was closed meanwhile
+                    if (path := os.readlink(link)).startswith("/dev/"):
+                        found.append(OpenDevice(path, int(process.name), int(link.name), program))
         except PermissionError:
             sees_all = False
-            continue
         except OSError:  # it has ended meanwhile
             continue
-        for link in links:
-            with contextlib.suppress(OSError):  # it was closed meanwhile
-                if (path := os.readlink(link)).startswith("/dev/"):
-                    found.append(OpenDevice(path, int(process.name), int(link.name), base))
     return found, sees_all
 
 
 def _state(node: Path, user: OpenDevice | None, sees_all: bool) -> str:
     if user is not None:
-        return f"in use by {user.program()}"
+        return f"in use by {user.program}"
     if not os.access(node, os.R_OK | os.W_OK):
         return "no permission" if node.exists() else "no device file"
     return "free" if sees_all else "not known"

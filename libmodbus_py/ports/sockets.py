@@ -34,12 +34,7 @@ DATAGRAMS = 64
 
 
 class SocketPort(Port):
-    """
-    A socket that is connected to one address.
-
-    Args:
-        name: of the address, for errors.
-    """
+    """A socket that is connected to one address; `name` is that, for errors."""
 
     kind: ClassVar[socket.SocketKind]
     _socket: socket.socket
@@ -76,23 +71,32 @@ class SocketPort(Port):
         for number, (family, kind, protocol, _, address) in enumerate(addresses):
             now = time.monotonic()
             share = now + (deadline - now) / (len(addresses) - number)
-            try:  # a system may lack the family of an address, or have no descriptor left
-                made = socket.socket(family, kind, protocol)
+            try:
+                return (yield from self._reach(family, kind, protocol, address, share))
             except OSError as error:
                 last = of_system(error)
-                continue
-            self._connecting = made
-            try:
-                yield from _connecting(made, address, share)
-            except BaseException as error:
-                made.close()
-                if not isinstance(error, OSError):
-                    raise
-                last = of_system(error)
-            else:
-                return made
         assert last is not None  # getaddrinfo gives one address or raises
         raise self._cannot_connect(last) from last
+
+    def _reach(
+        self, family: int, kind: int, protocol: int, address: Any, deadline: float
+    ) -> Steps[socket.socket]:
+        # A system may lack the family of an address, or have no descriptor left.
+        made = self._connecting = socket.socket(family, kind, protocol)
+        try:
+            made.setblocking(False)
+            number = made.connect_ex(address)
+            if number == errno.EINPROGRESS:
+                if not (yield Ready(made.fileno(), WRITE, deadline)):
+                    raise timed_out()
+                number = made.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+            if number:
+                raise OSError(number, os.strerror(number))
+            refuse_own(made)
+        except BaseException:
+            made.close()
+            raise
+        return made
 
     def _cannot_connect(self, error: OSError) -> ModbusConnectionError:
         reason = os.strerror(error.errno) if error.errno else error
@@ -100,12 +104,7 @@ class SocketPort(Port):
 
     @abstractmethod
     def _addresses(self, deadline: float) -> Steps[list[Any]]:
-        """
-        Return the addresses to try, as getaddrinfo returns them.
-
-        Raises:
-            ModbusConnectionError: there is none.
-        """
+        """Return the addresses to try, as getaddrinfo returns them, or raise."""
 
     def close(self) -> None:
         """Close the connection; a process that only inherited it leaves that of its parent open."""
@@ -131,18 +130,6 @@ def keep_alive(made: socket.socket, seconds: float) -> None:
     for option, value in zip(PROBES, values, strict=True):
         if option is not None:
             made.setsockopt(socket.IPPROTO_TCP, option, value)
-
-
-def _connecting(made: socket.socket, address: Any, deadline: float) -> Steps[None]:
-    made.setblocking(False)
-    number = made.connect_ex(address)
-    if number == errno.EINPROGRESS:
-        if not (yield Ready(made.fileno(), WRITE, deadline)):
-            raise timed_out()
-        number = made.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
-    if number:
-        raise OSError(number, os.strerror(number))
-    refuse_own(made)
 
 
 def refuse_own(made: socket.socket) -> None:
@@ -207,16 +194,7 @@ class StreamPort(SocketPort):
 
 
 class HostPort(SocketPort):
-    """
-    A socket that is connected to one host and port.
-
-    Args:
-        host: a name with all its addresses, an IPv4 or an IPv6 address.
-        port: 1..65535.
-
-    Raises:
-        TypeError, ValueError: an argument of the wrong type or range.
-    """
+    """A socket that is connected to one host and port."""
 
     def __init__(self, host: str, port: int) -> None:
         if not isinstance(host, str):
@@ -241,14 +219,7 @@ class HostPort(SocketPort):
 
 
 class TcpPort(HostPort, StreamPort):
-    """
-    A TCP connection.
-
-    Args:
-        host, port: as for `HostPort`.
-        keepalive: seconds of silence before the system probes the other side; None
-            for never.
-    """
+    """A TCP connection."""
 
     @classmethod
     def of(cls, endpoint: Endpoint, settings: PortSettings) -> Self:
@@ -278,12 +249,7 @@ class TcpPort(HostPort, StreamPort):
 
 
 class UdpPort(HostPort):
-    """
-    A UDP socket that receives from one host only; one ADU in each datagram.
-
-    Empty datagrams, which say nothing, are dropped. A port without a listener raises a
-    ModbusConnectionError as soon as its host reports it (ICMP).
-    """
+    """A UDP socket that receives from one host only; one ADU in each datagram."""
 
     kind = socket.SOCK_DGRAM
 
@@ -297,26 +263,24 @@ class UdpPort(HostPort):
         self._refusal = 0  # the system's number
 
     def receive(self) -> list[bytes]:
-        if self._refusal:
-            raise _refused(self._refusal)
         datagrams: list[bytes] = []
         for _ in range(DATAGRAMS):
             try:
                 datagram = self._socket.recv(MAX_RECEIVED)
             except BlockingIOError:
                 break
-            except OSError as error:
+            except OSError as error:  # ICMP reported a closed port
                 if self._refusal:
                     break
                 self._refusal = of_system(error).errno or errno.EIO
             else:
-                if datagram:
+                if datagram:  # an empty one says nothing
                     datagrams.append(datagram)
         if self._refusal:
             # The system tells it once, and before what was received earlier, which is worth
             # more: the news that the port is closed now comes with the next look.
             if not datagrams:
-                raise _refused(self._refusal)
+                raise lost(OSError(self._refusal, os.strerror(self._refusal)))
             self._socket.shutdown(socket.SHUT_RD)  # a waiting program is told at once
         return datagrams
 
@@ -336,7 +300,3 @@ class UdpPort(HostPort):
             # Of an earlier one; answers to others may still wait to be read. If the port is
             # closed now, the next look says so.
             self._socket.send(adu)
-
-
-def _refused(number: int) -> ModbusConnectionError:
-    return lost(OSError(number, os.strerror(number)))

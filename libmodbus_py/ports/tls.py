@@ -10,11 +10,11 @@ import os
 import socket
 import ssl
 import time
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Self, TypeAlias, TypeVar
 
 from ..protocol.errors import ModbusConnectionError
 from ..security.describing import describe, in_words
+from ..security.files import Acceptance
 from ..security.security import GivenContext, Security
 from ..security.tunnel import Tunnel
 from ..system import KEY_REJECTED
@@ -37,27 +37,16 @@ OF_OUR_CERTIFICATE = (
     "CERTIFICATE_EXPIRED", "CERTIFICATE_UNKNOWN", "CERTIFICATE_REQUIRED", "ACCESS_DENIED",
 )  # fmt: skip
 
-# The number of bytes without answers that counts as a flood: tickets and changes of
-# keys are rare. A byte of an answer pays for a record of its own, with room to spare.
+# The number of bytes behind the last answer that counts as a flood: tickets and changes of
+# keys are rare.
 MAX_CHAFF = 1 << 16
-CHAFF_OF_BYTE = 64
 
 # Seconds between two checks of the certificate of an open connection.
 CERTIFICATE_INTERVAL = 60.0
 
-# Name of an option in URLs -> argument of `Security`.
-NAMES = {
-    "cert": "certificate", "key": "key", "ca": "trust", "crl": "crl", "server_name": "server_name",
-}  # fmt: skip
-
 
 def security_of(endpoint: Endpoint, given: Given | None) -> Security | Given:
-    """
-    Return the security of a `tls://` endpoint, from its URL or the argument.
-
-    Raises:
-        TypeError, ValueError: neither or both contain it; or as for `Security`.
-    """
+    """Return the security of a `tls://` endpoint, from its URL or the argument."""
     if not endpoint.options:
         if given is None:
             raise ValueError(
@@ -66,15 +55,12 @@ def security_of(endpoint: Endpoint, given: Given | None) -> Security | Given:
         return given
     if given is not None:
         raise ValueError(f"{endpoint}: security is given as such and in the URL")
-    options: Mapping[str, str] = endpoint.options
-    if "cert" not in options:
+    named: dict[str, Any] = dict(endpoint.options)
+    if "cert" not in named:
         raise ValueError(f"{endpoint} lacks cert, the file with one's own certificate")
-    if ("ca" in options) == ("pin" in options):
-        raise ValueError(f"{endpoint} needs either ca, the authorities, or pin, certificates")
-    named: dict[str, Any] = {NAMES[name]: options[name] for name in NAMES if name in options}
-    if "pin" in options:
-        named["pin"] = options["pin"].split(",")
-    if (name := options.get("password_env")) is not None:
+    if "pin" in named:
+        named["pin"] = named["pin"].split(",")
+    if (name := named.pop("password_env", None)) is not None:
         if name not in os.environ:
             raise ValueError(f"password_env: no environment variable {name!r}")
         named["password"] = os.environ[name]
@@ -86,11 +72,11 @@ class TlsPort(TcpPort):
     A TLS connection, which is open once each side has accepted the other's certificate.
 
     The next connection resumes its session, if the server allows that (R-42).
-
-    Args:
-        host, port, keepalive: as for `TcpPort`.
-        security: the client's own certificate, and those that it trusts.
     """
+
+    _acceptance: Acceptance  # this and the next two are those of the tunnel
+    _check_at: float
+    _owner: int  # the process
 
     @classmethod
     def of(cls, endpoint: Endpoint, settings: PortSettings) -> Self:
@@ -104,9 +90,6 @@ class TlsPort(TcpPort):
         super().__init__(host, port, keepalive)
         self._security = security
         self._session: ssl.SSLSession | None = None
-        self._acceptance = security.acceptance()
-        self._check_at = 0.0
-        self._owner = 0
         self._begin(None)
 
     @property
@@ -121,8 +104,6 @@ class TlsPort(TcpPort):
         self._chaff = 0
         self._flights = 0  # how often this side has sent during the handshake
         self._has_answered = False
-
-    # --- opening ------------------------------------------------------------------------------
 
     def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
         yield from super()._preparing(made, deadline)
@@ -166,8 +147,6 @@ class TlsPort(TcpPort):
                 raise ConnectionResetError(errno.ECONNRESET, "closed by the other side")
             tunnel.feed(received)
 
-    # --- errors -------------------------------------------------------------------------------
-
     def _distrusting(self, reason: str, certificate: bytes) -> ModbusConnectionError:
         shown = f": {describe(certificate)}" if certificate else ""
         text = f"cannot trust {self}: {reason.rstrip('.')}{shown}"
@@ -198,8 +177,6 @@ class TlsPort(TcpPort):
         if not self._has_answered:
             error.args = (f"{error.args[0]}; it may have refused our certificate",)
         return error
-
-    # --- receiving ------------------------------------------------------------------------------
 
     def has_input(self) -> bool:
         # A connection that ends here, before a request, is made again, as if the server had closed
@@ -233,7 +210,7 @@ class TlsPort(TcpPort):
                 tunnel.feed(data)
             while piece := tunnel.receive():
                 self._received.append(piece)
-                self._chaff -= len(piece) * CHAFF_OF_BYTE
+                self._chaff = 0
         except ModbusConnectionError as error:
             self._failure = self._suspecting(error)
         except ssl.SSLError as error:
@@ -245,11 +222,8 @@ class TlsPort(TcpPort):
             # Delayed requests, and records of OpenSSL itself: a change of keys, an alert.
             self._send(tunnel, b"")
         self._has_answered = self._has_answered or bool(self._received)
-        self._chaff = max(0, self._chaff)
         if self._chaff > MAX_CHAFF and self._failure is None:
             self._failure = ModbusConnectionError("flooded with bytes that are not a response")
-
-    # --- sending --------------------------------------------------------------------------------
 
     def send(self, adus: list[bytes], now: float) -> None:
         # A connection that is never idle is not asked for input.
@@ -298,8 +272,6 @@ class TlsPort(TcpPort):
         self._security.warn_of_end()
         if (reason := self._acceptance.refusal()) is not None:
             self._failure = self._distrusting(reason, self._tunnel.certificate)
-
-    # --- closing --------------------------------------------------------------------------------
 
     def close(self) -> None:
         # A close_notify would end the connection of the parent process.

@@ -80,19 +80,7 @@ def is_traced(callback: OnTraced | None) -> bool:
 
 
 class Trace:
-    """
-    Passes ADUs to a callback, and to the logger ``libmodbus_py.wire`` at DEBUG.
-
-    If the callback fails, this is logged, and requests are not affected.
-
-    Args:
-        endpoint, peer: as in `Traced`.
-        callback: called with each ADU, or None.
-        later: takes a name and a call, and makes the call later; None to call at once.
-
-    Attributes:
-        is_on: returns True if there is a callback, or the logger is at DEBUG.
-    """
+    """Passes ADUs to a callback, and to the logger ``libmodbus_py.wire`` at DEBUG."""
 
     def __init__(
         self,
@@ -104,7 +92,7 @@ class Trace:
         self._endpoint = endpoint
         self._callback = callback
         self._peer = peer
-        self._later = later
+        self._later = later  # makes a call with a name later; None for at once
         self.is_on: Callable[[], bool] = _is_logged if callback is None else lambda: True
 
     def tell(

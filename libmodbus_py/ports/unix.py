@@ -39,15 +39,7 @@ def _checked(path: str) -> str:
 
 
 class UnixPort(StreamPort):
-    """
-    A connection to a Unix socket.
-
-    Args:
-        path: the path of the socket, at most 107 bytes (103 on other systems than Linux).
-
-    Raises:
-        ValueError: the path is too long.
-    """
+    """A connection to a Unix socket."""
 
     @classmethod
     def of(cls, endpoint: Endpoint, _settings: PortSettings) -> Self:
@@ -63,31 +55,14 @@ class UnixPort(StreamPort):
 
 
 class UnixListener:
-    """
-    Listens at the path of a Unix socket. See `server.peers.TcpServer`.
-
-    The socket of a server that has died is replaced. The owner and the group of the socket may
-    connect; `name` tells the user and the process of a client.
-
-    Args:
-        path: as for `UnixPort`.
-
-    Raises:
-        ValueError: the path is too long.
-    """
+    """Listens at the path of a Unix socket, where its owner and its group may connect."""
 
     def __init__(self, path: str) -> None:
         self._path = _checked(path)
         self._identity: tuple[int, int, int] | None = None
 
     async def open(self) -> socket.socket:
-        """
-        Return a socket that listens; other tasks of the loop run while its folder is locked.
-
-        Raises:
-            OSError: a program listens at the path, the file there is no socket, or the folder
-                cannot be read and written.
-        """
+        """Return a socket that listens; other tasks of the loop run while its folder is locked."""
         made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             made.setblocking(False)

@@ -52,11 +52,6 @@ class Woken(Exception):
 class Waker:
     """
     Waits for descriptors and for times; another thread, or a signal handler, may end each wait.
-
-    Attributes:
-        descriptor: readable once `wake` was called; -1 when closed.
-        now: returns the time in seconds, on the clock of all deadlines.
-        sleep: waits so many seconds, which nothing ends early.
     """
 
     descriptor: int = -1
@@ -103,12 +98,7 @@ class Waker:
         self._poll.register(descriptor, READ)
 
     def is_ready(self, seconds: float) -> bool:
-        """
-        Wait until there is something to read; return False if the time is over first.
-
-        Raises:
-            Woken: by `wake`.
-        """
+        """Wait until there is something to read; return False if the time is over first."""
         return self._watched in self._polled(self._poll, seconds)
 
     def wait(self, descriptor: int, events: int, deadline: float) -> bool:
@@ -136,17 +126,15 @@ def milliseconds(seconds: float) -> int:
 
 
 def run(steps: Steps[Result], waker: Waker) -> Result:
-    """
-    Run steps to their end.
-
-    Raises:
-        Woken: by the waker.
-    """
+    """Run steps to their end; the waker may end this by Woken."""
     try:
         wanted = next(steps)
         while True:
             try:
-                found = _wait(wanted, waker)
+                if isinstance(wanted, Resolve):
+                    found: Any = _look_up(wanted, waker)
+                else:
+                    found = waker.wait(*wanted)
             except OSError as error:
                 of_system(error)
                 wanted = steps.throw(error)
@@ -157,12 +145,6 @@ def run(steps: Steps[Result], waker: Waker) -> Result:
         return result
     finally:
         steps.close()
-
-
-def _wait(wanted: Ready | Resolve, waker: Waker) -> Any:
-    if isinstance(wanted, Resolve):
-        return _look_up(wanted, waker)
-    return waker.wait(*wanted)
 
 
 def _look_up(wanted: Resolve, waker: Waker) -> list[Any]:
@@ -184,12 +166,7 @@ def timed_out() -> TimeoutError:
 
 
 def of_system(error: OSError) -> OSError:
-    """
-    Return an error of the system, which has a number or words.
-
-    Raises:
-        OSError: the error itself, as when a signal handler raised a TimeoutError of its own.
-    """
+    """Return an error of the system; raise any other, as a signal handler may raise one."""
     if error.errno is None and error.strerror is None:
         raise error
     return error

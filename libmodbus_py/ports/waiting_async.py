@@ -42,12 +42,7 @@ async def run_async(steps: Steps[Result]) -> Result:
 
 
 async def look_up(wanted: Resolve) -> list[Any]:
-    """
-    Return what getaddrinfo finds for a name or an address.
-
-    Raises:
-        OSError: the name is not known, or cannot be looked up; TimeoutError: not in time.
-    """
+    """Return what getaddrinfo finds, or raise its OSError, or TimeoutError."""
     if found := numeric(wanted):
         return found
     loop = asyncio.get_running_loop()
@@ -95,12 +90,6 @@ async def _ready(wanted: Ready) -> bool:
 class Alarm:
     """
     A timer that is replaced only when an earlier time is set, because most timers are not needed.
-
-    Args:
-        ring: is called in the loop; it sets the alarm again if there is more to wait for.
-
-    Attributes:
-        at: when the alarm rings, by the clock of the loop in seconds; infinite if it is not set.
     """
 
     def __init__(self, ring: Callable[[], object]) -> None:

@@ -107,15 +107,7 @@ def _name(name: x509.Name) -> str:
 
 
 class CertificateHolder(NamedTuple):
-    """
-    The holder of a certificate.
-
-    Attributes:
-        subject: the name as in RFC 4514; empty for a nameless one, or without cryptography.
-        serial: the serial number in hexadecimal digits; empty without cryptography.
-        issuer: the name of who signed it; empty as for `subject`.
-        fingerprint: the SHA-256 in hexadecimal digits.
-    """
+    """The holder of a certificate."""
 
     subject: str
     serial: str

@@ -79,13 +79,7 @@ def _parts(text: str, kind: str) -> list[str]:
 
 
 def _read_pins(pins: Iterable[File]) -> dict[str, bytes]:
-    """
-    Return SHA-256 -> certificate in DER; empty bytes where only the SHA-256 is given.
-
-    Raises:
-        TypeError, ValueError: a pin is neither a file with a certificate nor a SHA-256, or there
-            is none.
-    """
+    """Return SHA-256 -> certificate in DER; empty bytes where only the SHA-256 is given."""
     found: dict[str, bytes] = {}
     for pin in pins:
         if not isinstance(pin, str | os.PathLike):
@@ -110,10 +104,6 @@ class Revoked:
 
     OpenSSL checks them when a connection begins. They are read here, too, for connections that
     were open before a list was changed.
-
-    Attributes:
-        ends: the earliest time at which a list ends, in seconds since 1970, after which OpenSSL
-            refuses all certificates of its authority; None if no list tells.
     """
 
     def __init__(self, file: PemFile) -> None:
@@ -156,14 +146,7 @@ class SecurityFiles(NamedTuple):
 
 
 class Loaded:
-    """
-    The content of the files; errors are those of `Security`.
-
-    Attributes:
-        own: the own certificate in DER.
-        revoked: the revocation lists, if any.
-        client: OpenSSL's settings for the client's end.
-    """
+    """The content of the files; errors are those of `Security`."""
 
     def __init__(self, files: SecurityFiles) -> None:
         self._files = files

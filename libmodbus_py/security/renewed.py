@@ -24,13 +24,7 @@ MISTAKES = (ImportError, OSError, TypeError, ValueError)
 
 
 def read_secret(path: str | os.PathLike[str]) -> str:
-    """
-    Return the text of a file with a password, a token or a seed, in UTF-8, up to 64 KiB.
-
-    Raises:
-        OSError: the file cannot be read; PermissionError, too, if all users can read it.
-        UnicodeDecodeError: it is not UTF-8.
-    """
+    """Return the text of a file with a password, a token or a seed, in UTF-8, up to 64 KiB."""
     with open(path, "rb") as file:
         mode = os.fstat(file.fileno()).st_mode
         if os.name == "posix" and mode & stat.S_IROTH:

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 from .describing import quoted, require_cryptography
 
-# fmt: off
 __all__ = [
     "ROLE_OID", "RoleError", "check_role", "decode_role", "encode_role", "mentions_role", "role_of",
-]
-# fmt: on
+]  # fmt: skip
 
 ROLE_OID = "1.3.6.1.4.1.50316.802.1"
 """The extension that holds the role."""
@@ -38,21 +36,7 @@ def mentions_role(certificate: bytes) -> bool:
 
 
 def role_of(certificate: bytes) -> str | None:
-    """
-    Return the role in a certificate that was accepted otherwise.
-
-    Args:
-        certificate: X.509 in DER, as ``ssl.SSLSocket.getpeercert(True)`` returns it.
-
-    Returns:
-        The role; None if there is none, which is a caller without a role (R-23).
-
-    Raises:
-        RoleError: bytes that are not a certificate, or none whose extensions can be read; two
-            roles; one that is not a UTF8String in DER and nothing else, that is empty, that is
-            longer than 255 bytes or has control characters.
-        ImportError: cryptography is not installed.
-    """
+    """Return the role in a certificate in DER, None if it has none (R-23), or raise RoleError."""
     require_cryptography()
     from cryptography import x509
 
@@ -74,50 +58,28 @@ def role_of(certificate: bytes) -> str | None:
 
 
 def encode_role(role: str) -> bytes:
-    """
-    Return the DER of a role, as the extension contains it.
-
-    Raises:
-        RoleError: as for `check_role`.
-    """
+    """Return the DER of a role, as the extension contains it, or raise RoleError."""
     check_role(role)
-    return _string(role.encode())
-
-
-def _string(text: bytes) -> bytes:
-    """Return a UTF8String of up to 255 bytes in DER, which has one form for each length."""
-    size = len(text) & 0xFF
-    length = [size] if len(text) < 0x80 else [0x81, size]
+    text = role.encode()
+    length = [len(text)] if len(text) < 0x80 else [0x81, len(text)]
     return bytes([UTF8_STRING_TAG, *length]) + text
 
 
 def decode_role(value: bytes) -> str:
-    """
-    Return the role that an extension contains.
-
-    Raises:
-        RoleError: the extension is not exactly one UTF8String in DER, or contains no role.
-    """
-    if value[:1] != bytes([UTF8_STRING_TAG]):
-        tag = f"tag {value[0]:02X}h" if value else "no tag"
-        raise RoleError(f"the role must be a UTF8String (tag 0Ch), not {tag}")
+    """Return the role of an extension, or raise RoleError: it is exactly one UTF8String in DER."""
     text = value[3:] if value[1:2] == b"\x81" else value[2:]
-    if _string(text) != value:
-        begin = value[:6].hex(" ")
-        raise RoleError(f"the role's {len(value)} bytes ({begin} ...) are not one string in DER")
     try:
-        role = text.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise RoleError(f"the role is not UTF-8 from byte {error.start} on") from None
-    check_role(role)
-    return role
+        role = text.decode()
+    except UnicodeDecodeError:
+        role = ""
+    if role and encode_role(role) == value:
+        return role
+    begin = value[:6].hex(" ")
+    raise RoleError(f"the role's {len(value)} bytes ({begin} ...) are not one UTF8String in DER")
 
 
 def check_role(role: str) -> None:
-    """
-    Raises:
-        RoleError: not 1..255 bytes of UTF-8, or control characters among them.
-    """
+    """Raise RoleError: not 1..255 bytes of UTF-8, or control characters among them."""
     try:
         size = len(role.encode())
     except UnicodeEncodeError:

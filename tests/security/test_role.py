@@ -47,39 +47,44 @@ def test_the_whole_string_is_one_role(role: str) -> None:
 
 
 @each_case(
-    ("value", "reason"),
+    "value",
     [
-        (b"\x16\x08Operator", "UTF8String"),  # IA5String
-        (b"\x13\x08Operator", "UTF8String"),  # PrintableString
-        (b"\x04\x0a" + OPERATOR, "UTF8String"),  # wrapped once more
-        (b"\x30\x0a" + OPERATOR, "UTF8String"),  # a sequence
-        (b"\x2c\x0a" + OPERATOR, "UTF8String"),  # constructed, as BER may
-        (b"Operator", "UTF8String"),
-        (b"", "UTF8String"),
-        (b"\x0c", "one string in DER"),
-        (b"\x0c\x09Operator", "one string in DER"),
-        (b"\x0c\x07Operator", "one string in DER"),
-        (OPERATOR + b"\0", "one string in DER"),
-        (OPERATOR + OPERATOR, "one string in DER"),
-        (b"\x0c\x81\x08Operator", "one string in DER"),  # lengths that BER may have
-        (b"\x0c\x82\x00\x08Operator", "one string in DER"),
-        (b"\x0c\x80Operator\0\0", "one string in DER"),
-        (b"\x0c\x81", "one string in DER"),
-        (b"\x0c\x81" + b"a" * 129, "one string in DER"),  # 81h is not a length of its own
-        (b"\x0c\xfd" + b"a" * 253, "one string in DER"),
-        (b"\x0c\x81\x80" + b"a" * 127, "one string in DER"),
-        (b"\x0c\x82\x01\x00" + b"a" * 256, "one string in DER"),
-        (b"\x0c\x08Operato\xff", "not UTF-8 from byte 7"),
-        (b"\x0c\x02\xc0\x80", "not UTF-8"),  # a NUL in disguise
-        (b"\x0c\x03\xed\xa0\x80", "not UTF-8"),  # half a pair of UTF-16
-        (b"\x0c\x00", "1..255 bytes"),
-        (b"\x0c\x09Operator\0", "control characters"),
-        (b"\x0c\x0aOperator\r\n", "control characters"),
+        b"\x16\x08Operator",  # IA5String
+        b"\x13\x08Operator",  # PrintableString
+        b"\x04\x0a" + OPERATOR,  # wrapped once more
+        b"\x30\x0a" + OPERATOR,  # a sequence
+        b"\x2c\x0a" + OPERATOR,  # constructed, as BER may
+        b"Operator",
+        b"",
+        b"\x0c",
+        b"\x0c\x09Operator",
+        b"\x0c\x07Operator",
+        OPERATOR + b"\0",
+        OPERATOR + OPERATOR,
+        b"\x0c\x81\x08Operator",  # lengths that BER may have
+        b"\x0c\x82\x00\x08Operator",
+        b"\x0c\x80Operator\0\0",
+        b"\x0c\x81",
+        b"\x0c\x81" + b"a" * 129,  # 81h is not a length of its own
+        b"\x0c\xfd" + b"a" * 253,
+        b"\x0c\x81\x80" + b"a" * 127,
+        b"\x0c\x82\x01\x00" + b"a" * 256,
+        b"\x0c\x08Operato\xff",
+        b"\x0c\x02\xc0\x80",  # a NUL in disguise
+        b"\x0c\x03\xed\xa0\x80",  # half a pair of UTF-16
+        b"\x0c\x00",
+        b"\x0c\x09Operator\0",
+        b"\x0c\x0aOperator\r\n",
+        b"\x0c\x81\xff" + b"\n" * 255,
+        b"\x0c\x82\x40\0" + b"a" * 0x4000,
+        b"\x1b" * 9999,
     ],
 )
-def test_what_is_no_role_is_refused(value: bytes, reason: str) -> None:
-    with pytest.raises(RoleError, match=reason):
+def test_what_is_no_role_is_refused_in_one_short_line(value: bytes) -> None:
+    with pytest.raises(RoleError, match=r"^the role") as caught:
         role_of(client(value))
+    assert len(str(caught.value)) < 200
+    assert str(caught.value).isprintable()
 
 
 def test_two_roles_are_refused() -> None:
@@ -110,14 +115,6 @@ def test_a_version_that_does_not_exist_is_refused() -> None:
     assert der.count(third) == 1
     with pytest.raises(RoleError, match="cannot be read"):
         role_of(der.replace(third, third[:-1] + b"\5"))
-
-
-def test_errors_are_short_and_on_one_line() -> None:
-    for value in (b"\x0c\x81\xff" + b"\n" * 255, b"\x0c\x82\x40\0" + b"a" * 0x4000, b"\x1b" * 9999):
-        with pytest.raises(RoleError) as caught:
-            role_of(client(value))
-        assert len(str(caught.value)) < 200
-        assert str(caught.value).isprintable()
 
 
 @settings(max_examples=200)
