@@ -272,12 +272,6 @@ def tried(
 ) -> None:
     """
     Run a scenario with every fault there is; fail with all that went wrong, each with its fault.
-
-    Args:
-        scenario: enters `Trial.faults`, and sees afterwards that all works again.
-        part: the modules on trial, by how their names begin.
-        errors: how many of each kind; None for all.
-        without: the kind that cannot fail there.
     """
     begins = tuple(f"{PACKAGE}.{each}" if each else PACKAGE for each in part)
     found: list[str] = []

@@ -25,9 +25,6 @@ FOUND = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("192.0.2.1", 502))]
 class Resolver:
     """
     In place of the system's: names that begin with "stuck" get no answer until `release` is set.
-
-    Attributes:
-        asked: the names that were looked up, in their order.
     """
 
     def __init__(self) -> None:

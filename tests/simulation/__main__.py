@@ -171,13 +171,7 @@ def _find_all() -> int:
 
 
 def find(broken: Break, *, seconds: float = math.inf, seeds: int | None = None) -> Failure | None:
-    """
-    Break a rule, and play seeds until one shows it.
-
-    Args:
-        seconds: of processor time, after which no more are played.
-        seeds: how many are played at most.
-    """
+    """Break a rule, and play seeds until one shows it."""
     until = time.process_time() + seconds
     for seed in count() if seeds is None else range(seeds):
         if time.process_time() >= until:

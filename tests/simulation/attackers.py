@@ -25,12 +25,7 @@ PERIOD = 0.001
 
 
 class Attackers:
-    """
-    All connections of an attack, each from a host of its own, until it is left.
-
-    Attributes:
-        connected, sent, received: connections made, and bytes.
-    """
+    """All connections of an attack, each from a host of its own, until it is left."""
 
     def __init__(self, stage: Stage, attack: Attack, url: str) -> None:
         self.attack: Attack = attack
@@ -134,14 +129,7 @@ class _Attacker:
 
 @dataclass
 class Waited:
-    """
-    What an innocent client had to wait for.
-
-    Attributes:
-        turns, others: of each of its requests: turns of the loop and requests of others.
-        longest: the most requests that were answered in one turn. Who comes when a turn has begun
-            waits for that many.
-    """
+    """What an innocent client had to wait for."""
 
     turns: list[int] = field(default_factory=list)
     others: list[int] = field(default_factory=list)
@@ -149,13 +137,7 @@ class Waited:
 
 
 class Innocent:
-    """
-    A client that reads what it wrote.
-
-    Args:
-        client: its connection.
-        count: returns how many requests there were, of everybody.
-    """
+    """A client that reads what it wrote."""
 
     FIRST = 1000
     VALUES = tuple(range(40_000, 40_010))

@@ -28,15 +28,7 @@ __all__ = ["BREAKS", "Break"]
 
 @dataclass(frozen=True)
 class Break:
-    """
-    One rule that is taken out.
-
-    Attributes:
-        rule: what does not hold any more.
-        casts: those that may find it.
-        broken: breaks it while it is entered.
-        faults: those that may happen meanwhile; as the seed says if there are none.
-    """
+    """One rule that is taken out."""
 
     rule: str
     casts: tuple[str, ...]

@@ -34,32 +34,19 @@ ILLEGAL_ADDRESS, BUSY = 2, 6
 
 @dataclass(frozen=True)
 class Behaviour:
-    """
-    What a unit does, each with a probability, once for each request.
+    """What a unit does, each with a probability, once for each request."""
 
-    Attributes:
-        delay: seconds that an answer takes, at least and at most.
-        silent: it gives no answer.
-        late: its answer comes after so many seconds more, at most `lateness`.
-        refuse: it answers with an exception.
-        twice: its answer comes twice, the second one up to `apart` seconds later.
-        split: its answer comes in two pieces.
-        flip: a bit of its answer is another one.
-        other_function: a good frame of this unit comes first, of a function that nobody asked for.
-        drop: its connection is closed in place of an answer.
-    """
-
-    delay: tuple[float, float] = (0.0005, 0.005)
+    delay: tuple[float, float] = (0.0005, 0.005)  # seconds, at least and at most
     silent: float = 0.0
-    late: float = 0.0
+    late: float = 0.0  # by `lateness` seconds at most
     lateness: float = 0.0
     refuse: float = 0.0
-    twice: float = 0.0
+    twice: float = 0.0  # within `apart` seconds
     apart: float = 0.0
     split: float = 0.0
     flip: float = 0.0
-    other_function: float = 0.0
-    drop: float = 0.0
+    other_function: float = 0.0  # a good frame of another function comes first
+    drop: float = 0.0  # the connection, in place of an answer
 
 
 Executed = Callable[[int, bytes], object]
@@ -67,12 +54,7 @@ Executed = Callable[[int, bytes], object]
 
 
 class Unit:
-    """
-    One unit.
-
-    Attributes:
-        behaviour: may be changed.
-    """
+    """One unit."""
 
     def __init__(
         self, number: int, behaviour: Behaviour, events: Events, executed: Executed
@@ -138,12 +120,7 @@ def time_of(values: list[int]) -> float:
 
 
 class Bus(Party):
-    """
-    Units on a serial line, in RTU: a request is what silence ends.
-
-    Args:
-        quiet: seconds of silence that end a frame.
-    """
+    """Units on a serial line, in RTU: a request is what silence ends."""
 
     is_unit: bool = True
 
@@ -182,13 +159,7 @@ class Bus(Party):
 
 
 class Host:
-    """
-    Units behind a TCP port, with MBAP headers or with the frames of a line.
-
-    Args:
-        url: where it listens: tcp or rtu+tcp.
-        accepts: how probable it is that a connection is accepted.
-    """
+    """Units behind a TCP port, with MBAP headers or with the frames of a line."""
 
     def __init__(self, network: Network, url: str, units: list[Unit], accepts: float = 1.0) -> None:
         self.accepts: float = accepts

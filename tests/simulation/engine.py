@@ -48,12 +48,7 @@ Reply = Callable[[object], None]
 
 @dataclass
 class Message:
-    """
-    A message as nats-py hands it over.
-
-    Attributes:
-        metadata: where in its stream it stands; None outside of JetStream.
-    """
+    """A message as nats-py hands it over."""
 
     subject: str
     data: bytes
@@ -82,28 +77,12 @@ class _Undo(NamedTuple):
 
 
 class Engine:
-    """
-    The server.
-
-    Args:
-        network: whose clock and random choices it uses; make the engine before its loop.
-        delay: the least and the most seconds that a message takes each way.
-
-    Attributes:
-        losses: the probability that a request to JetStream, an answer of it or a change of the
-            bucket on its way to somebody who watches is lost, from 0 to 1.
-        latest: the bucket: the last change of each key; None while there is no bucket.
-        revision: of the last change of the bucket.
-        stream: the last messages of the stream of readings: time, subject, data.
-        requests: how many requests the server has carried out.
-        is_up: whether it can be reached.
-        processes: numbers those of the workers.
-    """
+    """The server; make it before the loop of its network."""
 
     def __init__(self, network: Network, delay: tuple[float, float] = DELAY) -> None:
         self.delay: tuple[float, float] = delay
-        self.losses: float = 0.0
-        self.latest: dict[str, Change] | None = {}
+        self.losses: float = 0.0  # probability, of requests, answers and watched changes
+        self.latest: dict[str, Change] | None = {}  # None while there is no bucket
         self.revision: int = 0
         self.stream: deque[tuple[float, str, bytes]] = deque(maxlen=MOST_KEPT)
         self.requests: int = 0
@@ -122,12 +101,7 @@ class Engine:
     # --- for tests --------------------------------------------------------------------------------
 
     def client(self, on_change: Callable[[], None] = lambda: None) -> EngineClient:
-        """
-        Return a connected client, in the running event loop.
-
-        Args:
-            on_change: called when the connection was lost, and when it stands again.
-        """
+        """Return a connected client, in the running event loop."""
         client = EngineClient(self, on_change)
         self._links.append(client.link)
         return client
@@ -369,13 +343,7 @@ _Way = deque[tuple[float, Callable[..., None], tuple[Any, ...]]]
 
 
 class _Link:
-    """
-    The connection of a client.
-
-    Attributes:
-        is_cut: whether all stays where it is.
-        is_up: whether it is connected, as the server has it.
-    """
+    """The connection of a client."""
 
     def __init__(self, engine: Engine, client: EngineClient) -> None:
         self.is_cut: bool = False
@@ -449,15 +417,7 @@ class _Link:
 
 
 class EngineClient:
-    """
-    A client, with as much of the face of nats-py's as the package uses.
-
-    Attributes:
-        on_change: called when the connection was lost, and when it stands again.
-        link: its connection.
-        is_connected: as far as the client knows.
-        max_payload: bytes of a message at most.
-    """
+    """A client, with as much of the face of nats-py's as the package uses."""
 
     def __init__(self, engine: Engine, on_change: Callable[[], None]) -> None:
         self.on_change: Callable[[], None] = on_change

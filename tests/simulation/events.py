@@ -17,18 +17,7 @@ START = 1000.0
 
 
 class Events:
-    """
-    A clock, and what is to happen.
-
-    Args:
-        seed: of every random choice.
-
-    Attributes:
-        now: seconds; stands still while anybody works.
-        random: decides whatever nobody else does, the order of simultaneous events among it.
-        happened: how many events there were.
-        looks: called after each event; what they raise ends the run.
-    """
+    """A clock, and what is to happen."""
 
     def __init__(self, seed: int = 0) -> None:
         self.now: float = START

@@ -29,12 +29,7 @@ class Sent(NamedTuple):
 
 
 class Exchange:
-    """
-    Keeps the last of what was sent.
-
-    Args:
-        most: how many pieces.
-    """
+    """Keeps the last of what was sent."""
 
     def __init__(self, events: Events, most: int = 400) -> None:
         self._events = events

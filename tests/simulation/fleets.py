@@ -32,13 +32,7 @@ BEHIND_GATEWAY, PLACES, UNITS = 20, 10, 10
 
 
 class Fleet:
-    """
-    Devices, an engine, and workers that come and go.
-
-    Args:
-        places: how many connections there are, each with so many `units`.
-        interval: seconds between two polls of a device.
-    """
+    """Devices, an engine, and workers that come and go."""
 
     def __init__(
         self, world: World, places: int, units: int, interval: float, lease: float = LEASE

@@ -28,23 +28,14 @@ def undisturbed(data: bytes) -> Iterable[tuple[float, bytes]]:
 
 
 class SerialLine:
-    """
-    A line, and who is on it.
-
-    Attributes:
-        character: seconds that one byte takes; of the first port that opens the line, unless set.
-        noise: what becomes of what is written.
-        on_written: told of all that is written, and whether a unit answers with it.
-        is_unplugged: whether ports of this line cannot be opened.
-        parties: who is on it.
-    """
+    """A line, and who is on it."""
 
     def __init__(self, events: Events) -> None:
         self.noise: Noise = undisturbed
         self.on_written: Callable[[bool, bytes], object] | None = None
         self.is_unplugged: bool = False
         self._events = events
-        self.character: float = 0.0
+        self.character: float = 0.0  # seconds of a byte; else of the first port that opens the line
         self._busy: dict[Party, float] = {}  # until when each sender still sends
         self.parties: list[Party] = []
 
@@ -77,12 +68,7 @@ class SerialLine:
 
 
 class Party:
-    """
-    Who hears what others write.
-
-    Attributes:
-        is_unit: whether it answers, and does not ask.
-    """
+    """Who hears what others write."""
 
     is_unit: bool = False
 

@@ -29,12 +29,7 @@ class Stuck(AssertionError):
 
 
 class Descriptors:
-    """
-    Which simulated descriptors can be read or written.
-
-    Attributes:
-        readable, writable: those that can.
-    """
+    """Which simulated descriptors can be read or written."""
 
     def __init__(self) -> None:
         self.readable: set[int] = set()
@@ -53,14 +48,7 @@ class Descriptors:
 
 
 class Selector(selectors._BaseSelectorImpl):
-    """
-    Waits in simulated time for simulated descriptors, and never for the system's.
-
-    Attributes:
-        interrupt: asked before the clock moves; it waits no longer if that returns True.
-        turns: how often it was asked who is ready; `on_turn` is called then.
-        is_woken: whether another thread has woken the loop.
-    """
+    """Waits in simulated time for simulated descriptors, and never for the system's."""
 
     def __init__(self, events: Events, descriptors: Descriptors) -> None:
         super().__init__()
@@ -187,12 +175,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         return super().call_later(max(shortest, delay), callback, *args, context=context)
 
     def run_until(self, is_so: Callable[[], bool], seconds: float) -> bool:
-        """
-        Run until a condition holds, which is looked at whenever everybody waits.
-
-        Returns:
-            Whether it holds, after so many simulated seconds at most.
-        """
+        """Run until a condition holds, which is looked at whenever everybody waits."""
         until = self._events.now + seconds
         self._events.at(until, lambda: None)
 
@@ -211,12 +194,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
 
 def run(main: Coroutine[Any, Any, Result], loop: VirtualLoop) -> Result:
-    """
-    Run a coroutine to its end, and close the loop.
-
-    Raises:
-        AssertionError: tasks were left, or the loop complained.
-    """
+    """Run a coroutine to its end, and close the loop."""
     with contextlib.closing(loop), complaints_of(loop) as complaints:
         asyncio.set_event_loop(loop)
         try:

@@ -55,27 +55,16 @@ CONNECTING = 0.0003
 
 
 class Network:
-    """
-    Args:
-        seed: of all that happens.
-
-    Attributes:
-        events, descriptors: on which all is built.
-        lines: the serial lines, by device; one comes into being when its device is first opened.
-        unreachable: hosts that answer no attempt to connect.
-        tap: told of all that is sent: the URL or device, the number of the connection, whether a
-            client sent it, and what.
-        has_processes: whether parts of what runs in a loop can be stopped: see `processes`.
-    """
+    """Hosts and lines in memory; the seed decides all that happens."""
 
     def __init__(self, seed: int = 0) -> None:
         self.events: Events = Events(seed)
         self._seed = seed
         self.descriptors: Descriptors = Descriptors()
         self.lines: dict[str, SerialLine] = {}
-        self.unreachable: set[str] = set()
-        self.tap: Tap | None = None
-        self.has_processes: bool = False
+        self.unreachable: set[str] = set()  # hosts that answer no attempt to connect
+        self.tap: Tap | None = None  # place, connection (0 on lines), is it a client, what is sent
+        self.has_processes: bool = False  # see `processes`
         self._hosts: dict[tuple[str, ADDRESS], tuple[Accept, str]] = {}
         self._datagrams: dict[ADDRESS, MemoryDatagrams] = {}
         self._sockets: dict[int, MemorySocket] = {}
@@ -90,9 +79,6 @@ class Network:
     def run(self, main: Callable[[], Coroutine[Any, Any, Result]]) -> Result:
         """
         Run a coroutine function in an event loop of its own, with the package on this network.
-
-        Raises:
-            AssertionError: a task was left, or an exception that nobody took.
         """
         with self.installed():
             return run(main(), self.loop())

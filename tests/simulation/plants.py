@@ -25,16 +25,7 @@ ONE = RegisterMap([Point("near", "holding_registers", 0)])
 
 
 class Plant:
-    """
-    A fleet, and units whose registers hold their addresses, in simulated time.
-
-    Attributes:
-        asked: time, unit and address of each request.
-        silent: units that give no answer; `mute`: addresses that no unit answers.
-        refusing: units that refuse everything; `missing`: unit -> addresses that it refuses.
-        damaging: units whose answers have wrong check bytes.
-        delay: of each answer, in seconds; `delays`: of units of their own.
-    """
+    """A fleet, and units whose registers hold their addresses, in simulated time."""
 
     def __init__(self, url: str = "rtu:///dev/line", options: str = "?timeout=0.5") -> None:
         self.network = NETWORK.get()

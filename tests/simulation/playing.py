@@ -49,14 +49,7 @@ def chosen(seed: int) -> Options:
 
 @dataclass
 class Failure:
-    """
-    A run that fails.
-
-    Attributes:
-        options: what it was.
-        error: what failed.
-        exchange: what was said.
-    """
+    """A run that fails."""
 
     options: Options
     error: AssertionError
@@ -75,13 +68,7 @@ def recorded() -> list[Options]:
 
 
 def play(options: Options) -> World:
-    """
-    Run a cast to its end.
-
-    Raises:
-        Broken: a rule does not hold.
-        AssertionError: tasks were left, or nothing happened any more.
-    """
+    """Run a cast to its end."""
     world = World(options)
     _run(world)
     return world

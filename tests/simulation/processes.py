@@ -27,16 +27,7 @@ _PROCESS: contextvars.ContextVar[Process | None] = contextvars.ContextVar("_PROC
 
 
 class Process:
-    """
-    What runs in a context of its own, in a `StoppableLoop`.
-
-    Args:
-        host: the address from where it connects.
-
-    Attributes:
-        host: the same.
-        is_stopped: whether nothing of it runs.
-    """
+    """What runs in a context of its own, in a `StoppableLoop`."""
 
     def __init__(self, host: str) -> None:
         self.host: str = host
@@ -113,12 +104,7 @@ class _Gate:
 
 
 class StoppableLoop(VirtualLoop):
-    """
-    A `VirtualLoop` whose processes can be stopped.
-
-    Attributes:
-        stopped: those that were, and perhaps went on since.
-    """
+    """A `VirtualLoop` whose processes can be stopped."""
 
     def __init__(self, *args: Any) -> None:
         self.stopped: list[Process] = []

@@ -26,12 +26,7 @@ Key = tuple[int, bytes]
 
 
 class Broken(AssertionError):
-    """
-    A rule does not hold.
-
-    Attributes:
-        rule: its name.
-    """
+    """A rule does not hold."""
 
     def __init__(self, rule: str, text: str) -> None:
         super().__init__(f"{rule}: {text}")
@@ -40,35 +35,20 @@ class Broken(AssertionError):
 
 @dataclass
 class Call:
-    """
-    What a client asks.
-
-    Attributes:
-        key: what tells it from all others.
-        began: when, in seconds.
-        until: when it must have ended.
-        age: seconds that its answer may be old, from a cache.
-        is_direct: whether it goes to the unit itself, and not through a gateway.
-    """
+    """What a client asks."""
 
     key: Key
     began: float
     until: float
-    age: float = 0.0
-    is_direct: bool = True
+    age: float = 0.0  # seconds that its answer may be old, from a cache
+    is_direct: bool = True  # not through a gateway
 
 
 @dataclass
 class Rest:
-    """
-    A unit that gives no answer: how long a gateway must leave it alone.
+    """A unit that gives no answer: how long a gateway must leave it alone."""
 
-    Args:
-        timeout: of the gateway's line, in seconds. The first rest takes one of them, each one after
-            that twice as long, up to `LONGEST_REST`; the function that got no answer rests longer.
-    """
-
-    timeout: float
+    timeout: float  # of the line; the first rest, each later one twice as long
     asked: float | None = None
     pause: float = 0.0
 
@@ -89,15 +69,7 @@ LONGEST_REST = 15.0
 
 @dataclass
 class Witness:
-    """
-    Sees all, and says at the first thing that may not be.
-
-    Attributes:
-        answered, failed: how many calls ended so.
-        results: how many ended with each result.
-        resting: the units that give no answer.
-        through_gateway: what a gateway may send when its client has gone.
-    """
+    """Sees all, and says at the first thing that may not be."""
 
     events: Events
     answered: int = 0
@@ -184,12 +156,7 @@ class Witness:
         self._broken.append(Broken(rule, f"{text}, at {self.events.now - 1000:.3f} s"))
 
     def look(self) -> None:
-        """
-        Look at everything.
-
-        Raises:
-            Broken: the first thing that may not be.
-        """
+        """Look at everything."""
         if self._broken:
             raise self._broken[0]
 

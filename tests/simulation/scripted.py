@@ -27,17 +27,6 @@ OnRequest = Callable[[bytes, Write], object]
 class Scripted(Party):
     """
     Hands what comes to `on_request`: over TCP whole MBAP requests, else what arrives together.
-
-    Args:
-        network: on which it listens.
-        url: where; its scheme says what carries the bytes. A serial URL names the line.
-        on_request: called with each request and what answers it.
-
-    Attributes:
-        requests: all that came, oldest first; `times` when, in seconds.
-        connections: how many were made.
-        ends: this side of those that were not dropped.
-        url: with the port that it got; for tls with the certificates of a client, too.
     """
 
     def __init__(self, network: Network, url: str, on_request: OnRequest) -> None:

@@ -15,13 +15,7 @@ __all__ = ["SecureEnd"]
 
 
 class SecureEnd:
-    """
-    The end of a connection, as a `MemorySocket` of which only plain bytes are seen.
-
-    Attributes:
-        other: the end of the client, beneath TLS.
-        on_input: called when something was decrypted, or the client has ended.
-    """
+    """The end of a connection, as a `MemorySocket` of which only plain bytes are seen."""
 
     def __init__(self, end: MemorySocket) -> None:
         self.other: MemorySocket = end.other

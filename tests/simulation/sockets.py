@@ -47,18 +47,7 @@ def at_once(data: bytes) -> Iterable[tuple[float, bytes]]:
 
 
 class MemorySocket:
-    """
-    One end of a connection, or of an exchange of datagrams.
-
-    Attributes:
-        other: the end that receives what is sent here.
-        carriage: what becomes of what is sent here.
-        on_input: called when something arrived, in place of anybody who polls.
-        on_sent: told of all that is sent here.
-        capacity: how many bytes may be on their way to the other end, or unread there.
-        sent: how many bytes were sent.
-        address: the host and port of this end, once a client's connection is established.
-    """
+    """One end of a connection, or of an exchange of datagrams."""
 
     other: MemorySocket
     address: tuple[str, int] = ("", 0)

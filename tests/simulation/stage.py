@@ -46,14 +46,11 @@ class Stage(Network):
 
     Used as a context manager. Within it ``Server.background`` and ``Gateway.background`` serve in
     that loop, and `Context` is not carried in C.
-
-    Attributes:
-        missing: devices that gateways do not find.
     """
 
     def __init__(self, seed: int = 0) -> None:
         super().__init__(seed)
-        self.missing: set[str] = set()
+        self.missing: set[str] = set()  # devices that gateways do not find
         self._loop = self.loop()
         self._stack = contextlib.ExitStack()
 
@@ -142,9 +139,6 @@ class Stage(Network):
     ) -> Talker:
         """
         Connect to a URL, or to a port of 127.0.0.1; over UDP, be ready to send datagrams there.
-
-        Raises:
-            OSError: nobody listens there.
         """
         endpoint = parse(f"tcp://127.0.0.1:{target}" if isinstance(target, int) else target)
         is_udp = endpoint.transport == "udp"
@@ -177,13 +171,7 @@ class _StageWaker(MemoryWaker):
 
 
 class Talker:
-    """
-    A client that writes and reads what it likes, with the face of a blocking `socket.socket`.
-
-    Attributes:
-        end: its end of the connection in memory.
-        timeout: simulated seconds that it waits to read or to write.
-    """
+    """A client that writes and reads what it likes, with the face of a blocking `socket.socket`."""
 
     def __init__(self, stage: Stage, end: MemorySocket, timeout: float) -> None:
         self.end: MemorySocket = end
@@ -207,10 +195,6 @@ class Talker:
             view = view[self.send(bytes(view)) :]
 
     def recv(self, size: int, flags: int = 0) -> bytes:
-        """
-        Raises:
-            TimeoutError: nothing came.
-        """
         if not self._stage.until(lambda: self.end.is_readable, self.timeout):
             raise TimeoutError("timed out")
         return self.end.recv(size, flags)
@@ -238,10 +222,6 @@ class Talker:
             return True
 
     def wait_to_write(self) -> None:
-        """
-        Raises:
-            TimeoutError: the other side takes nothing more.
-        """
         if not self._stage.until(self.can_write, self.timeout):
             raise TimeoutError("timed out")
 
@@ -273,12 +253,7 @@ class Talker:
 
 
 class LineEnd(Party):
-    """
-    Somebody on a line who writes what he likes, and hears what others write.
-
-    Attributes:
-        heard: all of it.
-    """
+    """Somebody on a line who writes what he likes, and hears what others write."""
 
     def __init__(self, line: SerialLine) -> None:
         self.heard: bytes = b""

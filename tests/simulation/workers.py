@@ -45,21 +45,7 @@ class _SeededPolling(Polling):
 
 
 class SimulatedWorker:
-    """
-    A worker.
-
-    Args:
-        engine: where the fleet is.
-        name: of the worker.
-        zones: whose devices it takes, besides those without a zone.
-        outputs: that are given all readings, besides the stream of the engine.
-        rate: how fast its clock goes.
-
-    Attributes:
-        client: its connection to the engine.
-        polling: what it runs, once it was started.
-        process: can be stopped and continued; its host is the address that devices see.
-    """
+    """A worker."""
 
     polling: Polling
 

@@ -52,17 +52,7 @@ ROUNDING = 0.002
 
 @dataclass(frozen=True)
 class Options:
-    """
-    What a run is.
-
-    Attributes:
-        seed: of every choice.
-        cast: a name of `CASTS`.
-        seconds: how long it goes wrong.
-        clients, units: how many there are.
-        faults: which may happen.
-        pause: seconds between two requests of a client, on average.
-    """
+    """What a run is."""
 
     seed: int
     cast: str
@@ -74,13 +64,7 @@ class Options:
 
 
 class World:
-    """
-    A network, a witness, and all the units.
-
-    Attributes:
-        options: of the run.
-        is_calm: whether the faults are over.
-    """
+    """A network, a witness, and all the units."""
 
     def __init__(self, options: Options) -> None:
         self.options: Options = options
