@@ -4,7 +4,6 @@ URLs: what they stand for, what is wrong with them, and how they are shown.
 
 from __future__ import annotations
 
-import asyncio
 import os
 import re
 from dataclasses import replace
@@ -301,23 +300,9 @@ def test_the_zone_of_an_address_is_the_name_of_an_interface_as_it_is_written() -
     assert parse("tcp://[fe80::1%lo]").key != parse("tcp://[fe80::1%LO]").key
 
 
-def test_a_file_whose_name_is_not_utf_8_can_be_named() -> None:
-    assert os.fsencode(parse("tls://h?cert=%FFx&ca=c").options["cert"]) == b"\xffx"
-
-
-def test_a_url_with_quoted_characters_stays_as_it_is() -> None:
-    assert str(parse("rtu:///dev/tty%23x")) == "rtu:///dev/tty%23x"
-    assert parse("rtu:///dev/tty%23x").path == "/dev/tty#x"
-
-
 def test_a_path_without_a_scheme_is_taken_as_it_is() -> None:
     assert parse("/dev/tty#x").path == "/dev/tty#x"
     assert parse("/dev/tty%23x?unit=7").path == "/dev/tty%23x"
-
-
-def test_endpoints_are_keys_of_dictionaries() -> None:
-    one, two = parse("rtu:///dev/ttyS0?unit=1"), parse("rtu:///dev/ttyS0?unit=2")
-    assert len({one: 1, two: 2, parse(one.url): 3}) == 2
 
 
 def test_a_url_is_text() -> None:
@@ -378,6 +363,7 @@ def test_the_endpoint_of_what_was_typed(text: str, url: str) -> None:
 
 def test_all_that_take_a_url_take_it() -> None:
     points = RegisterMap([Point("a", "coils", 0)])
+    assert AsyncClient("192.0.2.10:1502").url == "tcp://192.0.2.10:1502"
     for make in (Context.from_url, Client):
         client = make("192.0.2.10:1502")
         assert client.url == "tcp://192.0.2.10:1502"
@@ -386,18 +372,6 @@ def test_all_that_take_a_url_take_it() -> None:
     assert DeviceConfig("a", "192.0.2.10:1502", points).endpoint.port == 1502
     with Server(Device(Mapping(coils=8))).background("127.0.0.1:0") as running:
         assert running.urls[0].startswith("tcp://127.0.0.1:")
-
-
-def test_asyncio_takes_it() -> None:
-    asyncio.run(_asks_itself())
-
-
-async def _asks_itself() -> None:
-    async with Server(Device(Mapping(coils=8))).serving("127.0.0.1:0") as running:
-        host_and_port = running.urls[0].removeprefix("tcp://")
-        async with AsyncClient(host_and_port) as client:
-            assert client.url == running.urls[0]
-            assert await client.read_coils(0, 1) == [False]
 
 
 @each_case("word", ["N", "n", "none", "None", "NONE"])

@@ -63,13 +63,7 @@ def exposing(port: int) -> Iterator[None]:
         yield
 
 
-@contextmanager
-def showing(port: int) -> Iterator[None]:
-    with live_page(Server(Device(Mapping(1))), host="plc.example", port=port):
-        yield
-
-
-@pytest.mark.parametrize("listening", [serving, tapping, exposing, showing])
+@pytest.mark.parametrize("listening", [serving, tapping, exposing])
 def test_every_address_of_a_name_takes_connections(
     monkeypatch: pytest.MonkeyPatch,
     port: int,

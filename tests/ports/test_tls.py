@@ -70,12 +70,7 @@ def test_each_option_of_a_url(papers: Papers, monkeypatch: pytest.MonkeyPatch) -
     [
         ({"cert": "/nowhere"}, "certificate '/nowhere': No such file or directory"),
         ({"cert": "/"}, "certificate '/': Is a directory"),
-        ({"key": "/nowhere"}, "key '/nowhere': No such file or directory"),
-        ({"key": "CERT"}, "key 'CERT': no key in PEM format"),
         ({"key": "OTHER"}, "key 'OTHER': not the key of the certificate"),
-        ({"key": ""}, "key '': No such file or directory"),
-        ({"ca": "/nowhere"}, "trust '/nowhere': No such file or directory"),
-        ({"ca": "KEY"}, "trust 'KEY': no certificate in PEM format"),
         ({"password_env": "NO_SUCH"}, "password_env: no environment variable 'NO_SUCH'"),
         ({"server_name": ""}, "server_name must be a name or an address, not ''"),
         ({"key": "LOCKED"}, "key 'LOCKED' is encrypted, and needs its password"),
@@ -103,27 +98,6 @@ def test_what_is_wrong_with_a_file_is_told(
     with pytest.raises(ValueError, match=f"^{re.escape(text)}") as caught:
         security_of(parse(url), None)
     assert "sesame" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"password": b"x"}, "password must be a string, not bytes"),
-        ({"server_name": 5}, "server_name must be a string, not int"),
-        ({"trust": 5}, "trust must be a file, not int"),
-    ],
-)
-def test_wrong_types_are_told(papers: Papers, options: dict[str, Any], text: str) -> None:
-    files = papers.files(certificates.client())
-    with pytest.raises(TypeError, match=text):
-        Security(files.cert, files.key, **{"trust": papers.ca, **options})
-
-
-@pytest.mark.parametrize("name", [".x", "a\0b", "a" * 64, "a." * 200 + "b"])
-def test_a_server_name_that_is_none(papers: Papers, name: str) -> None:
-    files = papers.files(certificates.client())
-    with pytest.raises(ValueError, match="server_name must be a name or an address, not "):
-        Security(files.cert, files.key, trust=papers.ca, server_name=name)
 
 
 def test_the_password_is_nowhere_to_be_seen(

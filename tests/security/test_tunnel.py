@@ -1,17 +1,15 @@
 """
-The end of a TLS connection that has no socket, against Python's own; and where records end.
+The end of a TLS connection that has no socket, against Python's own.
 """
 
 from __future__ import annotations
 
-import random
 import ssl
-import struct
 from pathlib import Path
 
 import pytest
 
-from libmodbus_py.security.tunnel import Records, Tunnel
+from libmodbus_py.security.tunnel import Tunnel
 from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.tls import VERSIONS, context
@@ -109,48 +107,3 @@ def test_what_is_no_record_is_an_error_with_an_alert(peer: Peer) -> None:
     with pytest.raises(ssl.SSLError):
         peer.tunnel.receive()
     peer.tunnel.end()  # nothing more to say, and no error
-
-
-# --- records ------------------------------------------------------------------------------------
-
-
-def a_record(size: int) -> bytes:
-    return struct.pack(">BHH", 23, 0x0303, size) + bytes([0xFF]) * size
-
-
-def test_records_end_where_their_lengths_say() -> None:
-    records = Records()
-    assert not records.is_midway
-    for data, is_midway in (
-        (a_record(10), False),
-        (a_record(0), False),
-        (a_record(10)[:1], True),
-        (a_record(10)[1:5], True),
-        (a_record(10)[5:14], True),
-        (a_record(10)[14:], False),
-        (a_record(10) + a_record(300), False),
-        (a_record(10) + a_record(300)[:-1], True),
-        (b"\xff" + a_record(16_401), False),
-        (a_record(0)[:4], True),
-        (a_record(0)[4:] + a_record(1)[:5], True),
-        (b"x", False),
-        (b"", False),
-    ):
-        records.follow(data)
-        assert records.is_midway == is_midway
-
-
-def test_records_may_come_in_any_pieces() -> None:
-    chance = random.Random(3)
-    for _ in range(300):
-        sizes = [chance.choice((0, 1, 4, 5, 29, 300, 2000)) for _ in range(8)]
-        ends, stream = {0}, b""
-        for size in sizes:
-            stream += a_record(size)
-            ends.add(len(stream))
-        records, at = Records(), 0
-        while at < len(stream):
-            step = chance.choice((1, 2, 5, 6, 300, 1024))
-            records.follow(stream[at : at + step])
-            at = min(len(stream), at + step)
-            assert records.is_midway == (at not in ends)

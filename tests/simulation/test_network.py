@@ -41,15 +41,6 @@ def test_a_server_answers_asyncio_clients(url: str) -> None:
     network.run(main)
 
 
-@pytest.mark.parametrize("url", ["tcp://10.0.0.1", "udp://10.0.0.1"])
-def test_a_blocking_client_is_answered(url: str) -> None:
-    network = Network()
-    peer = Scripted(network, url, echo)
-    with network.installed(), Context.from_url(peer.url, native=False) as context:
-        assert context.read_holding_registers(0x1234, 1) == [0x1234]
-    assert len(peer.requests) == 1
-
-
 def test_pauses_between_attempts_to_connect_are_those_of_the_seed() -> None:
     def times(seed: int) -> list[float]:
         network = Network(seed)
