@@ -141,10 +141,6 @@ class TestSettings:
                 SerialPort(wire.client).open()
         assert is_free(wire.client)
 
-    def test_what_is_no_port_is_told_before_libmodbus_sees_it(self) -> None:
-        with failing(errno.ENOTTY, "/dev/null: not a serial port"):
-            SerialPort("/dev/null").open()
-
 
 class TestOddBaudrates:
     """The system is asked for a rate that has no constant; what it does may be another one."""
@@ -243,14 +239,6 @@ class TestBytes:
 
 
 class TestReadOnly:
-    def test_one_that_may_not_be_opened_names_the_group(
-        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        with monkeypatch.context() as patch:
-            patch.setattr(os, "open", raising(errno.EACCES))
-            with failing(errno.EACCES, r"denied; .*dialout"):
-                ReadOnlySerialPort(wire.client).open()
-
     @pytest.mark.parametrize("number", [errno.EINVAL, errno.EIO])
     def test_settings_that_are_refused_are_told_and_nothing_stays_open(
         self, number: int, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
@@ -337,11 +325,6 @@ class TestTcp:
         assert (socket.sent, made.has_unsent) == (b"first", True)
         made.go_on(0.0)
         assert (socket.sent, made.has_unsent) == (b"first second!", False)
-
-    def test_one_that_takes_nothing_has_all_of_it_left(self) -> None:
-        made, socket = tcp(errno.EAGAIN)
-        made.send([b"request"], 0.0)
-        assert (socket.sent, made.has_unsent, bytes(made._unsent)) == (b"", True, b"request")
 
 
 class TestUdp:

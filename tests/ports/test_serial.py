@@ -293,17 +293,6 @@ def test_a_port_that_is_gone_is_a_connection_error(port: SerialPort, wire: Seria
     assert caught.value.errno == errno.EIO
 
 
-@pytest.mark.parametrize("echo", [None, True, False])
-def test_an_echo_is_left_to_the_owner_of_the_port(wire: SerialWire, echo: bool | None) -> None:
-    made = SerialPort(wire.client, echo=echo)
-    made.open()
-    assert made.echo is echo
-    made.send([b"request"], 0)
-    heard(made, wire, b"requestanswer")
-    assert made.receive() == [b"requestanswer"]
-    made.close()
-
-
 def test_rts_is_held_while_it_sends(wire: SerialWire) -> None:
     """A character has 11 bits, and the delays are 20 ms each."""
     made = SerialPort(wire.client, baudrate=1200, rs485="rts-up", rts_delay=0.02)

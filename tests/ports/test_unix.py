@@ -16,7 +16,6 @@ import stat
 import subprocess
 import sys
 import tempfile
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -31,7 +30,6 @@ from libmodbus_py import (
     Limits,
     Mapping,
     ModbusConnectionError,
-    ModbusTimeoutError,
     Route,
     Server,
     TcpContext,
@@ -40,7 +38,6 @@ from libmodbus_py.ports import unix
 from libmodbus_py.ports.hosts import host_of_peer
 from libmodbus_py.ports.unix import MAX_PATH, UnixListener, UnixPort
 from tests.support.cases import each_case
-from tests.support.peers import ignore, peer_at, until
 
 
 @pytest.fixture
@@ -422,38 +419,6 @@ def test_what_is_no_server_is_a_connection_error_of_both_clients(kind: str) -> N
             with pytest.raises(ModbusConnectionError, match=f"cannot connect to {path}") as caught:
                 attempt()
             assert caught.value.errno in (errno.ECONNREFUSED, errno.EPROTOTYPE)
-
-
-def test_a_client_finds_the_next_server_at_its_path(path: str) -> None:
-    client = Context.from_url(f"unix://{path}")
-    for _ in range(3):
-        with server().background(f"unix://{path}"):
-            client.connect()
-            assert client.read_holding_registers(0, 1) == [1]
-    client.close()
-
-
-@pytest.mark.parametrize("native", [True, False])
-def test_a_silent_server_costs_the_timeout_and_close_ends_a_wait(native: bool) -> None:
-    with peer_at("unix", ignore) as peer:
-        client = Context.from_url(peer.url, timeout=0.05, native=native)
-        with pytest.raises(ModbusTimeoutError):
-            client.read_coils(0, 1)
-        client.timeout = 600
-        failed: list[Exception] = []
-
-        def read() -> None:
-            try:
-                client.read_coils(0, 1)
-            except ModbusConnectionError as error:
-                failed.append(error)
-
-        waiting = threading.Thread(target=read)
-        waiting.start()
-        until(lambda: len(peer.requests) == 2)
-        client.close()
-        waiting.join()
-        assert "closed" in str(failed[0])
 
 
 def test_a_client_is_named_by_the_path_its_user_and_its_process(path: str) -> None:

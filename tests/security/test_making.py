@@ -106,14 +106,6 @@ def test_a_self_signed_one_is_trusted_by_who_has_it(tmp_path: Path) -> None:
     assert shake(device, device, device, tmp_path) == device.der
 
 
-def test_keys_can_be_encrypted(tmp_path: Path) -> None:
-    files = certificates.save(tmp_path, certificates.client(), "client", password=b"secret")
-    assert b"ENCRYPTED" in files.key.read_bytes()
-    ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_cert_chain(files.cert, files.key, "secret")
-    with pytest.raises(ssl.SSLError):
-        ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_cert_chain(files.cert, files.key, "other")
-
-
 def test_hosts_are_names_and_addresses() -> None:
     made = make("server", hosts=["plc.example", "192.0.2.7", "2001:db8::1"]).certificate
     names = made.extensions.get_extension_for_class(x509.SubjectAlternativeName).value

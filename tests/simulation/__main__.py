@@ -11,7 +11,6 @@ import argparse
 import logging
 import math
 import os
-import subprocess
 import sys
 import time
 from collections import Counter
@@ -29,23 +28,6 @@ LINES = 40
 
 # Seconds of processor time in which a rule that was taken out must be found.
 PATIENCE = 10.0
-
-
-class Progress:
-    """One line on a terminal, written again and again; nothing in a pipe."""
-
-    def __init__(self) -> None:
-        self._is_shown = sys.stderr.isatty()
-        self._next = 0.0
-
-    def show(self, text: str) -> None:
-        if self._is_shown and time.monotonic() >= self._next:
-            self._next = time.monotonic() + 0.2
-            print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
-
-    def end(self) -> None:
-        if self._is_shown:
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
 
 class Tally:
@@ -83,14 +65,13 @@ def main() -> int:
     if options.broken:
         return _find_all()
     first = options.seed if options.seed is not None else int.from_bytes(os.urandom(4), "big")
-    tally, progress = Tally(), Progress()
+    tally = Tally()
     if options.hours:
         runs = [_hour(first + number) for number in range(max(1, round(options.hours)))]
-        failure = _try_all(runs, tally, progress)
+        failure = _try_all(runs, tally)
     else:
-        failure = None if options.seed is not None else _try_all(recorded(), tally, progress)
-        failure = failure or _try_fresh(first, options.seconds, options.cast, tally, progress)
-    progress.end()
+        failure = None if options.seed is not None else _try_all(recorded(), tally)
+        failure = failure or _try_fresh(first, options.seconds, options.cast, tally)
     print(f"{tally}; first fresh seed {first}")
     if failure is None:
         return 0
@@ -102,50 +83,32 @@ def _hour(seed: int) -> Options:
     return Options(seed, "plant", seconds=3600.0, clients=4, units=20, pause=10.0)
 
 
-def _try_all(runs: list[Options], tally: Tally, progress: Progress) -> Failure | None:
+def _try_all(runs: list[Options], tally: Tally) -> Failure | None:
     for options in runs:
         found = tried(options)
         if isinstance(found, Failure):
             return found
         tally.add(options, found)
-        progress.show(str(tally))
     return None
 
 
-def _try_fresh(
-    first: int, seconds: float, cast: str | None, tally: Tally, progress: Progress
-) -> Failure | None:
+def _try_fresh(first: int, seconds: float, cast: str | None, tally: Tally) -> Failure | None:
     until = time.monotonic() + seconds
     for seed in count(first):
         if time.monotonic() >= until:
             return None
         options = chosen(seed)
         options = replace(options, cast=cast) if cast else options
-        failure = _try_all([options], tally, progress)
+        failure = _try_all([options], tally)
         if failure is not None:
             return failure
     return None
 
 
 def _tell(failure: Failure) -> None:
-    print(
-        f"\nseed {failure.options.seed}, commit {_commit()}\n{failure.error}\n{failure.options}\n"
-    )
-    for line in list(failure.exchange.transactions())[-LINES:]:
-        print(line)
-    print()
+    print(f"\nseed {failure.options.seed}\n{failure.error}\n{failure.options}\n")
     for line in list(failure.exchange.raw())[-LINES:]:
         print(line)
-
-
-def _commit() -> str:
-    """Return what is checked out, as far as git can say it."""
-    command = ["git", "describe", "--always", "--dirty"]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-    return done.stdout.strip()
 
 
 # --- rules that are broken on purpose -------------------------------------------------------------

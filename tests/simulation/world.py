@@ -7,6 +7,7 @@ from __future__ import annotations
 import asyncio
 import random
 from dataclasses import dataclass
+from typing import Any
 
 from libmodbus_py import AsyncClient, Context, ModbusError
 
@@ -140,17 +141,9 @@ class World:
 
     async def ask(self, plc: AsyncClient, call: Call) -> None:
         """Ask, and tell the witness what became of it."""
-        unit, pdu = call.key
-        values = None
         try:
             async with asyncio.timeout(self._patience()):
-                if pdu[0] == 3:
-                    address = int.from_bytes(pdu[1:3], "big")
-                    handle = plc.for_unit(unit)
-                    values = await handle.read_holding_registers(address, COUNT)
-                else:
-                    address, value = (int.from_bytes(pdu[at : at + 2], "big") for at in (1, 3))
-                    await plc.for_unit(unit).write_register(address, value)
+                values = await _requested(plc, call)
         except (ModbusError, TimeoutError) as error:
             self.witness.error(call, error)
         else:
@@ -164,15 +157,8 @@ class World:
 
     def ask_blocking(self, context: Context, call: Call) -> None:
         """Ask with a blocking client."""
-        unit, pdu = call.key
-        values = None
         try:
-            if pdu[0] == 3:
-                address = int.from_bytes(pdu[1:3], "big")
-                values = context.for_unit(unit).read_holding_registers(address, COUNT)
-            else:
-                address, value = (int.from_bytes(pdu[at : at + 2], "big") for at in (1, 3))
-                context.for_unit(unit).write_register(address, value)
+            values = _requested(context, call)
         except ModbusError as error:
             self.witness.error(call, error)
         else:
@@ -180,3 +166,13 @@ class World:
 
     def pause(self) -> float:
         return self.random.expovariate(1 / self.options.pause)
+
+
+def _requested(plc: AsyncClient | Context, call: Call) -> Any:
+    """Return what the client returns: the values, or with asyncio what is awaited for them."""
+    unit, pdu = call.key
+    address, number = (int.from_bytes(pdu[at : at + 2], "big") for at in (1, 3))
+    handle = plc.for_unit(unit)
+    if pdu[0] == 3:
+        return handle.read_holding_registers(address, number)
+    return handle.write_register(address, number)
