@@ -17,13 +17,11 @@ from typing import Any, NamedTuple
 
 from ..system import call_in_children
 
-# fmt: off
 __all__ = [
     "EVERYWHERE", "Make", "Resolve", "ask", "bind_all", "host_and_port",
     "host_of_peer", "is_loopback", "is_this_machine", "listen_on", "numeric", "reason",
     "split_host_and_port", "start_thread", "tcp_listener",
-]
-# fmt: on
+]  # fmt: skip
 
 LOCALHOST = ("localhost", "ip6-localhost")
 
@@ -196,12 +194,7 @@ call_in_children(_begin)
 
 
 def bind_all(found: list[Any], port: int, make: Make) -> list[socket.socket]:
-    """
-    Return a socket for each address that getaddrinfo found, or leave none open.
-
-    An address that this machine does not have is left out if there are others. For port 0 there is
-    one socket only, because a port that is free on one address may be taken on the next.
-    """
+    """Return a socket for each address of this machine that getaddrinfo found, or none at all."""
     sockets: list[socket.socket] = []
     missing: OSError | None = None
     with contextlib.ExitStack() as made:
@@ -213,7 +206,7 @@ def bind_all(found: list[Any], port: int, make: Make) -> list[socket.socket]:
                     raise
                 missing = error
             else:
-                if not port:
+                if not port:  # one that is free on this address may be taken on the next
                     break
         if missing is not None and not sockets:
             raise missing

@@ -24,12 +24,10 @@ if TYPE_CHECKING:
     from ..security.security import GivenContext, Security
     from .endpoint import Endpoint
 
-# fmt: off
 __all__ = [
     "RECEIVED_BYTES", "REOPEN_AFTER", "Outage", "Port", "PortSettings", "Silence",
     "abandoned_in_children", "lost", "make_port",
-]
-# fmt: on
+]  # fmt: skip
 
 RECEIVED_BYTES = 16_384
 """Bytes received at once: the answers to all requests usually in flight, in one turn of a loop."""

@@ -13,14 +13,12 @@ from ..protocol.checks import DURATION, duration_of
 if TYPE_CHECKING:
     from ..protocol.framing import Framing
 
-# fmt: off
 __all__ = [
     "ASCII_DEFAULTS", "CLIENT_OPTIONS", "DEFAULT_PORT", "OTHER_NAMES", "PARITIES", "SCHEMES",
     "SECURE_PORT", "SECURITY_OPTIONS", "SERIAL_DEFAULTS", "SERIAL_OPTIONS", "TRANSPORTS", "Option",
     "Scheme", "Transport", "TransportRules", "character_bits", "framing_of", "options_of",
     "parity_of", "shape_of",
-]
-# fmt: on
+]  # fmt: skip
 
 DEFAULT_PORT, SECURE_PORT = 502, 802
 """The ports of Modbus/TCP and of Modbus Security."""

@@ -310,13 +310,7 @@ class SerialPort(Port):
 
 
 class ReadOnlySerialPort(SerialPort):
-    """
-    A serial port to listen at; arguments as for `SerialPort`.
-
-    The settings are applied, and restored on closing. If another program has the port open, that
-    program's settings stay, and a warning is logged, because bytes read here are missing there.
-    Use a separate port to listen without side effects.
-    """
+    """A serial port to listen at, with the settings of another program that has it open, if any."""
 
     _restored: list[Any] | None = None
 

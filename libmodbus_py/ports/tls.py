@@ -68,11 +68,7 @@ def security_of(endpoint: Endpoint, given: Given | None) -> Security | Given:
 
 
 class TlsPort(TcpPort):
-    """
-    A TLS connection, which is open once each side has accepted the other's certificate.
-
-    The next connection resumes its session, if the server allows that (R-42).
-    """
+    """A TLS connection, open once each side has accepted the other's certificate."""
 
     _acceptance: Acceptance  # this and the next two are those of the tunnel
     _check_at: float
@@ -89,7 +85,7 @@ class TlsPort(TcpPort):
     ) -> None:
         super().__init__(host, port, keepalive)
         self._security = security
-        self._session: ssl.SSLSession | None = None
+        self._session: ssl.SSLSession | None = None  # which the next connection resumes (R-42)
         self._begin(None)
 
     @property

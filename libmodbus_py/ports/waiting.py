@@ -18,12 +18,10 @@ from typing import Any, NamedTuple, TypeVar
 from ..system import Flag
 from .hosts import Resolve, ask, numeric
 
-# fmt: off
 __all__ = [
     "LONGEST", "READ", "WRITE", "Ready", "Steps", "Waker", "Woken", "milliseconds", "of_system",
     "run", "timed_out",
-]
-# fmt: on
+]  # fmt: skip
 
 READ, WRITE = select.POLLIN, select.POLLOUT
 

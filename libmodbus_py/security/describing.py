@@ -19,19 +19,10 @@ if TYPE_CHECKING:
 
     from cryptography import x509
 
-# fmt: off
 __all__ = [
-    "CertificateHolder",
-    "describe",
-    "digest_of",
-    "end_of",
-    "holder_of",
-    "in_words",
-    "quoted",
-    "require_cryptography",
-    "time_in",
-]
-# fmt: on
+    "CertificateHolder", "describe", "digest_of", "end_of", "holder_of", "in_words", "quoted",
+    "require_cryptography", "time_in",
+]  # fmt: skip
 
 MEANINGS = {
     "WRONG_VERSION_NUMBER": "what answers there is no TLS; is it tcp://?",
@@ -82,12 +73,7 @@ def _read(certificate: bytes) -> x509.Certificate:
 
 
 def describe(certificate: bytes) -> str:
-    """
-    Return subject, issuer, validity and SHA-256 of a certificate in DER, whatever the bytes are.
-
-    The result is one line of printable characters, 500 at most. Without cryptography it is the
-    SHA-256, as ``openssl x509 -fingerprint -sha256`` prints it, but for its colons.
-    """
+    """Describe a certificate in DER, whatever the bytes are, in 500 printable characters."""
     fingerprint = f"SHA-256 {digest_of(certificate)}"
     try:
         found = _read(certificate)
@@ -107,12 +93,12 @@ def _name(name: x509.Name) -> str:
 
 
 class CertificateHolder(NamedTuple):
-    """The holder of a certificate."""
+    """The holder of a certificate; names and number are empty without cryptography."""
 
-    subject: str
-    serial: str
+    subject: str  # as in RFC 4514; empty for a nameless one
+    serial: str  # in hexadecimal digits
     issuer: str
-    fingerprint: str
+    fingerprint: str  # the SHA-256 in hexadecimal digits
 
 
 def holder_of(certificate: bytes) -> CertificateHolder:

@@ -182,11 +182,7 @@ class Loaded:
         return not self._pins or digest_of(certificate) in self._pins
 
     def refusal_of(self, before: Loaded, chain: Iterable[bytes]) -> str | None:
-        """
-        Return why a connection must end that was accepted with earlier files, or None.
-
-        `chain` is the other side's certificates in DER, its own first.
-        """
+        """Return why a connection must end that earlier files accepted; its own is first."""
         own, *issuers = chain
         if self.has_pins:
             return None if self.accepts(own) else "it is none of the pins"
@@ -196,8 +192,6 @@ class Loaded:
         if self.revoked is not None and self.revoked.any_of([own, *issuers]):
             return "certificate revoked"
         return None
-
-    # --- OpenSSL's settings -------------------------------------------------------------------
 
     def _own_context(self, protocol: int) -> ssl.SSLContext:
         context = ssl.SSLContext(protocol)
@@ -262,11 +256,7 @@ class Loaded:
 
 
 class Acceptance:
-    """
-    The certificate of a connection, which can expire or be revoked; made before the handshake.
-
-    `loaded` returns the current content of the own files; None if they never change.
-    """
+    """A connection's certificate, which can expire or be revoked; made before the handshake."""
 
     __slots__ = ("_before", "_ends", "_loaded", "_tunnel")
 

@@ -24,7 +24,7 @@ MISTAKES = (ImportError, OSError, TypeError, ValueError)
 
 
 def read_secret(path: str | os.PathLike[str]) -> str:
-    """Return the text of a file with a password, a token or a seed, in UTF-8, up to 64 KiB."""
+    """Return the text of a file with a secret, up to 64 KiB; others must not be able to read it."""
     with open(path, "rb") as file:
         mode = os.fstat(file.fileno()).st_mode
         if os.name == "posix" and mode & stat.S_IROTH:
@@ -38,12 +38,7 @@ class _Reloadable(Protocol):
 
 
 class Renewed(Generic[T]):
-    """
-    A value made of files, which `reload_all` reads again.
-
-    `read` returns it, or raises one of `MISTAKES`. `value` is that of the last time that all files
-    were good.
-    """
+    """A value that `read` makes of files, as of the last time that all of them were good."""
 
     def __init__(self, read: Callable[[], T]) -> None:
         self._read = read
@@ -76,12 +71,7 @@ def keep_renewed(reloadable: _Reloadable) -> None:
 
 
 def reload_all() -> list[str]:
-    """
-    Reload all certificates, keys and passwords of this process, as on SIGHUP.
-
-    Returns a line for each object that has a mistake in a file, and keeps the former content;
-    without a mistake, one line if there is such an object.
-    """
+    """Reload all certificates, keys and passwords, as on SIGHUP; return lines for the log."""
     lines = []
     reloadables = list(_in_use)
     for reloadable in reloadables:

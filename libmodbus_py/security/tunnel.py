@@ -26,13 +26,9 @@ class _ServerEnd(ssl.SSLObject):
 
 
 def keep_presented(context: ssl.SSLContext) -> None:
-    """
-    Let a server's connections keep the certificate that the client presents, even if it is refused.
-
-    OpenSSL forgets what a server refuses, and Python has no hook for that verdict. Its hook for
-    messages, which its own tests use, gets the certificate before. It takes 1.3 us for each request
-    later on. Where there is no such hook, a refused certificate stays unknown.
-    """
+    """Let a server's connections keep the certificate that the client presents, even if refused."""
+    # OpenSSL forgets what a server refuses. Python's hook for messages, which its own tests use,
+    # gets the certificate before, for 1.3 us for each request later on.
     hook = getattr(ssl.SSLContext.__base__, "_msg_callback", None)
     if hook is not None:
         context.sslobject_class = _ServerEnd
@@ -90,11 +86,7 @@ class Tunnel:
         self.send: Callable[[bytes], object] = self._tls.write
 
     def handshake(self) -> bool:
-        """
-        Continue the handshake as far as received bytes allow; return True when it is over.
-
-        An ssl.SSLError means that it failed; `outgoing` returns the alert for the other side.
-        """
+        """Continue the handshake; return True at its end, or raise SSLError with `outgoing`."""
         try:
             self._tls.do_handshake()
         except ssl.SSLWantReadError:
@@ -104,11 +96,7 @@ class Tunnel:
         return True
 
     def receive(self, most: int = RECORD_BYTES) -> bytes | None:
-        """
-        Return received bytes, decrypted; None if there are none, b"" at the end.
-
-        An ssl.SSLError means that the other side refused, or sent bytes that are not TLS.
-        """
+        """Return received bytes, decrypted; None if there are none, b"" at the end."""
         try:
             return self._tls.read(most)
         except ssl.SSLWantReadError:
@@ -176,18 +164,14 @@ def name_of(host: str) -> str:
 
 
 class Records:
-    """
-    Finds the ends of the records of a stream, which OpenSSL does not report.
-
-    `is_midway` is True if a record has begun and not ended.
-    """
+    """Finds the ends of the records of a stream, which OpenSSL does not report."""
 
     __slots__ = ("_header", "_left", "is_midway")
 
     def __init__(self) -> None:
         self._header = b""  # the beginning of one
         self._left = 0  # bytes of the record
-        self.is_midway: bool = False
+        self.is_midway: bool = False  # a record has begun and not ended
 
     def follow(self, data: bytes) -> bool:
         """Take received bytes; return True if they are exactly one record, as they mostly are."""
