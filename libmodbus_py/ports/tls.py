@@ -58,6 +58,8 @@ def security_of(endpoint: Endpoint, given: Given | None) -> Security | Given:
     named: dict[str, Any] = dict(endpoint.options)
     if "cert" not in named:
         raise ValueError(f"{endpoint} lacks cert, the file with one's own certificate")
+    if ("ca" in named) == ("pin" in named):
+        raise ValueError(f"{endpoint} needs either ca, the authorities, or pin, certificates")
     if "pin" in named:
         named["pin"] = named["pin"].split(",")
     if (name := named.pop("password_env", None)) is not None:

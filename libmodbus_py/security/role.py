@@ -75,7 +75,7 @@ def decode_role(value: bytes) -> str:
     if role and encode_role(role) == value:
         return role
     begin = value[:6].hex(" ")
-    raise RoleError(f"the role's {len(value)} bytes ({begin} ...) are not one UTF8String in DER")
+    raise RoleError(f"the role's {len(value)} bytes ({begin} ...) are not one string in DER")
 
 
 def check_role(role: str) -> None:

@@ -33,8 +33,8 @@ def test_security_goes_with_tls_and_tls_with_security(make: Any, papers: Papers)
         ("tls://h", {}, "tls://h:802 needs security: Security(...), or ?cert=...&key=..."),
         (url, {"security": security}, "tls://h:802: security is given as such and in the URL"),
         ("tls://h?ca=x", {}, "tls://h:802 lacks cert, the file with one's own certificate"),
-        ("tls://h?cert=x", {}, "security needs either trust, the authorities, or pin, certif"),
-        ("tls://h?cert=x&ca=y&pin=z", {}, "security needs either trust, the authorities, or pin"),
+        ("tls://h?cert=x", {}, "tls://h:802 needs either ca, the authorities, or pin, certif"),
+        ("tls://h?cert=x&ca=y&pin=z", {}, "tls://h:802 needs either ca, the authorities, or pin"),
     ):
         with pytest.raises(ValueError, match=f"^{re.escape(text)}"):
             make(wrong, **options)
