@@ -41,13 +41,7 @@ def shown(number: object) -> str:
 
 
 def integer(name: str | Path, value: object, low: int, high: int) -> int:
-    """
-    Return an integer of any type as an int.
-
-    Raises:
-        TypeError: no integer; True and False are none here.
-        ValueError: not in low..high.
-    """
+    """Return an integer of any type in low..high as an int; True and False are none here."""
     if isinstance(value, bool):
         raise WrongType(name, f"must be an integer in {low}..{high}, not {value!r}")
     try:
@@ -60,19 +54,14 @@ def integer(name: str | Path, value: object, low: int, high: int) -> int:
     return number
 
 
-def number(name: str | Path, value: object, low: float, high: float) -> int | float:
-    """
-    Return a number as it is; `high` is infinite if there is no upper bound.
-
-    Raises:
-        TypeError: no int or float; True and False are none here.
-        ValueError: not in low..high, or not a number at all (nan).
-    """
+def number(name: str | Path, value: object, low: float, high: float, unit: str = "") -> int | float:
+    """Return an int or float in low..high as it is; nan, True and False are none here."""
+    of, behind = (f" of {unit}", f" {unit}") if unit else ("", "")
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise WrongType(name, f"must be a number, not {type(value).__name__}")
+        raise WrongType(name, f"must be a number{of}, not {type(value).__name__}")
     if not low <= value <= high:
         span = f"{low} or more" if high == math.inf else f"in {low}..{high}"
-        raise WrongValue(name, f"must be {span}, not {shown(value)}")
+        raise WrongValue(name, f"must be {span}{behind}, not {shown(value)}")
     return value
 
 
@@ -81,20 +70,9 @@ def are_registers(values: Sequence[object]) -> bool:
     return set(map(type, values)) == {int} and min(values) >= 0 and max(values) <= 0xFFFF  # type: ignore[type-var, operator]
 
 
-def seconds(name: str | Path, value: object, low: float = 0.001, high: float = 86_400.0) -> float:
-    """
-    Return a number of seconds as a float.
-
-    Raises:
-        TypeError: no number.
-        ValueError: not in low..high.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise WrongType(name, f"must be a number of seconds, not {type(value).__name__}")
-    if not low <= value <= high:
-        given = f"{value:g}" if isinstance(value, float) else shown(value)
-        raise WrongValue(name, f"must be in {low:g}..{high:g} seconds, not {given}")
-    return float(value)
+def seconds(name: str | Path, value: object, low: float = 0.001, high: float = 86_400) -> float:
+    """Return a number of seconds in low..high as a float."""
+    return float(number(name, value, low, high, "seconds"))
 
 
 DURATION = "a number of seconds, or such as 500ms, 10s, 2m, 1h30m or 1d"
@@ -106,12 +84,7 @@ _PART = r"([0-9]{1,9}(?:\.[0-9]{1,9})?)\s*(ms|s|min|m|h|d)\s*"
 
 
 def duration_of(text: str) -> float:
-    """
-    Return the seconds of a duration.
-
-    Raises:
-        ValueError: the text is none.
-    """
+    """Return the seconds of a duration; raise a ValueError for a text that is none."""
     if not re.fullmatch(f"(?:{_PART})+", text.strip(), re.ASCII):
         return float(text)
     parts = re.findall(_PART, text, re.ASCII)
@@ -128,40 +101,23 @@ NOT_AT_ONCE = 0x20 | 0x80 | 0x100 | 0x200
 
 
 def checked_callback(name: str | Path, given: Given) -> Given:
-    """
-    Return a function of a user as it is.
-
-    Args:
-        name: of the argument, for messages.
-
-    Raises:
-        TypeError: it is not callable; or its body does not run when it is called (``async def``,
-            ``yield``), also as a method, in a `functools.partial`, or as ``__call__``.
-    """
+    """Return a function of a user whose body runs when it is called; raise a TypeError if not."""
     if not callable(given):
         raise WrongType(name, f"must be a function, not {type(given).__name__}")
-    if _is_delayed(given):
+    function: Any = given
+    while isinstance(function, partial):
+        function = function.func
+    code = getattr(function, "__code__", None)
+    if code is None:  # an object with __call__; a method has the code of its function
+        code = getattr(type(function).__call__, "__code__", None)
+    flags = getattr(code, "co_flags", 0)
+    if isinstance(flags, int) and flags & NOT_AT_ONCE:
         raise WrongType(name, "must be a plain function, because nothing awaits async def")
     return given
 
 
-def _is_delayed(given: Any) -> bool:
-    while isinstance(given, partial):
-        given = given.func
-    code = getattr(given, "__code__", None)
-    if code is None:  # an object with __call__; a method has the code of its function
-        code = getattr(type(given).__call__, "__code__", None)
-    flags = getattr(code, "co_flags", 0)
-    return isinstance(flags, int) and bool(flags & NOT_AT_ONCE)
-
-
 def finished(name: str, result: Result) -> Result:
-    """
-    Return the result of a function of a user.
-
-    Raises:
-        TypeError: it is a coroutine or a generator: nothing was done yet. It is closed.
-    """
+    """Return the result of a function of a user; raise a TypeError if it has yet to run."""
     if isinstance(result, UNSTARTED):
         if not isinstance(result, AsyncGeneratorType):
             result.close()
@@ -170,20 +126,14 @@ def finished(name: str, result: Result) -> Result:
 
 
 def log_failure(logger: str, text: str, *args: object) -> None:
-    """
-    Log the exception that is being handled; one that a log handler raises goes to stderr.
-
-    Args:
-        logger: the name of the logger.
-        text, args: as for `logging.Logger.exception`.
-    """
+    """Log the exception that is being handled; one that a log handler raises goes to stderr."""
     found = _logger(logger)
     if found is not None:
         found.exception(text, *args, stacklevel=2)
 
 
 def log_warning(logger: str, text: str, *args: object) -> None:
-    """Log a warning; for the arguments see `log_failure`."""
+    """Log a warning, as `log_failure` does."""
     found = _logger(logger)
     if found is not None:
         found.warning(text, *args, stacklevel=2)

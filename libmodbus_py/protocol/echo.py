@@ -104,20 +104,17 @@ class Echo:
         return held
 
     def _find(self, data: bytes) -> tuple[bytes, int | None]:
-        """Return which frame comes, or may be coming, and where it begins; None for none."""
         for adu in (self._awaited[0], *(self._undecided if self.is_there is None else ())):
             if (start := _start(adu, data)) is not None:
                 return adu, start
         return b"", None
 
     def _miss(self) -> None:
-        """Note that an awaited frame did not come back."""
         if self._setting is None:
             self.is_there = False
         self.forget()
 
 
 def _start(adu: bytes, data: bytes) -> int | None:
-    """Return where a frame begins in received bytes, or may still begin; None for nowhere."""
     # A transceiver that turns round may add bytes before it: fewer than the shortest frame has.
     return next((at for at in range(MIN_ADU) if adu.startswith(data[at : at + len(adu)])), None)

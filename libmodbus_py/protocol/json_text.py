@@ -1,7 +1,7 @@
 """
 The encoders of JSON, and the check of names in what is decoded.
 
-All values that the package tells in JSON pass through one of these. They raise a ValueError for a
+All values that the package writes as JSON pass through one of these. They raise a ValueError for a
 nan or an infinity, in place of which `plain.plain` returns None.
 """
 
@@ -37,12 +37,7 @@ def json_line(value: Any) -> str:
 
 
 def each_once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    """
-    Return the dict of names and values, as `object_pairs_hook` of ``json.loads``, too.
-
-    Raises:
-        WrongValue: a name occurs twice, of which json would take the last.
-    """
+    """Return names and values, as `object_pairs_hook`, too; json takes the last of two alike."""
     found: dict[str, Any] = {}
     for name, value in pairs:
         if name in found:

@@ -17,18 +17,12 @@ __all__ = ["HarmlessLogger"]
 
 
 class HarmlessLogger(logging.LoggerAdapter[logging.Logger]):
-    """
-    A logger; an exception of one of its handlers goes to stderr, not to the code that logs.
-
-    Args:
-        name: of the logger.
-    """
+    """A logger; an exception of one of its handlers goes to stderr, not to the code that logs."""
 
     def __init__(self, name: str) -> None:
         super().__init__(logging.getLogger(name), None)
 
     def log(self, level: int, msg: object, *args: object, **options: Any) -> None:
-        """Log a message, as `logging.Logger.log` does."""
         # The caller of this method's caller is named in records.
         options["stacklevel"] = options.get("stacklevel", 1) + 1
         try:

@@ -32,14 +32,7 @@ class Mistake(Exception):
     """
     An argument, or a key of a file, has a value that it cannot have.
 
-    Args:
-        path: path of the value; a text is the name of an argument.
-        reason: the mistake, and the values that are allowed. It follows the path in the message,
-            such as "must be in 0..255, not 300".
-        between: stands between the path and the reason.
-
-    Attributes:
-        path, reason, between: as given.
+    The message is the path, `between` and the reason, such as "must be in 0..255, not 300".
     """
 
     def __init__(self, path: str | Path, reason: str, between: str = " ") -> None:
@@ -54,7 +47,7 @@ class Mistake(Exception):
         return cls(path, reason, ": ")
 
     def under(self, around: Path) -> Mistake:
-        """Return the same error with a longer path: `around` leads to where its path begins."""
+        """Return the same error with a longer path."""
         return type(self)((*around, *self.path), self.reason, self.between)
 
     def renamed(self, path: Path) -> Mistake:
@@ -94,12 +87,7 @@ def placed(error: Exception, around: Path) -> Mistake:
 
 @contextlib.contextmanager
 def inside(*around: Any) -> Iterator[None]:
-    """
-    Add a path to the errors of a block.
-
-    Raises:
-        WrongType, WrongValue: the block raised a TypeError or a ValueError.
-    """
+    """Add a path to each TypeError and ValueError of a block."""
     try:
         yield
     except (TypeError, ValueError) as error:
@@ -144,12 +132,7 @@ URLS = frozenset(("url", "to", "devices", "routes", "security"))
 
 
 def close_to(name: object, known: Iterable[str], prefix: str = "") -> str:
-    """
-    Return the end of a message about a name that is not known: those that are close to it.
-
-    Args:
-        prefix: printed before each of them.
-    """
+    """Return the end of a message about a name that is not known: those that are close to it."""
     from difflib import get_close_matches
 
     close = get_close_matches(name, known, 3) if isinstance(name, str) else []
@@ -172,14 +155,9 @@ def unknown_option(name: str, known: Sequence[str]) -> TypeError:
 
 
 def named_arguments(cls: Class) -> Class:
-    """
-    Decorate a class so that an argument that it does not take is refused with a close name.
-
-    Python names close ones itself since 3.13, but none that other packages use.
-    """
-    made: Callable[..., None] = getattr(cls, "__init__")  # noqa: B009 (as below)
-
-    setattr(cls, "__init__", named_parameters(made))  # noqa: B010 (type checkers refuse an assignment)
+    """Decorate a class so that an argument that it does not take is refused with a close name."""
+    changed: Any = cls
+    changed.__init__ = named_parameters(changed.__init__)
     return cls
 
 
@@ -191,19 +169,15 @@ def named_parameters(function: Callable[Parameters, Result]) -> Callable[Paramet
         try:
             return function(*arguments, **named)
         except TypeError as error:
-            # Raised by the call itself, not within.
-            if error.__traceback__ is None or error.__traceback__.tb_next is not None:
-                raise
-            refused = _refused(function, named)
-            if refused is None:
-                raise
-            raise refused from None
+            is_of_the_call = error.__traceback__ and not error.__traceback__.tb_next
+            if is_of_the_call and (refused := _refused(function, named)):
+                raise refused from None
+            raise
 
     return call
 
 
 def _refused(function: Callable[..., object], named: Iterable[str]) -> TypeError | None:
-    """Return the error for the first argument that a function does not take, if there is one."""
     from inspect import Parameter, signature
 
     parameters = [*signature(function).parameters.values()]

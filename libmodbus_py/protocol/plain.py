@@ -37,9 +37,7 @@ def plain(value: Any) -> Any:
     """
     Return a value, or a request, made of what JSON has.
 
-    Bytes are hexadecimal text; nan and infinities, which JSON lacks, are None; times are text as in
-    ISO 8601; requests and named tuples are objects with the names of their fields, requests with
-    the name of their class too.
+    Bytes are hexadecimal text, nan and infinities None; requests and named tuples are objects.
     """
     if isinstance(value, float):
         return value if math.isfinite(value) else None
@@ -73,41 +71,29 @@ def without_controls(text: str) -> str:
 
 def time_text(seconds: float) -> str:
     """
-    Return a time in ISO 8601, in UTC, with milliseconds, such as 2026-07-01T12:00:00.250Z.
+    Return seconds since 1970 in ISO 8601, in UTC, such as 2026-07-01T12:00:00.250Z.
 
     A time that no year of 1..9999 has is shown in seconds, such as 253402300800.000s.
-
-    Args:
-        seconds: since 1970, as `time.time` returns them.
     """
     from datetime import UTC, datetime  # which most commands never load
 
     try:
         shown = datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
     except (OverflowError, ValueError, OSError):  # of a year that datetime, or the system, lacks
-        return _seconds_text(seconds)
+        return f"{seconds:.3f}s"
     return f"{shown[:-6]}Z"
 
 
 def clock_text(seconds: float, *, with_milliseconds: bool = False) -> str:
-    """
-    Return the time of day at this place, such as 14:00:00 or 14:00:00.250; else as `time_text`.
-
-    Args:
-        seconds: since 1970, as `time.time` returns them.
-    """
+    """Return the time of day here, such as 14:00:00 or 14:00:00.250; else as `time_text`."""
     from datetime import datetime
 
     whole, part = divmod(round(seconds * 1000), 1000)
     try:
         clock = datetime.fromtimestamp(whole).strftime("%H:%M:%S")
     except (OverflowError, ValueError, OSError):  # as in `time_text`
-        return _seconds_text(seconds)
+        return f"{seconds:.3f}s"
     return f"{clock}.{part:03}" if with_milliseconds else clock
-
-
-def _seconds_text(seconds: float) -> str:
-    return f"{seconds:.3f}s"
 
 
 # --- values of types -------------------------------------------------------------------
@@ -142,10 +128,7 @@ SHOWN: dict[str, Callable[[Any, ValueType], str]] = {
 
 
 def text_of(value: Any, kind: ValueType) -> str:
-    """
-    Return a value of a type as text: the shortest number, the lowest bit first, quoted text, times
-    as in ISO 8601.
-    """
+    """Return a value of a type as text: the shortest number, the lowest bit first, quoted text."""
     show = SHOWN.get(_family(kind))
     if show:
         return show(value, kind)
@@ -153,12 +136,7 @@ def text_of(value: Any, kind: ValueType) -> str:
 
 
 def number_of(name: str, text: str) -> int:
-    """
-    Read an integer as Python writes them, such as 31 or 0x1F.
-
-    Raises:
-        ValueError: it is none; the message begins with `name`.
-    """
+    """Read an integer as Python writes them, such as 31 or 0x1F."""
     try:
         return int(text, 0)
     except ValueError:
@@ -166,12 +144,7 @@ def number_of(name: str, text: str) -> int:
 
 
 def bit_of(text: str) -> bool:
-    """
-    Read one of 0, 1, off, on, false, true.
-
-    Raises:
-        ValueError: it is none of them.
-    """
+    """Read one of 0, 1, off, on, false, true."""
     try:
         return BITS[text.lower()]
     except KeyError:
@@ -179,12 +152,7 @@ def bit_of(text: str) -> bool:
 
 
 def decimal_of(text: str) -> float:
-    """
-    Read a number such as 21.5, inf or nan.
-
-    Raises:
-        ValueError: it is none, or one too large for a float; the message begins with "value".
-    """
+    """Read a number such as 21.5, inf or nan."""
     try:
         value = float(text)
     except ValueError:
@@ -195,12 +163,7 @@ def decimal_of(text: str) -> float:
 
 
 def time_of(text: str) -> datetime:
-    """
-    Read a date and time with its time zone (ISO 8601), such as 2026-07-01T12:00:00Z.
-
-    Raises:
-        ValueError: it is none; the message begins with "value".
-    """
+    """Read a date and time with its time zone (ISO 8601), such as 2026-07-01T12:00:00Z."""
     from datetime import datetime
 
     try:
@@ -229,12 +192,7 @@ PARSERS: dict[str, Callable[[str], Any]] = {
 
 
 def value_of(text: str, kind: ValueType) -> Any:
-    """
-    Read a value of a type, as `text_of` returns it; text without quotes.
-
-    Raises:
-        ValueError: it is none; the message begins with "value".
-    """
+    """Read a value of a type, as `text_of` returns it; text without quotes."""
     if kind.is_time:
         return time_of(text)
     parse = PARSERS.get(_family(kind))
@@ -245,15 +203,7 @@ _UNITS = re.compile(r"\s*([0-9]{1,3})\s*(?:-\s*([0-9]{1,3})\s*)?", re.ASCII)
 
 
 def units_of(text: str) -> list[int]:
-    """
-    Read a list of units 0..255: numbers and ranges with commas between them, such as "1-10,17".
-
-    Returns:
-        The units in the order of the text; a unit that is listed twice is there twice.
-
-    Raises:
-        ValueError: a part of the list is neither a unit nor a range that goes up.
-    """
+    """Read units 0..255 in the order of the text: numbers and ranges, such as "1-10,17"."""
     units: list[int] = []
     for part in text.split(","):
         found = _UNITS.fullmatch(part)

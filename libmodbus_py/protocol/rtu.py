@@ -43,7 +43,7 @@ from .scan import (
     lib,
 )
 
-__all__ = ["Piece", "RtuCutter", "may_be", "scanner"]
+__all__ = ["Piece", "RtuCutter", "may_be"]
 
 Kind = Literal["request", "response", "damage"]
 
@@ -56,7 +56,7 @@ class Piece(NamedTuple):
     kind: Kind
 
 
-def scanner(*, is_client: bool) -> FrameScanner:
+def _scanner(*, is_client: bool) -> FrameScanner:
     """Return a scanner for responses if `is_client`, else for requests, by the rules of `pdu`."""
     return FrameScanner(
         is_client,
@@ -93,8 +93,8 @@ class RtuCutter:
         self.is_ours: Callable[[int], bool] = lambda unit: True
         self._role = role
         self._is_server = role == "server"
-        self._requests = None if role == "client" else scanner(is_client=False)
-        self._responses = scanner(is_client=True)
+        self._requests = None if role == "client" else _scanner(is_client=False)
+        self._responses = _scanner(is_client=True)
         self._scanners = [each for each in (self._requests, self._responses) if each]
         self._is_fresh = True  # a frame should begin with the first byte
         self._later: list[int] = []  # where frames should begin behind an unfinished one

@@ -26,10 +26,8 @@ MAX_ADU, MIN_ADU = MAX_PDU + 3, 4
 GOES_ON: int = lib.GOES_ON
 SILENT: int = lib.SILENT
 AT_END: int = lib.AT_END
-
 NO_FRAME: int = lib.NO_FRAME
 UNFINISHED: int = lib.UNFINISHED
-ASK_PYTHON: int = lib.ASK_PYTHON
 
 ALLOWANCE = 0.02
 """Seconds after which a byte that was received is here: USB adapters keep bytes for 16 ms."""
@@ -46,8 +44,7 @@ def crc16(data: bytes | bytearray) -> int:
     """
     Compute the CRC of an RTU frame: polynomial A001h reflected, preset FFFFh.
 
-    On the wire its low byte comes first; over a frame with its CRC it is 0
-    (serial line, appendix B).
+    On the wire its low byte comes first; over a frame with its CRC it is 0 (serial line, B).
     """
     crc: int = lib.crc16(data if type(data) is bytes else ffi.from_buffer(data), len(data))
     return crc
@@ -59,16 +56,7 @@ def is_one_adu(data: bytes) -> bool:
 
 
 def pause_between_frames(baudrate: int, bits: int = 11) -> float:
-    """
-    Return the silence that ends a frame and precedes the next, in seconds: 3.5 characters, or
-    1.75 ms above 19200 bit/s.
-
-    Args:
-        baudrate: bits per second, 1 or more.
-        bits: of a character; less than 11 count as 11.
-
-    Source: MODBUS over Serial Line V1.02, section 2.5.1.1.
-    """
+    """Return the seconds of silence between two frames (serial line, 2.5.1.1)."""
     return 0.00175 if baudrate > 19_200 else 3.5 * max(bits, 11) / baudrate
 
 
@@ -78,15 +66,13 @@ class FrameScanner:
 
     Args:
         is_client: whether responses come in.
-        rules: function code -> how the length of its PDU is told: a constant of
-            scan.h, `base` and `at`; frames of other codes end with silence, where their CRC
-            fits.
-        ask: the length rule for what is told BY_PYTHON.
+        rules: function code -> length rule of its PDU: a constant of scan.h, `base` and `at`;
+            frames of other codes end with silence, where their CRC fits.
+        ask: the length rule for those BY_PYTHON.
 
     Attributes:
         fresh: the place in the next data where a frame should begin; negative if it is past.
         start: the place where the last frame began; where one may begin if there was none.
-        fits: the number of places where the last frame that `at` found can end, by its CRC.
     """
 
     def __init__(
@@ -103,43 +89,25 @@ class FrameScanner:
             self._scan.rules[code] = (True, told, base, at)
 
     def next(self, data: bytes, start: int = 0, state: int = GOES_ON) -> int:
-        """
-        Return the end of the first frame from `start` on; negative if none is complete.
-
-        Args:
-            state: `GOES_ON`; `SILENT` after a silence, which ends frames without a length; or
-                `AT_END` to find, after a silence, the first one that ends with the data, past
-                all that may still be completed.
-
-        Raises:
-            ValueError: `start` is negative.
-        """
-        if start < 0:  # C would read before the data
-            raise ValueError(f"start must be 0 or more, not {start}")
+        """Return the end of the first frame from `start` on; negative if none is complete."""
         return self._call(lib.next_frame, data, start, state)
 
     def at(self, data: bytes, start: int, fresh: int, state: int = GOES_ON) -> int:
-        """
-        Return the end of the frame that begins at `start`; `NO_FRAME` or `UNFINISHED`.
-
-        Raises:
-            ValueError: `start` is negative.
-        """
-        if start < 0:  # as in `next`
-            raise ValueError(f"start must be 0 or more, not {start}")
+        """Return the end of the frame that begins at `start`; `NO_FRAME` or `UNFINISHED`."""
         self.fresh = fresh
         end: int = lib.frame_at(self._scan, data, len(data), start, fresh, state)
-        return end if end != ASK_PYTHON else self._call(lib.frame_at, data, start, state)
+        return end if end != lib.ASK_PYTHON else self._call(lib.frame_at, data, start, state)
 
     @property
     def fits(self) -> int:
+        """The number of places where the last frame that `at` found can end, by its CRC."""
         count: int = self._scan.fits
         return count
 
     def _call(self, look: Callable[..., int], data: bytes, start: int, state: int) -> int:
         scan = self._scan
         end = look(scan, data, len(data), start, self.fresh, state)
-        while end == ASK_PYTHON:
+        while end == lib.ASK_PYTHON:
             at = scan.start
             length = self._ask(data[at + 1 : at + 1 + MAX_PDU])
             scan.length = lib.UNFINISHED if length is None else min(length, MAX_PDU + 1)

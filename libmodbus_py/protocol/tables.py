@@ -31,15 +31,7 @@ Table = Literal["coils", "discrete_inputs", RegisterTable]
 
 
 class TableRules(NamedTuple):
-    """
-    The rules of one table; all have the addresses 0..65535 (`TABLE_SIZE`).
-
-    Attributes:
-        read: makes the request for some of it: (address, count).
-        is_bits: whether its cells are True and False, not 0..65535.
-        most_read: the most cells of one read.
-        most_written: the most cells of one write; 0 if clients can only read it.
-    """
+    """The request that reads a table, and the most cells of one request; 0 of read-only ones."""
 
     read: Callable[[int, int], pdu.Request[list[Any]]]
     is_bits: bool
@@ -63,12 +55,7 @@ REGISTER_TABLES = [name for name, rules in TABLES.items() if not rules.is_bits]
 
 
 def checked_table(table: object) -> Any:
-    """
-    Return the name of a table, which may be written as vendors do, such as "hr" or "4x".
-
-    Raises:
-        WrongValue: there is no such table.
-    """
+    """Return the name of a table, which may be written as vendors do, such as "hr" or "4x"."""
     name = table_named(table)
     if name is None:
         close = close_word(table, TABLES, TABLE_WORDS)
@@ -84,21 +71,10 @@ START = attrgetter("start")
 def checked_ranges(
     name: str, given: Any, expected: str = "a range of addresses or a list of ranges"
 ) -> list[range]:
-    """
-    Return an argument that is a range, or several, as a list of ranges in ascending order.
-
-    Args:
-        name: the name of the argument, for errors.
-        expected: what the argument may be, for errors.
-
-    Raises:
-        TypeError: the argument is neither a range nor an iterable of ranges.
-        ValueError: a range has steps, or is not within 0..65535.
-    """
+    """Return an argument that is a range, or several, as ranges of step 1 in ascending order."""
     is_one = isinstance(given, range) or not isinstance(given, Iterable)
-    items: list[Any] = [given] if is_one else list(given)
-    found = [each for each in items if isinstance(each, range)]
-    if len(found) < len(items):
+    found: list[Any] = [given] if is_one else list(given)
+    if not all(isinstance(each, range) for each in found):
         raise TypeError(f"{name} must be {expected}, not {reprlib.repr(given)}")
     for each in found:
         if each.step != 1 or each.start < 0 or (each and each[-1] >= TABLE_SIZE):
@@ -107,12 +83,7 @@ def checked_ranges(
 
 
 def joined(ranges: Iterable[range]) -> tuple[range, ...]:
-    """
-    Return ranges in ascending order, without empty ones; those that overlap or touch become one.
-
-    Args:
-        ranges: of step 1, in any order.
-    """
+    """Return ranges of step 1 in ascending order, without empty ones, and joined."""
     found: list[range] = []
     for each in sorted(filter(None, ranges), key=START):
         if found and each.start <= found[-1].stop:

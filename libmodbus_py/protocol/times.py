@@ -20,19 +20,12 @@ from .value_types import ValueType
 __all__ = ["TIMES", "checked_time_zone", "in_time_zone", "pack_time", "unpack_time"]
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-
 CENTURY = 2000
 """The year from which dates in bytes count; CP56Time2a and others have no century."""
 
 
 class TimeForm(NamedTuple):
-    """
-    One form of times in bytes, high byte first.
-
-    Attributes:
-        pack: returns the bytes of a time in UTC; raises OverflowError for one that does not fit.
-        unpack: returns the time in some bytes; raises ValueError or OverflowError if it is none.
-    """
+    """A time in UTC as bytes, high byte first, and back; an OverflowError if it does not fit."""
 
     pack: Callable[[datetime], bytes]
     unpack: Callable[[bytes], datetime]
@@ -49,9 +42,6 @@ def _checked_time(name: str | Path, value: object) -> datetime:
         raise WrongValue(name, "must be a year in 1..9999") from None
 
 
-# --- since 1970 ---------------------------------------------------------------------------
-
-
 def _since_1970(bits: int, step: timedelta) -> TimeForm:
     signed = bits > 32  # 32 bits are unsigned: they last until 2106
 
@@ -62,9 +52,6 @@ def _since_1970(bits: int, step: timedelta) -> TimeForm:
         return EPOCH + int.from_bytes(data, "big", signed=signed) * step
 
     return TimeForm(to_bytes, from_bytes)
-
-
-# --- dates --------------------------------------------------------------------------------
 
 
 def _short_year(year: int, most: int) -> int:
@@ -111,9 +98,8 @@ def _bytes_from(data: bytes) -> datetime:
 
 
 def _digits_to(time: datetime) -> bytes:
-    return bytes.fromhex(
-        "".join(f"{each:02}" for each in (_short_year(time.year, 99), *_fields(time)))
-    )
+    numbers = (_short_year(time.year, 99), *_fields(time))
+    return bytes.fromhex("".join(f"{number:02}" for number in numbers))
 
 
 def _digits_from(data: bytes) -> datetime:
@@ -139,12 +125,7 @@ TIMES: dict[str, TimeForm] = {
 
 
 def pack_time(form: TimeForm, name: str | Path, value: Any) -> bytes:
-    """
-    Return the bytes of a time.
-
-    Raises:
-        TypeError, ValueError: no datetime with a time zone, or one that the form cannot hold.
-    """
+    """Return the bytes of a datetime with a time zone."""
     time = _checked_time(name, value)
     try:
         return form.pack(time)
@@ -154,12 +135,7 @@ def pack_time(form: TimeForm, name: str | Path, value: Any) -> bytes:
 
 
 def unpack_time(form: TimeForm, data: bytes) -> datetime:
-    """
-    Return the time in some bytes.
-
-    Raises:
-        ValueError: they hold none.
-    """
+    """Return the time in some bytes; raise a ValueError if they hold none."""
     try:
         return form.unpack(data)
     except (ValueError, OverflowError):
@@ -170,12 +146,7 @@ def unpack_time(form: TimeForm, data: bytes) -> datetime:
 
 
 def checked_time_zone(name: str | Path, given: object) -> tzinfo:
-    """
-    Return a time zone of the IANA database, such as "Europe/Berlin".
-
-    Raises:
-        TypeError, ValueError: this system knows no such zone.
-    """
+    """Return a time zone of the IANA database, such as "Europe/Berlin"."""
     if not isinstance(given, str):
         raise WrongType(name, f"must be the name of a time zone, not {type(given).__name__}")
     from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
@@ -192,8 +163,7 @@ def in_time_zone(kind: ValueType, zone: tzinfo) -> ValueType:
     Return a type of times whose registers hold the local time of a zone.
 
     A local time that occurs twice, when summer time ends, is the first of both, unless the type
-    tells summer time from standard time, as iec870 does; one that is left out, when summer time
-    begins, is not a value.
+    tells summer time, as iec870 does; one that is left out when it begins is not a value.
     """
     has_summer = kind.name == "iec870"
 

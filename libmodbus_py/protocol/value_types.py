@@ -36,12 +36,7 @@ _SPELLINGS = {
 
 
 def checked_order(order: object, kind: ValueType) -> str:
-    """
-    Return the four letters of an order; a spelling of another width is a mistake, not a synonym.
-
-    Raises:
-        WrongType, WrongValue: there is no such order.
-    """
+    """Return the four letters of an order; a spelling of another width is a mistake."""
     if not isinstance(order, str):
         raise WrongType("order", f"must be one of {', '.join(ORDERS)}, not {type(order).__name__}")
     name, width = _SPELLINGS.get(order.upper(), (order.upper(), None))
@@ -54,17 +49,6 @@ def checked_order(order: object, kind: ValueType) -> str:
         wanted = f"one of {', '.join(ORDERS)}"
         raise WrongValue("order", f"of {kind.name} must be {wanted}, not {order!r}")
     return name
-
-
-def _reorder(data: bytes, words: bool, swap: bool) -> bytes:
-    """Each order undoes itself, so that one function serves both ways."""
-    if words:
-        data = data[::-1]  # which swaps the bytes of each, too
-    if words == swap:
-        return data
-    swapped = bytearray(data)
-    swapped[0::2], swapped[1::2] = data[1::2], data[0::2]
-    return bytes(swapped)
 
 
 # --- types -------------------------------------------------------------------------
@@ -163,23 +147,17 @@ class ValueType:
 
     def _from_registers(self, cells: list[int]) -> list[Any]:
         data = struct.pack(f">{len(cells)}H", *cells)
-        size = 2 * self.registers
-        return [self._from_part(data[at : at + size], at // 2) for at in range(0, len(data), size)]
-
-    def _from_part(self, data: bytes, at: int) -> Any:
-        try:
-            return self.from_bytes(data)
-        except ValueError as error:
+        found = []
+        for at in range(0, len(cells), self.registers):
             end = at + self.registers
-            raise ValueError(f"registers[{at}:{end}] hold no {self.name}: {error}") from None
+            try:
+                found.append(self.from_bytes(data[2 * at : 2 * end]))
+            except ValueError as error:
+                raise ValueError(f"registers[{at}:{end}] hold no {self.name}: {error}") from None
+        return found
 
     def from_bytes(self, data: bytes) -> Any:
-        """
-        Return the value of the bytes of its registers, as in a response.
-
-        Raises:
-            ValueError: the bytes hold no such value.
-        """
+        """Return the value of the bytes of its registers; raise a ValueError if there is none."""
         return self.unpack(self._reordered(data))
 
     @property
@@ -188,7 +166,7 @@ class ValueType:
         return self.unpack if self.order == "ABCD" else self.from_bytes
 
     def to_number(self, data: bytes) -> int:
-        """Return the bits of one value of any type as an unsigned number."""
+        """Return the bits of one value as an unsigned number."""
         return int.from_bytes(self._reordered(data), "big")
 
     def cells_of_number(self, number: int) -> list[int]:
@@ -197,10 +175,17 @@ class ValueType:
         return list(struct.unpack(f">{self.registers}H", data))
 
     def _reordered(self, data: bytes) -> bytes:
+        """Return bytes in this order, or back: each order undoes itself."""
         if self.order == "ABCD":
             return data
         words, swap = ORDERS[self.order]
-        return _reorder(data, words and not self.is_text, swap)
+        if words := words and not self.is_text:
+            data = data[::-1]  # which swaps the bytes of each, too
+        if words == swap:
+            return data
+        swapped = bytearray(data)
+        swapped[0::2], swapped[1::2] = data[1::2], data[0::2]
+        return bytes(swapped)
 
 
 def items_of(name: str | Path, values: object) -> list[Any]:

@@ -163,12 +163,8 @@ def table_named(text: object) -> str | None:
 
 def close_word(text: object, names: Iterable[str], words: Iterable[str]) -> str:
     """
-    Return the end of a message about a word that is not known: those that are close to it, or the
-    two orders that vendors mean by it.
-
-    Args:
-        names: known here, and looked at first.
-        words: those of vendors.
+    Return the end of a message about a word that is not known: the `names` that are close to it,
+    else the `words` of vendors, or the two orders that vendors mean by it.
     """
     if words is ORDER_WORDS and (meanings := _TWO_ORDERS.get(plain(str(text)))):
         return meanings

@@ -82,7 +82,7 @@ def test_seconds_become_a_float() -> None:
     ("value", "text"),
     [
         (0, "pause must be in 0.001..86400 seconds, not 0"),
-        (0.1 - 0.3, "pause must be in 0.001..86400 seconds, not -0.2"),
+        (-0.25, "pause must be in 0.001..86400 seconds, not -0.25"),
         (0.0009, "pause must be in 0.001..86400 seconds, not 0.0009"),
         (86_401, "pause must be in 0.001..86400 seconds, not 86401"),
         (math.nan, "pause must be in 0.001..86400 seconds, not nan"),

@@ -29,7 +29,6 @@ from libmodbus_py.protocol.framing import (
     lrc,
     make_framer,
 )
-from libmodbus_py.protocol.rtu import scanner
 from tests.support.cases import each_case
 from tests.support.vectors import (
     CHECKSUMS,
@@ -1071,12 +1070,3 @@ class TestWhateverComes:
         take(framer, pattern * (100_000 // len(pattern)))
         assert framer.pending <= PENDING[type(framer)]
         assert time.process_time() - began < 10
-
-
-@pytest.mark.parametrize("start", [-1, -5])
-def test_a_scanner_looks_at_no_byte_before_the_data(start: int) -> None:
-    data = bytes.fromhex("11 03 02 0001") * 5
-    with pytest.raises(ValueError, match="start must be 0 or more, not -"):
-        scanner(is_client=True).at(data, start, 0)
-    with pytest.raises(ValueError, match="start must be 0 or more, not -"):
-        scanner(is_client=True).next(data, start)
