@@ -6,11 +6,8 @@ of Debian's libmodbus-dev.
 from __future__ import annotations
 
 import contextlib
-import random
 import re
-import socket
 import subprocess
-import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -23,7 +20,6 @@ from libmodbus_py import (
     IllegalDataAddress,
     IllegalFunction,
     Mapping,
-    ModbusConnectionError,
     ModbusTimeoutError,
     RtuContext,
     TcpContext,
@@ -406,59 +402,3 @@ def test_example_client_reports_success_against_our_server(tmp_path: Path) -> No
     assert "ERROR" not in done.stdout
     assert done.returncode == 0
     assert codes == set(EXAMPLE_CODES)
-
-
-@pytest.fixture
-def held_port() -> Iterator[int]:
-    """
-    A port that nobody else gets while the test runs: bound, so that it is not given
-    away, but not listening, so that a program that reuses addresses may take it.
-    """
-    with socket.socket() as holder:
-        holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        holder.bind(("127.0.0.1", 0))
-        yield holder.getsockname()[1]
-
-
-def connect_when_it_listens(context: Context) -> None:
-    """The example says nothing when it is ready, and takes one connection only."""
-    deadline = time.monotonic() + TIMEOUT
-    while True:
-        try:
-            context.connect()
-            return
-        except ModbusConnectionError:
-            if time.monotonic() > deadline:
-                raise
-            time.sleep(0.005)
-
-
-@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
-def test_context_reads_back_what_it_writes_to_example_server(
-    tmp_path: Path, held_port: int, way: bool
-) -> None:
-    # What the example client does, by a context. The mapping has 500 of everything.
-    server = compile_example("random-test-server", held_port, tmp_path)
-    context = TcpContext("127.0.0.1", held_port, unit=255, timeout=TIMEOUT, native=way)
-    chosen = random.Random(1)
-    with program(server) as process:
-        connect_when_it_listens(context)
-        with context:
-            for address in range(99):
-                count = 99 - address
-                registers = [chosen.randrange(65536) for _ in range(count)]
-                coils = [value % 2 == 1 for value in registers]
-                context.write_coil(address, coils[0])
-                assert context.read_coils(address, 1) == coils[:1]
-                context.write_coils(address, coils)
-                assert context.read_coils(address, count) == coils
-                context.write_register(address, registers[0])
-                assert context.read_holding_registers(address, 1) == registers[:1]
-                context.write_registers(address, registers)
-                assert context.read_holding_registers(address, count) == registers
-                other = [65535 - value for value in registers]
-                assert context.read_write_registers(address, count, address, other) == other
-                assert context.read_holding_registers(address, count) == other
-            with pytest.raises(IllegalDataAddress):
-                context.read_input_registers(499, 2)
-        assert process.wait(TIMEOUT) == 0  # it ends with its only connection

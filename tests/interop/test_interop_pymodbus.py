@@ -34,7 +34,6 @@ from libmodbus_py import (
     InvalidResponse,
     ModbusError,
     ModbusTimeoutError,
-    ServerDeviceFailure,
     pdu,
 )
 from libmodbus_py.protocol.pdu import SubFunction
@@ -443,17 +442,6 @@ def test_broadcast_of_pymodbus_reaches_every_unit_and_is_not_answered(transport:
     assert [device.mapping.holding_registers[100] for device in devices.values()] == [7, 7]
 
 
-def test_two_pymodbus_clients_share_one_server_over_tcp() -> None:
-    with (
-        our_server("tcp", {UNIT: make_device()}) as place,
-        pymodbus_client("tcp", place) as first,
-        pymodbus_client("tcp", place) as second,
-    ):
-        for value in range(5):
-            first.write_register(100, value, device_id=UNIT)
-            assert second.read_holding_registers(100, device_id=UNIT).registers == [value]
-
-
 @pytest.mark.parametrize("transport", SERIAL)
 def test_pymodbus_client_silences_our_device_and_wakes_it(transport: str) -> None:
     with (
@@ -541,16 +529,6 @@ class TestWherePymodbusClientErrs:
             response = client.write_coils(10, [True] * 1969, device_id=UNIT)
             assert response.exception_code == 3
             assert device.mapping.coils[10:1979] == cells(coil, 10, 1969)
-
-    def test_frame_that_is_too_long_ends_only_its_own_connection(self) -> None:
-        # 2000 coils make a PDU of 256 bytes, where 253 is the limit.
-        device = make_device()
-        with our_server("tcp", {UNIT: device}) as place:
-            with pymodbus_client("tcp", place) as client:
-                with pytest.raises(ModbusException):
-                    client.write_coils(10, [True] * 2000, device_id=UNIT)
-                assert client.read_coils(12, device_id=UNIT).bits[0] is True  # it connects again
-            assert device.mapping.coils[10:2010] == cells(coil, 10, 2000)
 
     @over("server", 20, "pinned")
     def test_record_length_is_halved_on_the_way(self, transport: str) -> None:
@@ -899,15 +877,6 @@ class TestWherePymodbusServerErrs:
                 with pytest.raises(error) as caught:
                     context.execute(pdu.RawRequest(function, b"ab"))
                 assert caught.value.function == function
-
-    @pytest.mark.parametrize("transport", TRANSPORTS)
-    def test_unit_that_it_lacks_is_server_device_failure(self, transport: str) -> None:
-        # Its simulator looks for a unit 0 instead, finds none, and answers the
-        # KeyError as exception 4; on a serial line it should be silent.
-        with pymodbus_server(transport) as context:
-            with pytest.raises(ServerDeviceFailure):
-                context.for_unit(UNIT + 1).read_coils(10, 1)
-            assert context.read_coils(12, 1) == [True]
 
     @pytest.mark.parametrize("transport", [each for each in TRANSPORTS if each != "tcp"])
     def test_answer_to_a_broadcast_is_not_taken_for_the_next_one(self, transport: str) -> None:

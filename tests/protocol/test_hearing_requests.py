@@ -200,15 +200,6 @@ def test_a_request_that_is_repeated_to_a_silent_unit_is_not_taken_for_its_answer
     assert requests(heard(ask, ask, READ)) == [ASKED]
 
 
-def test_what_is_kept_is_bounded() -> None:
-    framer = framer_of(1)
-    for piece in (b"\2\x08\0\0" + bytes(range(200)) * 3, b"\xff" * 1000, WRITE[:-1] * 100):
-        framer.scan(piece)
-        assert framer.pending <= 256
-    framer.scan_silence()
-    assert framer.scan(READ) + framer.scan_silence() == [ASKED]
-
-
 def test_after_another_request_an_answer_is_awaited_no_more() -> None:
     """A write and its answer are the same bytes: what was heard before tells which it is."""
     write = rtu("02 06 0001 0003")

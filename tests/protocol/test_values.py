@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import codecs
 import math
-import struct
 from array import array
 from collections.abc import Callable
 from decimal import Decimal
@@ -134,9 +133,6 @@ class TestKnownEncodings:
     def test_byte_order_of_a_worked_example(self, vector: ByteOrder) -> None:
         assert decode(vector.registers, vector.type, order=vector.order) == vector.value
         assert encode(vector.value, vector.type, order=vector.order) == vector.registers
-
-    def test_worked_examples_are_there(self) -> None:
-        assert {vector.order for vector in BYTE_ORDERS} >= {"AB", "DCBA", "CDAB", "HGFEDCBA"}
 
     # IEEE 754 interchange formats, by their fields: sign, exponent, fraction.
     @each_case(
@@ -296,24 +292,11 @@ class TestOrders:
 
 
 class TestValueType:
-    @each_number
-    def test_registers_are_the_bits(self, name: str) -> None:
-        bits = int(name.lstrip("abcdefghijklmnopqrstuvwxyz"))
-        kind = value_type(name, order="DCBA")
-        assert (kind.name, kind.registers) == (name, bits // 16)
-        assert not kind.is_text
-
     @each_case(("size", "registers"), [(1, 1), (2, 1), (3, 2), (249, 125), (250, 125)])
     def test_registers_of_strings(self, size: int, registers: int) -> None:
         kind = value_type(f"string:{size}")
         assert (kind.name, kind.registers) == (f"string:{size}", registers)
         assert kind.is_text
-
-    def test_order_is_kept_in_four_letters(self) -> None:
-        assert value_type("int16").order == "ABCD"
-        assert value_type("int16", order="ba").order == "BADC"
-        assert value_type("int64", order="GHEFCDAB").order == "CDAB"
-        assert value_type("int64").order == "ABCD"  # the other one was its own
 
     @each_case(
         "name",
@@ -590,15 +573,8 @@ class TestText:
     def test_no_such_encoding_or_padding(
         self, options: dict[str, Any], error: type[Exception], named: str
     ) -> None:
-        for call in (
-            lambda: value_type("string:4", **options),
-            lambda: encode("A", "string:4", **options),
-            lambda: decode([1, 2], "string:4", **options),
-            lambda: encode_many([], "string:4", **options),
-            lambda: decode_many([], "string:4", **options),
-        ):
-            with pytest.raises(error, match=named):
-                call()
+        with pytest.raises(error, match=named):
+            value_type("string:4", **options)
 
     @settings(max_examples=80)
     @given(
@@ -751,13 +727,6 @@ class TestReadings:
         ):
             readings([0] * count)
 
-    def test_readings_are_what_struct_reads(self) -> None:
-        data = bytes.fromhex("0123456789ABCDEF")
-        found = {reading[:2]: reading.value for reading in readings(words("0123 4567 89AB CDEF"))}
-        assert found["float64", "ABCD"] == struct.unpack(">d", data)[0]
-        assert found["float64", "DCBA"] == struct.unpack("<d", data)[0]
-        assert found["int64", "DCBA"] == struct.unpack("<q", data)[0]
-
 
 class TestParseReference:
     @each_case("vector", rows(REFERENCES))
@@ -826,13 +795,6 @@ class TestParseReference:
             parse_reference(bad)
 
     @settings(max_examples=75)
-    @given(st.sampled_from("0134"), st.integers(1, 65536))
-    def test_item_is_the_address_and_one(self, digit: str, item: int) -> None:
-        assert parse_reference(f"{digit}{item:05}") == (DIGITS[digit], item - 1)
-        if item <= 9999:
-            assert parse_reference(f"{digit}{item:04}") == (DIGITS[digit], item - 1)
-
-    @settings(max_examples=75)
     @given(st.text("0123456789 +-_\u0661", max_size=7))
     def test_text_is_a_reference_or_a_value_error(self, text: str) -> None:
         try:
@@ -881,12 +843,6 @@ def test_limits_are_the_numbers_that_just_fit(name: str) -> None:
 @each_case("name", [*get_args(BitsType), "string:1"])
 def test_what_is_no_number_has_no_limits(name: str) -> None:
     assert value_type(name).limits is None
-
-
-def test_floats_are_as_large_as_their_format() -> None:
-    assert TYPES["float16"].limits == (-65504.0, 65504.0)
-    assert TYPES["float32"].limits == (-3.4028234663852886e38, 3.4028234663852886e38)
-    assert TYPES["float64"].limits == (-1.7976931348623157e308, 1.7976931348623157e308)
 
 
 # --- MAC addresses -------------------------------------------------------------------------

@@ -144,6 +144,7 @@ class TestBadResponses:
             (pdu.ReadFifoQueue(1), b"\x18\0\6\0\1\0\7"),  # byte count too large
             (pdu.ReadFifoQueue(1), b"\x18\0\5\0\1\0\7\0"),  # odd
             (pdu.ReadFifoQueue(1), b"\x18\2\0\0\0"),
+            (pdu.ReadFifoQueue(1), b"\x18\0\4\1\1\0\7"),  # the low byte alone would fit
             (pdu.ReadFifoQueue(1), b"\x18\0\x42\0\x20" + bytes(64)),  # 32 registers
             (pdu.ReadDeviceIdentification(1), b"\x2b\x0d\1\1\0\0\0"),  # another MEI type
             (pdu.ReadDeviceIdentification(1), b"\x2b\x0e\2\1\0\0\0"),  # another code

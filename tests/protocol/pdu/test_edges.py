@@ -4,53 +4,10 @@ Lengths, counts and objects at the edges of what the application protocol allows
 
 from __future__ import annotations
 
-import struct
-
 import pytest
 
 from libmodbus_py import InvalidResponse, pdu
 from tests.support.cases import each_case
-
-
-def test_a_queue_holds_up_to_31_registers() -> None:
-    request = pdu.ReadFifoQueue(4)
-    for count in (0, 1, 31):
-        values = list(range(count))
-        head = struct.pack(">BHH", 0x18, 2 + 2 * count, count)
-        response = head + struct.pack(f">{count}H", *values)
-        assert request.decode_response(response) == values
-        assert request.encode_response(values) == response
-    for head, rest in (
-        (struct.pack(">BHH", 0x18, 66, 32), bytes(64)),
-        (struct.pack(">BHH", 0x18, 4, 0x0101), bytes(2)),  # the low byte alone would fit
-        (struct.pack(">BHH", 0x18, 4, 2), bytes(2)),
-    ):
-        with pytest.raises(InvalidResponse):
-            request.decode_response(head + rest)
-
-
-def test_a_log_holds_up_to_64_events() -> None:
-    for count in (0, 1, 64):
-        log = pdu.CommEventLog(0xFFFF, 7, 8, bytes([4]) * count)
-        response = struct.pack(">BBHHH", 12, 6 + count, 0xFFFF, 7, 8) + bytes([4]) * count
-        assert pdu.ReadCommEventLog().decode_response(response) == log
-        assert pdu.ReadCommEventLog().encode_response(log) == response
-    for count in (-1, 65):
-        response = struct.pack(">BBHHH", 12, 6 + count, 0, 7, 8) + bytes(max(count, 0))
-        with pytest.raises(InvalidResponse):
-            pdu.ReadCommEventLog().decode_response(response[: 8 + count])
-
-
-def test_a_server_answers_with_as_many_pieces_as_were_asked_for() -> None:
-    request = pdu.ReadFileRecords(((4, 1, 2), (3, 9, 1)))
-    assert request.encode_response([[1, 2], [3]]) == bytes.fromhex(
-        "14 0A 05 06 00010002 03 06 0003"
-    )
-    with pytest.raises(ValueError, match=r"^result must hold 2 pieces, not 1"):
-        request.encode_response([[1, 2]])
-    with pytest.raises(ValueError, match=r"^result must hold 2 registers, not 1"):
-        request.encode_response([[1], [3]])
-
 
 # --- device identification (section 6.21) --------------------------------------------------------
 

@@ -173,13 +173,6 @@ class TestRawRequest:
         assert caught.value.function == 65
         assert "RawRequest(function=65, data=b'\\x01')" in str(caught.value)
 
-    def test_it_is_no_write_and_is_answered(self) -> None:
-        assert RawRequest(6).may_be_broadcast is False
-        assert RawRequest(6).expects_response
-
-    def test_it_takes_no_place_in_the_table(self) -> None:
-        assert RawRequest not in pdu.REQUESTS.values()
-
 
 # --- classes of users that read as functions 1 to 4 do -----------------------------------------
 

@@ -97,10 +97,3 @@ class TestWorkedExamples:
         assert caught.value.code == vector.fields["exception"]
         assert caught.value.function == vector.function
         assert str(request) in str(caught.value)
-
-    @each_case("vector", rows(REQUESTS))
-    def test_decoded_request_encodes_to_the_same_bytes(self, vector: FrameVector) -> None:
-        request = pdu.decode_request(vector.pdu)
-        assert type(request) is type(FROM_FIELDS[vector.function](vector.fields))
-        assert request.function == vector.function
-        assert request.encode() == vector.pdu
