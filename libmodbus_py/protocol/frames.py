@@ -7,7 +7,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import NamedTuple
 
-from .errors import MAX_RECEIVED, FrameError
+from .errors import FrameError
 from .scan import MAX_PDU
 
 __all__ = ["Frame", "Framer", "Overheard", "add_error", "checked_frame"]
@@ -130,7 +130,7 @@ class Framer(ABC):
     def _scan_silence(self) -> None: ...
 
     def _report(self, why: str, received: bytes | bytearray, *, overrun: bool = False) -> None:
-        error = FrameError(why, received=bytes(received[:MAX_RECEIVED]))
+        error = FrameError(why, received=bytes(received))
         error.overrun = overrun
         add_error(self._found, error)
 

@@ -25,7 +25,7 @@ because of their buffers. So `RtuCutter` cuts by these rules, with the CRC as th
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from . import pdu
 from .pdu.request import IN_C
@@ -58,16 +58,13 @@ class Piece(NamedTuple):
 
 def _scanner(*, is_client: bool) -> FrameScanner:
     """Return a scanner for responses if `is_client`, else for requests, by the rules of `pdu`."""
-    return FrameScanner(
-        is_client,
-        {code: _in_c(request, is_client) for code, request in pdu.REQUESTS.items()},
-        pdu.response_length if is_client else pdu.request_length,
-    )
-
-
-def _in_c(request: type[pdu.Request[Any]], is_client: bool) -> tuple[int, int, int]:
-    rule = request.response_length if is_client else request.request_length
-    return IN_C.get(rule, (lib.BY_PYTHON, 0, 0))
+    rules = {
+        code: request.response_length if is_client else request.request_length
+        for code, request in pdu.REQUESTS.items()
+    }
+    in_c = {code: IN_C.get(rule, (lib.BY_PYTHON, 0, 0)) for code, rule in rules.items()}
+    ask = pdu.response_length if is_client else pdu.request_length
+    return FrameScanner(is_client, in_c, ask)
 
 
 def may_be(data: bytes) -> tuple[bool, bool]:
@@ -81,12 +78,7 @@ class RtuCutter:
     """
     Cuts the bytes of one line into requests, responses and damage.
 
-    Args:
-        role: "client" if responses come in; "server" if requests do, and responses of other units;
-            "listener" if it answers none of them.
-
-    Attributes:
-        is_ours: for a server, returns True for a unit that it answers itself.
+    `is_ours` returns True for a unit that a server answers itself.
     """
 
     def __init__(self, role: Literal["client", "server", "listener"]) -> None:
@@ -117,10 +109,8 @@ class RtuCutter:
         """
         Return the pieces that are certain, and the number of bytes in them.
 
-        Args:
-            data: the bytes behind the last piece that was returned, with those that came since.
-            is_silent: True if silence followed them.
-            is_over: True if this silence ends unfinished frames, too.
+        The data begin behind the last piece; `is_silent` if silence follows, `is_over` if that ends
+        unfinished frames, too.
         """
         pieces: list[Piece] = []
         at, size = 0, len(data)

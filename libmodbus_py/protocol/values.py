@@ -101,11 +101,10 @@ def _floats(bits: int, code: str, largest: float) -> ValueType:
     form = struct.Struct(f">{code}")
 
     def pack(name: str | Path, value: object) -> bytes:
-        unfit = isinstance(value, bool) or not isinstance(value, SupportsFloat | SupportsIndex)
-        if unfit:
+        if isinstance(value, bool) or not isinstance(value, SupportsFloat | SupportsIndex):
             raise WrongType(name, f"must be a number, not {type(value).__name__}")
         try:
-            return form.pack(float(value))  # type: ignore[arg-type]
+            return form.pack(float(value))
         except OverflowError:
             span = f"-{largest:.8g}..{largest:.8g}, infinite or nan"
             raise WrongValue(name, f"must be in {span}, not {shown(value)}") from None
@@ -199,9 +198,8 @@ def _text(size: int, encoding: str, padding: str, fill: bytes) -> ValueType:
             given = f"{reprlib.repr(value)} with {len(data)}"
             raise WrongValue(name, f"must have 0..{size} bytes in {encoding}, not {given}")
         if room % len(fill):
-            raise WrongValue(
-                name, f"leaves {room} bytes of {size}, and padding fills {len(fill)} at a time"
-            )
+            reason = f"leaves {room} bytes of {size}, and padding fills {len(fill)} at a time"
+            raise WrongValue(name, reason)
         return (data + fill * (room // len(fill))).ljust(2 * registers, b"\0")
 
     def unpack(data: bytes) -> str:
@@ -236,11 +234,8 @@ def _fill_of(padding: str, encoding: str) -> bytes:
     if len(padding) != 1:
         raise WrongValue("padding", f"must be one character, not {reprlib.repr(padding)}")
     if not _known_encoding(encoding):
-        raise WrongValue(
-            "encoding",
-            f"must be ascii, latin-1, utf-8, cp1252 or another of values.ENCODINGS,"
-            f" not {reprlib.repr(encoding)}",
-        )
+        wanted = "ascii, latin-1, utf-8, cp1252 or another of values.ENCODINGS"
+        raise WrongValue("encoding", f"must be {wanted}, not {reprlib.repr(encoding)}")
     one, two = (_encoded("padding", padding * count, encoding) for count in (1, 2))
     return two[len(one) :]
 
@@ -249,7 +244,6 @@ _MAC = re.compile(r"[0-9A-Fa-f]{2}(?:[:-][0-9A-Fa-f]{2}){5}", re.ASCII)
 
 
 def _pack_mac(name: str | Path, value: object) -> bytes:
-    """Return the eight bytes of a MAC address: two of padding, which are 0, come first."""
     if not isinstance(value, str):
         raise WrongType(name, f"must be a string, not {type(value).__name__}")
     if not _MAC.fullmatch(value):
@@ -258,8 +252,7 @@ def _pack_mac(name: str | Path, value: object) -> bytes:
 
 
 def _unpack_mac(data: bytes) -> str:
-    """Return the MAC address that eight bytes hold; the two of padding may hold anything."""
-    return data[2:].hex(":").upper()
+    return data[2:].hex(":").upper()  # behind two bytes of padding, which may hold anything
 
 
 TIME_REGISTERS = {
@@ -303,14 +296,11 @@ def value_type(
     Raises:
         TypeError, ValueError: there is no such type, order, encoding or padding.
     """
-    kind = _known(name) or _string(name, encoding, padding)
-    return replace(kind, order=checked_order(order, kind))
-
-
-def _known(name: object) -> ValueType | None:
     if not isinstance(name, str):
         raise WrongType("type", f"must be a string, such as float32, not {type(name).__name__}")
-    return TYPES.get(name) or TYPES.get(type_named(name) or "")
+    known = TYPES.get(name) or TYPES.get(type_named(name) or "")
+    kind = known or _string(name, encoding, padding)
+    return replace(kind, order=checked_order(order, kind))
 
 
 def _string(name: str, encoding: str, padding: str) -> ValueType:

@@ -51,10 +51,10 @@ def _record_span(name: str, file: object, record: object, length: int) -> tuple[
     return checked
 
 
-def _triple(name: str, record: object, form: str) -> tuple[object, object, object]:
+def _triple(name: str, record: object, form: str) -> Sequence[object]:
     if not isinstance(record, Sequence) or isinstance(record, str | bytes) or len(record) != 3:
         raise TypeError(f"{name} must be a tuple ({form}), not {reprlib.repr(record)}")
-    return record[0], record[1], record[2]
+    return record
 
 
 @dataclass(frozen=True, slots=True)

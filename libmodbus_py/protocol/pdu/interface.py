@@ -291,18 +291,16 @@ def identify(
     """
     Read the identification page by page: a generator that yields requests and is sent pages.
 
-    Args:
-        level: "basic", "regular", "extended", or the id of one object, 0..255.
-
-    Returns:
-        All objects of the pages. `complete` is False if a page was wrong after the three
-        mandatory objects, 0..2, had been read.
-
-    Raises:
-        TypeError, ValueError: there is no such level.
-        InvalidResponse: a page was wrong, and a mandatory object is missing.
+    A wrong page ends it: with what was read, if the mandatory objects are there, else with an
+    InvalidResponse.
     """
-    request = _first_request(level)
+    if not isinstance(level, str):
+        code, first = ReadDeviceIdCode.INDIVIDUAL, integer("level", level, 0, 0xFF)
+    elif level in LEVELS:
+        code, first = LEVELS[level], 0
+    else:
+        raise ValueError(f"level must be one of {', '.join(LEVELS)}, or 0..255, not {level!r}")
+    request = ReadDeviceIdentification(code, first)
     objects: dict[int, bytes] = {}
     while True:
         page = yield request
@@ -315,17 +313,8 @@ def identify(
         request = ReadDeviceIdentification(request.code, page.next_object)
 
 
-def _first_request(level: str | int) -> ReadDeviceIdentification:
-    if not isinstance(level, str):
-        number = integer("level", level, 0, 0xFF)
-        return ReadDeviceIdentification(ReadDeviceIdCode.INDIVIDUAL, number)
-    if level not in LEVELS:
-        raise ValueError(f"level must be one of {', '.join(LEVELS)}, or 0..255, not {level!r}")
-    return ReadDeviceIdentification(LEVELS[level], 0)
-
-
 def _trouble(request: ReadDeviceIdentification, page: IdentificationPage) -> str:
-    """The reason why reading cannot continue after this page; empty if it can, or need not."""
+    """Return why reading cannot continue after this page; empty if it can, or need not."""
     following = page.next_object
     if not page.complete:
         return "more objects are promised than came"
@@ -338,11 +327,9 @@ def _trouble(request: ReadDeviceIdentification, page: IdentificationPage) -> str
 
 def pages(request: ReadDeviceIdentification, objects: Mapping[int, bytes]) -> IdentificationPage:
     """
-    Return the answer of a device with these objects; its conformity is 0.
+    Return the answer of a device with these objects, in ascending order; its conformity is 0.
 
-    Args:
-        request: a stream; an object that is not in it starts it over (section 6.21).
-        objects: in ascending order of their ids, each up to 244 bytes.
+    A request for an object that is not in its stream starts it over (section 6.21).
     """
     last = LAST_OBJECT[ReadDeviceIdCode(request.code)]
     known = [number for number in objects if number <= last]
