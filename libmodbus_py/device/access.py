@@ -76,10 +76,7 @@ Find = Callable[[Any, Mapping, Who], Touched]
 
 
 class TouchRule(NamedTuple):
-    """
-    The tables (`Access.table`, or "") that requests of a class read and write; `find` returns what
-    one touches.
-    """
+    """The tables that requests of a class touch, "" for none; `find` returns what one touches."""
 
     reads: str
     writes: str
@@ -87,8 +84,6 @@ class TouchRule(NamedTuple):
 
 
 def _reading(table: str) -> TouchRule:
-    """Return the rule of requests that read a range."""
-
     def find(request: Any, _: Mapping, who: Who) -> Touched:
         return Touched((), (Access(table, request.address, request.count, (), 0, *who),))
 
@@ -99,8 +94,6 @@ def _writing(
     table: str,
     values: Callable[[Any, Mapping], tuple[Any, ...]] = lambda request, _: request.values,
 ) -> TouchRule:
-    """Return the rule of requests that write a range, with a function for the values."""
-
     def find(request: Any, mapping: Mapping, who: Who) -> Touched:
         new = values(request, mapping)
         return Touched((Access(table, request.address, len(new), new, 0, *who),))
@@ -121,9 +114,8 @@ def _masked(request: pdu.MaskWriteRegister, mapping: Mapping) -> tuple[int]:
 def _read_write(request: pdu.ReadWriteRegisters, _: Mapping, who: Who) -> Touched:
     table, new = "holding_registers", request.values
     write = Access(table, request.write_address, len(new), new, 0, *who)
-    return Touched(
-        (write,), (Access(table, request.read_address, request.read_count, (), 0, *who),)
-    )
+    read = Access(table, request.read_address, request.read_count, (), 0, *who)
+    return Touched((write,), (read,))
 
 
 def _read_files(request: pdu.ReadFileRecords, _: Mapping, who: Who) -> Touched:
@@ -179,10 +171,7 @@ _NOTHING = Mapping()
 def touched(
     request: pdu.Request[Any] | None, who: Who = (0, "", None), mapping: Mapping | None = None
 ) -> Touched:
-    """
-    Return the accesses of a request, none for None; the result of a masked write depends on the
-    mapping.
-    """
+    """Return the accesses of a request; the values of a masked write depend on the mapping."""
     kind = ACCESSES.get(type(request))  # type: ignore[arg-type]
     return Touched() if kind is None else kind.find(request, mapping or _NOTHING, who)
 

@@ -83,13 +83,7 @@ class Authorization:
         self._not_logged = 0
 
     def check(self, asked: Asked) -> None:
-        """
-        Check that a request is allowed.
-
-        Raises:
-            UnauthorizedError: the request is not allowed.
-            TypeError: `authorize` returned neither True nor False, such as a coroutine.
-        """
+        """Raise UnauthorizedError if a request is not allowed, TypeError for no bool."""
         allowed = self._authorize(asked)
         if allowed is True:
             return
@@ -156,13 +150,14 @@ class Allow:
         write = _listed("write", self.write, WRITABLE)
         functions = _listed("functions", self.functions, ("all",))
         is_all = self.functions == "all"
-        codes = None if is_all else frozenset(starmap(_code, enumerate(functions)))
-        for name, value in (
-            *(("read", read), ("write", write), ("functions", functions)),
-            *(("_reads", _Places("read", read, READABLE)), ("_codes", codes)),
-            ("_writes", _Places("write", write, WRITABLE)),
-        ):
-            object.__setattr__(self, name, value)
+        vars(self).update(
+            read=read,
+            write=write,
+            functions=functions,
+            _reads=_Places("read", read, READABLE),
+            _writes=_Places("write", write, WRITABLE),
+            _codes=None if is_all else frozenset(starmap(_code, enumerate(functions))),
+        )
 
     def allows(self, asked: Asked) -> bool:
         """
@@ -189,8 +184,7 @@ class Allow:
     def _allows_some(self, function: int) -> bool:
         kind = ACCESSES.get(pdu.REQUESTS.get(function))  # type: ignore[arg-type]
         if kind is not None:
-            reads, writes = self._reads.has_table(kind.reads), self._writes.has_table(kind.writes)
-            return (reads or not kind.reads) and (writes or not kind.writes)
+            return self._reads.has_table(kind.reads) and self._writes.has_table(kind.writes)
         return self._codes is None or any(code == function for code, _ in self._codes)
 
 
@@ -253,8 +247,8 @@ class _Places:
         self._runs = {place: joined(found) for place, found in runs.items()}
 
     def has_table(self, table: str) -> bool:
-        """Return True if any item of a table is among them."""
-        return table in self._whole or any(table == each for each, _ in self._runs)
+        """Return True if any item of a table is among them; "" is no table, which may be."""
+        return not table or table in self._whole or any(table == each for each, _ in self._runs)
 
     def cover(self, access: Access) -> bool:
         """Return True if the ranges contain the whole access."""
@@ -274,21 +268,17 @@ def _listed(name: str, given: object, everything: Iterable[str]) -> tuple[Any, .
 
 def _check_table(name: Path, table: object, sizes: Mapping[str, int]) -> None:
     if not isinstance(table, str) or table not in sizes:
-        raise WrongValue.about(
-            name, f"the table must be one of {', '.join(sizes)}, not {reprlib.repr(table)}"
-        )
+        allowed = f"one of {', '.join(sizes)}"
+        raise WrongValue.about(name, f"the table must be {allowed}, not {reprlib.repr(table)}")
 
 
 def _run(name: Path, place: Any, sizes: Mapping[str, int]) -> tuple[str, int, range]:
+    given = reprlib.repr(place)
     if not isinstance(place, Access):
-        raise WrongType(
-            name, f"must be the name of a table or Access(...), not {reprlib.repr(place)}"
-        )
+        raise WrongType(name, f"must be the name of a table or Access(...), not {given}")
     _check_table(name, place.table, sizes)
     if place != Access(place.table, place.address, place.count, file=place.file):
-        raise WrongValue.about(
-            name, f"values, unit, peer and role mean nothing in {reprlib.repr(place)}"
-        )
+        raise WrongValue.about(name, f"values, unit, peer and role mean nothing in {given}")
     size = sizes[place.table]
     first = integer((*name, "address"), place.address, 0, size - 1)
     count = integer((*name, "count"), place.count, 1, size - first)
@@ -298,20 +288,15 @@ def _run(name: Path, place: Any, sizes: Mapping[str, int]) -> tuple[str, int, ra
 
 
 def _code(at: int, given: object) -> Code:
-    """Return a function code and its sub-function; functions that touch tables are refused."""
+    """Return a function code and its sub-function, None for all."""
     name = ("functions", at)
     code, sub = given, None
     if isinstance(given, str):
         parts = re.fullmatch(r"([0-9]{1,3})/([0-9]{1,5})", given)
-        if parts is None or int(parts[1]) not in SUB_FUNCTIONS:
-            raise WrongValue(
-                name, f'must be a code, or such as "8/0" or "43/14", not {reprlib.repr(given)}'
-            )
+        if parts is None or int(parts[2]) > SUB_FUNCTIONS.get(int(parts[1]), -1):
+            expected = 'must be a code, or such as "8/0" or "43/14"'
+            raise WrongValue(name, f"{expected}, not {reprlib.repr(given)}")
         code, sub = int(parts[1]), int(parts[2])
-        most = SUB_FUNCTIONS[code]
-        if sub > most:
-            reason = f"what follows {code}/ must be in 0..{most}, not {sub}"
-            raise WrongValue.about(name, reason)
     number = integer(name, code, 1, 127)
     if pdu.REQUESTS.get(number) in ACCESSES:
         raise WrongValue.about(name, f"{number} touches tables: allow them by read and write")

@@ -10,8 +10,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from ..protocol.errors import IllegalFunction, ServerDeviceFailure
-from ..protocol.pdu import MaskWriteRegister, Request, decode_request
+from ..protocol.pdu import MaskWriteRegister, Request
 from .access import Access, touched
 from .event_log import EventLog
 from .functions import RecordFile
@@ -20,15 +19,7 @@ from .mapping import Mapping
 if TYPE_CHECKING:
     from ..security.describing import CertificateHolder
 
-__all__ = [
-    "Auditor",
-    "Caller",
-    "Executed",
-    "ValueChange",
-    "answer_audited",
-    "changes_of",
-    "values_at",
-]
+__all__ = ["Auditor", "Caller", "Executed", "ValueChange", "changes_of", "values_at"]
 
 
 class Caller(NamedTuple):
@@ -76,21 +67,12 @@ class ValueChange(NamedTuple):
 
 
 class Executed(NamedTuple):
-    """
-    A request with its outcome.
-
-    Attributes:
-        caller: its origin.
-        request: the request PDU.
-        response: the response PDU; empty if there is none.
-        changes: what it writes, or would have written.
-        is_change: False for a request that only reads, and was refused.
-    """
+    """A request with its outcome: a change, or one that was refused."""
 
     caller: Caller
     request: bytes
-    response: bytes
-    changes: tuple[ValueChange, ...]
+    response: bytes  # empty if there is none
+    changes: tuple[ValueChange, ...]  # what it writes, or would have written
     is_change: bool
 
 
@@ -103,38 +85,6 @@ class Auditor(Protocol):
 
     def note(self, executed: Executed) -> None:
         """Record a request. Never raises."""
-
-
-def answer_audited(
-    pdu: bytes,
-    caller: Caller,
-    mapping: Mapping,
-    files: MappingABC[int, RecordFile],
-    respond: Callable[[], bytes],
-    *,
-    has_rules: bool,
-) -> bytes:
-    """
-    Execute a request by `respond`, and record it if it changes the device or, with rules, is not
-    allowed.
-    """
-    auditor = caller.auditor
-    assert auditor is not None
-    try:
-        request = decode_request(pdu)
-    except Exception:
-        request = None
-    changes = request is not None and request.changes
-    with mapping.lock:
-        found = changes_of(request, caller, mapping, files) if changes else ()
-        if changes and not auditor.may_change():
-            response = bytes([pdu[0] | 0x80, ServerDeviceFailure.code])
-        else:
-            response = respond()
-    is_refused = has_rules and response[1:] == bytes([IllegalFunction.code])
-    if changes or is_refused:
-        auditor.note(Executed(caller, pdu, response, found, changes))
-    return response
 
 
 def changes_of(

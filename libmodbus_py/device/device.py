@@ -13,7 +13,7 @@ import reprlib
 from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Mapping as MappingABC
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Self, TypedDict, Unpack
 
@@ -38,7 +38,7 @@ from ..protocol.pdu import (
 from ..protocol.tables import joined, without
 from .access import ACCESSES, Access, Touched, touched
 from .authorization import Asked, Authorization, Authorize, UnauthorizedError
-from .caller import Caller, answer_audited, values_at
+from .caller import Auditor, Caller, Executed, changes_of, values_at
 from .event_log import EventLog
 from .functions import DEFAULT_SERVER_ID, Handlers, PythonFunctions, Records
 from .hooks import HookLike, Hooks
@@ -166,12 +166,17 @@ class Device(NamedValues, PythonFunctions):
 
     def _arrange(self) -> None:
         """Decide which requests rules, hooks and handlers want; C may answer all others."""
-        self._rules: PointRules | None = None
         reads, writes = self._hooks.reads, self._hooks.writes
-        if ruled := list(self._ruled_cells()):
-            rules = PointRules(ruled, lambda: self.points)
-            reads, writes = _together(reads, rules.reads), _together(writes, rules.writes)
-            self._rules = rules if rules.reads or rules.writes else None
+        rules = PointRules(self._ruled_cells(), lambda: self.points)
+        self._rules = rules if rules.reads or rules.writes else None
+        if self._rules is not None:
+            reads, writes = (
+                {
+                    table: joined([*ranges, *ruled.get(table, ())])
+                    for table, ranges in hooked.items()
+                }
+                for hooked, ruled in ((reads, rules.reads), (writes, rules.writes))
+            )
         # Request class -> the rule that finds the accesses for rules and hooks.
         self._finds = {
             request: kind.find
@@ -281,12 +286,13 @@ class Device(NamedValues, PythonFunctions):
         is_broadcast, listening = caller.is_broadcast, log.listen_only
         log.note_request(broadcast=is_broadcast)
         restart = pdu[:3] == _RESTART and not is_broadcast
-        if (listening and not restart) or (is_broadcast and not _may_be_broadcast(function)):
+        may_be_broadcast = getattr(REQUESTS.get(function), "may_be_broadcast", False)
+        if (listening and not restart) or (is_broadcast and not may_be_broadcast):
             response = b""
         elif caller.auditor is None:
             response = self._respond(pdu, log, caller)
         else:
-            response = self._respond_audited(pdu, log, caller)
+            response = self._respond_audited(pdu, log, caller, caller.auditor)
         silent = is_broadcast or listening or log.listen_only
         log.note_response(pdu, response, silent=silent)
         if restart and response[:1] == pdu[:1]:
@@ -360,9 +366,25 @@ class Device(NamedValues, PythonFunctions):
                 tally.requests = tally.refused = 0
         return self._log
 
-    def _respond_audited(self, pdu: bytes, log: EventLog, caller: Caller) -> bytes:
-        respond, has_rules = partial(self._respond, pdu, log, caller), self._guard is not None
-        return answer_audited(pdu, caller, self.mapping, self.files, respond, has_rules=has_rules)
+    def _respond_audited(
+        self, pdu: bytes, log: EventLog, caller: Caller, auditor: Auditor
+    ) -> bytes:
+        """Execute a request, and record it if it changes the device or no rule allows it."""
+        try:
+            request = decode_request(pdu)
+        except Exception:
+            request = None
+        changes = request is not None and request.changes
+        with self.mapping.lock:
+            found = changes_of(request, caller, self.mapping, self.files) if changes else ()
+            if changes and not auditor.may_change():
+                response = bytes([pdu[0] | 0x80, ServerDeviceFailure.code])
+            else:
+                response = self._respond(pdu, log, caller)
+        is_refused = self._guard is not None and response[1:] == bytes([IllegalFunction.code])
+        if changes or is_refused:
+            auditor.note(Executed(caller, pdu, response, found, changes))
+        return response
 
     def _respond(self, pdu: bytes, log: EventLog, caller: Caller) -> bytes:
         try:
@@ -447,9 +469,7 @@ class Device(NamedValues, PythonFunctions):
 
     def _ruled_cells(self) -> Iterable[RuledCells]:
         """Return the cells that have a rule: those of all points."""
-        if not self.has_points:
-            return ()
-        return map(RuledCells.of, self.points.values())
+        return map(RuledCells.of, self.points.values()) if self.has_points else ()
 
     def _check_exists(self, access: Access) -> None:
         if access.table == "file":
@@ -460,14 +480,3 @@ class Device(NamedValues, PythonFunctions):
             table: Table[Any] = getattr(self.mapping, access.table)
             if not table.has(access.address, access.count):
                 raise IllegalDataAddress(f"{table} lacks {access.address}+{access.count}")
-
-
-def _may_be_broadcast(function: int) -> bool:
-    return getattr(REQUESTS.get(function), "may_be_broadcast", False)
-
-
-def _together(
-    hooks: MappingABC[str, Sequence[range]], rules: MappingABC[str, Sequence[range]]
-) -> dict[str, tuple[range, ...]]:
-    """Return the addresses that concern a hook or a rule: ``{Access.table: ranges}``."""
-    return {table: joined([*ranges, *rules.get(table, ())]) for table, ranges in hooks.items()}

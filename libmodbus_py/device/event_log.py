@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-from enum import IntFlag
 
 from ..protocol.errors import (
     Acknowledge,
@@ -28,55 +27,27 @@ from ..protocol.pdu import (
     SubFunction,
 )
 
-__all__ = ["Event", "EventLog"]
+__all__ = ["EventLog"]
 
-COUNTERS = (
-    SubFunction.BUS_MESSAGE_COUNT,
-    SubFunction.BUS_COMMUNICATION_ERROR_COUNT,
-    SubFunction.BUS_EXCEPTION_ERROR_COUNT,
-    SubFunction.SERVER_MESSAGE_COUNT,
-    SubFunction.SERVER_NO_RESPONSE_COUNT,
-    SubFunction.SERVER_NAK_COUNT,
-    SubFunction.SERVER_BUSY_COUNT,
-    SubFunction.BUS_CHARACTER_OVERRUN_COUNT,
-)
-
-
-# Kept among the counters; no sub-function reads it.
-EVENT_COUNT = -1
-
-
-class Event(IntFlag):
-    """Bits of the event bytes (section 6.10); receive and send events share bit 5."""
-
-    RECEIVED = 0x80
-    BROADCAST = 0x40
-    LISTEN_ONLY = 0x20
-    OVERRUN = 0x10
-    COMMUNICATION_ERROR = 0x02
-
-    SENT = 0x40
-    SENT_NAK = 0x08
-    SENT_BUSY = 0x04
-    SENT_FAILURE = 0x02
-    SENT_REFUSAL = 0x01
-
-    ENTERED_LISTEN_ONLY = 0x04
-    RESTARTED = 0x00
-
-
-# Plain numbers, because enumerations would take most of the time of a note; for the same reason the
-# notes that each request makes call nothing.
-RECEIVED, BROADCAST, SENT = int(Event.RECEIVED), int(Event.BROADCAST), int(Event.SENT)
-LISTEN_ONLY, EVENT_COUNTER = int(Event.LISTEN_ONLY), ReadCommEventCounter.function
+# Counters are plain numbers, too: an enumeration would take most of the time of a note.
+COUNTERS = range(SubFunction.BUS_MESSAGE_COUNT, SubFunction.BUS_CHARACTER_OVERRUN_COUNT + 1)
 SERVER_MESSAGES = int(SubFunction.SERVER_MESSAGE_COUNT)
 BUS_MESSAGES = int(SubFunction.BUS_MESSAGE_COUNT)
+EVENT_COUNT = -1  # no sub-function reads it
+EVENT_COUNTER = ReadCommEventCounter.function
+
+
+class Event:
+    """Bits of the event bytes (section 6.10), also plain numbers; the last two are whole bytes."""
+
+    RECEIVED, BROADCAST, LISTEN_ONLY, OVERRUN, COMMUNICATION_ERROR = 0x80, 0x40, 0x20, 0x10, 0x02
+    SENT, SENT_NAK, SENT_BUSY, SENT_FAILURE, SENT_REFUSAL = 0x40, 0x08, 0x04, 0x02, 0x01
+    ENTERED_LISTEN_ONLY, RESTARTED = 0x04, 0x00
+
 
 # Exception code -> the bit of the send event.
 SENT_EXCEPTIONS = {
-    1: Event.SENT_REFUSAL,
-    2: Event.SENT_REFUSAL,
-    3: Event.SENT_REFUSAL,
+    **dict.fromkeys((1, 2, 3), Event.SENT_REFUSAL),
     ServerDeviceFailure.code: Event.SENT_FAILURE,
     Acknowledge.code: Event.SENT_BUSY,
     ServerDeviceBusy.code: Event.SENT_BUSY,
@@ -92,12 +63,9 @@ COUNTED_EXCEPTIONS = {
 
 class EventLog:
     """
-    The notes of one device on one line.
+    The notes of one device on one line, which can be silenced if `is_serial`.
 
-    Attributes:
-        is_serial: True for a serial line, where a device can be silenced.
-        listen_only: True while the device neither executes nor answers requests.
-        delimiter: the end of ASCII frames on this line, a code 0..127.
+    It does not execute or answer while `listen_only`; `delimiter` (0..127) ends its ASCII frames.
     """
 
     __slots__ = ("_counters", "_events", "delimiter", "is_serial", "listen_only")
@@ -116,7 +84,7 @@ class EventLog:
         own._events, own._counters = self._events, self._counters
         return own
 
-    # --- what happens on the line --------------------------------------------------------
+    # --- what happens on the line; what each request notes calls nothing -------------------
 
     def note_frame(self) -> None:
         """Count a valid frame on a serial line, for any unit; on TCP one that is not a request."""
@@ -125,12 +93,10 @@ class EventLog:
 
     def note_damage(self, *, overrun: bool) -> None:
         """Count bytes that are not a frame."""
-        event = Event.RECEIVED | Event.COMMUNICATION_ERROR
         if overrun:
             self._count(SubFunction.BUS_CHARACTER_OVERRUN_COUNT)
-            event |= Event.OVERRUN
         self._count(SubFunction.BUS_COMMUNICATION_ERROR_COUNT)
-        self._log(event)
+        self._log(Event.RECEIVED | Event.COMMUNICATION_ERROR | (Event.OVERRUN if overrun else 0))
 
     def note_request(self, *, broadcast: bool) -> None:
         """Count a request for this device, which is processed next; on TCP with its frame."""
@@ -138,8 +104,8 @@ class EventLog:
         if not self.is_serial:
             counters[BUS_MESSAGES] = counters[BUS_MESSAGES] + 1 & 0xFFFF
         counters[SERVER_MESSAGES] = counters[SERVER_MESSAGES] + 1 & 0xFFFF
-        event = RECEIVED | BROADCAST if broadcast else RECEIVED
-        self._events.appendleft(event | LISTEN_ONLY if self.listen_only else event)
+        event = Event.RECEIVED | Event.BROADCAST if broadcast else Event.RECEIVED
+        self._events.appendleft(event | Event.LISTEN_ONLY if self.listen_only else event)
 
     def note_response(self, request: bytes, response: bytes, *, silent: bool) -> None:
         """Note that a request has been processed; its response is empty if it was not executed."""
@@ -153,8 +119,12 @@ class EventLog:
             self._counters[EVENT_COUNT] = self._counters[EVENT_COUNT] + 1 & 0xFFFF
         if silent:
             self._count(SubFunction.SERVER_NO_RESPONSE_COUNT)
-        event = SENT | SENT_EXCEPTIONS.get(response[1], 0) if refused and not silent else SENT
-        self._events.appendleft(event | LISTEN_ONLY if self.listen_only else event)
+        event = (
+            Event.SENT | SENT_EXCEPTIONS.get(response[1], 0)
+            if refused and not silent
+            else Event.SENT
+        )
+        self._events.appendleft(event | Event.LISTEN_ONLY if self.listen_only else event)
 
     def note_exchanges(self, requests: int, refused: int, latest: Iterable[int]) -> None:
         """Note requests that C has answered; `latest`: whether each was refused, oldest first."""
@@ -163,14 +133,14 @@ class EventLog:
         self._count(SubFunction.BUS_EXCEPTION_ERROR_COUNT, refused)
         self._count(EVENT_COUNT, requests - refused)
         for was_refused in latest:
-            self._log(RECEIVED)
-            self._log(SENT | Event.SENT_REFUSAL if was_refused else SENT)
+            self._log(Event.RECEIVED)
+            self._log(Event.SENT | Event.SENT_REFUSAL if was_refused else Event.SENT)
 
     def _count(self, counter: int, times: int = 1) -> None:
         self._counters[counter] = self._counters[counter] + times & 0xFFFF
 
     def _log(self, event: int) -> None:
-        self._events.appendleft(event | LISTEN_ONLY if self.listen_only else event)
+        self._events.appendleft(event | Event.LISTEN_ONLY if self.listen_only else event)
 
     # --- functions 8, 11 and 12 -------------------------------------------------------------
 
@@ -181,7 +151,7 @@ class EventLog:
     def clear_counters(self) -> None:
         """Clear all counters, but neither the log nor listen-only mode (sub-function 10)."""
         # In place, because other connections of the line share the counters.
-        self._counters.update(dict.fromkeys((*map(int, COUNTERS), EVENT_COUNT), 0))
+        self._counters.update(dict.fromkeys((*COUNTERS, EVENT_COUNT), 0))
 
     def clear_overrun(self) -> None:
         """Clear the overrun counter (sub-function 20)."""
@@ -206,6 +176,6 @@ class EventLog:
         return CommEventCounter(0, self._counters[EVENT_COUNT])
 
     def read_event_log(self) -> CommEventLog:
-        """Function 12."""
+        """Answer function 12."""
         messages = self._counters[SubFunction.BUS_MESSAGE_COUNT]
         return CommEventLog(0, self._counters[EVENT_COUNT], messages, bytes(self._events))

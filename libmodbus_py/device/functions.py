@@ -166,9 +166,9 @@ class PythonFunctions:
         ]
 
     def _write_file_records(self, request: WriteFileRecords, _: EventLog) -> None:
-        # All pieces are found before the first is written: all or nothing.
-        places = [self._file(file, at, len(values)) for file, at, values in request.records]
-        for file, (_number, record, values) in zip(places, request.records, strict=True):
+        # All are found before the first is written: all or nothing.
+        files = [self._file(file, at, len(values)) for file, at, values in request.records]
+        for file, (_number, record, values) in zip(files, request.records, strict=True):
             file.write(record, values)
 
     def _fifo(self, address: int) -> list[int]:
@@ -193,39 +193,45 @@ class PythonFunctions:
         objects = self._identification
         highest = max(objects)
         conformity = 0x80 | (1 if highest <= 2 else 2 if highest <= 6 else 3)
+        number = request.object_id
         if request.code != ReadDeviceIdCode.INDIVIDUAL:
             return pages(request, objects)._replace(conformity=conformity)
-        if request.object_id not in objects:
-            raise IllegalDataAddress(f"no object {request.object_id}")
-        wanted = {request.object_id: objects[request.object_id]}
-        return IdentificationPage(conformity, None, wanted)
+        if number not in objects:
+            raise IllegalDataAddress(f"no object {number}")
+        return IdentificationPage(conformity, None, {number: objects[number]})
 
     def _diagnostics(self, request: Diagnostics, log: EventLog) -> bytes:
+        data = request.data
         try:
             sub_function = SubFunction(request.sub_function)
         except ValueError:
             raise IllegalFunction(f"no sub-function {request.sub_function}") from None
-        if sub_function in _SILENCING and not log.is_serial:
+        silencing = (SubFunction.RESTART_COMMUNICATIONS, SubFunction.FORCE_LISTEN_ONLY)
+        if sub_function in silencing and not log.is_serial:
             raise IllegalFunction("one client must not silence the device for all")
         allowed = _DATA.get(sub_function, (b"\0\0",))
-        if allowed is not None and request.data not in allowed:
-            raise IllegalDataValue(f"data {request.data.hex()}")
-        if sub_function in _ACTIONS:
-            _ACTIONS[sub_function](self, request, log)
-            return request.data
-        if sub_function is SubFunction.RETURN_DIAGNOSTIC_REGISTER:
-            return self.diagnostic_register.to_bytes(2, "big")
-        return log.counter(sub_function).to_bytes(2, "big")
-
-    def _clear_counters(self, _: Diagnostics, log: EventLog) -> None:
-        log.clear_counters()
-        self.diagnostic_register = 0
-
-    def _change_delimiter(self, request: Diagnostics, log: EventLog) -> None:
-        delimiter = delimiter_after(request.encode(), log.delimiter)
-        if delimiter != request.data[0] or request.data[1]:
-            raise IllegalDataValue(f"delimiter {request.data.hex()}")
-        log.delimiter = delimiter
+        if allowed is not None and data not in allowed:
+            raise IllegalDataValue(f"data {data.hex()}")
+        match sub_function:
+            case SubFunction.RETURN_QUERY_DATA | SubFunction.RESTART_COMMUNICATIONS:
+                pass  # a restart comes after its echo
+            case SubFunction.CHANGE_ASCII_DELIMITER:
+                delimiter = delimiter_after(request.encode(), log.delimiter)
+                if delimiter != data[0] or data[1]:
+                    raise IllegalDataValue(f"delimiter {data.hex()}")
+                log.delimiter = delimiter
+            case SubFunction.FORCE_LISTEN_ONLY:
+                log.enter_listen_only()
+            case SubFunction.CLEAR_COUNTERS:
+                log.clear_counters()
+                self.diagnostic_register = 0
+            case SubFunction.CLEAR_OVERRUN:
+                log.clear_overrun()
+            case SubFunction.RETURN_DIAGNOSTIC_REGISTER:
+                return self.diagnostic_register.to_bytes(2, "big")
+            case _:
+                return log.counter(sub_function).to_bytes(2, "big")
+        return data
 
     # Request class -> the method that answers it; libmodbus answers all others.
     _own: ClassVar[dict[type[Request[Any]], Callable[..., Any]]] = {
@@ -242,23 +248,11 @@ class PythonFunctions:
     }
 
 
-_SILENCING = (SubFunction.RESTART_COMMUNICATIONS, SubFunction.FORCE_LISTEN_ONLY)
-
 # Sub-function -> the data that it accepts; None for any. All others accept 0000.
 _DATA: dict[SubFunction, tuple[bytes, ...] | None] = {
     SubFunction.RETURN_QUERY_DATA: None,
     SubFunction.CHANGE_ASCII_DELIMITER: None,
     SubFunction.RESTART_COMMUNICATIONS: (b"\0\0", b"\xff\0"),
-}
-
-# Sub-functions that echo their data, and their effects; a restart comes after its echo.
-_ACTIONS: dict[SubFunction, Callable[[PythonFunctions, Diagnostics, EventLog], None]] = {
-    SubFunction.RETURN_QUERY_DATA: lambda device, request, log: None,
-    SubFunction.RESTART_COMMUNICATIONS: lambda device, request, log: None,
-    SubFunction.CHANGE_ASCII_DELIMITER: PythonFunctions._change_delimiter,
-    SubFunction.FORCE_LISTEN_ONLY: lambda device, request, log: log.enter_listen_only(),
-    SubFunction.CLEAR_COUNTERS: PythonFunctions._clear_counters,
-    SubFunction.CLEAR_OVERRUN: lambda device, request, log: log.clear_overrun(),
 }
 
 
@@ -267,16 +261,10 @@ def _bound(handlers: Handlers) -> dict[type[Request[Any]], Callable[..., Any]]:
     for request, handle in handlers.items():
         if not (isinstance(request, type) and issubclass(request, Request)):
             raise TypeError(f"handlers must be {{request class: function}}, not {request!r}")
-        checked_callback(("handlers", request.__name__), handle)
-        bound[request] = _handler(request, handle)
+        checked_callback(("handlers", request.__name__), handle)  # a better name than below
+        measured = timed(f"the handler of {request.__name__}", handle)
+        bound[request] = lambda device, request, log, measured=measured: measured(request)
     return bound
-
-
-def _handler(
-    request: type[Request[Any]], handle: Callable[[Any], Any]
-) -> Callable[[PythonFunctions, Any, EventLog], Any]:
-    measured = timed(f"the handler of {request.__name__}", handle)
-    return lambda device, request, log: measured(request)
 
 
 def _items(name: str, expected: str, given: Any) -> Iterable[tuple[Any, Any]]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import reprlib
 import time
 from collections.abc import Callable, Iterable
+from copy import copy
 from typing import TypeAlias, TypeVar
 
 from ..protocol.checks import checked_callback, finished
@@ -28,7 +29,6 @@ Result = TypeVar("Result")
 Addresses: TypeAlias = range | Iterable[range]
 
 EVERYTHING = (range(TABLE_SIZE),)
-"""All addresses of a table."""
 
 # `Access.table` -> the argument of `Hook`, where they differ.
 NAMES = {"file": "files", "fifo": "fifos"}
@@ -103,14 +103,9 @@ class Hook:
 
 HookLike: TypeAlias = Hook | Callable[[Access], object]
 
-# A hook, and its function, whose duration is measured.
-Called = tuple[Hook, Callable[[Access], object]]
-
 
 class Hooks:
-    """
-    The hooks of a device; `reads` and `writes` are the addresses for which one is called, by table.
-    """
+    """The hooks of a device; `reads` and `writes`: the addresses that one wants, by table."""
 
     def __init__(
         self,
@@ -137,25 +132,26 @@ class Hooks:
         _call(self._after_write, touched.writes)
 
 
-def _hook(name: str, hook: HookLike | None) -> Called | None:
+def _hook(name: str, hook: HookLike | None) -> Hook | None:
+    """Return a hook whose calls are measured; that of the user may belong to several devices."""
     if hook is None:
         return None
     if not isinstance(hook, Hook) and not callable(hook):
         raise TypeError(f"{name} must be a function or a Hook, not {reprlib.repr(hook)}")
-    found = hook if isinstance(hook, Hook) else Hook(hook)
-    return found, timed(name, found.call)
+    found = copy(hook) if isinstance(hook, Hook) else Hook(hook)
+    found.call = timed(name, found.call)
+    return found
 
 
-def _call(hook: Called | None, accesses: tuple[Access, ...]) -> None:
+def _call(hook: Hook | None, accesses: tuple[Access, ...]) -> None:
     if hook is not None:
-        of, call = hook
         for access in accesses:
-            if of.places is None or of.wants(access):
-                call(access)
+            if hook.places is None or hook.wants(access):
+                hook.call(access)
 
 
-def _places(*hooks: Called | None) -> dict[str, tuple[range, ...]]:
-    found = [each[0] for each in hooks if each is not None]
+def _places(*hooks: Hook | None) -> dict[str, tuple[range, ...]]:
+    found = [each for each in hooks if each is not None]
     return {
         table: joined(each for hook in found for each in hook.in_table(table)) for table in READABLE
     }
@@ -163,13 +159,9 @@ def _places(*hooks: Called | None) -> dict[str, tuple[range, ...]]:
 
 def timed(name: str, call: Callable[[Given], Result]) -> Callable[[Given], Result]:
     """
-    Return a function that calls `call`, and logs once, under `name`, when a call took long.
+    Return a function that calls one of the application, and logs once if it took long.
 
-    All functions of the application that devices, servers and gateways call are wrapped here.
-
-    Raises:
-        TypeError: `call` is no function, or one defined with ``async def``. The returned function
-            raises it, too, if `call` returned a coroutine.
+    No function, or one with ``async def``, is a TypeError, here or when a coroutine is returned.
     """
     checked_callback(name, call)
     is_known = False
@@ -185,12 +177,7 @@ def timed(name: str, call: Callable[[Given], Result]) -> Callable[[Given], Resul
             if took >= SLOW and not is_known:
                 is_known = True
                 own_name = getattr(call, "__qualname__", None) or repr(call)
-                logger.warning(
-                    "%s (%s) took %.3g s, and held up all clients of the server meanwhile; "
-                    "this is logged once",
-                    name,
-                    own_name,
-                    took,
-                )
+                text = "%s (%s) took %.3g s, and held up all clients of the server meanwhile; "
+                logger.warning(text + "this is logged once", name, own_name, took)
 
     return measured

@@ -47,20 +47,12 @@ Contents: TypeAlias = int | range | Iterable[range] | MappingABC[int, Iterable[i
 
 class Table(ABC, Generic[Cell]):
     """
-    One table of a mapping, indexed by Modbus address.
+    One table of a mapping, indexed by Modbus address: ``table[address]``, ``table[start:stop]``,
+    and assignment to both; iteration and ``len`` leave out holes.
 
-    A table supports ``table[address]``, ``table[start:stop]``, assignment to both,
-    iteration over the values, and ``len``; the last two leave out holes. A missing start
-    or stop of a slice is the start or stop of the table. Every access takes the mapping's lock.
-
-    Attributes:
-        name: "coils", "discrete_inputs", "holding_registers" or "input_registers".
-        addresses: the range from the first address to the last one, 0-based, holes included.
-        ranges: the existing addresses, in ascending order; adjacent ranges are joined.
-
-    Raises:
-        IndexError: the table does not have an address; the message names the hole, if any.
-        TypeError, ValueError: a value is wrong, or there are too many or too few values.
+    A missing start or stop of a slice is that of the table. Every access takes the mapping's lock.
+    An address that does not exist is an IndexError. `addresses` are all from the first to the last
+    one, `ranges` those that exist, joined.
     """
 
     typecode: ClassVar[Literal["B", "H"]]
@@ -70,11 +62,9 @@ class Table(ABC, Generic[Cell]):
         given = _values(name, contents) if isinstance(contents, MappingABC) else {}
         if isinstance(contents, MappingABC):
             contents = [range(at, at + len(values)) for at, values in given.items()]
-        self.ranges: tuple[range, ...] = _ranges(name, contents)
-        self._starts = [each.start for each in self.ranges]
-        self.addresses: range = range(0)
-        if self.ranges:
-            self.addresses = range(self.ranges[0].start, self.ranges[-1].stop)
+        ranges = self.ranges = _ranges(name, contents)
+        self._starts = [each.start for each in ranges]
+        self.addresses: range = range(ranges[0].start, ranges[-1].stop) if ranges else range(0)
         self._lock = lock
         size = len(self.addresses) * array(self.typecode).itemsize
         # An empty table has memory too, because mmap makes none of 0 bytes. Private: by
@@ -88,11 +78,9 @@ class Table(ABC, Generic[Cell]):
     @abstractmethod
     def view(self) -> memoryview:
         """
-        The memory of the cells, not a copy; item 0 is the first address. Holes are
-        included, but no client can access them.
+        The memory of the cells from the first address on, holes included; valid for ever.
 
-        The view stays valid even when the mapping does not exist any more. It does
-        not take the lock: write to it inside ``with mapping:``.
+        It does not take the lock: write to it inside ``with mapping:``.
         """
 
     @abstractmethod
@@ -115,8 +103,9 @@ class Table(ABC, Generic[Cell]):
 
     def __repr__(self) -> str:
         shown = [_span(each) for each in self.ranges[:SHOWN_RANGES]] or ["empty"]
-        more = len(self.ranges) - SHOWN_RANGES
-        return f"<{self.name} {', '.join(shown)}{f', {more} more' if more > 0 else ''}>"
+        if len(self.ranges) > SHOWN_RANGES:
+            shown.append(f"{len(self.ranges) - SHOWN_RANGES} more")
+        return f"<{self.name} {', '.join(shown)}>"
 
     @overload
     def __getitem__(self, key: int) -> Cell: ...
@@ -176,8 +165,7 @@ class BitTable(Table[bool]):
     """
     Coils or discrete inputs: values are True and False.
 
-    An assigned number is stored as 0 or 1, because libmodbus packs cells without a check, so that
-    any other value would change neighbouring bits.
+    Cells are 0 or 1: libmodbus packs them without a check, so others would change their neighbours.
     """
 
     typecode: ClassVar[Literal["B", "H"]] = "B"
@@ -202,15 +190,9 @@ class RegisterTable(Table[int]):
     """
     Holding or input registers: values are 0..65535.
 
-    `read` and `write` handle one value of any type (`values`), `read_values` and
-    `write_values` a list of values at consecutive addresses. Each call is one access: no request
-    is answered in the middle of it, and if it fails, nothing has changed. The layout is `order`,
-    `encoding` and `padding`, as for `values.value_type`.
-
-    Raises, besides the exceptions of `Table`:
-        IndexError: the table does not have all the registers.
-        TypeError, ValueError: the type or layout does not exist, or a value does not fit the
-            type (`values.ValueType`).
+    `read` and `write` handle one value of any type (`values`), `read_values` and `write_values` a
+    list. Each call is one access: no request is answered in the middle of it, and if it fails,
+    nothing has changed. The layout is `order`, `encoding` and `padding`, as of `values.value_type`.
     """
 
     typecode: ClassVar[Literal["B", "H"]] = "H"
@@ -307,12 +289,13 @@ class Mapping:
         self.discrete_inputs = BitTable("discrete_inputs", discrete_inputs, self.lock)
         self.holding_registers = RegisterTable("holding_registers", holding_registers, self.lock)
         self.input_registers = RegisterTable("input_registers", input_registers, self.lock)
-        self._tables: tuple[Table[Any], ...] = (
-            self.coils,
-            self.discrete_inputs,
-            self.holding_registers,
-            self.input_registers,
-        )
+        # As the members of a mapping_t are called: nb_bits, start_bits, tab_bits, and so on.
+        self._tables: dict[str, Table[Any]] = {
+            "bits": self.coils,
+            "input_bits": self.discrete_inputs,
+            "registers": self.holding_registers,
+            "input_registers": self.input_registers,
+        }
         self._struct = self._make_struct()
         _mappings.add(self)
 
@@ -324,7 +307,7 @@ class Mapping:
         self.lock.release()
 
     def __repr__(self) -> str:
-        return f"Mapping({', '.join(map(repr, self._tables))})"
+        return f"Mapping({', '.join(map(repr, self._tables.values()))})"
 
     def _renew_lock(self) -> None:
         """Free the lock in a forked child, where a thread that held it does not exist."""
@@ -332,24 +315,19 @@ class Mapping:
             self.lock.release()
             return
         self.lock = threading.RLock()
-        for table in self._tables:
+        for table in self._tables.values():
             table._lock = self.lock
 
     def _make_struct(self) -> Any:
         """Point a mapping_t at the tables; `_pointers` keeps the buffers alive."""
         struct = ffi.new("mapping_t *")
         self._pointers = []
-        for table, suffix, item in (
-            (self.coils, "bits", "uint8_t[]"),
-            (self.discrete_inputs, "input_bits", "uint8_t[]"),
-            (self.holding_registers, "registers", "uint16_t[]"),
-            (self.input_registers, "input_registers", "uint16_t[]"),
-        ):
+        for suffix, table in self._tables.items():
             setattr(struct.tables, f"nb_{suffix}", len(table.addresses))
             setattr(struct.tables, f"start_{suffix}", table.addresses.start)
             # Not the cells: a memoryview that is visited and part of a reference cycle makes
             # the garbage collector of Python 3.11 crash (gh-77894).
-            pointer = ffi.from_buffer(item, table._memory)
+            pointer = ffi.from_buffer(f"uint{8 * table.view.itemsize}_t[]", table._memory)
             setattr(struct.tables, f"tab_{suffix}", pointer)
             edges = runs(table.ranges)
             struct.ranges[TABLE_NUMBERS[table.name]] = (len(table.ranges), edges)

@@ -11,6 +11,7 @@ from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from collections.abc import Mapping as MappingABC
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..protocol.errors import IllegalDataAddress, IllegalDataValue
@@ -43,23 +44,8 @@ NOTHING: Written = {}
 Ranges = tuple[range, ...]
 
 
-def check_points(mapping: Mapping, points: object) -> None:
-    """Check that a mapping has the cells of all points; raise WrongType or WrongValue."""
-    from ..maps.register_map import RegisterMap
-
-    if not isinstance(points, RegisterMap):
-        raise WrongType("points", f"must be a RegisterMap, not {type(points).__name__}")
-    for point in points.values():
-        table = getattr(mapping, point.table)
-        if not table.has(point.address, len(point.cells)):
-            span = f"{point.cells.start}..{point.cells.stop - 1}"
-            raise WrongValue.about(point.name, f"{table!r} lacks its cells, {span}")
-
-
 def zeros_for(map: object) -> Mapping:
-    """
-    Return a mapping with the cells of all points of a map, all zero; raise TypeError if it is none.
-    """
+    """Return a mapping with the cells of all points of a map, all zero."""
     from ..maps.register_map import RegisterMap
 
     if not isinstance(map, RegisterMap):
@@ -90,10 +76,7 @@ def cells_after(point: Point, mapping: Mapping, written: Written = NOTHING) -> l
 def source_after(
     point: Point, points: MappingABC[str, Point], mapping: Mapping, written: Written = NOTHING
 ) -> Any:
-    """
-    Return the value of the point that `scale_from` names, as it will be after a write; None for no
-    value.
-    """
+    """Return the value of what scales a point, as it will be after a write; None for no value."""
     from ..maps.point_plan import sources_of
 
     value = None
@@ -110,9 +93,8 @@ def set_values(
     from ..maps.writing import check_overlaps
 
     if not isinstance(values, MappingABC):
-        raise WrongType(
-            "values", f"must be a mapping from names to values, not {type(values).__name__}"
-        )
+        given = type(values).__name__
+        raise WrongType("values", f"must be a mapping from names to values, not {given}")
     changed = {name: known_point(points, name) for name in values}
     # What scales comes first: the others are scaled by what its cells then hold.
     scales = [name for name in sources_of(changed.values(), points) if name in changed]
@@ -146,20 +128,27 @@ class NamedValues:
     def __init__(self, mapping: Mapping, points: RegisterMap | None) -> None:
         if not isinstance(mapping, Mapping):
             raise TypeError(f"mapping must be a Mapping, not {type(mapping).__name__}")
-        if points is not None:
-            check_points(mapping, points)
         self.mapping = mapping
         self.has_points: bool = points is not None
-        self._points = points
+        if points is None:
+            return
+        from ..maps.register_map import RegisterMap
 
-    @property
+        if not isinstance(points, RegisterMap):
+            raise WrongType("points", f"must be a RegisterMap, not {type(points).__name__}")
+        for point in points.values():
+            table = getattr(mapping, point.table)
+            if not table.has(point.address, len(point.cells)):
+                span = f"{point.cells.start}..{point.cells.stop - 1}"
+                raise WrongValue.about(point.name, f"{table!r} lacks its cells, {span}")
+        self.points = points
+
+    @cached_property
     def points(self) -> RegisterMap:
         """The points by name; empty if none were given."""
-        if self._points is None:
-            from ..maps.register_map import RegisterMap
+        from ..maps.register_map import RegisterMap
 
-            return RegisterMap(())
-        return self._points
+        return RegisterMap(())
 
     def __getitem__(self, name: str) -> Any:
         """
@@ -175,13 +164,7 @@ class NamedValues:
             return point.decode(cells_after(point, self.mapping), source=source)
 
     def __setitem__(self, name: str, value: Any) -> None:
-        """
-        Set the value of a point; no hook is called.
-
-        Raises:
-            KeyError: there is no such point.
-            TypeError, ValueError: as of `Point.encode`; the message names the point.
-        """
+        """Set the value of a point, as `update` does."""
         self.update({name: value})
 
     def update(self, values: MappingABC[str, Any]) -> None:
@@ -217,27 +200,16 @@ class PointIndex:
     """Points by the addresses of their cells, which may overlap."""
 
     def __init__(self, ruled: Iterable[RuledCells]) -> None:
-        self._rows: dict[TableOrFile, list[tuple[range, Point]]] = {}
-        # The highest end of the cells up to each of them: none before it goes on further.
-        self._ends: dict[TableOrFile, list[int]] = {}
+        self._rows: defaultdict[TableOrFile, list[tuple[range, Point]]] = defaultdict(list)
         for each in sorted(ruled, key=lambda each: each.cells.start):
-            ends = self._ends.setdefault(each.place, [])
-            ends.append(max(each.cells.stop, ends[-1] if ends else 0))
-            self._rows.setdefault(each.place, []).append((each.cells, each.point))
+            self._rows[each.place].append((each.cells, each.point))
 
     def touched(self, access: Access) -> list[Point]:
         """Return the points that an access touches, in the order of their addresses."""
-        place = access.table, access.file
-        rows, ends = self._rows.get(place, ()), self._ends.get(place, ())
+        rows = self._rows.get((access.table, access.file), [])
         first, stop = access.address, access.address + access.count
-        found = []
-        at = bisect_left(rows, stop, key=lambda row: row[0].start)
-        while at and ends[at - 1] > first:
-            at -= 1
-            cells, point = rows[at]
-            if cells.stop > first:
-                found.append(point)
-        return found[::-1]
+        end = bisect_left(rows, stop, key=lambda row: row[0].start)
+        return [point for cells, point in rows[:end] if cells.stop > first]
 
 
 class PointRules:
@@ -245,21 +217,14 @@ class PointRules:
     Access and bounds of points, which are checked before any hook is called.
 
     A cell may be read if one of its points may be read, and written if one of them may be
-    written; a cell of no point has no rule.
-
-    Args:
-        ruled: the cells that have rules.
-        points: returns all points of the device by name, with those that scale others.
-
-    Attributes:
-        reads, writes: ``{Access.table: ranges}``, the addresses for which there is something to
-            check; of "file" the numbers of the files.
+    written; a cell of no point has no rule. `reads` and `writes` are the addresses for which there
+    is something to check, by `Access.table`; of "file" the numbers of the files.
     """
 
     def __init__(
         self,
         ruled: Iterable[RuledCells],
-        points: Callable[[], MappingABC[str, Point]] = dict,
+        points: Callable[[], MappingABC[str, Point]] = dict,  # all, with those that scale others
     ) -> None:
         given = list(ruled)
         self._points = points
@@ -268,10 +233,8 @@ class PointRules:
         bounded = [
             each
             for each in given
-            if each.point.has_bounds
-            and each.access != "read"
-            and each.point.is_writable
-            and each.place[0] in TABLES
+            if each.point.has_bounds and each.access != "read" and each.point.is_writable
+            if each.place[0] in TABLES
         ]
         self._bounded = PointIndex(bounded)
         self.reads: dict[str, Ranges] = _by_table(self._unreadable.items())
@@ -279,17 +242,16 @@ class PointRules:
         self.writes: dict[str, Ranges] = _by_table([*self._unwritable.items(), *in_bounds])
 
     def check(self, touched: Touched, mapping: Mapping) -> None:
-        """
-        Check the accesses of a request to addresses that exist. Hold the mapping's lock.
-
-        Raises:
-            IllegalDataAddress: a cell may not be read, or not be written.
-            IllegalDataValue: a point would have a value out of its bounds.
-        """
-        for access in touched.writes:
-            _check(self._unwritable, access, "written")
-        for access in touched.reads:
-            _check(self._unreadable, access, "read")
+        """Refuse accesses to existing addresses that break a rule. Hold the mapping's lock."""
+        for accesses, refused, verb in (
+            (touched.writes, self._unwritable, "written"),
+            (touched.reads, self._unreadable, "read"),
+        ):
+            for each in accesses:
+                ranges = refused.get((each.table, each.file), ())
+                if touches(ranges, each.address, each.count):
+                    span = f"{each.table} {each.address}..{each.address + each.count - 1}"
+                    raise IllegalDataAddress(f"{span} cannot all be {verb}")
         bounded = [point for each in touched.writes for point in self._bounded.touched(each)]
         if not bounded:
             return
@@ -307,13 +269,6 @@ class PointRules:
                 check_cells(point, cells_after(point, mapping, written), source=source)
         except ValueError as error:
             raise IllegalDataValue(str(error)) from None
-
-
-def _check(refused: dict[TableOrFile, Ranges], access: Access, verb: str) -> None:
-    ranges = refused.get((access.table, access.file), ())
-    if touches(ranges, access.address, access.count):
-        span = f"{access.table} {access.address}..{access.address + access.count - 1}"
-        raise IllegalDataAddress(f"{span} cannot all be {verb}")
 
 
 def _refused(ruled: Iterable[RuledCells], refusing: str) -> dict[TableOrFile, Ranges]:

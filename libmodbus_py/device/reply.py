@@ -24,10 +24,8 @@ _NOWHERE: dict[str, Sequence[range]] = {}
 # Bytes for the answers to one chunk; requests without room are answered in a further call.
 ROOM = 65536
 
-
-# The outcome of a chunk: the index of the first unused byte; the answers, whole
-# frames in the order of the requests; how many requests there were; how many of them got
-# an exception. A plain tuple: a class would take as long as the rest of Python here.
+# The outcome of a chunk, as `Device.answer_chunk` returns it. A plain tuple: a class would take as
+# long as the rest of Python here.
 Answered = tuple[int, bytes, int, int]
 
 
@@ -37,9 +35,7 @@ def make_tally() -> Any:
 
 
 class Watched:
-    """
-    The requests that the replier leaves to Python: other functions, and ranges that are watched.
-    """
+    """The requests that the replier leaves to Python: other functions, and watched ranges."""
 
     def __init__(
         self,
@@ -59,15 +55,10 @@ class Watched:
 
 class Replier:
     """
-    modbus_reply on a socketpair (answer_chunk.c).
+    modbus_reply on a socketpair (answer_chunk.c): `struct` is the replier_t.
 
     libmodbus 3.1.6 sends and receives on it like on any socket; both ends are non-blocking, because
     it would wait for ever on a full one.
-
-    Attributes:
-        struct: the replier_t.
-        answers: where it puts them.
-        all, unused_tally: for a request that may be answered without being counted.
     """
 
     _pair: tuple[socket.socket, ...] = ()
@@ -75,6 +66,7 @@ class Replier:
     def __init__(self) -> None:
         self._answers = ffi.new("uint8_t[]", ROOM)
         self.answers: Any = ffi.cast("char *", self._answers)  # which unpack to bytes
+        # For a request that may be answered without being counted.
         self.unused_tally: Any = make_tally()
         self.all: Watched = Watched()
         self._open()
@@ -120,10 +112,7 @@ def replier() -> Replier:
 def answer_in_c(
     own: Replier, mapping: Mapping, watched: Watched, tally: Any, unit: int, data: bytes, start: int
 ) -> Answered:
-    """
-    Answer the requests of Modbus/TCP from ``data[start]`` on, up to the first that is not for
-    libmodbus, watched, not for this unit or not complete. Hold the mapping's lock.
-    """
+    """Answer the requests from ``data[start]`` on (`Device.answer_chunk`). Hold the lock."""
     struct = own.struct
     end = lib.answer_chunk(
         struct, mapping._struct, watched.struct, tally, unit, data, start, len(data)

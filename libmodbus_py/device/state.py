@@ -29,7 +29,7 @@ from array import array
 from collections.abc import Iterable, Iterator
 from collections.abc import Mapping as MappingABC
 from itertools import groupby, pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any
 
 from ..protocol.checks import integer, shown
 from ..protocol.json_text import JSON, each_once
@@ -37,12 +37,10 @@ from ..protocol.mistakes import Path, WrongType, WrongValue, inside
 from ..protocol.tables import TABLE_SIZE, TABLES, joined, touches
 from .access import Access, TableOrFile
 from .caller import values_at
-from .functions import RecordFile
-from .mapping import Mapping
 
 if TYPE_CHECKING:
     from ..maps.point import Point
-    from ..maps.register_map import RegisterMap
+    from .device import Device
 
 # fmt: off
 __all__ = [
@@ -58,112 +56,68 @@ EVERY = "every"
 # The end of the name of a temporary file.
 TEMPORARY = ".new"
 
-
-class Stateful(Protocol):
-    """The part of a device whose values are kept."""
-
-    mapping: Mapping
-    files: dict[int, RecordFile]
-
-    @property
-    def points(self) -> RegisterMap:
-        """The points by name."""
-        ...
-
-    def first_values(self) -> Iterable[Access]:
-        """Return the first values that are not 0. Hold the mapping's lock."""
-        ...
-
-
-Devices = MappingABC[int | None, Stateful]
+Devices = MappingABC["int | None", "Device"]
 """Unit -> device; None stands for every unit."""
+
+Cells = dict[TableOrFile, "tuple[int, array[int]]"]
+"""The first address of each table and file, and the values from there on."""
 
 
 # --- the values of a device -------------------------------------------------------------------
 
 
-def fingerprint(device: Stateful) -> bytes:
+def _views(device: Device) -> dict[TableOrFile, tuple[int, memoryview]]:
+    tables = {(name, 0): getattr(device.mapping, name) for name in TABLES}
+    files = {("file", number): (0, file.view) for number, file in device.files.items()}
+    return {place: (each.addresses.start, each.view) for place, each in tables.items()} | files
+
+
+def fingerprint(device: Device) -> bytes:
     """Return a digest of all values, so that only changed ones are encoded."""
     found = hashlib.blake2b(digest_size=16, usedforsecurity=False)
-    with device.mapping as mapping:
-        for view in [getattr(mapping, table).view for table in TABLES]:
+    with device.mapping:
+        for _, view in _views(device).values():
             found.update(view)
-        for file in device.files.values():
-            found.update(file.view)
     return found.digest()
 
 
-class _Cells(NamedTuple):
-    """The present and the first values of a table or file, and the first address."""
-
-    start: int
-    present: array[int]
-    first: array[int]
-
-
-def _cells(device: Stateful) -> dict[TableOrFile, _Cells]:
+def _present(device: Device) -> Cells:
     """Return copies of all values. Hold the mapping's lock."""
-    tables = {(name, 0): getattr(device.mapping, name) for name in TABLES}
-    copies = {place: (each.addresses.start, each.view) for place, each in tables.items()}
-    copies |= {("file", number): (0, file.view) for number, file in device.files.items()}
-    found = {
-        place: _Cells(
-            start, array(view.format, bytes(view)), array(view.format, bytes(view.nbytes))
-        )
-        for place, (start, view) in copies.items()
-    }
-    for each in device.first_values():
-        start, _, first = found[each.table, each.file]
-        _put(first, start, each)
+    views = _views(device).items()
+    return {place: (start, array(view.format, bytes(view))) for place, (start, view) in views}
+
+
+def _with_values(device: Device, values: Iterable[Access]) -> Cells:
+    """Return the first values, with others in their place. Hold the mapping's lock."""
+    views = _views(device).items()
+    found = {place: (at, array(view.format, bytes(view.nbytes))) for place, (at, view) in views}
+    for each in (*device.first_values(), *values):
+        start, cells = found[each.table, each.file]
+        at = each.address - start
+        cells[at : at + each.count] = array(cells.typecode, each.values)
     return found
 
 
-def _put(cells: array[int], start: int, values: Access) -> None:
-    at = values.address - start
-    cells[at : at + values.count] = array(cells.typecode, values.values)
-
-
-def _differences(
-    place: TableOrFile, start: int, cells: array[int], others: array[int]
-) -> Iterator[Access]:
+def _differences(wanted: Cells, others: Cells) -> Iterator[Access]:
     """Yield the runs of cells that differ from others."""
-    changed = [at for at, pair in enumerate(zip(cells, others, strict=True)) if pair[0] != pair[1]]
-    for _, group in groupby(enumerate(changed), lambda each: each[1] - each[0]):
-        run = [at for _, at in group]
-        yield _access(place, start + run[0], cells[run[0] : run[-1] + 1])
+    for (table, file), (start, cells) in wanted.items():
+        pairs = enumerate(zip(cells, others[table, file][1], strict=True))
+        changed = [at for at, (value, other) in pairs if value != other]
+        for _, group in groupby(enumerate(changed), lambda each: each[1] - each[0]):
+            run = [at for _, at in group]
+            values = tuple(cells[run[0] : run[-1] + 1])
+            yield Access(table, start + run[0], len(run), values, file)
 
 
-def _access(place: TableOrFile, address: int, values: Iterable[int]) -> Access:
-    found = tuple(values)
-    return Access(place[0], address, len(found), found, place[1])
-
-
-def _written(device: Stateful) -> list[Access]:
-    """Return the values that are not the first ones, of one moment."""
-    with device.mapping:
-        cells = _cells(device)
-    return [
-        run
-        for place, (start, present, first) in cells.items()
-        for run in _differences(place, start, present, first)
-    ]
-
-
-def _set_values(device: Stateful, values: Iterable[Access]) -> None:
+def _set_values(device: Device, values: Iterable[Access]) -> None:
     """Set these values, and all others to the first ones."""
-    with device.mapping:
-        cells = _cells(device)
-        for each in values:
-            start, _, wanted = cells[each.table, each.file]
-            _put(wanted, start, each)
+    with device.mapping as mapping:
         # Equal cells are not written, because untouched pages of zeros take no memory.
-        for place, (start, present, wanted) in cells.items():
-            for run in _differences(place, start, wanted, present):
-                if run.table == "file":
-                    device.files[run.file].write(run.address, run.values)
-                else:
-                    table = getattr(device.mapping, run.table)
-                    table[run.address : run.address + run.count] = run.values
+        for run in _differences(_with_values(device, values), _present(device)):
+            if run.table == "file":
+                device.files[run.file].write(run.address, run.values)
+            else:
+                getattr(mapping, run.table)[run.address : run.address + run.count] = run.values
 
 
 # --- to text ----------------------------------------------------------------------------------
@@ -173,14 +127,16 @@ def state_text(devices: Devices) -> str:
     """Return the text of a file; units without values are left out."""
     units = []
     for unit, device in devices.items():
-        if values := _written(device):
+        with device.mapping:
+            present, first = _present(device), _with_values(device, ())
+        if found := _unit_object(device, _differences(present, first)):
             name = EVERY if unit is None else str(unit)
-            units.append(f"{JSON.encode(name)}: {JSON.encode(_unit_object(device, values))}")
+            units.append(f"{JSON.encode(name)}: {JSON.encode(found)}")
     body = ",\n".join(units)
     return f'{{"libmodbus-py": "{KIND}", "version": {VERSION}, "units": {{\n{body}\n}}}}\n'
 
 
-def _unit_object(device: Stateful, values: Iterable[Access]) -> dict[str, Any]:
+def _unit_object(device: Device, values: Iterable[Access]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     cells: dict[str, list[range]] = {}
     for each in values:
@@ -207,9 +163,7 @@ def _meaning(point: Point) -> list[Any]:
 
 
 def load_state(file: str, text: str, devices: Devices) -> None:
-    """
-    Set the values of devices to those of a text, or raise ValueError with the file and the key.
-    """
+    """Set the values of devices to those of a text; a ValueError names the file and the key."""
     try:
         units = _checked_units(_parsed(text), devices)
     except (TypeError, ValueError) as error:
@@ -224,17 +178,10 @@ def _parsed(text: str) -> object:
     try:
         return json.loads(text, object_pairs_hook=each_once)
     except json.JSONDecodeError as error:
-        reason = "the file is cut off" if _is_cut(text, error) else f"not JSON: {error.msg}"
-        raise WrongValue((), f"line {error.lineno}, column {error.colno}: {reason}") from None
+        reason = f"line {error.lineno}, column {error.colno}: not JSON: {error.msg}"
+        raise WrongValue((), f"{reason} (is the file cut off?)") from None
     except RecursionError:
         raise WrongValue((), "not JSON: too deep") from None
-
-
-def _is_cut(text: str, error: json.JSONDecodeError) -> bool:
-    """Return True if a text that is not JSON is the beginning of a file of values."""
-    found = text.rstrip()
-    is_ours = found.startswith('{"libmodbus-py"') and error.msg != "Extra data"
-    return is_ours and (error.pos >= len(found) or not found.endswith("}"))
 
 
 def _checked_units(found: object, devices: Devices) -> dict[int | None, list[Access]]:
@@ -257,7 +204,7 @@ def _checked_units(found: object, devices: Devices) -> dict[int | None, list[Acc
     return units
 
 
-def _checked_unit(unit: object, device: Stateful) -> Iterator[Access]:
+def _checked_unit(unit: object, device: Device) -> Iterator[Access]:
     keys = _object((), unit, ("points", *TABLES, "files"))
     for name, meaning in _object(("points",), keys.pop("points", {})).items():
         point = device.points.get(name)
@@ -273,8 +220,9 @@ def _checked_unit(unit: object, device: Stateful) -> Iterator[Access]:
         yield from _checked_runs((table,), runs, (table, 0), device)
 
 
-def _checked_runs(path: Path, found: object, place: TableOrFile, device: Stateful) -> list[Access]:
-    most = 1 if place[0] in TABLES and TABLES[place[0]].is_bits else 0xFFFF
+def _checked_runs(path: Path, found: object, place: TableOrFile, device: Device) -> list[Access]:
+    table, file = place
+    most = 1 if table in TABLES and TABLES[table].is_bits else 0xFFFF
     runs = []
     for key, values in _object(path, found).items():
         address = _number((*path, key), key)
@@ -282,9 +230,9 @@ def _checked_runs(path: Path, found: object, place: TableOrFile, device: Statefu
             raise WrongType((*path, key), "must be a list that is not empty")
         for at, value in enumerate(values):
             integer((*path, key, at), value, 0, most)
-        run = _access(place, address, values)
+        run = Access(table, address, len(values), tuple(values), file)
         if values_at(run, device.mapping, device.files) is None:
-            name = f"file {run.file}" if run.file else run.table
+            name = f"file {file}" if file else table
             reason = f"the device lacks {name} {address}..{address + run.count - 1}"
             raise WrongValue.about((*path, key), reason)
         runs.append(run)
@@ -328,14 +276,10 @@ def read_text(path: str | os.PathLike[str]) -> str:
 
 def replace_file(path: str | os.PathLike[str], text: str) -> None:
     """
-    Replace a file atomically: write a temporary file beside it, then rename it.
+    Replace a file atomically: write a temporary file beside it, force it to the disk, rename it.
 
-    The text is forced to the disk. A new file is readable by its owner only; one that is replaced
-    keeps its permissions, and a symbolic link stays one.
-
-    Raises:
-        OSError: the file cannot be written, or is no regular file; it is unchanged, and no
-            temporary file is left.
+    A new file is readable by its owner only; one that is replaced keeps its permissions, and a
+    symbolic link stays one. If this raises OSError, the file is unchanged.
     """
     target = os.path.realpath(path)
     folder, name = os.path.split(target)

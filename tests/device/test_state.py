@@ -127,7 +127,7 @@ DAMAGED = [
     ("{}", 'libmodbus-py must be "state": this is not a file of values'),
     ("[]", r"must be an object, not \[\]"),
     ('{"unit": 3}', 'libmodbus-py must be "state"'),
-    (text_of({"every": UNIT})[:-1], "line 1, column [0-9]+: the file is cut off"),
+    (text_of({"every": UNIT})[:-1], "line 1, column [0-9]+: not JSON: .* cut off"),
     (text_of({"every": UNIT}) + "x", "line 1, column [0-9]+: not JSON: Extra data"),
     ("{" * 100_000, "not JSON: "),
     ("[" * 100_000, "not JSON: too deep"),
@@ -230,7 +230,7 @@ def test_every_cut_and_every_changed_byte_is_refused(tmp_path: Path) -> None:
     before = contents(device)
     for length in range(len(data) - 1):  # without the last line feed it is whole
         path.write_bytes(data[:length])
-        with pytest.raises(ValueError, match="cut off" if length > 14 else "not JSON"):
+        with pytest.raises(ValueError, match="not JSON"):
             device.load(path)
         assert contents(device) == before
     for at in range(len(data)):
