@@ -170,13 +170,10 @@ class Device(NamedValues, PythonFunctions):
         rules = PointRules(self._ruled_cells(), lambda: self.points)
         self._rules = rules if rules.reads or rules.writes else None
         if self._rules is not None:
-            reads, writes = (
-                {
-                    table: joined([*ranges, *ruled.get(table, ())])
-                    for table, ranges in hooked.items()
-                }
-                for hooked, ruled in ((reads, rules.reads), (writes, rules.writes))
-            )
+            reads = {table: joined([*reads[table], *rules.reads.get(table, ())]) for table in reads}
+            writes = {
+                table: joined([*writes[table], *rules.writes.get(table, ())]) for table in writes
+            }
         # Request class -> the rule that finds the accesses for rules and hooks.
         self._finds = {
             request: kind.find

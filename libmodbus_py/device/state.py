@@ -29,7 +29,7 @@ from array import array
 from collections.abc import Iterable, Iterator
 from collections.abc import Mapping as MappingABC
 from itertools import groupby, pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from ..protocol.checks import integer, shown
 from ..protocol.json_text import JSON, each_once
@@ -37,10 +37,12 @@ from ..protocol.mistakes import Path, WrongType, WrongValue, inside
 from ..protocol.tables import TABLE_SIZE, TABLES, joined, touches
 from .access import Access, TableOrFile
 from .caller import values_at
+from .functions import RecordFile
+from .mapping import Mapping
 
 if TYPE_CHECKING:
     from ..maps.point import Point
-    from .device import Device
+    from ..maps.register_map import RegisterMap
 
 # fmt: off
 __all__ = [
@@ -56,7 +58,20 @@ EVERY = "every"
 # The end of the name of a temporary file.
 TEMPORARY = ".new"
 
-Devices = MappingABC["int | None", "Device"]
+
+class Stateful(Protocol):
+    """The part of a `Device`, which imports this, whose values are kept."""
+
+    mapping: Mapping
+    files: dict[int, RecordFile]
+
+    @property
+    def points(self) -> RegisterMap: ...
+
+    def first_values(self) -> Iterable[Access]: ...
+
+
+Devices = MappingABC[int | None, Stateful]
 """Unit -> device; None stands for every unit."""
 
 Cells = dict[TableOrFile, "tuple[int, array[int]]"]
@@ -66,13 +81,13 @@ Cells = dict[TableOrFile, "tuple[int, array[int]]"]
 # --- the values of a device -------------------------------------------------------------------
 
 
-def _views(device: Device) -> dict[TableOrFile, tuple[int, memoryview]]:
+def _views(device: Stateful) -> dict[TableOrFile, tuple[int, memoryview]]:
     tables = {(name, 0): getattr(device.mapping, name) for name in TABLES}
     files = {("file", number): (0, file.view) for number, file in device.files.items()}
     return {place: (each.addresses.start, each.view) for place, each in tables.items()} | files
 
 
-def fingerprint(device: Device) -> bytes:
+def fingerprint(device: Stateful) -> bytes:
     """Return a digest of all values, so that only changed ones are encoded."""
     found = hashlib.blake2b(digest_size=16, usedforsecurity=False)
     with device.mapping:
@@ -81,13 +96,13 @@ def fingerprint(device: Device) -> bytes:
     return found.digest()
 
 
-def _present(device: Device) -> Cells:
+def _present(device: Stateful) -> Cells:
     """Return copies of all values. Hold the mapping's lock."""
     views = _views(device).items()
     return {place: (start, array(view.format, bytes(view))) for place, (start, view) in views}
 
 
-def _with_values(device: Device, values: Iterable[Access]) -> Cells:
+def _with_values(device: Stateful, values: Iterable[Access]) -> Cells:
     """Return the first values, with others in their place. Hold the mapping's lock."""
     views = _views(device).items()
     found = {place: (at, array(view.format, bytes(view.nbytes))) for place, (at, view) in views}
@@ -109,7 +124,7 @@ def _differences(wanted: Cells, others: Cells) -> Iterator[Access]:
             yield Access(table, start + run[0], len(run), values, file)
 
 
-def _set_values(device: Device, values: Iterable[Access]) -> None:
+def _set_values(device: Stateful, values: Iterable[Access]) -> None:
     """Set these values, and all others to the first ones."""
     with device.mapping as mapping:
         # Equal cells are not written, because untouched pages of zeros take no memory.
@@ -136,7 +151,7 @@ def state_text(devices: Devices) -> str:
     return f'{{"libmodbus-py": "{KIND}", "version": {VERSION}, "units": {{\n{body}\n}}}}\n'
 
 
-def _unit_object(device: Device, values: Iterable[Access]) -> dict[str, Any]:
+def _unit_object(device: Stateful, values: Iterable[Access]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     cells: dict[str, list[range]] = {}
     for each in values:
@@ -204,7 +219,7 @@ def _checked_units(found: object, devices: Devices) -> dict[int | None, list[Acc
     return units
 
 
-def _checked_unit(unit: object, device: Device) -> Iterator[Access]:
+def _checked_unit(unit: object, device: Stateful) -> Iterator[Access]:
     keys = _object((), unit, ("points", *TABLES, "files"))
     for name, meaning in _object(("points",), keys.pop("points", {})).items():
         point = device.points.get(name)
@@ -220,7 +235,7 @@ def _checked_unit(unit: object, device: Device) -> Iterator[Access]:
         yield from _checked_runs((table,), runs, (table, 0), device)
 
 
-def _checked_runs(path: Path, found: object, place: TableOrFile, device: Device) -> list[Access]:
+def _checked_runs(path: Path, found: object, place: TableOrFile, device: Stateful) -> list[Access]:
     table, file = place
     most = 1 if table in TABLES and TABLES[table].is_bits else 0xFFFF
     runs = []
