@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from libmodbus_py import Access, Device, Mapping, pdu
 from libmodbus_py.device.event_log import EventLog
 from libmodbus_py.serve import Caller, RecordFile
-from tests.device.devices import contents, diagnose, identified, new_device, on_a_line, page, words
+from tests.device.devices import contents, diagnose, identified, new_device, page, words
 from tests.device.model import KNOWN
 from tests.device.test_diagnostics import vector
 from tests.support.cases import each_case
@@ -52,21 +52,6 @@ class TestWorkedExamples:
     def test_refusal_is_that_of_the_example(self, vector: FrameVector) -> None:
         (asked,) = (each for each in REQUESTS if each.id == vector.request)
         assert Device(Mapping(0, 0, 2048, 0)).answer(asked.pdu) == vector.pdu
-
-    def test_writes_of_the_examples_arrive(self) -> None:
-        mapping = Mapping(64, 0, 400, 0)
-        device = Device(mapping, files={4: [0] * 20})
-        device.answer(bytes.fromhex("0F0013000A02CD01"))
-        assert mapping.coils[19:29] == [
-            value == 1 for value in (1, 0, 1, 1, 0, 0, 1, 1, 1, 0)
-        ]  # section 6.11
-        device.answer(bytes.fromhex("100001000204000A0102"))
-        assert mapping.holding_registers[0:4] == [0, 10, 258, 0]  # section 6.12
-        device.answer(bytes.fromhex("150D0600040007000306AF04BE100D"))
-        assert list(device.files[4])[6:11] == [0, 1711, 1214, 4109, 0]  # section 6.15
-        mapping.holding_registers[4] = 0x12
-        device.answer(bytes.fromhex("16000400F20025"))
-        assert mapping.holding_registers[4] == 0x17  # section 6.16
 
 
 class TestExceptions:
@@ -129,17 +114,6 @@ class TestExceptions:
         assert device.answer(request_pdu) == bytes([request_pdu[0] | 0x80, code])
         assert contents(device) == before
 
-    def test_refused_read_write_writes_nothing(self) -> None:
-        device = new_device()
-        before = contents(device)
-        assert device.answer(b"\x17" + words(399, 2, 100, 1) + b"\2" + words(7)) == b"\x97\2"
-        assert contents(device) == before
-
-    def test_read_write_writes_first(self) -> None:
-        device = new_device()
-        answer = device.answer(b"\x17" + words(100, 3, 101, 1) + b"\2" + words(7))
-        assert answer == b"\x17\6" + words(0, 7, 0)
-
     @settings(max_examples=50)
     @given(
         code=st.sampled_from([15, 16, 20, 21, 23]),
@@ -196,26 +170,6 @@ class TestTwoDevices:
     @staticmethod
     def two() -> tuple[Device, Device]:
         return new_device(), new_device()
-
-    def test_counters_and_log(self) -> None:
-        first, second = self.two()
-        for _ in range(5):
-            first.answer(b"\x03" + words(0, 1))
-        assert diagnose(first, 0x0D) == b"\x08\0\x0d\0\5"
-        assert diagnose(second, 0x0D) == b"\x08\0\x0d\0\0"
-        assert len(second.answer(b"\x0c")) == 8 + 3
-        diagnose(second, 0x0A)
-        assert diagnose(first, 0x0D) == b"\x08\0\x0d\0\5"
-
-    def test_listen_only_and_delimiter(self) -> None:
-        first, second = self.two()
-        one, other = on_a_line(), on_a_line()
-        diagnose(first, 3, b"\x24\0", one)
-        diagnose(first, 4, b"\0\0", one)
-        assert first.answer(b"\x07", one) == b""
-        assert second.answer(b"\x07", other) == b"\x07\0"
-        assert other.log is not None
-        assert other.log.delimiter == 0x0A
 
     def test_identification_status_identifier_and_register(self) -> None:
         first = Device(Mapping(), identification={0: "first"}, exception_status=1)

@@ -136,7 +136,10 @@ class TestDiagnostics:
     def test_restart_echoes_and_then_clears(self, data: bytes) -> None:
         device, caller = new_device(), on_a_line()
         device.answer(b"\x03" + words(100, 1), caller)
+        assert caller.log is not None
+        caller.log.delimiter = 0x24
         assert diagnose(device, 1, data, caller) == b"\x08\0\1" + data
+        assert caller.log.delimiter == 0x0A
         assert device.answer(b"\x0b", caller) == b"\x0b\0\0\0\0"
         log = device.answer(b"\x0c", caller)[8:]
         # newest first: this request, function 11, and the restart

@@ -216,15 +216,6 @@ def test_broadcasts_of_what_is_no_write_do_nothing_but_count(stage: Stage, line:
     assert found["exceptions"] == 0
 
 
-def test_restart_clears_counters_and_keeps_the_log(line: Context) -> None:
-    line.diagnostics(SubFunction.RESTART_COMMUNICATIONS, 0xFF00)
-    line.read_coils(0, 1)
-    assert line.diagnostics(SubFunction.RESTART_COMMUNICATIONS) == 0
-    log = line.read_comm_event_log()
-    assert log.events[::-1] == bytes.fromhex("00 8040 8040 00 80")
-    assert (log.event_count, log.message_count) == (0, 1)
-
-
 def test_clearing_the_overrun_counter_leaves_the_others(ascii_line: Context) -> None:
     send(ascii_line, b":" + b"00" * 300)
     assert ascii_line.diagnostics(SubFunction.BUS_CHARACTER_OVERRUN_COUNT) == 1

@@ -186,17 +186,6 @@ def test_one_that_is_slow_and_fails_is_told_of(
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
 
 
-def test_quick_ones_are_not_told_of(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(hooks_module, "SLOW", 60)
-    for kind, request in KINDS.items():
-        result: Any = b"" if kind == "canopen" else [False]
-        device = made_device(kind, lambda _, result=result: result)  # type: ignore[misc]
-        assert device.answer(request)[0] == request[0]
-    assert caplog.records == []
-
-
 # --- hooks for some accesses -------------------------------------------------------------------
 
 

@@ -58,12 +58,6 @@ class TestIdentification:
             assert max(sizes) == 253
             assert sizes[0] == 253
 
-    def test_order_given_does_not_matter(self) -> None:
-        device = Device(Mapping(), identification=dict(reversed(IDENTITY.items())))
-        for level in ("basic", "regular", "extended"):
-            other = Device(Mapping(), identification=IDENTITY)
-            assert identified(device, level) == identified(other, level)
-
     @each_case(
         ("objects", "conformity"),
         [
@@ -83,11 +77,6 @@ class TestIdentification:
         device = Device(Mapping(), identification=objects)
         for code in (1, 2, 3, 4):
             assert device.answer(page(code))[:4] == bytes([0x2B, 0x0E, code, conformity])
-
-    def test_more_than_there_is_gives_what_there_is(self) -> None:
-        device = Device(Mapping())
-        basic, regular, extended = (device.answer(page(code)) for code in (1, 2, 3))
-        assert basic[3:] == regular[3:] == extended[3:]
 
     def test_single_objects_are_given_alone(self) -> None:
         device = Device(Mapping(), identification=IDENTITY)

@@ -139,11 +139,6 @@ class TestHoles:
         assert not any(made.view)
         assert made[115:115] == []
 
-    @each_table
-    @each_case("given_ranges", [lambda: iter(HOLES), lambda: set(HOLES), lambda: HOLES[::-1]])
-    def test_ranges_of_any_iterable_and_order_are_taken(self, name: str, given_ranges: Any) -> None:
-        assert table(name, given_ranges()).ranges == table(name, HOLES).ranges
-
     def test_values_stand_where_they_are_given(self) -> None:
         mapping = Mapping(
             coils={7: [True, False, True]},
@@ -186,10 +181,6 @@ class TestHoles:
         with pytest.raises(error, match=rf"^{name}.*{text}"):
             table(name, bad)
 
-    def test_values_of_registers_are_checked(self) -> None:
-        with pytest.raises(ValueError, match=r"holding_registers: a value must be in 0\.\.65535"):
-            Mapping(holding_registers={100: [65536]})
-
     def test_a_value_of_several_registers_does_not_reach_across_a_hole(self) -> None:
         registers = Mapping(holding_registers={0: [1, 2], 3: [4]}).holding_registers
         assert registers.read(0, "uint32") == 0x10002
@@ -201,19 +192,6 @@ class TestHoles:
 
 
 class TestAccess:
-    @each_table
-    def test_first_and_last_address_exist_and_no_other(self, name: str) -> None:
-        made = table(name, range(100, 110))
-        made[100], made[109] = 1, 1
-        assert made[:] == [1, 0, 0, 0, 0, 0, 0, 0, 0, 1]
-        assert made[100] == made[109] == 1
-        for address in (-1, 0, 9, 99, 110, 65536, 1 << 70):
-            with pytest.raises(IndexError, match=rf"{address} in <{name} 100\.\.109>"):
-                made[address]
-            with pytest.raises(IndexError, match=rf"{address} in <{name} 100\.\.109>"):
-                made[address] = 0
-        assert made[:] == [1, 0, 0, 0, 0, 0, 0, 0, 0, 1]
-
     @each_table
     def test_empty_table_has_no_address(self, name: str) -> None:
         made = table(name, 0)
@@ -278,15 +256,6 @@ class TestAccess:
         with pytest.raises(ValueError, match=f"{name}: {len(values)} values for 2 addresses"):
             made[4:6] = values
         assert made[:] == [0] * 10
-
-    @each_table
-    def test_values_of_any_iterable_are_taken(self, name: str) -> None:
-        made = table(name, 4)
-        made[:] = (value for value in (1, 0, 1, 1))
-        made[1:3] = made[2:4]
-        assert made[:] == [1, 1, 1, 1]
-        made[0:2] = range(2)
-        assert made[:] == [0, 1, 1, 1]
 
     @each_table
     def test_bad_value_changes_nothing(self, name: str) -> None:
@@ -381,12 +350,6 @@ class TestTypedValues:
         made.write_values(106, [], "int16")
 
     @each_register_table
-    def test_whole_table_is_values(self, name: str) -> None:
-        made = table(name, 65536)
-        made.write_values(0, range(16384), "uint64", order="DCBA")
-        assert made.read_values(0, "uint64", 16384, order="DCBA") == list(range(16384))
-
-    @each_register_table
     @each_case("address", [-1, 0, 99, 109, 110, 65535, 1 << 70])
     def test_all_registers_of_a_value_exist(self, name: str, address: int) -> None:
         made = table(name, range(100, 110))
@@ -434,10 +397,6 @@ class TestTypedValues:
         with pytest.raises(error, match=named):
             access(made)
         assert made[:] == [0] * 9 + [0xFFFF]
-
-    def test_bits_have_no_types(self) -> None:
-        assert not hasattr(table("coils", 8), "write")
-        assert not hasattr(table("coils", 8), "read_values")
 
     def test_value_is_seen_whole(self) -> None:
         holding = Mapping(holding_registers=4).holding_registers

@@ -147,16 +147,6 @@ def test_old_values_without_names() -> None:
     ]
 
 
-def test_a_hook_may_use_names_itself() -> None:
-    def count(access: Access) -> None:
-        device["energy"] += 1
-
-    device = Device.of_map(MAP, before_read=count)
-    assert device.answer(b"\3\0\1\0\2") == b"\3\4\0\0\0\1"
-    assert device.answer(b"\3\0\1\0\2") == b"\3\4\0\0\0\2"
-    assert device["energy"] == 2  # which calls no hook
-
-
 def test_other_threads_see_all_changes_of_an_update_or_none() -> None:
     two = RegisterMap([Point("a", "holding_registers", 0), Point("b", "holding_registers", 900)])
     device = Device.of_map(two)

@@ -46,13 +46,6 @@ class TestQueues:
         assert new_device().answer(b"\x18\0\0") == b"\x98\2"
         assert device.answer(b"\x18\0\7\0") == b"\x98\3"  # the length comes first
 
-    def test_queue_may_change_at_any_time(self) -> None:
-        device = Device(Mapping(), fifos={7: []})
-        device.fifos[7].append(5)
-        device.fifos[8] = [6]
-        assert device.answer(b"\x18\0\7") == b"\x18\0\4\0\1\0\5"
-        assert device.answer(b"\x18\0\x08") == b"\x18\0\4\0\1\0\6"
-
     @pytest.mark.parametrize(
         ("fifos", "error"),
         [({-1: []}, ValueError), ({65536: []}, ValueError), ({"0": []}, TypeError)],
@@ -61,12 +54,6 @@ class TestQueues:
     def test_address_of_a_queue_is_one(self, fifos: Any, error: type[Exception]) -> None:
         with pytest.raises(error, match=r"^fifo must be "):
             Device(Mapping(), fifos=fifos)
-
-    def test_list_given_is_not_kept(self) -> None:
-        given = [1]
-        device = Device(Mapping(), fifos={0: given})
-        given.append(2)
-        assert device.fifos[0] == [1]
 
 
 @each_case(

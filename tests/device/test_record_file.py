@@ -10,7 +10,6 @@ import pytest
 
 from libmodbus_py import Device, Mapping, pdu
 from libmodbus_py.serve import RecordFile
-from tests.device.devices import words
 from tests.support.cases import each_case
 
 
@@ -43,12 +42,6 @@ class TestFiles:
         assert device.answer(request) == request
         assert list(device.files[1]) == [1, 9, 0, 0, 0, 0, 0, 0, 0, 0]
         assert list(device.files[2]) == [0, 0, 0, 3, 0, 0, 0, 0, 0, 0]
-
-    def test_files_end_with_record_9999(self) -> None:
-        device = Device(Mapping(), files={1: range(10_000)})
-        assert device.answer(self.read((1, 9999, 1))) == b"\x14\4\3\6\x27\x0f"
-        assert device.answer(b"\x14\7\6" + words(1, 9999, 2)) == b"\x94\2"
-        assert device.answer(b"\x14\7\6" + words(1, 10_000, 1)) == b"\x94\2"
 
     def test_answers_end_with_245_bytes(self) -> None:
         device = Device(Mapping(), files={1: range(10_000)})
@@ -88,11 +81,6 @@ class TestFiles:
         for bad in (None, {}, 5):
             with pytest.raises(TypeError, match="mapping must be a Mapping"):
                 Device(bad)  # type: ignore[arg-type]
-
-    def test_devices_may_share_a_mapping(self) -> None:
-        mapping = Mapping(holding_registers=1)
-        Device(mapping).answer(b"\x06" + words(0, 5))
-        assert Device(mapping).answer(b"\x03" + words(0, 1)) == b"\x03\2\0\5"
 
 
 @each_case(

@@ -366,22 +366,6 @@ def test_a_program_that_is_killed_at_any_step_of_saving_leaves_a_whole_file(tmp_
     assert int(done.stdout) > 10
 
 
-def test_all_cells_come_back_whatever_is_between_them(tmp_path: Path) -> None:
-    def made() -> Device:
-        return Device(Mapping(*[65536] * 4), files={9: 10_000})
-
-    device, loaded = made(), made()
-    mapping = device.mapping
-    mapping.coils[:] = mapping.discrete_inputs[:] = [at % 3 == 0 for at in range(65536)]
-    mapping.holding_registers[::2] = [65535] * 32768
-    mapping.input_registers[65535] = 1
-    for record in range(0, 10_000, 3):
-        device.files[9][record] = record
-    device.save(tmp_path / "values")
-    loaded.load(tmp_path / "values")
-    assert contents(loaded) == contents(device)
-
-
 def test_threads_that_save_one_file_leave_that_of_one_of_them(tmp_path: Path) -> None:
     path, devices = tmp_path / "values", [plant() for _ in range(4)]
     for number, device in enumerate(devices):

@@ -25,7 +25,7 @@ from libmodbus_py.server.sessions import ByChunk, ByFrame, Singles
 from libmodbus_py.server.units import TcpUnits, Units
 from tests.support.cases import each_case
 from tests.support.channels import FakeChannel
-from tests.support.vectors import REQUESTS, FrameVector, rows
+from tests.support.vectors import REQUESTS, FrameVector
 
 REPLIED = (1, 2, 3, 4, 5, 6, 15, 16, 22, 23)
 """The functions that libmodbus answers from a mapping."""
@@ -598,18 +598,6 @@ def replied_vectors() -> list[FrameVector]:
     return [vector for vector in REQUESTS if vector.function in REPLIED]
 
 
-@each_case("vector", rows(REQUESTS))
-@each_case("times", [1, 3])
-def test_worked_examples_are_answered_alike(vector: FrameVector, times: int) -> None:
-    answers = []
-    for kind in ("chunk", "frames"):
-        device = Device(Mapping(65536, 65536, 65536, 65536), files={4: [1] * 100, 3: [2] * 100})
-        end = End(device, kind)
-        end.receive(vector.tcp * times)
-        answers.append(bytes(end.sent))
-    assert answers[0] == answers[1]
-
-
 def test_all_functions_of_libmodbus_are_answered_in_c(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not by the way around, which would give the same answers."""
     monkeypatch.delattr(Device, "answer")
@@ -783,25 +771,6 @@ def test_a_hook_may_give_its_device_another_mapping(connections: int) -> None:
     asked = [adu(body, number) for number, body in enumerate([read, far, write, read, far])]
     answers = [each[7:] for each in in_one_turn({1: device}, asked, connections)]
     assert answers == [b"\3\2\0\1", b"\3\2\0\5", b"\x86\2", b"\3\2\0\x33", b"\x83\2"]
-
-
-def test_units_take_turns_in_one_chunk() -> None:
-    first, second = made_device(), made_device()
-    second.mapping.holding_registers[7] = 99
-    end = End({1: first, 2: second}, "chunk")
-    end.receive(b"".join(adu(b"\x03\0\x07\0\x01", unit, unit) for unit in (1, 2, 3, 1, 2)))
-    answers = [b"\x03\x02\0\0", b"\x03\x02\0\x63", b"\x83\x0b", b"\x03\x02\0\0", b"\x03\x02\0\x63"]
-    units = (1, 2, 3, 1, 2)
-    assert end.sent == b"".join(
-        adu(answer, unit, unit) for answer, unit in zip(answers, units, strict=True)
-    )
-
-
-def test_handlers_of_tables_are_asked() -> None:
-    handlers = {pdu.ReadHoldingRegisters: lambda request: [request.address] * request.count}
-    end = End({1: made_device(handlers=handlers)}, "chunk")
-    end.receive(adu(b"\x03\x12\x34\0\x02", 5))
-    assert end.sent == adu(b"\x03\x04\x12\x34\x12\x34", 5)
 
 
 # --- headers -----------------------------------------------------------------------------------

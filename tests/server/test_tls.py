@@ -329,21 +329,6 @@ def test_a_session_of_one_that_was_refused_is_refused(
     assert (statistics.handshakes, statistics.handshakes_resumed) == (0, 0)
 
 
-def test_bad_ones_are_counted_but_cost_the_good_ones_nothing(
-    stage: Stage, papers: Papers, served: tuple[Server, int]
-) -> None:
-    server, port = served
-    with connect(stage, papers, port) as good:
-        for identity, *_ in BAD.values():
-            told = context(papers, identity(), VERSIONS["1.2"])
-            with TlsClient(port, told, stage=stage) as bad, contextlib.suppress(ssl.SSLError):
-                bad.handshake()
-                assert bad.read() == b""
-            assert good.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
-    assert server.statistics.handshakes_refused == len(BAD)
-    assert server.statistics.closed_out_of_step == 0
-
-
 WITHOUT_CRYPTOGRAPHY = """
 import sys
 sys.modules["cryptography"] = None
@@ -544,24 +529,6 @@ def test_records_may_cut_requests_anywhere(
             client.send(sent[end:])
         assert client.receive(len(answers(50))) == answers(50)
         assert server.statistics.requests == 50
-
-
-@VERSION
-@KIND
-def test_a_record_full_of_requests_is_answered_in_order(
-    stage: Stage, papers: Papers, kind: str, version: ssl.TLSVersion
-) -> None:
-    make_device, options = KINDS[kind]
-    count = 16_384 // 12
-    with (
-        serving(papers, make_device(), **options) as (server, port),
-        connect(stage, papers, port, version) as client,
-    ):
-        for _ in range(3):
-            client.send(requests(count))
-            assert client.receive(len(answers(count))) == answers(count)
-        assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
-        assert server.statistics.requests == 3 * count + 1
 
 
 @KIND

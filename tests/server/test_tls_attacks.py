@@ -550,19 +550,6 @@ def test_handshakes_that_are_closed_in_the_line_cost_others_nothing(
         assert server.statistics.closed_for_others > 0
 
 
-def test_a_mistake_in_a_hook_is_one_client_s(stage: Stage, papers: Papers) -> None:
-    def fail(access: object) -> None:
-        raise RuntimeError("a hook")
-
-    device = Device(Mapping(10, 10, 10, 10), before_read=fail)
-    told = context(papers, certificates.client())
-    with (
-        serving(papers, device) as (_, port),
-        TlsClient(port, told, stage=stage).handshake() as client,
-    ):
-        assert client.ask(adu(bytes.fromhex("03 0000 0001")), 9)[7:] == bytes.fromhex("83 04")
-
-
 def test_an_address_that_has_asked_too_much_does_not_hold_up_the_handshakes_of_others(
     stage: Stage, papers: Papers, device: Device
 ) -> None:
