@@ -23,8 +23,8 @@ from ..ports.waiting_async import Alarm, run_async
 from ..protocol.checks import finished, log_failure
 from ..protocol.errors import ModbusConnectionError
 from .call import Batch, Call
-from .connection import Transactions, forbidden
-from .reconnecting import FORKED, State
+from .connection import Transactions
+from .reconnecting import State
 
 if TYPE_CHECKING:
     from ..ports.port import Port
@@ -52,7 +52,6 @@ class AsyncioDriver:
         self._now: Callable[[], float] = monotonic  # the clock of the loop, once there is one
         self._attempt: asyncio.Task[None] | None = None
         self._attempt_until = 0.0
-        self._retry = Alarm(partial(self._enter, self._start_attempt))
         self._alarm = Alarm(partial(self._enter, self._ring))
         self._resume = Alarm(partial(self._enter, self._go_on))
         self._is_writing = False
@@ -64,25 +63,11 @@ class AsyncioDriver:
         self._closed = asyncio.Event()
 
     def now(self) -> float:
-        """Return the time by which timeouts are measured."""
-        return self._now()
-
-    def loop_time(self) -> float:
-        """
-        Return the time of the event loop.
-
-        Raises:
-            RuntimeError: the client belongs to another event loop.
-        """
+        """Return the time of the event loop, by which timeouts are measured."""
         return self._bind().time()
 
     async def wait_until(self, at: float) -> bool:
-        """
-        Wait until a time of the event loop; return False if `close` was called.
-
-        Raises:
-            RuntimeError: the client belongs to another event loop.
-        """
+        """Wait until a time of the event loop; return False if `close` was called."""
         loop = self._bind()
         if at > loop.time():
             with contextlib.suppress(TimeoutError):
@@ -91,12 +76,7 @@ class AsyncioDriver:
         return self._life.state is not State.CLOSED
 
     async def run(self, job: Call | Batch) -> None:
-        """
-        Send requests; returns when they are over.
-
-        Raises:
-            RuntimeError: the client belongs to another event loop.
-        """
+        """Send requests; returns when they are over."""
         done = self._bind().create_future()
         try:
             self.ask(job, done)
@@ -108,14 +88,9 @@ class AsyncioDriver:
 
     def ask(self, job: Call | Batch, caller: Future[None] | Callable[[], object]) -> None:
         """
-        Send requests.
+        Send requests; once they are over, perhaps before this method returns, tell the caller.
 
-        Args:
-            caller: a future whose result is set, or a function that is called, once they are over,
-                perhaps before this method returns. Exceptions of the function are logged.
-
-        Raises:
-            RuntimeError: the client belongs to another event loop.
+        The result of a future is set; a function is called, and what it raises is logged.
         """
         if asyncio.get_running_loop() is not self._loop:
             self._bind()
@@ -148,12 +123,6 @@ class AsyncioDriver:
         self._turn()
 
     async def close(self) -> None:
-        """
-        Close the client.
-
-        Raises:
-            RuntimeError: the client belongs to another event loop.
-        """
         self._bind()
         self._enter(self._close)
         if self._attempt is not None:
@@ -163,23 +132,18 @@ class AsyncioDriver:
     def forget(self) -> None:
         """Close the port after the last handle was garbage collected."""
         if self._life.state not in (State.CONNECTING, State.CONNECTED):
+            # Nothing else: libmodbus's context of a serial port may be gone by now.
             self._in_loop(self._cancel_timers)
             return
         try:
-            warnings.warn(
-                f"AsyncClient({self._connection.url!r}) was not closed",
-                ResourceWarning,
-                stacklevel=2,
-            )
+            message = f"AsyncClient({self._connection.url!r}) was not closed"
+            warnings.warn(message, ResourceWarning, stacklevel=2)
         finally:
             self._in_loop(self._forget)
 
     def _in_loop(self, call: Callable[[], None]) -> None:
-        """
-        Call a function in the event loop, because garbage may be collected in another thread.
-
-        If the loop does not run, no user function is called: a finalizer may run anywhere.
-        """
+        # In the event loop, because garbage may be collected in another thread. If the loop does
+        # not run, no user function is called: a finalizer may run anywhere.
         if self._loop is not None and self._loop.is_running():
             with contextlib.suppress(RuntimeError):  # it was just closed
                 self._loop.call_soon_threadsafe(self._enter, call)
@@ -187,9 +151,8 @@ class AsyncioDriver:
         call()
 
     def _close(self) -> None:
-        closed = ModbusConnectionError("this client is closed", errno=errno.EBADF)
         self._close_port()
-        self._connection.closed(closed, self._now())
+        self._connection.closed(self._now())
         self._cancel_timers()
         self._closed.set()
 
@@ -201,8 +164,8 @@ class AsyncioDriver:
         self._cancel_timers()
 
     def _cancel_timers(self) -> None:
-        for alarm in (self._retry, self._resume, self._alarm):
-            alarm.cancel()
+        self._resume.cancel()
+        self._alarm.cancel()
 
     def abandon(self) -> None:
         """Forget the connection and the loop in a forked child, which may use another loop."""
@@ -210,13 +173,12 @@ class AsyncioDriver:
         self._port.abandon()
         self._callers.clear()
         self._begin_anew()
-        gone = ModbusConnectionError(FORKED, errno=errno.EBADF)
-        self._connection.interrupted(gone, self._now())
+        self._connection.forked(self._now())
 
     def change_timeout(self) -> None:
         """Note that some `Timeouts` were changed."""
         if self._loop is not None and not self._loop.is_closed():
-            self._connection.change_timeout(self._now())
+            self._connection.matching.wake(self._now())
             self._set_timer()
 
     def _bind(self) -> asyncio.AbstractEventLoop:
@@ -265,7 +227,7 @@ class AsyncioDriver:
             self._attempt.cancel()
         self._connection.interrupted(error, self._now())
         for job in list(self._callers):
-            job.fail(error)
+            job.settle(error)
         self._ended.clear()
         self._ended.extend(self._callers)
 
@@ -320,10 +282,10 @@ class AsyncioDriver:
         self._set_timer()
 
     def _send(self, adus: list[bytes], now: float) -> None:
-        port = self._port
+        port, connection = self._port, self._connection
         # Checked again, because user code was called since, and the process may have been stopped.
-        if self._connection.is_guarded and not self._connection.is_allowed():
-            self._lose(forbidden(), by_itself=False)
+        if connection.is_guarded and (forbidden := connection.forbidden()) is not None:
+            self._lose(forbidden, by_itself=False)
             return
         try:
             port.send(adus, now)
@@ -370,33 +332,22 @@ class AsyncioDriver:
         elif connection.in_flight:
             self._port.acknowledge()
         elif connection.is_flooded:
-            self._pause_reading()
+            # Until the next request: a flood must not keep an idle client busy.
+            self._is_reading = False
+            self._bound.remove_reader(self._port.descriptor)
+            self._port.discard_input()
         connection.settle(now)
-
-    def _pause_reading(self) -> None:
-        """Stop reading until the next request: a flood must not keep an idle client busy."""
-        self._is_reading = False
-        self._bound.remove_reader(self._port.descriptor)
-        self._port.discard_input()
 
     def _read_on(self) -> None:
         self._is_reading = True
-        self._watch(self._bound.add_reader, self._readable)
-
-    def _watch(self, add: Callable[..., None], call: Callable[[], None]) -> None:
-        """Register a callback. Raises ModbusConnectionError if the system cannot watch more."""
-        try:
-            add(self._port.descriptor, self._enter, call)
-        except OSError as error:
-            reason = f"cannot wait for {self._connection.url}: {error.strerror}"
-            raise ModbusConnectionError(reason, errno=error.errno) from error
+        self._bound.add_reader(self._port.descriptor, self._enter, self._readable)
 
     def _follow_port(self) -> None:
         """Continue to send when the port takes bytes again, or its pause is over."""
         if self._port.has_unsent != self._is_writing:
             self._is_writing = self._port.has_unsent
             if self._is_writing:
-                self._watch(self._bound.add_writer, self._go_on)
+                self._bound.add_writer(self._port.descriptor, self._enter, self._go_on)
             else:
                 self._bound.remove_writer(self._port.descriptor)
         if self._port.resume_at is not None:
@@ -404,12 +355,11 @@ class AsyncioDriver:
             self._resume.set(self._port.resume_at, self._bound)
 
     def _go_on(self) -> None:
-        now = self._now()
-        if not self._connection.is_allowed():
-            self._lose(forbidden(), by_itself=False)  # drops the bytes that were not sent yet
+        if (forbidden := self._connection.forbidden()) is not None:
+            self._lose(forbidden, by_itself=False)  # drops the bytes that were not sent yet
             return
         try:
-            self._port.go_on(now)
+            self._port.go_on(self._now())
             self._follow_port()
         except ModbusConnectionError as error:
             self._lose(error)
@@ -433,60 +383,45 @@ class AsyncioDriver:
 
     def _seek_connection(self, now: float) -> None:
         """Connect, now or when the next attempt is due, if a caller waits for it."""
-        is_due = self._connection.is_wanted and self._attempt is None
-        if not is_due or self._life.state is not State.DISCONNECTED:
+        connection, life = self._connection, self._life
+        is_due = connection.is_wanted and self._attempt is None
+        if not is_due or life.state is not State.DISCONNECTED:
             return
-        if self._life.next_attempt > now:
-            self._retry.set(self._life.next_attempt, self._bound)
-        else:
-            self._start_attempt()
-
-    def _start_attempt(self) -> None:
-        if not self._connection.is_wanted or self._attempt is not None:
+        if life.next_attempt > now:
+            connection.matching.wake(life.next_attempt)
             return
-        if not self._connection.is_allowed():
-            self._connection.refuse(forbidden())
+        if (forbidden := connection.forbidden()) is not None:
+            connection.refuse(forbidden)
             return
-        self._attempt_until = self._connection.connect_until()
+        self._attempt_until = connection.connect_until()
         opening = self._port.opening(self._attempt_until)
         self._attempt = self._bound.create_task(run_async(opening))
         # Not in the task itself, because a task that is cancelled early never begins.
         self._attempt.add_done_callback(partial(self._enter, self._end_attempt))
-        self._life.connecting()
+        life.connecting()
 
     def _end_attempt(self, attempt: asyncio.Task[None]) -> None:
         if attempt is not self._attempt:  # its end was noted before this callback was called
             return
         self._attempt = None
+        connection, life = self._connection, self._life
         failure = None if attempt.cancelled() else attempt.exception()
-        if attempt.cancelled() or self._life.state is State.CLOSED:
+        if attempt.cancelled() or life.state is State.CLOSED:
             self._give_up(ModbusConnectionError("connecting was cancelled"))
         elif failure is None:
-            self._begin()
+            self._read_on()
+            connection.opened(self._now())
+            self._turn()
         elif isinstance(failure, ModbusConnectionError):
-            self._fail(failure)
+            connection.failed(failure, self._now(), self._attempt_until)
+            if connection.is_wanted:  # some callers have more time than the attempt had
+                self._turn()
+            else:  # all callers have their outcome, and nothing is in flight
+                self._cancel_timers()
         else:
             error = ModbusConnectionError(f"connecting was interrupted: {failure!r}")
             error.__cause__ = failure
             self._give_up(error)
-
-    def _begin(self) -> None:
-        """Read from the port, which was opened."""
-        try:
-            self._read_on()
-        except ModbusConnectionError as error:
-            self._close_port()
-            self._fail(error)
-        else:
-            self._connection.opened(self._now())
-            self._turn()
-
-    def _fail(self, error: ModbusConnectionError) -> None:
-        self._connection.failed(error, self._now(), self._attempt_until)
-        if self._connection.is_wanted:  # some callers have more time than the attempt had
-            self._turn()
-        else:  # all callers have their outcome, and nothing is in flight
-            self._cancel_timers()
 
     def _give_up(self, error: ModbusConnectionError) -> None:
         self._port.close()

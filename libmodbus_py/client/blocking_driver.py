@@ -39,8 +39,7 @@ class Carrier:
     """
     Sends a request, waits, and reads once, in one call of C without the GIL.
 
-    Args:
-        port: a TCP connection, a UDP socket, or a serial port in RTU mode; there libmodbus sends.
+    The port is a TCP connection, a UDP socket, or a serial port in RTU mode; there libmodbus sends.
     """
 
     def __init__(self, port: Port) -> None:
@@ -54,11 +53,7 @@ class Carrier:
         """
         Return what came, or nothing; None if there is something to read before the request.
 
-        Args:
-            waker: a descriptor that is readable when the wait must end.
-
-        Raises:
-            ModbusConnectionError: the connection is lost.
+        The wait also ends when the descriptor `waker` is readable.
         """
         wait = min(max(timeout, 0.0), LONGEST)  # poll() takes less than 0 for no end
         descriptor = self._port.descriptor
@@ -76,14 +71,8 @@ class BlockingDriver:
     """
     Runs the requests of one connection, those of one caller at a time, for any thread.
 
-    Args:
-        port: the port of the client.
-        connection: its requests.
-        native: True if C may carry single requests.
-
-    Attributes:
-        waker: waits, on the clock of the port.
-        lock: while a thread holds it, only that thread can send.
+    With `native`, C may carry single requests. While a thread holds `lock`, only that thread can
+    send; `waker` waits, on the clock of the port.
     """
 
     def __init__(self, port: Port, connection: Transactions, *, native: bool) -> None:
@@ -91,7 +80,11 @@ class BlockingDriver:
         self._connection = connection
         self._life = connection.life
         self._notices = connection.notices
-        self.waker: Waker = _waker(connection.url, port)
+        try:
+            self.waker: Waker = port.waker()
+        except OSError as error:
+            reason = f"cannot make a client of {connection.url}: {error.strerror}"
+            raise ModbusConnectionError(reason, errno=error.errno) from error
         self._now = self.waker.now
         self._carrier = Carrier(port) if native else None
         self._closed = False
@@ -112,12 +105,7 @@ class BlockingDriver:
         return self._now()
 
     def wait_until(self, at: float) -> bool:
-        """
-        Wait until a time; other threads may send requests. Return False if `close` was called.
-
-        Raises:
-            OSError: the process has no descriptor left.
-        """
+        """Wait until a time, while other threads may send; return False if `close` was called."""
         waker = self._port.waker()
         try:
             self._pauses.add(waker)  # before `_closed` is read: `close` sets it, then wakes
@@ -188,15 +176,13 @@ class BlockingDriver:
         self._port.abandon()
         self.waker.renew()
         self._start_anew()
-        gone = ModbusConnectionError(FORKED, errno=errno.EBADF)
-        self._connection.interrupted(gone, self._now())
+        self._connection.forked(self._now())
         if self._closed:
             self.waker.close()
 
     def _shut(self) -> None:
         self._port.close()
-        closed = ModbusConnectionError("this client is closed", errno=errno.EBADF)
-        self._connection.closed(closed, self._now())
+        self._connection.closed(self._now())
         self.waker.close()
 
     def _tidy(self) -> None:
@@ -216,40 +202,32 @@ class BlockingDriver:
     # --- the requests of one caller -----------------------------------------------------------
 
     def _drive(self, job: Call | Batch, lock: threading.RLock) -> None:
-        connection, now = self._connection, self._now()
+        connection, port, now = self._connection, self._port, self._now()
         try:
             connection.submit(job, now)
             carrier = self._carrier if isinstance(job, Call) and not job.is_silent else None
             while not job.is_done:
-                now = now or self._now()
                 if lock is not self.lock:  # a callback or a signal handler forked
                     raise ModbusConnectionError(FORKED, errno=errno.EBADF)
                 try:
                     if self._life.is_open:
-                        self._step(job, carrier, now)
+                        self._step(job, carrier, now or self._now())
                     else:
                         self._connect()
-                except Woken:
-                    self._wake()
+                except Woken:  # by `close`, or because timeouts have changed
+                    self.waker.clear()  # before `_closed` is read: `close` sets it, then wakes
+                    if self._closed:
+                        raise
+                    connection.matching.wake(self._now())
                 if self._notices.waiting:
                     self._notices.give()
                 now = 0.0
-            if self._port.resume_at is not None:
-                self._turn_line()
+            while port.resume_at is not None:
+                # Finish sending: an answer may come while RTS is set, as on a pseudo-terminal.
+                self.waker.sleep(max(0.0, port.resume_at - self._now()))
+                port.go_on(self._now())
         except Woken:
             self._shut()
-
-    def _wake(self) -> None:
-        """
-        Go on after a wait that was ended because timeouts have changed.
-
-        Raises:
-            Woken: the wait was ended by `close`.
-        """
-        self.waker.clear()  # before `_closed` is read: `close` sets it, then wakes
-        if self._closed:
-            raise Woken
-        self._connection.change_timeout(self._now())
 
     def _step(self, job: Call | Batch, carrier: Carrier | None, now: float) -> None:
         """Send requests that may be sent, wait for bytes, and process them."""
@@ -261,7 +239,7 @@ class BlockingDriver:
             if self._notices.waiting:
                 self._notices.give()  # the sent frames are traced before the wait for answers
             if adus and carrier is not None:
-                wait = connection.alarm - now
+                wait = connection.matching.alarm - now
                 got = carrier.carry(adus[0], wait, self.waker.descriptor)
                 if got:
                     now = self._now()
@@ -280,13 +258,6 @@ class BlockingDriver:
         if connection.broken is not None:
             self._lose(connection.broken, by_itself=False)
 
-    def _turn_line(self) -> None:
-        """Finish sending, because an answer may come while RTS is set, as on a pseudo-terminal."""
-        while self._port.resume_at is not None:
-            now = self._now()
-            self.waker.sleep(max(0.0, self._port.resume_at - now))
-            self._port.go_on(self._now())
-
     def _look(self, now: float) -> None:
         """Read bytes that no request expects, or the end of the connection, before sending."""
         connection = self._connection
@@ -297,7 +268,7 @@ class BlockingDriver:
                 return
 
     def _wait(self, now: float) -> None:
-        connection, port = self._connection, self._port
+        connection, port, is_ready = self._connection, self._port, False
         until = connection.alarm
         if port.resume_at is not None:
             until = min(until, port.resume_at)
@@ -305,33 +276,27 @@ class BlockingDriver:
             self.waker.sleep(max(0.0, until - now))
         elif port.has_unsent:
             self.waker.wait(port.descriptor, READ | WRITE, until)
-            if port.has_input():
-                self._receive()
-        elif self.waker.is_ready(until - now):
-            self._receive()
+            is_ready = port.has_input()
+        else:
+            is_ready = self.waker.is_ready(until - now)
         now = self._now()
+        if is_ready:  # sent before the answers are decoded, so that the server has work meanwhile
+            connection.take(port.receive(), now)
+            adus = connection.start(now)
+            if adus:  # sending also acknowledges received bytes
+                port.send(adus, now)
+            elif connection.in_flight:
+                port.acknowledge()
+            now = self._now()
         if port.has_unsent or (port.resume_at is not None and port.resume_at <= now):
             port.go_on(now)
         if connection.alarm <= now:
             connection.tick(now)
         connection.settle(now)
 
-    def _receive(self) -> None:
-        connection, port = self._connection, self._port
-        now = self._now()
-        # Sent before the answers are decoded, so that the server has work meanwhile.
-        connection.take(port.receive(), now)
-        adus = connection.start(now)
-        if adus:  # sending also acknowledges received bytes
-            port.send(adus, now)
-        elif connection.in_flight:
-            port.acknowledge()
-
     def _lose(self, error: ModbusConnectionError, *, by_itself: bool) -> None:
         self._port.close()
         self._connection.lost(error, self._now(), by_itself=by_itself)
-
-    # --- connecting -------------------------------------------------------------------------
 
     def _connect(self) -> None:
         connection, life, now = self._connection, self._life, self._now()
@@ -355,12 +320,3 @@ class BlockingDriver:
             if life.state is State.CONNECTING:
                 self._port.close()
                 life.given_up()
-
-
-def _waker(url: str, port: Port) -> Waker:
-    try:
-        return port.waker()
-    except OSError as error:
-        raise ModbusConnectionError(
-            f"cannot make a client of {url}: {error.strerror}", errno=error.errno
-        ) from error

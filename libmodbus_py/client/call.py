@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Final
 
 from ..protocol.checks import integer, seconds
-from ..protocol.errors import MAX_RECEIVED, ModbusError, ModbusTimeoutError, in_hex
+from ..protocol.errors import ModbusError, ModbusTimeoutError, in_hex
 from ..protocol.pdu import MAX_PDU, Request
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MAX_IN_FLIGHT",
-    "MAX_KEPT",
     "NOT_ASKED",
     "Batch",
     "Call",
@@ -43,24 +42,13 @@ __all__ = [
 NOT_ASKED: Final = object()
 """The outcome of a request that has none yet, or was never sent."""
 
-MAX_KEPT = MAX_RECEIVED
-"""The most received bytes that errors contain; more bytes would not help."""
-
 # The buffers of two sockets hold this many requests and answers of full length. With more, each
 # side might wait for the other one to read before it goes on.
 MAX_IN_FLIGHT = 256
 
 
 class Timeouts:
-    """
-    The timeout of a request, and its retries.
-
-    Attributes:
-        timeout: the seconds that one request may take.
-        retries: how often it is sent again if there was no answer or a damaged one, or if the
-            connection was lost.
-        busy_retries: how often it is sent again if the device refused it because it is busy.
-    """
+    """The seconds that a request may take, and how often it is sent again."""
 
     __slots__ = ("busy_retries", "retries", "timeout")
 
@@ -90,33 +78,9 @@ class Phase(enum.Enum):
 
 class Call:
     """
-    One request to one unit. Without a request it only waits for the connection.
+    One request to one unit; without a request it only waits for the connection.
 
-    Args:
-        unit: the unit, 0..255.
-        request: the request; None to wait for the connection.
-        pdu: what the request encodes to.
-        is_broadcast: True if no unit answers.
-
-    Attributes:
-        changes: True if it may change the device: nothing is sent beside it, nor before its
-            repetition (`Transactions`).
-        is_silent: True if it gets no answer.
-        is_done: True if it has its outcome, or no caller waits for it any more.
-        waits_until: when it fails for lack of silence on the line; infinite while it need not wait.
-        outcome: the result, or the exception; `NOT_ASKED` while there is none.
-        on_done: called with the call when it has its outcome; not for calls of a batch.
-        reply: the PDU of the answer, or the exception in its place; `answerer`: its unit.
-        adu: the frame that was sent last, or nothing; `number`: its transaction id.
-        earlier: the transaction id of the frame sent before, if that was not answered; or -1.
-        sent_at: when the frame was sent; `since`: when its time began, which is sooner if the call
-            has waited for the connection, for `used` seconds.
-        due: when it is to be sent again.
-        order: its number among the frames of the connection.
-        lost_at: when it is lost beside others, and is asked again alone; infinite if it is not.
-        is_wanted: False if it is not to be sent again.
-        is_under_way: False if its batch has gone on without its outcome.
-        tries, busy_tries: how often it was sent again.
+    `changes` is True if it may change the device; `is_silent`, if it gets no answer.
     """
 
     # Of the class, because most calls never set them: making a call takes half the time.
@@ -124,24 +88,24 @@ class Call:
     is_silent: bool = False
     is_done: bool = False
     state: Phase = Phase.WAITING
-    outcome: Any = NOT_ASKED
-    on_done: Callable[[Call], object] | None = None
-    reply: bytes | BaseException | None = None
-    answerer: int = 0
-    adu: bytes = b""
-    number: int = 0
-    earlier: int = -1
-    order: int = 0
-    lost_at: float = math.inf
-    is_wanted: bool = True
-    is_under_way: bool = True
-    used: float = 0.0
-    waits_until: float = math.inf
-    tries: int = 0
-    busy_tries: int = 0
-    due: float = 0.0
+    outcome: Any = NOT_ASKED  # the result, or the exception
+    on_done: Callable[[Call], object] | None = None  # not of calls of a batch
+    reply: bytes | BaseException | None = None  # the PDU of the answer, or an error
+    answerer: int = 0  # the unit that answered
+    adu: bytes = b""  # the frame that was sent last
+    number: int = 0  # its transaction id
+    earlier: int = -1  # the id of the frame before, if that was not answered
+    order: int = 0  # its number among the frames of the connection
     sent_at: float = 0.0
-    since: float = 0.0
+    since: float = 0.0  # when its time began: sooner by `used` if it has waited for the connection
+    used: float = 0.0
+    due: float = 0.0  # when it is to be sent again
+    lost_at: float = math.inf  # when it is lost beside others, and is asked again alone
+    waits_until: float = math.inf  # when it fails for lack of silence on the line
+    is_wanted: bool = True  # False if it is not to be sent again
+    is_under_way: bool = True  # False if its batch has gone on without its outcome
+    tries: int = 0  # how often it was sent again; `busy_tries` because the device was busy
+    busy_tries: int = 0
 
     def __init__(
         self,
@@ -182,10 +146,6 @@ class Call:
         elif self.on_done is not None:
             self.on_done(self)
 
-    def fail(self, error: BaseException) -> None:
-        """Set an error as the outcome, unless there is one."""
-        self.settle(error)
-
     def forget(self) -> None:
         """Note that no caller waits for the outcome any more."""
         self.is_done = True
@@ -193,22 +153,11 @@ class Call:
 
 class Batch:
     """
-    Requests of one caller to one unit, which are sent in their order.
+    Requests of one caller to one unit, which are sent in their order, `limit` at a time.
 
     It is over as soon as its first failure and all requests before that have an outcome; with
-    `go_on`, when every request has one.
-
-    Args:
-        name: the name of a request in messages; braces stand for its index.
-        is_broadcast: True if the requests get no answer.
-        limit: how many of them may be in flight.
-        go_on: True to send the other requests after one has failed.
-
-    Attributes:
-        calls: the requests, in their order.
-        waiting: the calls that are still to be submitted, the next one last.
-        under_way: how many were submitted and are not over.
-        on_done: called once with the batch when it is over.
+    `go_on`, when every request has one. `name` is that of a request in messages, with braces for
+    its index.
 
     Raises:
         TypeError, ValueError: a request cannot be sent; the message contains its name.
@@ -234,12 +183,12 @@ class Batch:
         ]
         for call in self.calls:
             call.batch = self
-        self.waiting: list[Call] = self.calls[::-1]
+        self.waiting: list[Call] = self.calls[::-1]  # to be submitted, the next one last
         # Without an answer, it is unknown whether a request was carried out before the next one.
         self.limit: int = 1 if any(each.is_silent for each in self.calls) else limit
         self._go_on = go_on
         self._open = len(self.calls)
-        self.under_way: int = 0
+        self.under_way: int = 0  # how many were submitted and are not over
         self.is_done: bool = not self.calls
         self.on_done: Callable[[Batch], object] | None = None
 
@@ -256,25 +205,20 @@ class Batch:
         return self.waiting.pop()
 
     def count(self, call: Call) -> None:
-        """Note that a call has its outcome."""
+        """Note that a call has its outcome; the calls behind one that failed are forgotten."""
         self._open -= 1
         outcome = call.outcome
-        if isinstance(outcome, BaseException) and not (
-            self._go_on and isinstance(outcome, ModbusError)
-        ):
-            self._cut(call)
+        is_tolerated = self._go_on and isinstance(outcome, ModbusError)
+        if isinstance(outcome, BaseException) and not is_tolerated:
+            for other in self.calls[self.calls.index(call) + 1 :]:
+                if not other.is_done:
+                    self._open -= 1
+                    other.forget()
+            self.waiting.clear()
         if not self._open and not self.is_done:
             self.is_done = True
             if self.on_done is not None:
                 self.on_done(self)
-
-    def _cut(self, failed: Call) -> None:
-        """Forget the calls behind one that failed."""
-        for call in self.calls[self.calls.index(failed) + 1 :]:
-            if not call.is_done:
-                self._open -= 1
-                call.forget()
-        self.waiting.clear()
 
     def forget(self) -> None:
         """Note that no caller waits for the outcomes any more."""
@@ -283,39 +227,29 @@ class Batch:
         for call in self.calls:
             call.forget()
 
-    def fail(self, error: BaseException) -> None:
-        """End the batch, with this error as the outcome of all requests that have none yet."""
+    def settle(self, outcome: Any) -> None:
+        """End the batch, with this outcome for all requests that have none yet."""
         for call in self.calls:
-            if not call.is_done:
-                call.settle(error)
+            call.settle(outcome)
 
 
 class Matching(ABC):
     """
     Decides which answer belongs to which request of a connection: `Ids` by transaction ids, `Line`
     on lines without them, where one request is in flight at a time.
-
-    Attributes:
-        has_ids: True if frames have transaction ids.
-        pending: requests in flight, by their ids, in the order in which they were sent.
-        alarm: the time at which `expire` must be called; may be too early, but never too late.
-        unanswered: the number of requests without an answer since the last answer arrived.
-        unasked: the number of bytes received since the last request was sent, while no answer was
-            awaited.
-        rest: the beginning of a frame whose end was not received yet.
-        is_in_step: False once the stream of bytes cannot be understood any more.
-        is_traced: True if the trace is told of all frames.
     """
 
     has_ids = False
 
     def __init__(self, statistics: Statistics, trace: Trace) -> None:
+        # Requests in flight, by their ids, in the order in which they were sent.
         self.pending: dict[int, Call] = {}
+        # When `expire` must be called; may be too early, but never too late.
         self.alarm: float = math.inf
-        self.unanswered: int = 0
-        self.unasked: int = 0
-        self.rest: bytes | bytearray = b""
-        self.is_in_step: bool = True
+        self.unanswered: int = 0  # requests without an answer since the last answer
+        self.unasked: int = 0  # bytes since the last request, while no answer was awaited
+        self.rest: bytes | bytearray = b""  # the beginning of a frame
+        self.is_in_step: bool = True  # False once the bytes cannot be understood any more
         self.is_traced: bool = trace.is_on()
         self._statistics = statistics
         self._trace = trace
@@ -378,12 +312,7 @@ class Matching(ABC):
 
 
 def no_answer(timeout: float, received: bytes, *, is_held: bool = False) -> ModbusTimeoutError:
-    """
-    Return the error for a request that got no answer, with the bytes received instead.
-
-    Args:
-        is_held: True if an answer came, but too late to see whether another one follows (`Line`).
-    """
+    """Return the error for no answer; with `is_held`, one was not held long enough (`Line`)."""
     if is_held:
         return ModbusTimeoutError(
             f"within {timeout:g} s it is unknown whether {in_hex(received)} answers this request "
@@ -398,12 +327,7 @@ def no_answer(timeout: float, received: bytes, *, is_held: bool = False) -> Modb
 
 
 def encoded(request: object, name: str, index: int, is_broadcast: bool) -> bytes:
-    """
-    Check and encode a request.
-
-    Raises:
-        TypeError, ValueError: the request cannot be sent.
-    """
+    """Encode a request; raise TypeError or ValueError if it cannot be sent."""
     if not isinstance(request, Request):
         given = type(request).__name__
         raise TypeError(f"{name.format(index)} must be a request object of pdu, not {given}")

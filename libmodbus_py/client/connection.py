@@ -25,18 +25,12 @@ from typing import TYPE_CHECKING
 
 from ..ports.trace import Trace
 from ..protocol.checks import finished, log_failure
-from ..protocol.errors import (
-    FrameError,
-    ModbusConnectionError,
-    ModbusError,
-    alike,
-)
-from . import reconnecting
+from ..protocol.errors import FrameError, ModbusConnectionError, ModbusError, alike
 from .call import Batch, Call, Matching, Phase
 from .ids import Ids
 from .outcomes import Outcomes, add_hint, explain_end
 from .queue import Queue, Window
-from .reconnecting import Notices, Reconnecting
+from .reconnecting import FORKED, Notices, Reconnecting, State
 from .statistics import Statistics
 
 if TYPE_CHECKING:
@@ -44,7 +38,7 @@ if TYPE_CHECKING:
     from ..ports.port import Port
     from .options import CheckedOptions
 
-__all__ = ["Transactions", "forbidden"]
+__all__ = ["Transactions"]
 
 WAITING, SENT, ANSWERED = Phase.WAITING, Phase.SENT, Phase.ANSWERED
 
@@ -59,40 +53,24 @@ class Transactions:
     """
     Sends requests in their order, and settles them.
 
-    Args:
-        endpoint: the endpoint of the connection.
-        settings: the options of the client.
-        port: its port, of which only the name, the silence and the certificate are used.
-        most: the most requests in flight, unless the settings contain a number.
-
-    Attributes:
-        in_flight: how many requests are in flight now.
-        broken: the reason to replace the connection by a new one, or None.
-        is_flooded: True if so many bytes arrived that belong to no request that it is no accident.
-        is_guarded: True if `may_send` was given, and must be called before each request.
-        url: the URL of the endpoint.
-        matching, window, life: the parts that decide for it.
-        statistics: the counters; `notices`: calls of user functions that wait.
+    `most` requests may be in flight, unless the settings contain a number. Of the port only the
+    name, the silence and the certificate are used.
     """
 
     def __init__(self, endpoint: Endpoint, settings: CheckedOptions, port: Port, most: int) -> None:
         self.in_flight: int = 0
+        # The reason to replace the connection by a new one.
         self.broken: ModbusConnectionError | None = None
+        # True if so many bytes arrived that belong to no request that it is no accident.
         self.is_flooded: bool = False
         self.is_guarded: bool = settings.may_send is not None
         self.notices: Notices = Notices()
-        self.statistics: Statistics = (
-            Statistics() if settings.statistics is None else settings.statistics
-        )
+        self.statistics: Statistics = settings.statistics or Statistics()
         self.url: str = str(endpoint)
         has_ids, limit = endpoint.has_transactions, settings.max_in_flight
         self._trace = Trace(self.url, settings.trace, later=self.notices.add)
         self.life: Reconnecting = Reconnecting(
-            str(port),
-            settings.max_pause,
-            self.statistics,
-            self.notices,
-            settings.on_state,
+            str(port), settings.max_pause, self.statistics, self.notices, settings.on_state
         )
         self.window: Window = Window(
             endpoint, (limit or most) if has_ids else 1, limit is not None, self.statistics
@@ -105,11 +83,7 @@ class Transactions:
             from .line import Line
 
             self.matching = Line(
-                endpoint,
-                self.statistics,
-                self._trace,
-                silence=port.silence,
-                delimiter=settings.delimiter,
+                endpoint, self.statistics, self._trace, port.silence, settings.delimiter
             )
         self._scheme = endpoint.scheme
         self._is_socket = not endpoint.is_serial
@@ -177,22 +151,19 @@ class Transactions:
                 self.matching.wake(due)  # it stays in flight until then, because the line is in use
         return was_in_flight
 
-    def change_timeout(self, now: float) -> None:
-        """Note that some `Timeouts` were changed."""
-        self.matching.wake(now)
-
-    def is_allowed(self) -> bool:
-        """Return what `may_send` returns; True without it, False if it fails or returns neither."""
+    def forbidden(self) -> ModbusConnectionError | None:
+        """Return the error for requests that `may_send` does not allow now; None if it does."""
         if self._settings.may_send is None:
-            return True
+            return None
         try:
             allowed = finished("may_send", self._settings.may_send())
-            if allowed is not True and allowed is not False:
+            if allowed is True:
+                return None
+            if allowed is not False:
                 raise TypeError(f"may_send must return True or False, not {allowed!r}")
-            return allowed
         except Exception:
             log_failure(__name__, "may_send failed; nothing is sent")
-            return False
+        return ModbusConnectionError("may_send allows no request now", errno=errno.EPERM)
 
     # --- sending ------------------------------------------------------------------------------
 
@@ -223,31 +194,28 @@ class Transactions:
         """Return True if requests may be sent now; else the connection may be broken now."""
         if self.broken is not None or not self.life.is_open:
             return False
-        if self.is_guarded and not self.is_allowed():
-            self.refuse(forbidden())
+        if self.is_guarded and (error := self.forbidden()) is not None:
+            self.refuse(error)
             return False
         matching = self.matching
         if self._answered and not matching.has_ids:
             return False  # the outcome may lead to DOUBT
-        if (matching.unanswered or matching.rest) and self._is_worn_out():
-            if not self.in_flight:
-                self._break("given up for a new connection")
-            return False
+        if matching.unanswered or matching.rest:
+            is_dead = (
+                self._is_socket
+                and matching.unanswered >= self._settings.timeouts_before_reconnect
+                and not self._queue.lost  # these may be answered when they are sent alone
+            )
+            # The next answer would be appended to half a frame that no request expects.
+            is_cut = matching.rest and self.in_flight == len(self._silent)
+            if is_dead or is_cut:
+                if not self.in_flight:
+                    self._break("given up for a new connection")
+                return False
         if now < self._next_start:
-            self.matching.wake(self._next_start)
+            matching.wake(self._next_start)
             return False
         return True
-
-    def _is_worn_out(self) -> bool:
-        """Return True if the connection is dead, or contains half a frame that none expects."""
-        matching = self.matching
-        is_dead = (
-            self._is_socket
-            and matching.unanswered >= self._settings.timeouts_before_reconnect
-            and not self._queue.lost  # these may be answered when they are sent alone
-        )
-        # The next answer would be appended to the half frame.
-        return is_dead or (bool(matching.rest) and self.in_flight == len(self._silent))
 
     def _send(self, call: Call, now: float) -> bytes:
         if call.adu:
@@ -307,9 +275,7 @@ class Transactions:
         """
         Note that no connection was established: the requests that wait for it fail.
 
-        Args:
-            until: the end of the time for the attempt. If it failed for lack of time, requests that
-                have more time wait for the next attempt.
+        Those with more time than `until` wait for the next attempt, if this one had too little.
         """
         later: set[Call] = set()
         self.life.failed(error, now)
@@ -335,9 +301,11 @@ class Transactions:
             if not call.is_done:
                 self.submit(call, now)
 
-    def closed(self, error: ModbusConnectionError, now: float) -> None:
+    def closed(self, now: float) -> None:
         """Note that the client was closed: all requests fail, now and later."""
         self.life.close()
+        error = self.life.refusal(now, now)
+        assert error is not None
         self._fail_all(error, now)
         self.refuse(error)
 
@@ -350,8 +318,12 @@ class Transactions:
         self._answered = []
         if self.life.is_open:
             self.life.lost(error, now, by_itself=False)
-        elif self.life.state is reconnecting.State.CONNECTING:
+        elif self.life.state is State.CONNECTING:
             self.life.given_up()
+
+    def forked(self, now: float) -> None:
+        """Forget all requests in a forked child: the connection belongs to the parent."""
+        self.interrupted(ModbusConnectionError(FORKED, errno=errno.EBADF), now)
 
     def _reset(self, now: float) -> list[Call]:
         """Return the requests in flight, and reset the state of the previous connection."""
@@ -407,8 +379,10 @@ class Transactions:
             self.in_flight -= 1
             call.state = ANSWERED
             self._answered.append(call)
-            batch = call.batch
-            if batch is not None and batch.limit > 1 and call.is_under_way and _is_good(call.reply):
+            batch, reply = call.batch, call.reply
+            if batch is None or batch.limit == 1 or not call.is_under_way:
+                continue
+            if isinstance(reply, bytes) and reply[0] < 0x80:
                 call.is_under_way = False
                 self._free(batch)
 
@@ -480,17 +454,7 @@ class Transactions:
             if call.waits_until <= now and not self.matching.may_start(call, now):
                 self._queue.remove(call)
                 received = self.matching.received_with(call, b"")
-                self._outcomes.fail_unsent(
-                    call, FrameError("the line does not fall silent", received=received)
-                )
+                error = FrameError("the line does not fall silent", received=received)
+                self._outcomes.fail_unsent(call, error)
                 if call.batch is not None:
                     self._free(call.batch)
-
-
-def _is_good(reply: object) -> bool:
-    return type(reply) is bytes and reply[0] < 0x80
-
-
-def forbidden() -> ModbusConnectionError:
-    """Return the error for requests that `may_send` does not allow."""
-    return ModbusConnectionError("may_send allows no request now", errno=errno.EPERM)

@@ -10,9 +10,9 @@ from __future__ import annotations
 import copy
 from typing import TYPE_CHECKING
 
-from ..protocol.errors import FrameError, InvalidResponse
+from ..protocol.errors import MAX_RECEIVED, FrameError, InvalidResponse
 from ..protocol.framing import Frame, Framer, Framing, make_framer, mbap
-from .call import MAX_KEPT, Call, Matching, no_answer
+from .call import Call, Matching, no_answer
 from .statistics import Statistics
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ class Ids(Matching):
             self._keep_stray(self._framer.encode(frame))
 
     def _keep_stray(self, data: bytes) -> None:
-        self._strays += data[: MAX_KEPT - len(self._strays)]
+        self._strays += data[: MAX_RECEIVED - len(self._strays)]
 
     def _other_unit(self, frame: Frame) -> InvalidResponse:
         self._statistics.invalid += 1

@@ -54,6 +54,7 @@ from ..ports.trace import Trace
 from ..protocol.checks import log_warning
 from ..protocol.echo import Echo
 from ..protocol.errors import (
+    MAX_RECEIVED,
     ExceptionResponse,
     FrameError,
     InvalidResponse,
@@ -61,7 +62,7 @@ from ..protocol.errors import (
 )
 from ..protocol.framing import LINE_FEED, AsciiFramer, Frame, Framer, delimiter_after, make_framer
 from .answers import Answers
-from .call import MAX_KEPT, Call, Matching, Phase, no_answer
+from .call import Call, Matching, Phase, no_answer
 from .statistics import Statistics
 
 __all__ = ["Line"]
@@ -78,20 +79,7 @@ TIMEOUTS_BETWEEN_CHECKS = 10
 
 
 class Pair:
-    """
-    The states of a unit and a function.
-
-    Attributes:
-        is_doubted: True in DOUBT.
-        heard_at: when a frame of it came last.
-        quiet_at: in DOUBT, when it has been silent for long enough.
-        timeout: the duration of this silence.
-        owed: the call whose answer may still come; None if there may be others.
-        is_known: True if it has been answered.
-        is_answered: True if the last request was answered, but the time for HOLD was too short.
-        is_shifted: True if the last answers may be those to the requests before.
-        checked_at: when it was last known that this is not so.
-    """
+    """The states of a unit and a function."""
 
     # fmt: off
     __slots__ = (
@@ -101,14 +89,17 @@ class Pair:
     # fmt: on
 
     def __init__(self, now: float) -> None:
-        self.is_doubted: bool = False
-        self.heard_at: float = now
-        self.quiet_at: float = 0.0
+        self.heard_at: float = now  # when a frame of it came last
+        self.quiet_at: float = 0.0  # in DOUBT, when it has been silent for `timeout`
         self.timeout: float = 0.0
+        self.owed: Call | None = None  # whose answer may still come; None if there may be others
+        self.is_known: bool = False  # True if it has been answered
+        self.is_doubted: bool = False
+        # True if the last request was answered, but the time for HOLD was too short.
         self.is_answered: bool = False
-        self.owed: Call | None = None
-        self.is_known: bool = False
-        self.check(now)
+        # True if the last answers may be those to the requests before; else known at `checked_at`.
+        self.is_shifted: bool = False
+        self.checked_at: float = now
 
     def doubt(self, now: float, timeout: float, owed: Call | None = None) -> None:
         """Begin to doubt, or doubt more."""
@@ -124,29 +115,18 @@ class Pair:
 
     def check(self, now: float) -> None:
         """Note that no other answer follows the last one."""
-        self.is_doubted = self.is_answered = False
-        self.is_shifted: bool = False
-        self.checked_at: float = now
+        self.is_doubted = self.is_answered = self.is_shifted = False
+        self.checked_at = now
 
 
 class Line(Matching):
-    """
-    The request in flight on one line, and the states of the table above.
-
-    Args:
-        endpoint: the endpoint of the connection.
-        statistics: counts late and invalid answers, timeouts and echoes.
-        trace: the trace of the connection.
-        silence: the silence of the port.
-        delimiter: the byte after CR in ASCII frames.
-    """
+    """The request in flight on one line, and the states of the table above."""
 
     def __init__(
         self,
         endpoint: Endpoint,
         statistics: Statistics,
         trace: Trace,
-        *,
         silence: Silence,
         delimiter: int = LINE_FEED,
     ) -> None:
@@ -237,7 +217,7 @@ class Line(Matching):
 
     def take(self, data: bytes, now: float) -> list[Call]:
         self._silence.heard(now)
-        self._received += data[: MAX_KEPT - len(self._received)]
+        self._received += data[: MAX_RECEIVED - len(self._received)]
         if self._call is None:
             self.unasked += len(data)
             for pair in self._pairs.values():

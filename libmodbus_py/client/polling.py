@@ -90,7 +90,7 @@ class Polls(Generic[Driving, Values]):
     async def __anext__(self: Polls[AsyncioDriver, Values]) -> Values:
         if isinstance(self._client, Blocking):
             raise TypeError("watch of a blocking client is for a plain for, not async for")
-        due = self._schedule.due(self._driver.loop_time())
+        due = self._schedule.due(self._driver.now())
         if not await self._driver.wait_until(due):
             raise StopAsyncIteration
         self._schedule.polled(due)

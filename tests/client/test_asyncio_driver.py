@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import errno
 import os
 from collections.abc import Callable
 from typing import Any
@@ -152,26 +151,6 @@ def test_a_client_that_waits_for_nothing_sets_no_alarm() -> None:
             assert network.events.happened == happened
 
     network.run(main)
-
-
-def full(*_: Any) -> None:
-    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-
-def test_a_loop_that_can_watch_no_more_is_told_as_what_it_is() -> None:
-    async def go() -> None:
-        loop = asyncio.get_running_loop()
-        plc = AsyncClient(server.url, max_pause=0)
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(loop, "add_reader", full)
-            with pytest.raises(ModbusConnectionError, match="cannot wait for tcp://127") as caught:
-                await plc.read_holding_registers(7, 1)
-            assert caught.value.errno == errno.ENOSPC
-        assert await plc.read_holding_registers(7, 1) == [7]
-        await plc.close()
-
-    with FakeServer(lambda request: [echo(request)]) as server:
-        asyncio.run(go())
 
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)

@@ -36,7 +36,7 @@ def test_the_outcome_of_a_call_is_told_once_and_stays() -> None:
     call.on_done = told.append
     assert (call.is_done, call.outcome) == (False, NOT_ASKED)
     call.settle(None)
-    call.fail(LATE)
+    call.settle(LATE)
     assert (call.is_done, call.outcome, told) == (True, None, [call])
 
 
@@ -149,14 +149,14 @@ def test_the_end_is_told_once() -> None:
     made = batch(1)
     made.on_done = told.append
     settle(made, (0, "first"), (0, "second"))
-    made.fail(LATE)
+    made.settle(LATE)
     assert (told, made.outcomes) == ([made], ["first"])
 
 
 def test_a_batch_that_fails_keeps_the_outcomes_it_has() -> None:
     made = batch(3)
     settle(made, (1, 1))
-    made.fail(LATE)
+    made.settle(LATE)
     assert made.is_done
     assert made.outcomes[0] is LATE
 

@@ -193,7 +193,7 @@ def test_who_only_waits_for_a_connection_is_told_why_there_is_none() -> None:
 
 def test_who_is_refused_does_not_wait() -> None:
     talk = Talk()
-    talk.connection.closed(ModbusConnectionError("closed", errno=errno.EBADF), talk.now)
+    talk.connection.closed(talk.now)
     assert talk.ask(1).is_done
     assert talk.is_at_rest
     assert talk.connection.alarm == float("inf")

@@ -47,7 +47,7 @@ def test_a_timeout_that_is_changed_meanwhile_holds_at_once(timeout: float) -> No
     batch = talk.ask(1)
     talk.wait(0.2)
     talk.timeouts.timeout = timeout
-    talk.connection.change_timeout(talk.now)
+    talk.matching.wake(talk.now)
     talk.wait_until(timeout - 0.01)
     assert not batch.is_done
     talk.wait_until(timeout)
@@ -266,7 +266,7 @@ def test_all_who_wait_share_one_attempt_and_its_failure() -> None:
 def test_closed_is_closed(url: str) -> None:
     talk = Talk(url, retries=3)
     asked, waiting, unsent = talk.ask(1), talk.ask(2), talk.ask(3)
-    talk.connection.closed(ModbusConnectionError("this client is closed", errno=9), talk.now)
+    talk.connection.closed(talk.now)
     for batch in (asked, waiting, unsent, talk.ask(4)):
         assert kinds(batch) == [ModbusConnectionError]
         assert batch.outcomes[0].errno == 9

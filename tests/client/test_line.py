@@ -612,7 +612,7 @@ def test_a_timeout_that_is_changed_ends_each_wait(timeout: float) -> None:
     talk.wait(1)
     batches = [talk.ask(6), talk.ask(7)]
     talk.timeouts.timeout = timeout
-    talk.connection.change_timeout(talk.now)
+    talk.matching.wake(talk.now)
     talk.wait_for(2)
     talk.come(value(6))
     talk.wait(max(3, 5 * timeout))

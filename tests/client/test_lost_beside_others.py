@@ -196,7 +196,7 @@ def test_what_was_lost_ends_with_the_connection(end: str) -> None:
     if end == "lost":
         talk.lose(error)
     elif end == "closed":
-        talk.connection.closed(error, talk.now)
+        talk.connection.closed(talk.now)
     else:
         allowed.append(False)
         talk.start()
